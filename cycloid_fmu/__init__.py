@@ -1,6 +1,6 @@
-"""Cycloid-pin gear drives: contact model, error surfaces and FMUs; knows neither measurements nor encoders.
+"""Cycloid-pin gear drives: contact model, error surfaces and FMUs, without measurements and encoders.
 
-The names below are what a notebook needs; they are loaded when they are first used.
+The names below are those that a notebook needs; they are loaded on first use.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A drive: a gear pair with what really was made of it, and what can be asked of it."""
+"""A drive: a gear pair with its actual errors, and the functions that compute with it."""
 
 from __future__ import annotations
 
@@ -71,17 +71,17 @@ class Drive:
     Parameters
     ----------
     pair
-        The gear pair; the errors that it states are the drive's unless a surface is given. Or an RV reducer: then its
-        cycloid stage, its errors, and its first stage.
+        The gear pair; its stated errors are those of the drive unless a surface is given. Or an RV reducer: its cycloid
+        stage, errors and first stage.
     surface
-        What really was made, of the same pair.
+        The actual errors, of the same pair.
     first_stage
-        What turns the cranks, where it is not a motor.
+        The involute stage that turns the cranks, if it is not a motor.
 
     Attributes
     ----------
     pair
-        The pair with the errors that the drive has.
+        The pair with the errors of the drive.
     surface
         The drive's errors as an error surface.
     first_stage
@@ -142,12 +142,12 @@ class Drive:
 
     @property
     def ratio(self) -> float:
-        """Signed ratio of the input's rotation, the crank's or behind a first stage the sun's, to the output's."""
+        """Signed ratio of the input's rotation (crank, or sun of a first stage) to that of the output."""
         return self.pair.ratio if self.first_stage is None else self.first_stage.ratio(self.pair.gear_teeth)
 
     @property
     def text(self) -> str:
-        """The gear pair and its errors as the text of a pair file, the same however they were made.
+        """The gear pair and its errors as the text of a pair file, the same for equal values.
 
         Form and wear of elements are not part of it.
         """
@@ -155,7 +155,7 @@ class Drive:
 
     @functools.cached_property
     def hash(self) -> str:
-        """Fingerprint of all values, 16 hexadecimal digits: the same for the same drive, however it was made."""
+        """Fingerprint of all values, 16 hexadecimal digits: the same for equal drives."""
         return drive_hash(self.pair, self.surface, "" if self.first_stage is None else self.first_stage.text)
 
     def replace(self, errors: Mapping[str, Any] | None = None, **changes: Any) -> Self:
@@ -209,8 +209,8 @@ class Drive:
         crank_angle
             Crank angles, rad; `angles` of them evenly over `turns` crank turns from 0, end excluded, where not given.
         slices
-            Slices across the face width, with contact lines and the pressure on each element; where not given as many
-            as the errors need, without these.
+            Slices across the face width, with contact lines and the pressure on each element; by default as many as the
+            errors need, without these outputs.
         workers
             Threads; one for each core where not given.
         progress
@@ -246,19 +246,18 @@ class Drive:
         exaggeration: float | None = None,
         progress: Callable[[int], None] = lambda angles: None,
     ) -> Motion:
-        """Where discs, pins and contacts are and what they carry: `cycloid_fmu.plot` draws it, `.html` as a page.
+        """Positions of discs, pins and contacts, and their forces: `cycloid_fmu.plot` draws them, `.html` as a page.
 
         Parameters
         ----------
         torque
             Of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or several. At 0
             the output is in the middle of its play. Behind a first stage it is the torque on the cycloid stage's
-            output, and that stage alone is seen.
+            output, and only that stage is included.
         crank_angle
             rad, or text with a unit; one or several, which a page animates.
         exaggeration
-            How many times larger the gaps between discs and pins are drawn, 1 to 1000; a round number that fits where
-            None.
+            Enlargement of the gaps between discs and pins in pictures, 1 to 1000; None for a round number that fits.
         progress
             Called with the number of crank angles (times loads) that were just finished.
 
@@ -308,12 +307,12 @@ class Drive:
         workers: int | None = None,
         progress: Callable[[int], None] = lambda angles: None,
     ) -> Judged:
-        """Say of each limit whether the drive keeps it, by how much and where; lives of bearings and what slides.
+        """Judge each limit: whether it is met, the margin and the worst place; with bearing lives and sliding.
 
         Parameters
         ----------
         requirements
-            What an application asks of the drive, or its file (cycloid-requirements/1).
+            The requirements of the application, or their file (cycloid-requirements/1).
         torque
             Of the environment on the output, N·m or text with a unit; those of the duty are judged as well.
         angles, turns
@@ -349,12 +348,12 @@ class Drive:
         )  # fmt: skip
 
     def compliance(self, *, progress: Callable[[int], None] = lambda parts: None) -> list[Share]:
-        """Where the compliance and the lost motion of the drive as drawn come from: mesh, bearings, seats, clearances.
+        """Shares of mesh, bearings, seats and clearances in compliance and lost motion of the drive as drawn.
 
         Parameters
         ----------
         progress
-            Told after each part.
+            Called after each part.
 
         Raises
         ------
@@ -413,9 +412,9 @@ class Drive:
         torque
             Of the environment on the output, N·m or text with a unit; not 0.
         errors
-            Names: kinds of one number, `pin_radial_1_cos` and the like, `profile_deviation_1`; where not given the
-            kinds of one number and the waves of order 1 to 3. A drive with supports has its bearings too:
-            `turning_arm_stiffness` (by its logarithm, rad), `turning_arm_clearance` (rad/m) and so on.
+            Names: kinds with one value, `pin_radial_1_cos` and so on, `profile_deviation_1`; by default the kinds with
+            one value and the orders 1 to 3. A drive with supports has its bearings too: `turning_arm_stiffness` (by its
+            logarithm, rad), `turning_arm_clearance` (rad/m) and so on.
         crank_angle, angles
             As of `analyze`.
 
@@ -427,7 +426,7 @@ class Drive:
         Raises
         ------
         edge.InputError
-            If the torque can't be carried, or a name is no structured error.
+            If the torque can't be carried, or a name is not a structured error.
 
         Examples
         --------
@@ -460,7 +459,7 @@ class Drive:
         return xr.DataArray(jacobian.T, places, ("error", "crank_angle"), "sensitivity", units)
 
     def sample(self, tolerances: Tolerances | str | os.PathLike[str], seed: int) -> Self:
-        """Draw one drive that tolerances allow; the errors of this drive are not part of it.
+        """Draw one drive within tolerances; the errors of this drive are not part of it.
 
         Parameters
         ----------
@@ -510,7 +509,7 @@ class Drive:
         torque
             Loads on the output, N·m or text with a unit; plus and minus the rated torque where not given.
         samples, seed, angles
-            Drives, the seed that decides them, and crank angles of each.
+            Number of drives, the seed that determines them, and crank angles of each.
         first_order
             Solve to first order and confirm this share by the exact model.
         workers, progress
@@ -568,8 +567,8 @@ class Drive:
         torque
             Loads on the output, N·m or text with a unit, not 0; the rated torque where not given.
         output
-            Where the result is written: netCDF, or a table in field units as CSV or Parquet, by the ending. Until then
-            a file with `.checkpoint` behind its name keeps what is done, and the same call goes on from there.
+            File for the result: netCDF, or a table in field units as CSV or Parquet, by the ending. Until then finished
+            drives are kept in a file of that name with `.checkpoint` appended, and the same call continues from there.
         angles, turns
             Crank angles of each drive, and the turns that they span.
         workers, progress
@@ -578,13 +577,13 @@ class Drive:
         Returns
         -------
         xarray.Dataset
-            Figures over what varies, those under load over `torque` as well, SI (format `cycloid-sweep/1`). Where
-            values make no drive they are NaN, and `reason` says why.
+            Figures over the varied values, those under load over `torque` as well, SI (format `cycloid-sweep/1`). For
+            invalid combinations they are NaN, and `reason` gives the reason.
 
         Raises
         ------
         edge.InputError
-            If there is no such value, no load, or no value makes a drive.
+            If there is no such value, no load, or no valid combination.
 
         Examples
         --------
@@ -627,7 +626,7 @@ class Drive:
         law
             The wear law, or its file (cycloid-wear/1).
         torque, crank_turns
-            Of the environment on the output, N·m or text with a unit; length of the life.
+            Torque of the environment on the output, N·m or text with a unit; crank turns of the life.
         workers, progress
             Threads, one for each core where not given; called with the crank turns that are done.
 
@@ -679,25 +678,25 @@ class Drive:
         seed: int = 1,
         progress: Callable[[str], None] = lambda step: None,
     ) -> list[Design]:
-        """Search geometry and modification that keep limits and are best by a goal, or by two.
+        """Search for the geometry and modification that keep the limits and are best for one goal, or two.
 
         Parameters
         ----------
         goals
-            A figure or size that should be as good as it can be, or two for a Pareto front
+            A figure or size to be as good as possible, or two for a Pareto front
             (`cycloid_fmu.studies.design.GOALS`).
         vary
             {name: (lowest, highest)} of `cycloid_fmu.studies.design.VARIABLES`, SI or text with a unit; all else stays.
         limits, duty, friction_coefficient
-            What is asked of the drive, as in a requirements file; the torques are those of the duty, or the rated one.
+            The requirements, as in a requirements file; the torques are those of the duty, or the rated one.
         tolerances, required_yield
-            With tolerances the limits hold for this share of the drives that they allow, else for the drive as drawn.
+            With tolerances the limits hold for this share of the drives within them, otherwise for the drive as drawn.
         starts, seed
-            Places to start from beside this drive; the same seed finds the same.
+            Starting points besides this drive; the same seed gives the same result.
         points
             Drives of a Pareto front.
         progress
-            Told what is being done.
+            Called with the name of each stage.
 
         Returns
         -------
@@ -711,7 +710,7 @@ class Drive:
 
         Examples
         --------
-        The offset that leaves least play beside an isometric modification:
+        The offset with the smallest play for a given isometric modification:
 
         >>> import cycloid_fmu as cy
         >>> pair = cy.Pair(
@@ -749,7 +748,7 @@ class Drive:
         draws: int = 0,
         seed: int = 0,
     ) -> None:
-        """Build an FMU of the drive, whole or not at all.
+        """Build an FMU of the drive; a partial file is never left.
 
         Parameters
         ----------
@@ -761,17 +760,19 @@ class Drive:
         fmi_version
             "2.0" or "3.0".
         native
-            An FMU of C and tables that needs no Python, instead of the exact model; it takes the extra `native`.
+            Whether to build an FMU of C and tables that needs no Python, instead of the exact model; needs the extra
+            `native`.
         largest_torque
-            How far a native FMU's tables reach, N·m; 2.5 times the rated torque where None.
+            Largest torque of a native FMU's tables, N·m; None for 2.5 times the rated torque.
         draws, seed
-            How many drives the FMU holds besides an identified one, from the distribution of its fit: the parameter
-            `draw` chooses among them as `fitting.ensemble` draws them with this seed, counted from 1; 0 is this drive.
+            Number of drives in the FMU besides an identified one, drawn from the distribution of its fit. The parameter
+            `draw` selects one, counted from 1, as `fitting.ensemble` draws them with this seed; 0 is this drive.
 
         Raises
         ------
         edge.InputError
-            If the folder does not exist, the interface is none of this drive, or it has no fit to draw from.
+            If the folder does not exist, the interface is not available for this drive, or there is no fit to draw
+            from.
 
         Examples
         --------
@@ -814,30 +815,29 @@ class Drive:
         total: Callable[[int], None] = lambda angles: None,
         progress: Callable[[int], None] = lambda angles: None,
     ) -> Compensator:
-        """Return the compensator of the drive: the motor angles at which the output stands where it should.
+        """Return the compensator of the drive: it gives the motor angle for a desired output angle.
 
         Parameters
         ----------
         friction
             At the output: the torque through the teeth is the load without it.
         stiffness, series_compliance
-            Of the whole drive (N·m/rad), or of what stands in series with it (rad/(N·m)), as of an `Interface`.
+            Stiffness of the whole drive (N·m/rad), or compliance in series with it (rad/(N·m)), as of an `Interface`.
         temperatures
-            Between which the table knows the drive, all bodies alike, K or text with a unit; where None it is the
-            drive at the pair's own temperatures throughout.
+            Range of the table, the same for all bodies, K or text with a unit; None for the temperatures of the pair.
         torque_accuracy
-            Standard deviation of the load torque that the controller will state, N·m; 1 % of the rated torque where
-            None. Over it the flank changes.
+            Standard deviation of the load torque from the controller, N·m; None for 1 % of the rated torque. The flank
+            changes over this range.
         torque_share
-            Standard deviation of that torque's scale, 1; what it makes of the wind-up goes into the band.
+            Standard deviation of that torque's scale, 1; its effect on the wind-up is part of the band.
         largest_torque
-            How far the table reaches, N·m; 2.5 times the rated torque where None.
+            Largest torque of the table, N·m; None for 2.5 times the rated torque.
         residual
-            Largest error of the table, rad: the smallest one that keeps it is made.
+            Largest error of the table, rad; the smallest table within it is used.
         sensor
             Standard deviation of an output encoder, rad.
         workers, total, progress
-            Threads; called with the number of solutions to come, and of those that were just finished.
+            Threads; called with the total number of solutions, and with the number just finished.
 
         Returns
         -------
@@ -847,7 +847,7 @@ class Drive:
         Raises
         ------
         edge.InputError
-            If there is no rated torque for what is left open, a number is out of range or the drive repeats too late.
+            If a default needs a missing rated torque, a number is out of range, or the period of the drive is too long.
 
         Examples
         --------
@@ -917,12 +917,12 @@ class Drive:
         return profile_of(self.pair, self.surface, disc, _quantity("chord_error", chord_error, "m"))
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the drive: a pair file (`.toml`) or an error surface (`.nc`), which holds form and wear as well.
+        """Write the drive: a pair file (`.toml`), or an error surface (`.nc`) with form and wear as well.
 
         Raises
         ------
         edge.InputError
-            If the ending is another, or a pair file can't hold the drive's form and wear.
+            If the ending is another, or a pair file can't store the drive's form and wear.
         """
         from cycloid_fmu.geometry.pair import write_pair
         from cycloid_fmu.surfaces.files import write_surface
@@ -938,7 +938,7 @@ class Drive:
 
 
 def refuse_first_stage(drive: Drive, what: str) -> None:
-    """Refuse, with an `edge.InputError`, a drive behind a first stage where `what` knows the cycloid stage alone."""
+    """Raise `edge.InputError` for a drive behind a first stage where `what` supports the cycloid stage alone."""
     if drive.first_stage is not None:
         problem = f"has the first stage of an RV reducer, which {what} does not take into account yet"
         raise edge.ArgumentError("drive", f"{problem}; give its pair alone")
@@ -947,13 +947,13 @@ def refuse_first_stage(drive: Drive, what: str) -> None:
 def read_drive(path: str | os.PathLike[str], surface: str | os.PathLike[str] | None = None) -> Drive:
     """Return the drive of a pair file or a reducer file, with the errors that it states or those of an error surface.
 
-    Where a reducer file contradicts itself, an `edge.InputWarning` says what is used.
+    If a reducer file contradicts itself, an `edge.InputWarning` states the values used.
 
     Raises
     ------
     edge.InputError
-        If a file can't be read, the surface belongs to another pair or a drive with these errors can't have been made;
-        it names the file, the field and the value.
+        If a file can't be read, the surface belongs to another pair, or a drive with these errors can't exist; it names
+        the file, the field and the value.
 
     Examples
     --------

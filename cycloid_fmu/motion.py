@@ -1,6 +1,6 @@
-"""Where every body of a drive is over crank angles and loads, where flanks and pins touch and with what force.
+"""Positions of all bodies of a drive over crank angles and loads, with contacts and their forces.
 
-Points are complex, x + iy in the housing's frame, or in a disc's frame where that is said.
+Points are complex, x + iy in the housing's frame, or in a disc's frame where stated.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Motion:
     curve_angle, curve
         Transmission error over a whole crank turn, shapes (points,) and (torques, points), rad.
     exaggeration
-        How many times larger a picture shows the gaps between discs and pins, 1.
+        Enlargement of the gaps between discs and pins in pictures, 1.
     unmodified, drawn, normal
         Tooth 0 in its disc's frame from root to root, shape (profile,), m: without modification, as drawn, and the unit
         normals of the unmodified flank, out of the material.
@@ -62,12 +62,12 @@ class Motion:
         Of each pin on each disc, on the tooth that it is conjugate to and the one across the nearest root, shape
         (torques, angles, discs, pins, 2): gap (m, below zero where the bodies press on each other; infinite without a
         nearest point), force (N), the flank's point that is nearest to the pin (m), and the unit vector from the pin's
-        axis to it: the direction of the pin's force on the disc. Of several slices the one with the largest force, or
-        the smallest gap, says where; forces are those of the whole width.
+        axis to it: the direction of the pin's force on the disc. Of several slices the place is that of the largest
+        force or the smallest gap; forces are those of the whole width.
     pressure
         Largest contact pressure of each pin on each disc, shape (torques, angles, discs, pins), Pa.
     behind_first_stage
-        Whether it is the cycloid stage of a reducer, by itself.
+        Whether it is only the cycloid stage of a reducer.
     """
 
     pair: Pair
@@ -95,7 +95,7 @@ class Motion:
 
     @property
     def raised(self) -> Array:
-        """How far each tooth as made is raised above the unmodified flank, shape (discs, teeth, profile), m."""
+        """Height of each tooth as made above the unmodified flank, shape (discs, teeth, profile), m."""
         turned = tooth_turns(self.pair)[:, None]
         return along(self.made - turned * self.unmodified, turned * self.normal)
 
@@ -107,7 +107,7 @@ class Motion:
 
     @property
     def room(self) -> float:
-        """How large a picture draws a gap at most, m: flanks moved back so far still have no cusps."""
+        """Largest gap in a picture, m: flanks moved back this far still have no cusps."""
         pair = self.pair
         sharpest = flank_curvature(pair, np.linspace(0.0, 2.0 * np.pi / pair.gear_teeth, 1000)).max()
         return float(min(0.3 * pair.pin_radius, 0.6 * pair.eccentricity, 0.7 / sharpest))
@@ -115,17 +115,17 @@ class Motion:
     def outline(self, load: int, angle: int, disc: int, factor: float | None = None) -> Points:
         """Return a disc's outline with exaggerated gaps, in the housing's frame, shape (teeth x profile,), m.
 
-        Every point is moved back along the flank's normal by as many times what modification, errors, load and play
-        open there, but at least the gap of the pin beside it and at most its own distance from that pin. So the gap of
-        each pin is `factor` times as large, at the same place, as long as that is within `room`; flanks that touch
-        still do, and at 1 all is as it is in the drive.
+        Every point is moved back along the flank's normal by this multiple of the opening due to modification, errors,
+        load and play, but at least the gap of the nearest pin and at most its own distance from that pin. So the gap of
+        each pin is `factor` times as large, at the same place, as long as that is within `room`; flanks in contact stay
+        in contact, and 1 is to scale.
 
         Parameters
         ----------
         load, angle, disc
             Numbers of the torque, the crank angle and the disc.
         factor
-            The exaggeration where it is another.
+            The enlargement, if it is not `exaggeration`.
         """
         factor = self.exaggeration if factor is None else factor
         pins, pitch = self.pin_axis[load, angle], 2.0 * np.pi / self.pair.pins
@@ -167,7 +167,7 @@ def motion_of(
     with_curve: bool = True,
     progress: Callable[[int], None] = lambda angles: None,
 ) -> Motion:
-    """Solve a drive at torques and crank angles, and find where every body and every contact is.
+    """Solve a drive at torques and crank angles, and find the positions of all bodies and contacts.
 
     Parameters
     ----------
@@ -178,9 +178,9 @@ def motion_of(
     crank_angle
         rad, shape (angles,).
     exaggeration
-        Of gaps; None for the largest round number with which all of them have room.
+        Enlargement of the gaps; None for the largest round number for which all of them have room.
     with_curve
-        Whether to solve the transmission error over a crank turn, besides that at the crank angles; empty otherwise.
+        Whether to solve the transmission error over a crank turn as well; empty otherwise.
     progress
         Called with the number of crank angles (times loads) that were just finished.
 
@@ -221,7 +221,7 @@ def motion_of(
 
 
 def _made(warm: Pair, sizes: dict[str, float]) -> Pair:
-    """Return a pair whose flank as drawn is the flank that was made, but for its deviations of form."""
+    """Return a pair whose drawn flank is the flank as made, without form deviations."""
     return warm.nominal.replace(
         isometric=float(sizes["generating_pin_radius"]) - warm.pin_radius,
         offset=float(sizes["generating_circle_radius"]) - warm.pin_circle_radius,

@@ -1,6 +1,6 @@
 """Record encoders and torque of a gear test bench, real or simulated.
 
-The names below are what a notebook needs; each is loaded when it is used. A new encoder is a subclass of
+The names below are those that a notebook needs; each is loaded on first use. A new encoder is a subclass of
 `drivers.encoder.Encoder`, see docs/encoder.md.
 
 >>> import drivers

@@ -13,7 +13,7 @@ def in_si(value: float | str, si: str, argument: str, *, above: float = -math.in
     Raises
     ------
     edge.ArgumentError
-        If the text is no such quantity, or it is not above `above` or is below `least`.
+        If the text is not such a quantity, or is not above `above` or is below `least`.
     """
     try:
         number = edge.parse_quantity(value, si) if isinstance(value, str) else float(value)

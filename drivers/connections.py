@@ -1,4 +1,4 @@
-"""What could be recorded from this machine."""
+"""Available connections of this machine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.encoder import protocols
 
 @dataclasses.dataclass(frozen=True)
 class Connections:
-    """Names of the protocols that are installed, serial ports and CAN buses."""
+    """Names of the installed protocols, serial ports and CAN buses."""
 
     protocols: tuple[str, ...]
     serial_ports: tuple[str, ...]
@@ -17,7 +17,7 @@ class Connections:
 
 
 def list_connections() -> Connections:
-    """Return the protocols that are installed, and the serial ports and CAN buses that this machine has.
+    """Return the installed protocols, and the serial ports and CAN buses of this machine.
 
     Examples
     --------

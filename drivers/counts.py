@@ -29,13 +29,13 @@ def unwrap(
     previous
         Continuous count of the sample before, None at the beginning.
     signed
-        Whether the first count is taken in [-modulus/2, modulus/2) instead of [0, modulus): an encoder that stands a
-        little below zero then begins at -1 and not a whole range above it.
+        Whether the first count is taken in [-modulus/2, modulus/2) instead of [0, modulus): an encoder a little below
+        zero then begins at -1 and not a whole range above it.
 
     Returns
     -------
     counts, rolled
-        Continuous counts, and which samples lie beyond a rollover of the raw counts, both of shape (n,).
+        Continuous counts, and the mask of samples after a rollover of the raw counts, both of shape (n,).
     """
     residue = raw % modulus
     if previous is None:
@@ -49,7 +49,7 @@ def unwrap(
 
 
 class UnseenTurns:
-    """Counts on over gaps in which a position rolled over unseen, as often as the speed before the gap says.
+    """Continues counts over gaps with unseen rollovers, by the speed before the gap.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def extract_bits(
 
 
 def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-    """Return how often running numbers went round unseen, by the time that passed.
+    """Return the number of unseen rollovers of running numbers, by the elapsed time.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.fl
     modulus
         Numbers after which they start again.
     expected
-        How many numbers the time makes, shape (n,); NaN where that is not known.
+        Expected numbers by the elapsed time, shape (n,); NaN if not known.
     """
     rounds = np.rint((np.nan_to_num(expected) - step) / modulus)
     return np.maximum(rounds, 0).astype(np.int64)
@@ -163,9 +163,9 @@ def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.fl
 def missing_by_pace(
     times: npt.NDArray[np.float64], steps: npt.NDArray[np.float64], gaps: npt.NDArray[np.bool_], period: float
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return how many readings are missing before each by the time that passed, and which only waited, shape (n,) each.
+    """Return the readings missing before each by the elapsed time, and which were only delayed, shape (n,) each.
 
-    Readings that only came late are followed by others early, which waited with them; what is lost stays missing.
+    Delayed readings are followed by others that were delayed with them; lost ones stay missing.
 
     Parameters
     ----------
@@ -214,12 +214,12 @@ class Pace:
 
     @property
     def period(self) -> float | None:
-        """Seconds between readings; None where too few came."""
+        """Seconds between readings; None with too few."""
         return self._look()[0]
 
     @property
     def longest(self) -> float:
-        """Seconds between readings of which one more is a gap; infinite where they come at no even pace."""
+        """Largest interval between readings without a gap; infinite for an irregular rate."""
         return self._look()[1]
 
 
@@ -229,7 +229,7 @@ def judge_sequence(
     newest: int | None,
     expected: npt.NDArray[np.float64] | None = None,
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int]:
-    """Tell from their running numbers which samples are missing, duplicate or out of order.
+    """Find missing, duplicate or out-of-order samples by their running numbers.
 
     Parameters
     ----------
@@ -240,8 +240,8 @@ def judge_sequence(
     newest
         Highest continuous number so far, None at the beginning.
     expected
-        How many numbers the time since the reading before makes, shape (n,), NaN where that is not known: numbers that
-        went round unseen are counted by it.
+        Expected numbers by the time since the previous reading, shape (n,), NaN if not known: unseen rollovers are
+        counted by it.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What every encoder is: an interface, its errors and the registry of protocols."""
+"""The interface of encoders, its errors and the registry of protocols."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _EPOCH = time.time() - time.monotonic()
 
 
 class EncoderError(Exception):
-    """An encoder or its bus does not do what it should; the text is one sentence that names channel and place.
+    """A failure of an encoder or its bus; the text is one sentence that names channel and place.
 
     Examples
     --------
@@ -46,11 +46,11 @@ class EncoderProtocolError(EncoderError):
 
 
 class EncoderConnectionError(EncoderError):
-    """The bus or port broke, or it is not the device that it was."""
+    """The bus or port failed, or the device is another one."""
 
 
 class EncoderSetupError(EncoderConnectionError, edge.InputError):
-    """The wiring can't be: no such bus or port, no permission, a node that is taken, contradicting counts."""
+    """Impossible wiring: no such bus or port, no permission, a node in use, contradicting counts."""
 
 
 class BusConfig(edge.Config):
@@ -64,7 +64,7 @@ class BusConfig(edge.Config):
     fd, data_bitrate
         CAN FD, and the bit rate of its data phase.
     sync_period
-        Seconds between the SYNC that the recorder itself produces; None: another device does, or none.
+        Seconds between the SYNC frames that the recorder itself produces; None: another device does, or none.
     """
 
     interface: str
@@ -76,7 +76,7 @@ class BusConfig(edge.Config):
 
     @property
     def place(self) -> str:
-        """Interface and channel, for messages: the bus is one by them."""
+        """Interface and channel, which identify the bus, for messages."""
         return f'{self.interface} "{self.channel}"'
 
 
@@ -90,7 +90,7 @@ class PortConfig(edge.Config):
 
     @property
     def place(self) -> str:
-        """The URL in quotes, for messages: the port is one by it."""
+        """The URL in quotes, which identifies the port, for messages."""
         return f'"{self.url}"'
 
 
@@ -114,12 +114,12 @@ class PlcConfig(edge.Config):
 
     @property
     def place(self) -> str:
-        """Net id, port and ring, for messages: the PLC's ring is one by them."""
+        """Net id, port and ring, which identify the PLC's ring, for messages."""
         return f'{self.net_id}:{self.port} "{self.ring}"'
 
 
 class ChannelConfig(edge.Config):
-    """What every channel of a `BENCH.toml` has; the protocols add their keys."""
+    """Keys of every channel of a `BENCH.toml`; the protocols add theirs."""
 
     protocol: str
     direction: Literal[1, -1] = 1
@@ -127,16 +127,16 @@ class ChannelConfig(edge.Config):
 
 
 class AngleConfig(ChannelConfig):
-    """What every angle channel says.
+    """Keys of every angle channel.
 
     Attributes
     ----------
     counts_per_turn
-        Absent: the device says it.
+        Absent: taken from the device.
     zero
         The angle shown at zero, rad.
     largest_speed
-        That the shaft can have, rad/s: what is faster is marked implausible. Absent: not known.
+        Largest speed of the shaft, rad/s: faster steps are marked implausible. Absent: not known.
     """
 
     counts_per_turn: Annotated[int, pydantic.Field(gt=0)] | None = None
@@ -155,11 +155,11 @@ class Wiring:
     plcs: Mapping[str, PlcConfig] = dataclasses.field(default_factory=dict)
 
     def bus(self, name: str, channel: str) -> BusConfig:
-        """Return the bus of this name; an `edge.InputError` names the channel that wants it where there is none."""
+        """Return the bus of this name; an `edge.InputError` names the channel if there is none."""
         return self._named(self.buses, name, "bus", channel)
 
     def port(self, name: str, channel: str) -> PortConfig:
-        """Return the port of this name; an `edge.InputError` names the channel that wants it where there is none."""
+        """Return the port of this name; an `edge.InputError` names the channel if there is none."""
         return self._named(self.ports, name, "port", channel)
 
     def plc(self, name: str, channel: str) -> PlcConfig:
@@ -179,11 +179,11 @@ class Wiring:
 class Encoder(abc.ABC):
     """A sensor that yields time-stamped samples in blocks; a context manager that opens and closes it.
 
-    `start` is called once all channels of a bench are open, so that none misses what the first one sets going.
+    `start` is called once all channels of a bench are open, so that none misses samples triggered by the first one.
 
     Examples
     --------
-    What a protocol of your own has to write:
+    Methods that an own protocol must define:
 
     >>> import drivers
     >>> sorted(drivers.Encoder.__abstractmethods__)
@@ -206,7 +206,7 @@ class Encoder(abc.ABC):
 
     @abc.abstractmethod
     def __enter__(self) -> Self:
-        """Open it; from now on `channel` says what it is.
+        """Open it; from now on `channel` describes it.
 
         Raises
         ------
@@ -216,7 +216,7 @@ class Encoder(abc.ABC):
 
     @abc.abstractmethod
     def close(self) -> None:
-        """Give bus or port back; closing twice does no harm."""
+        """Release bus or port; closing twice is allowed."""
 
     def __exit__(
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
@@ -224,7 +224,7 @@ class Encoder(abc.ABC):
         self.close()
 
     def start(self) -> None:  # noqa: B027
-        """Let the device send, where it has to be told."""
+        """Start the device's transmission, if necessary."""
 
     @abc.abstractmethod
     def read(self, timeout: float) -> Samples | None:
@@ -233,31 +233,31 @@ class Encoder(abc.ABC):
         Parameters
         ----------
         timeout
-            Seconds to wait for the first sample; 0 to take what is there.
+            Seconds to wait for the first sample; 0 to return available ones.
 
         Returns
         -------
         Samples or None
-            None when nothing came.
+            None if there are none.
 
         Raises
         ------
         EncoderError
-            If the device is gone for good; what is recoverable is an event and a status bit.
+            If the device is lost permanently; recoverable faults are events and status bits.
         """
 
     @abc.abstractmethod
     def events(self) -> list[Event]:
-        """Return what happened since the last call, `time` in seconds since 1970, and forget it."""
+        """Return the events since the last call, `time` in seconds since 1970, and clear them."""
 
     def rest(self) -> None:  # noqa: B027
-        """Tell the device to send no more, though it was not opened here: a process that was killed set it going."""
+        """Stop the device's transmission, though it was not opened here: a killed process had started it."""
 
     def drain(self) -> None:  # noqa: B027
-        """Take in what waits on bus or port by now, so that the next `read` gives it; sampling goes on."""
+        """Read all waiting data of bus or port, so that the next `read` returns it; sampling continues."""
 
     def finish(self) -> None:  # noqa: B027
-        """Note as events and in `lost` what the last sample leaves missing; called once, after the last `read`."""
+        """Note missing samples after the last one as events and in `lost`; called once, after the last `read`."""
 
     @property
     def lost(self) -> int:
@@ -266,12 +266,12 @@ class Encoder(abc.ABC):
 
     @property
     def measuring_range(self) -> tuple[float, float] | None:
-        """Smallest and largest value that the sensor can measure, SI, where it is known."""
+        """Smallest and largest value that the sensor can measure, SI, if known."""
         return None
 
     @property
     def waiting(self) -> int:
-        """Readings that came and are not yet read, where the encoder knows."""
+        """Received readings that are not yet read, if known."""
         return 0
 
 
@@ -299,9 +299,9 @@ def channel_of(
     unit: str = "rad",
     counts_per_turn: int | None = None,
 ) -> Channel:
-    """Return what a channel is: what its table in the wiring says, and what the device and its protocol say.
+    """Return a channel's description from its table in the wiring, the device and its protocol.
 
-    Its role is its name where that is a role, unless it is a speed.
+    Its role is its name if that is a role, unless it is a speed.
 
     Parameters
     ----------
@@ -326,14 +326,14 @@ def channel_of(
 
 
 def steady_time() -> float:
-    """Return the host's time in seconds since 1970 that runs on evenly when the calendar clock is set."""
+    """Return the host's time in seconds since 1970, continuous when the calendar clock is set."""
     return _EPOCH + time.monotonic()
 
 
 class ListeningTime:
-    """Seconds that this process was there to listen: a stop of it, by a signal or a busy machine, hardly counts.
+    """Seconds in which this process could listen, almost without pauses by a signal or a busy machine.
 
-    What is overdue is judged by it: silence while nobody listened says nothing of a device.
+    Timeouts use it: silence while nobody listened is no sign of a failed device.
     """
 
     def __init__(self) -> None:
@@ -341,7 +341,7 @@ class ListeningTime:
         self.seconds = 0.0
 
     def __call__(self) -> float:
-        """Go on to now and return the seconds; to be called more often than every `_LONGEST_STEP`."""
+        """Update to now and return the seconds; to be called more often than every `_LONGEST_STEP`."""
         now = time.monotonic()
         self.seconds += min(now - self._last, _LONGEST_STEP)
         self._last = now
@@ -354,7 +354,7 @@ def protocols() -> dict[str, importlib.metadata.EntryPoint]:
 
 
 def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
-    """Return the class that speaks a protocol: this package's own or another installed one's.
+    """Return the class of a protocol: of this package or of another installed one.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the threads that read CAN buses, serial ports and PLCs have in common."""
+"""Common part of the threads that read CAN buses, serial ports and PLCs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Block = TypeVar("Block")
 
 
 class BlockQueue(Generic[Block]):
-    """Blocks on their way from a reader thread to a channel, bounded: a consumer too slow loses some, counted."""
+    """A bounded queue of blocks from a reader thread to a channel: a slow consumer loses some, which are counted."""
 
     def __init__(self) -> None:
         self._blocks: collections.deque[tuple[int, Block, int]] = collections.deque()
@@ -30,7 +30,7 @@ class BlockQueue(Generic[Block]):
         self.waiting = 0
 
     def put(self, block: Block, readings: int) -> None:
-        """Append a block of so many readings, or count them as lost where `WAITING_LIMIT` are waiting."""
+        """Append a block of readings, or count them as lost if `WAITING_LIMIT` are waiting."""
         with self._filled:
             if self.waiting + readings > WAITING_LIMIT:
                 self._lost += readings
@@ -41,7 +41,7 @@ class BlockQueue(Generic[Block]):
             self._filled.notify()
 
     def fail(self, problem: EncoderError) -> None:
-        """Note that nothing more will come, and why."""
+        """Note that no more blocks will come, and the reason."""
         with self._filled:
             self._failure = problem
             self._filled.notify()
@@ -71,7 +71,7 @@ def drained(events: collections.deque[Event]) -> list[Event]:
 
 
 def reason(problem: Exception, what: str) -> str:
-    """Return the sentence at the bottom of what a bus or port raised; `what` it is: "interface" or "port"."""
+    """Return the root cause of an error of a bus or port as a sentence; `what` is "interface" or "port"."""
     below = problem.__cause__ or problem.__context__
     while isinstance(below, OSError) and not (problem.__cause__ is None and problem.__suppress_context__):
         problem, below = below, below.__cause__ or below.__context__
@@ -111,7 +111,7 @@ class SharedHubs(Generic[Hub]):
         return config.place in self._users
 
     def acquire(self, config: Any) -> Hub:
-        """Return the hub of this bus or port, opened for its first user, and again where it broke; see `release`."""
+        """Return the hub of this bus or port, opened for its first user, and again after a failure; see `release`."""
         with self._lock:
             if config.place in self._users and self._users[config.place][0].broken:
                 self._users.pop(config.place)[0].close()
@@ -122,7 +122,7 @@ class SharedHubs(Generic[Hub]):
             return hub
 
     def release(self, hub: Hub) -> None:
-        """Give a hub back; its last user closes it."""
+        """Release a hub; its last user closes it."""
         with self._lock:
             current, users = self._users.get(hub.config.place, (None, [0]))
             if current is not hub:  # it broke, and `acquire` has closed it since
@@ -134,7 +134,7 @@ class SharedHubs(Generic[Hub]):
 
 
 class HubEncoder(Encoder, Generic[Hub]):
-    """An encoder on a bus or port that is shared: the hub, acquired and given back.
+    """An encoder on a shared bus or port: acquires and releases the hub.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ class HubEncoder(Encoder, Generic[Hub]):
 
     @abc.abstractmethod
     def set_up(self, hub: Hub) -> None:
-        """Ask the device what it is, or whether it is there, and set `channel`.
+        """Query the device and set `channel`.
 
         Raises
         ------
@@ -181,7 +181,7 @@ class HubEncoder(Encoder, Generic[Hub]):
 
     @abc.abstractmethod
     def leave(self, hub: Hub) -> None:
-        """Take back what `set_up` and `start` did, as far as they came."""
+        """Undo `set_up` and `start`, as far as they were done."""
 
     def __enter__(self) -> Self:
         """Open the bus or port and set the device up; see `Encoder.__enter__`."""
@@ -194,7 +194,7 @@ class HubEncoder(Encoder, Generic[Hub]):
         return self
 
     def close(self) -> None:
-        """Leave the device and give the bus or port back."""
+        """Leave the device and release the bus or port."""
         hub, self.hub = self.hub, None
         if hub is not None:
             self.leave(hub)

@@ -1,4 +1,4 @@
-"""Which lines a bench file may open: buses, serial devices and TCP sockets; others where a person asks for them."""
+"""Lines that a bench file may open: buses, serial devices and TCP sockets; others only on request."""
 
 from __future__ import annotations
 
@@ -47,9 +47,10 @@ _PORTS = "a bench file may name a serial device, such as COM3 or /dev/ttyUSB0, o
 def check_lines(
     buses: Mapping[str, BusConfig], ports: Mapping[str, PortConfig], allow: Collection[str], source: str
 ) -> None:
-    """Refuse what a bench file may not open by itself.
+    """Refuse lines that a bench file may not open.
 
-    pyserial opens URLs by plug-ins, of which "spy" writes a file and "alt" loads a class; python-can has plug-ins too.
+    pyserial opens URLs with plug-ins, of which "spy" writes a file and "alt" loads a class; python-can has plug-ins
+    too.
 
     Parameters
     ----------
@@ -101,12 +102,12 @@ def _asked(kind: str) -> str:
 
 
 def device_of(channel: str) -> str:
-    """Return the serial device of a bus that is one; a rate may stand behind it: "/dev/ttyACM0@115200"."""
+    """Return the serial device of a serial bus, without a rate after it as in "/dev/ttyACM0@115200"."""
     return channel.rpartition("@")[0] or channel
 
 
 def no_terminal(device: str) -> str:
-    """Return why a serial device is not opened, "" where it may be: to open other devices may already do something."""
+    """Return the reason why a device is not opened, or "": opening other devices can have effects."""
     real = os.path.realpath(device)
     if "://" in device or os.name == "nt" or not os.path.exists(real) or _TERMINAL.fullmatch(real):
         return ""

@@ -1,9 +1,10 @@
 """How much of three parts the tests hold: `python tests/mutate.py metrics|recorder|contact [--sample 100]`.
 
-Cosmic Ray's operators change one operator, number or condition at a time; the part's own tests run against each
-change in a forked process, and a change that none of them notices survives. The sample is drawn by a fixed seed, and
-results are kept in `.mutation/`: the same command goes on after an interruption, a changed module or test begins anew.
-At the end docs/mutants.md is written from what is kept of all parts; `survivors.toml` says of a survivor why it
+Cosmic Ray changes one operator, number or condition at a time; the part's own tests run against each
+change in a forked process, and a change that none of them detects survives. The sample is drawn with a fixed seed.
+Results are kept in `.mutation/`: the same command continues after an interruption; a changed module or test starts
+again.
+At the end docs/mutants.md is written from the results of all parts; `survivors.toml` gives the reason why a survivor
 may survive.
 """
 
@@ -247,9 +248,9 @@ def run(name: str, sample: int) -> None:
 
 
 def page() -> str:
-    """What is kept of all parts, in words."""
+    """Return the page of the results of all parts."""
     reasons = tomllib.loads(REASONS.read_text(encoding="utf-8"))
-    rows, survivors = ["| modules | changes possible | tried | noticed | by running too long |", "| --- " * 5 + "|"], []
+    rows, survivors = ["| modules | possible changes | tried | detected | by timeout |", "| --- " * 5 + "|"], []
     for name, target in TARGETS.items():
         if not (KEPT / f"{name}.json").exists():
             continue
@@ -262,21 +263,21 @@ def page() -> str:
         known = {one["change"].strip("\n"): one["reason"] for one in reasons.get(name, [])}
         survivors.append(f"## {modules}")
         for change in state["survived"].values():
-            survivors.append(f"```diff\n{change}\n```\n\n{known.get(change, 'No test notices it.')}")
+            survivors.append(f"```diff\n{change}\n```\n\n{known.get(change, 'No test detects it.')}")
     return "\n\n".join(
         [
-            "# Changes that tests notice",
-            "By `python tests/mutate.py`: one operator, number or condition of a part is changed at a time, and the "
-            f"part's own tests run. The sample is drawn from all changes by the seed {SEED}.",
+            "# Mutation tests",
+            "`python tests/mutate.py` changes one operator, number or condition of the code at a time and runs the "
+            f"tests of that code. The sample of all possible changes is drawn with the seed {SEED}.",
             "\n".join(rows),
-            "What was not noticed, and why it may go unnoticed:",
+            "The changes that no test detected, and why none has to:",
             *survivors,
         ]
     )
 
 
 def main() -> None:
-    """Go on with the samples where they were, then write the page."""
+    """Continue with the samples, then write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("target", choices=TARGETS)
     parser.add_argument("--sample", type=int, default=100, help="how many changes are tried (default 100)")

@@ -1,1 +1,1 @@
-"""Discs to take along: the outline as made, in arcs, and files for CAD, CAM and measuring machines."""
+"""Export of discs: the outline as made, in arcs, and files for CAD, CAM and measuring machines."""

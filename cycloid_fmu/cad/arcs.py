@@ -1,8 +1,8 @@
-"""A closed curve as circular arcs that pass into each other without a corner, within a stated distance of the curve.
+"""A closed curve as circular arcs with common tangents, within a stated distance of the curve.
 
 Each span of the curve becomes a biarc: two arcs that have the curve's tangents at the span's ends and a common one
 where they meet (Bolton, Biarc curves, Computer-Aided Design 7 (1975) 89-92; here with tangents of equal length).
-Machines run arcs and CAD holds them exactly; the offset of an arc, which a tool's radius makes of it, is an arc again.
+Machines follow arcs and CAD stores them exactly; the offset of an arc by a tool radius is an arc again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _SHORTEST = 1e-7  # of a tooth
 
 
 def bulges_of(start: Points, end: Points, tangent: Points) -> Array:
-    """Return the bulges of arcs from points to points with tangents at the first ones, as DXF has them.
+    """Return the bulges of arcs between points with tangents at the first ones, as in DXF.
 
     A bulge is the tangent of a quarter of the arc's angle, > 0 counter-clockwise.
     """
@@ -27,7 +27,7 @@ def bulges_of(start: Points, end: Points, tangent: Points) -> Array:
 
 
 def biarc(start: complex, along: complex, end: complex, at_end: complex) -> tuple[complex, complex]:
-    """Return where the two arcs meet, and their common unit tangent there.
+    """Return the point where the two arcs meet, and their common unit tangent there.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def biarc(start: complex, along: complex, end: complex, at_end: complex) -> tupl
 
 
 def distances(points: Points, start: complex, end: complex, tangent: complex) -> Array:
-    """Return how far points are from the circle, or line, of an arc, > 0 on its left, m."""
+    """Return the distances of points from the circle, or line, of an arc, > 0 on its left, m."""
     chord = end - start
     bend = 2.0 * (chord / tangent).imag / abs(chord) ** 2
     off = (points - start) / tangent
@@ -68,10 +68,10 @@ def arcs_of(teeth: Sequence[Tooth], limit: float) -> tuple[Points, Array, float]
     Returns
     -------
     start, bulge
-        Where each arc begins, counter-clockwise, shape (arcs,); the last one ends where the first one begins. m, and
-        as `bulges_of` has it.
+        Start of each arc, counter-clockwise, shape (arcs,); the last one ends at the first start. m, and as in
+        `bulges_of`.
     largest
-        Largest distance found where each span is searched eight times as finely as it was fitted, m.
+        Largest distance in a search of each span eight times as fine as the fit, m.
     """
     aim, nodes = _AIM * limit, _joints(teeth)
     alike = all(_same(tooth, teeth[0]) for tooth in teeth)
@@ -108,7 +108,7 @@ def _joints(teeth: Sequence[Tooth]) -> list[tuple[complex, complex]]:
 def _fitted(
     tooth: Tooth, first: tuple[complex, complex], last: tuple[complex, complex], aim: float
 ) -> tuple[Points, Points, float]:
-    """Where the arcs of one tooth begin, their tangents there, and the largest distance that a finer search finds."""
+    """Start points of the arcs of one tooth, their tangents there, and the largest distance in a finer search."""
     places, tangents, largest = list[complex](), list[complex](), 0.0
     at, (point, tangent) = tooth.low, first
     step = 0.02 * (tooth.high - tooth.low)

@@ -30,7 +30,7 @@ _FLAT = 1e-9  # bulge below which an arc is a line: it stands off its chord by l
 
 
 def write(profile: Profile, path: str | os.PathLike[str]) -> None:
-    """Write a profile in the format of the name's ending, as `Profile.write` says."""
+    """Write a profile in the format of the name's ending, as `Profile.write`."""
     target = edge.output_path(path, "path", WRITERS)
     needs, writer = WRITERS[target.suffix.lower()]
     if needs is not None:
@@ -40,7 +40,7 @@ def write(profile: Profile, path: str | os.PathLike[str]) -> None:
 
 
 def check_library(module: str, extra: str, target: Path) -> None:
-    """Refuse, with an `edge.ArgumentError` that names the extra, a format whose library is missing."""
+    """Raise `edge.ArgumentError`, naming the extra, for a format whose library is missing."""
     other = "; .svg and .csv need nothing more" if extra == "cad" else "; .dxf and .svg do without it"
     with edge.needs_extra(extra, lambda said: edge.ArgumentError("path", said + other, target)):
         importlib.import_module(module)

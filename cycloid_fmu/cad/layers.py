@@ -1,4 +1,4 @@
-"""What a drawing of a disc has on its layers besides the outline, in mm."""
+"""Layers of a disc's drawing besides the outline, in mm."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CROSS = 0.01  # of the pin circle's radius: half of the cross of a hole whose r
 
 
 def about(profile: Profile) -> dict[str, str]:
-    """Return what a file says of the profile in it."""
+    """Return the description of the profile in a file."""
     return {
         "pair": profile.pair.hash,
         "disc": str(profile.disc),
@@ -48,7 +48,7 @@ def circles(profile: Profile) -> Iterator[tuple[str, complex, float]]:
 
 
 def corners(profile: Profile) -> tuple[complex, complex]:
-    """Return the lower left and the upper right corner of all that is drawn, m."""
+    """Return the lower left and the upper right corner of the drawing, m."""
     places = np.concatenate([profile.start, profile.pin_place])
     beyond = np.concatenate([np.zeros(profile.start.size), profile.pin_radius])
     return (

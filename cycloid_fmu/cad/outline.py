@@ -29,14 +29,14 @@ class Tooth:
     Attributes
     ----------
     pair
-        The pair whose modification is the one really made, at 20 °C.
+        The pair with the actual modification, at 20 °C.
     turned
-        The tooth's place: what turns tooth 0 of an ideal gear there, a complex number of magnitude 1.
+        The tooth's place: the rotation from tooth 0 of an ideal gear, a complex number of magnitude 1.
     low, high
         Profile parameters, as of tooth 0, where it meets its neighbours, rad.
     knots, heights
-        Parameters between which the deviation of the form is linear, rad, and its values there, > 0 material added, m;
-        of size 0 where the form is nominal.
+        Parameters between which the form deviation is linear, rad, and its values there, > 0 material added, m; of size
+        0 if the form is nominal.
     """
 
     pair: Pair
@@ -57,7 +57,7 @@ class Tooth:
         return np.asarray(along / np.abs(along))
 
     def speed(self, alpha: ArrayLike) -> Array:
-        """Arc length for each radian of the profile parameter, m."""
+        """Arc length per radian of the profile parameter, m."""
         return np.abs(self._along(alpha))
 
     def _along(self, alpha: ArrayLike) -> Points:
@@ -87,12 +87,12 @@ def teeth_of(pair: Pair, surface: ErrorSurface, disc: int) -> list[Tooth]:
 
     A tooth with a pitch error is turned as a whole about the disc's axis; it meets its neighbour on the ray between
     their roots, where both flanks are equally far from the axis. Deviations of the form are those at mid-width, linear
-    in the profile parameter from one element's middle to the next, past the roots too.
+    in the profile parameter from one element's middle to the next, across the roots too.
 
     Raises
     ------
     edge.InputError
-        If the drive can't have been made with its errors.
+        If a drive with these errors is impossible.
     """
     cold = pair.replace(temperature=None)
     made = dimensions(cold, surface)

@@ -1,4 +1,4 @@
-"""A disc to take along: its outline in arcs, its holes, and the pins and the ring around it."""
+"""The profile of a disc: its outline in arcs, its holes, and the pins and the ring around it."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ class Profile:
     """A disc as made, drawn at 20 °C at crank angle 0: the disc's axis is the origin, axes are those of the frame.
 
     Points are complex numbers x + iy, m. The first disc's tooth 0 has its root on +x; another disc's teeth are clocked
-    as the drive has them, so its holes and pins stand where they are at crank angle 0 too.
+    as in the drive, so its holes and pins are at their places at crank angle 0 too.
 
     Attributes
     ----------
     pair, disc
         The pair as drawn, and the number of its disc.
     chord_error, largest_error
-        Largest distance of the flank from its arcs that was asked for, and that was found, m.
+        Allowed and actual largest distance of the flank from its arcs, m.
     start, bulge
-        Where each arc of the outline begins, counter-clockwise, shape (arcs,), and its bulge as DXF has it: the tangent
-        of a quarter of its angle, > 0 counter-clockwise. The last arc ends where the first one begins.
+        Start of each arc of the outline, counter-clockwise, shape (arcs,), and its bulge as in DXF: the tangent of a
+        quarter of its angle, > 0 counter-clockwise. The last arc ends at the first start.
     pin_place, pin_radius
         Axes and radii of the pins, shape (pins,).
     ring_place, ring_radius
         Axis and radius of the pin circle.
     hole_place, hole_radius
-        Axes of the holes for cranks or output rollers and of the eccentric's, and their radii, NaN where the pair does
-        not state them, shape (holes,).
+        Axes of the holes for cranks or output rollers and of the eccentric's, and their radii, NaN if the pair does not
+        state them, shape (holes,).
     notes
         One sentence for each size that the pair does not state.
     """
@@ -66,7 +66,7 @@ class Profile:
 
     @property
     def area(self) -> float:
-        """Area inside the outline, holes not taken off, m²."""
+        """Area inside the outline, without subtracting holes, m²."""
         end = np.roll(self.start, -1)
         angle = 4.0 * np.arctan(self.bulge)
         flat = np.abs(self.bulge) < 1e-9
@@ -83,7 +83,7 @@ class Profile:
 
     @functools.cached_property
     def table(self) -> dict[str, Array]:
-        """Points of the flank, so dense that straight lines between them stay within the chord error, in SI.
+        """Points of the flank; straight lines between them stay within the chord error, in SI.
 
         Returns
         -------
@@ -109,7 +109,7 @@ class Profile:
         return {name: np.concatenate(values) for name, values in found.items()}
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the profile in mm: DXF, SVG, CSV or STEP by the ending of the name, whole or not at all.
+        """Write the profile in mm: DXF, SVG, CSV or STEP by the ending of the name; never a partial file.
 
         DXF and SVG have the layers DISC, PINS, RING and HOLES; STEP has the disc and the pins as bodies of the face
         width, mid-width at z = 0; CSV has the points of `table`.
@@ -130,7 +130,7 @@ def profile_of(pair: Pair, surface: ErrorSurface, disc: int = 0, chord_error: fl
     Parameters
     ----------
     pair, surface
-        The pair and what really was made.
+        The pair and its actual errors.
     disc
         Number of the disc, from 0.
     chord_error
@@ -139,15 +139,14 @@ def profile_of(pair: Pair, surface: ErrorSurface, disc: int = 0, chord_error: fl
     Raises
     ------
     edge.InputError
-        If there is no such disc, the chord error is out of range, the drive can't have been made or a hole cuts the
-        flank.
+        If there is no such disc, the chord error is out of range, the drive is impossible or a hole cuts the flank.
     """
     if not 0 <= disc < pair.discs:
-        allowed = f"it must lie between 0 and {pair.discs - 1}" if pair.discs > 1 else "the pair has one, 0"
+        allowed = f"it must be between 0 and {pair.discs - 1}" if pair.discs > 1 else "the pair has one, 0"
         raise edge.ArgumentError("disc", allowed, disc)
     if not _LEAST <= chord_error <= _MOST:
         given = edge.format_quantity(chord_error, "m", "um")
-        raise edge.ArgumentError("chord_error", "it must lie between 0.001 um and 100 um", given)
+        raise edge.ArgumentError("chord_error", "it must be between 0.001 um and 100 um", given)
     teeth = teeth_of(pair, surface, disc)
     cold = pair.replace(temperature=None)
     made = dimensions(cold, surface)
@@ -171,7 +170,7 @@ def profile_of(pair: Pair, surface: ErrorSurface, disc: int = 0, chord_error: fl
 
 
 def _holes(pair: Pair, made: dict[str, Array], disc: int) -> tuple[Points, Array, tuple[str, ...]]:
-    """Axes and radii of a disc's holes, and what the pair does not state of them."""
+    """Axes and radii of a disc's holes, and notes on missing values."""
     supports = pair.supports
     if supports is None:
         return np.empty(0, complex), np.empty(0), ()
@@ -202,7 +201,7 @@ def _unstated(table: str, key: str, holes: str) -> str:
 
 
 def _dense(tooth: Tooth, limit: float) -> Array:
-    """Profile parameters of points so dense that the chords between them stay within a limit, both ends included."""
+    """Profile parameters of points whose chords stay within a limit, both ends included."""
     inside = tooth.knots[(tooth.knots > tooth.low) & (tooth.knots < tooth.high)]
     fine = np.linspace(tooth.low, tooth.high, 2001)
     # The sagitta of a chord l is l²/8ρ; where the flank is nearly straight points still stand a tooth's 50th apart.

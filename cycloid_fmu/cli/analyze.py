@@ -177,9 +177,9 @@ def _print_bearings(drive: Drive, found: Transmission, shares: list[Share]) -> N
                      f"{share.lost_motion * edge.ARCMIN:.3f}′"])  # fmt: skip
     left = figures.remaining(drive.pair.supports, shares)
     if not math.isnan(left):
-        rows.append(["left to the catalogue's", f"{left * 1e6:.4f}", f"{1.0 / (whole + left) / edge.ARCMIN:.1f}", ""])
+        rows.append(["rest to the catalogue", f"{left * 1e6:.4f}", f"{1.0 / (whole + left) / edge.ARCMIN:.1f}", ""])
     commands.print_table(
-        "Where compliance and lost motion come from, as drawn"
+        "Shares of compliance and lost motion, as drawn"
         + ("" if drive.pair.temperature is None else ", at 20 °C"),
-        ["part", "compliance, µrad/(N·m)", "stiffness with it, N·m/arcmin", "lost motion"], rows,
+        ["part", "compliance, µrad/(N·m)", "stiffness up to here, N·m/arcmin", "lost motion"], rows,
     )  # fmt: skip

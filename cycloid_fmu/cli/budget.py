@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def budget(
     reducer_file: Annotated[Path, typer.Argument(metavar="REDUCER.toml", help="Format cycloid-reducer/1.")],
-    samples: Annotated[int, typer.Option(min=100, help="Reducers drawn within the tolerances.")] = 1000,
+    samples: Annotated[int, typer.Option(min=100, help="Number of reducers drawn within the tolerances.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same reducers.")] = 1,
     limits_file: LimitsFile = None,
     plot: commands.PlotFile = None,
@@ -76,13 +76,13 @@ def budget(
     exact = found["geometric"]
     if exact["interference"] > 0.0:
         typer.echo(
-            f"Interference: at {exact['interfering']:.0%} of the crank angles no free position, by up to "
+            f"Interference: no free position at {exact['interfering']:.0%} of the crank angles, by up to "
             f"{exact['interference'] * 1e6:.2f} µm."
         )
     for name, remark in remarks.items():
         typer.echo(f"{name}: {remark}.")
     if stack is None:
-        typer.echo("No deviation has a tolerance, so nothing scatters.")
+        typer.echo("No deviation has a tolerance, so nothing is varied.")
     else:
         _print_stack(stack, samples)
     for warning in warnings:

@@ -66,7 +66,7 @@ def build(
         float | None,
         commands.quantity_option(
             "N*m/rad",
-            'Of the whole drive, such as a catalogue\'s "49 N*m/arcmin": what this one gives way less is in series.',
+            'Stiffness of the whole drive, such as a catalogue\'s "49 N*m/arcmin"; the rest is put in series.',
             show_default=False,
         ),
     ] = None,
@@ -116,9 +116,9 @@ def build(
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
 
     if platforms and not native:
-        raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
+        raise edge.InputError("--platform: only a --native FMU has platforms; an FMU in Python runs where Python does.")
     if largest_torque is not None and not native:
-        raise edge.InputError("--largest-torque: only a --native FMU has tables; one in Python solves every torque.")
+        raise edge.InputError("--largest-torque: only a --native FMU has tables; an FMU in Python solves every torque.")
     if loop is not None and stiffness is not None:
         raise edge.InputError("--loop: it has a stiffness; leave out --stiffness, or give the stiffness alone.")
     drive = read_drive(pair_file, surface_file)
@@ -161,8 +161,8 @@ def build(
             ),
         )  # fmt: skip
     typer.echo(
-        f"{output}: {output.stat().st_size / 1e6:.2f} MB, {made.told}; held against the exact model at {PROBES} random "
-        "crank angles and torques, the transmission error also around the worst."
+        f"{output}: {output.stat().st_size / 1e6:.2f} MB, {made.told}; compared with the exact model at {PROBES} "
+        "random crank angles and torques, the transmission error also around its largest errors."
     )
 
 

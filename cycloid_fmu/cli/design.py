@@ -34,7 +34,7 @@ def design(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:  # fmt: skip
-    """Search geometry and modification that meet an application's limits and are best for one goal, or for two.
+    """Search for the geometry and modification that meet given limits and are best for one goal, or for two.
 
     Example: [cyan]cycloid-fmu design design.toml -o found --plot found.png[/]
     """
@@ -78,7 +78,7 @@ def _print(one: Design, task: DesignTask, title: str) -> None:
             for b in one.binding
         ]
         better = f"relaxed by a tenth: {goal.replace('_', ' ')} better by"
-        commands.print_table("What holds the goal back", ["limit or end of a range", "at", better], held)
+        commands.print_table("Binding constraints", ["limit or end of a range", "at", better], held)
     if one.required_yield is not None:
         whole = one.yields["all"]
         typer.echo(

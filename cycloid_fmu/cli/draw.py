@@ -20,7 +20,7 @@ def draw(
     output: Annotated[
         Path,
         commands.output_option(
-            (".html", ".svg", *edge.PICTURES), "OUT.html|svg|png|pdf", "A page that moves, or a picture."
+            (".html", ".svg", *edge.PICTURES), "OUT.html|svg|png|pdf", "An animated page, or a picture."
         ),
     ],
     torque: Annotated[

@@ -38,7 +38,7 @@ def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
             rows,
         )
         typer.echo(f"{told(fmu_file)}.")
-        typer.echo("\n".join(problems) or "fmpy's validation finds nothing to object to.")
+        typer.echo("\n".join(problems) or "fmpy's validation finds no problem.")
     if problems:
         raise typer.Exit(edge.FAILED)
 

@@ -51,7 +51,7 @@ def with_measured(friction: Friction, coulomb: float, option: str) -> Friction:
 
 
 def print_verdicts(title: str, verdicts: Sequence[Verdict], not_judged: Sequence[str]) -> None:
-    """Print whether each limit is met, by how much and where, and which limits this command does not judge."""
+    """Print each limit's verdict, margin and place, and the limits that this command does not judge."""
     from cycloid_fmu.studies.limits import HEAD, row_of
 
     if verdicts:
@@ -62,7 +62,7 @@ def print_verdicts(title: str, verdicts: Sequence[Verdict], not_judged: Sequence
 
 
 def print_judged(judged: Judged, title: str) -> None:
-    """Print the verdicts, and before them the bearings' lives and what slides over the duty."""
+    """Print the verdicts, and before them the bearings' lives and the sliding over the duty."""
     from cycloid_fmu.studies.verdicts import LIVES_HEAD, SLIDING_HEAD, life_rows, sliding_rows
 
     if judged.lives:
@@ -73,6 +73,6 @@ def print_judged(judged: Judged, title: str) -> None:
 
 
 def leave(verdicts: Sequence[Verdict]) -> None:
-    """End the command with the status that says that all is done and a limit is not met, where one is not."""
+    """If a limit is not met, end the command with the exit status for it."""
     if not all(one.met for one in verdicts):
         raise typer.Exit(edge.NOT_MET)

@@ -107,7 +107,7 @@ def measured(
     commands.print_table(points_file.name, ["figure", *(a.body for a in found)], rows)
     for outlier in report.outliers:
         typer.echo(
-            f"{points_file.name}: line {outlier.line}: {outlier.place} is {outlier.distance * 1e6:.1f} µm off its "
+            f"{points_file.name}: line {outlier.line}: {outlier.place} is {outlier.distance * 1e6:.1f} µm from its "
             "neighbours and was left out."
         )
     for note in report.notes:

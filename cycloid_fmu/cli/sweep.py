@@ -48,7 +48,7 @@ def sweep(
 ) -> None:
     """Solve a drive with every combination of several values of its pair file: figures in a table, lines and maps.
 
-    Stopped or killed, the same command goes on where it was, if it has an output.
+    With an output, the same command continues after an interruption or a kill.
 
     Example: [cyan]cycloid-fmu sweep pair.toml --vary "pin_radius=2.5:3.5:11 mm" --torque "181 N*m" -o table.csv[/]
     """

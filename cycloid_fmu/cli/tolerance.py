@@ -60,7 +60,7 @@ def tolerance(
 ) -> None:
     """Solve many drives within their tolerances: distributions, yields against limits, sensitivities.
 
-    Stopped or killed, the same command goes on where it was, if it has an output.
+    With an output, the same command continues after an interruption or a kill.
 
     Example: [cyan]cycloid-fmu tolerance pair.toml --tolerances tolerances.toml --samples 10000 -o study.nc[/]
     """
@@ -165,7 +165,7 @@ def _print_figures(found: Findings, title: str) -> None:
         )
         typer.echo(
             f"To first order; {found.screened.confirmed.size} drives confirmed by the exact kernel, "
-            f"{found.screened.changed} of them judged otherwise; largest differences: {differences}."
+            f"{found.screened.changed} of them with a different verdict; largest differences: {differences}."
         )
 
 

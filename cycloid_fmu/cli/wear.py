@@ -114,8 +114,9 @@ def _print(figures: dict[str, Any], name: str) -> None:
         f"Steps: {step['count']}; halving all of them changes the depth by at most "
         f"{step['halving_difference'] * 1e6:.3f} µm, the deepest of gear and pin by {deepest}."
     )
-    typer.echo(f"Sliding work at friction coefficient 1: {figures['sliding_work']:.4g} J a crank turn.")
+    typer.echo(f"Sliding work at friction coefficient 1: {figures['sliding_work']:.4g} J per crank turn.")
     if "sliding_loss" in figures:
         typer.echo(
-            f"Friction: {figures['friction_work']:.4g} J a crank turn, {figures['sliding_loss']:.3%} of the load's."
+            f"Friction: {figures['friction_work']:.4g} J per crank turn, "
+            f"{figures['sliding_loss']:.3%} of the work of the load."
         )

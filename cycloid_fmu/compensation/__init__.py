@@ -1,1 +1,1 @@
-"""Compensation: the motor angle at which a known drive's output stands where it should, for a controller."""
+"""Compensation: the motor angle for a desired output angle of a known drive, for controllers."""

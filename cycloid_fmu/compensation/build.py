@@ -79,7 +79,7 @@ def compensator_of(
     total: Callable[[int], None] = lambda angles: None,
     progress: Callable[[int], None] = lambda angles: None,
 ) -> Compensator:
-    """Return what a controller needs of a drive.
+    """Return the compensator of a drive.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def compensator_of(
     largest_torque, torque_accuracy, residual, total, progress
         As of `inverse_of`.
     torque_share
-        Of the torque itself: more of its standard deviation, which goes into the band.
+        Share of the torque, added to its standard deviation for the band.
     sensor
         Standard deviation of an output encoder, rad.
 
@@ -130,9 +130,9 @@ def compensator_of(
 
 
 def _fit_variance(model: Model, inverse: Inverse) -> Array:
-    """Variance that the fit leaves to the deviation at each torque, mean over the crank angle; 0 without a fit, rad².
+    """Return the fit's variance of the deviation at each torque, mean over the crank angle; 0 without a fit, rad².
 
-    The play's ends stand for no torque.
+    The ends of the play represent zero torque.
     """
     if model.surface.covariance is None:
         return np.zeros(inverse.torque.size)

@@ -1,4 +1,4 @@
-"""A compensator: numbers that a controller needs of a drive, and the step that it makes with them.
+"""A compensator: the data of a drive for a controller, and the step that uses them.
 
 Every step takes a fixed number of operations, sums, products, quotients and square roots alone, so that all forms give
 the same numbers. Theory: docs/theory/compensation.md.
@@ -38,7 +38,7 @@ ENOUGH = 3.0  # measurements before that is judged
 
 @dataclass(frozen=True)
 class Compensator:
-    """What a controller needs of a drive.
+    """The data of a drive for a controller.
 
     Attributes
     ----------
@@ -47,18 +47,18 @@ class Compensator:
     inverse
         Deviation of the output over ideal crank angle, torque of the teeth and temperature.
     compliance
-        By how much more the output turns under its torque, rad/(N·m).
+        Series compliance of the output, rad/(N·m).
     coulomb, load_share, stribeck, viscous, presliding_angle
-        Friction at the output, as `cycloid_fmu.Friction` has it (N·m, 1, N·m, N·m·s/rad, rad).
+        Friction at the output, as in `cycloid_fmu.Friction` (N·m, 1, N·m, N·m·s/rad, rad).
     stribeck_speed, stribeck_share
-        Speeds (rad/s), from 0, and what is left there of `stribeck`; straight between them.
+        Speeds (rad/s), from 0, and the remaining share of `stribeck`; linear between them.
     warmth_temperature, warmth
-        Temperatures (K) and what they make of all friction but the viscous part.
+        Temperatures (K) and their factors on all friction except the viscous part.
     variance
         Of the deviation, from the fit, the torque's accuracy and the table, shape (temperatures, torques) of
         `inverse`, rad².
     ripple_variance
-        Of what the crank angle makes of the deviation, likewise.
+        Variance of the part that depends on the crank angle, likewise.
     sensor
         Standard deviation of the output encoder, rad.
     """
@@ -82,7 +82,7 @@ class Compensator:
 
     @property
     def least_variance(self) -> float:
-        """Of `variance`, rad²: a measurement where it is larger counts for less."""
+        """Smallest `variance`, rad²: measurements with a larger one have a lower weight."""
         return float(self.variance.min())
 
     @property
@@ -94,7 +94,7 @@ class Compensator:
         return sum(one.nbytes for one in (*t.steps, *numbers, *friction))
 
     def start(self, index: float = 0.0) -> Memory:
-        """Return a memory that has seen nothing, with the crank angle (rad) at which the output angle is 0, or NaN."""
+        """Return an empty memory with the crank angle (rad) at which the output angle is 0, or NaN."""
         return Memory(index)
 
     def step(
@@ -107,13 +107,13 @@ class Compensator:
 
 @dataclass
 class Memory:
-    """What a compensator remembers from step to step; a new one has seen nothing.
+    """Memory of a compensator from step to step; a new one is empty.
 
     Attributes
     ----------
     index
-        Crank angle of the model where the desired output angle is 0, rad; NaN where it is unknown: then what depends
-        on the crank angle is left alone.
+        Crank angle of the model where the desired output angle is 0, rad; NaN if unknown: then the part that depends on
+        the crank angle is not compensated.
     angle
         Desired output angle of the last step, rad; NaN before the first.
     strains
@@ -121,17 +121,17 @@ class Memory:
     output
         Last output angle that was measured, rad; NaN before the first.
     settled
-        Way of the crank since the flank was not sure, rad.
+        Rotation of the crank since the flank was uncertain, rad.
     applied
-        What the command has of it: difference of the encoders' zeros (rad), half of the play that has come (rad), gain
-        of mean deviation and wind-up, gain of what the crank angle makes of the deviation.
+        Learned values in the command: difference of the encoders' zeros (rad), half of the added play (rad), gain of
+        mean deviation and wind-up, gain of the part that depends on the crank angle.
     learned
-        The same as measurements have it.
+        The same, as estimated from measurements.
     moments, products
-        Sums over measurements, which fade: of the four regressors' products, row by row up to the diagonal, and of
-        theirs with what was measured.
+        Fading sums over measurements: of the four regressors' products, row by row up to the diagonal, and of their
+        products with the measured deviation.
     count, left
-        Measurements that count, and the sum of squares that they leave, rad².
+        Effective number of measurements, and their residual sum of squares, rad².
     """
 
     index: float = 0.0
@@ -148,7 +148,7 @@ class Memory:
 
 
 class Command(NamedTuple):
-    """What a step gives.
+    """Output of a step.
 
     Attributes
     ----------
@@ -157,9 +157,9 @@ class Command(NamedTuple):
     band
         Standard deviation of the output angle from the desired one, rad; `LARGEST` where an input is missing.
     gain
-        Of what the crank angle makes of the deviation, 0 to 2; 0 where the index is unknown.
+        Gain of the part that depends on the crank angle, 0 to 2; 0 if the index is unknown.
     holds
-        Whether the model holds: the inputs are numbers within the table, and measurements leave no more than expected.
+        Whether the model holds: the inputs are finite and within the table, and the residual is as expected.
     """
 
     motor_angle: float
@@ -170,7 +170,7 @@ class Command(NamedTuple):
 
 
 class _State(NamedTuple):
-    """What a torque and a temperature make of the tables."""
+    """The tables at a torque and a temperature."""
 
     torque: float
     wound: float
@@ -185,20 +185,20 @@ def step(
     compensator: Compensator, memory: Memory, desired_angle: float, desired_speed: float, load_torque: float,
     temperature: float, motor_angle: float = math.nan, output_angle: float = math.nan,
 ) -> Command:  # fmt: skip
-    """Return the motor angle for a desired output angle, and learn from what was measured.
+    """Return the motor angle for a desired output angle, and learn from measurements.
 
     Parameters
     ----------
     compensator, memory
-        The drive, and what came before; the memory changes.
+        The compensator, and its memory, which changes.
     desired_angle, desired_speed
         Of the output, rad and rad/s; the angle is near `motor_angle`/ratio.
     load_torque
-        Of the environment on the output, inertia's too, counter-clockwise positive, N·m.
+        Of the environment on the output, including inertia, counter-clockwise positive, N·m.
     temperature
         Of the drive, K.
     motor_angle, output_angle
-        What the encoders show now, rad; NaN where nothing is measured.
+        Measured angles, rad; NaN without a measurement.
     """
     c, m = compensator, memory
     if not (_given(desired_angle) and _given(desired_speed) and _given(load_torque) and _given(temperature)):
@@ -230,7 +230,7 @@ def _given(value: float) -> bool:
 
 
 def _between(nodes: Array, at: float) -> tuple[int, float]:
-    """Return a cell between nodes and the share of it at which a value lies; the ends hold beyond."""
+    """Return the cell between nodes in which a value is and its share of the cell; constant beyond the ends."""
     if len(nodes) == 1:
         return 0, 0.0
     cell = min(max(bisect.bisect_right(nodes, at) - 1, 0), len(nodes) - 2)
@@ -244,7 +244,7 @@ def _on_line(nodes: Array, values: Array, at: float) -> float:
 
 
 def torque_of_teeth(c: Compensator, m: Memory, angle: float, speed: float, load: float, temperature: float) -> float:
-    """Return the torque that the teeth carry: the load without what friction holds; its elements move on."""
+    """Return the torque of the teeth, the load minus friction; the friction elements move."""
     way = angle - m.angle if _given(m.angle) else 0.0
     m.angle = angle
     dry = c.coulomb + c.load_share * abs(load)
@@ -279,7 +279,7 @@ def _state(c: Compensator, torque: float, temperature: float) -> _State:
 
 
 def _ripple(c: Compensator, state: _State, crank: float) -> tuple[float, float]:
-    """Return what the ideal crank angle makes of the deviation (rad), and its derivative."""
+    """Return the part of the deviation that depends on the ideal crank angle (rad), and its derivative."""
     turn = crank / c.inverse.period
     turn -= math.floor(turn)
     value = slope = 0.0
@@ -296,7 +296,7 @@ def _ripple(c: Compensator, state: _State, crank: float) -> tuple[float, float]:
 
 
 def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_angle: float) -> bool:
-    """Take a measurement in; return whether it can be one of this drive."""
+    """Learn from a measurement; return whether it is possible for this drive."""
     measured = output_angle - motor_angle / c.ratio
     if abs(measured) > LARGEST_TRANSMISSION_ERROR:
         return False
@@ -338,9 +338,9 @@ def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_
 
 
 def _solve(m: Memory, variance: float) -> float:
-    """Find what measurements and what was known before say together; return the last gain's variance.
+    """Estimate the learned values from measurements and prior; return the last gain's variance.
 
-    Normal equations, scaled by what was known before, by Cholesky's decomposition: no pivot is below 1.
+    Normal equations, scaled by the prior, by Cholesky's decomposition: no pivot is below 1.
     """
     lower = [0.0] * 10  # on the diagonal its inverse
     right = [0.0] * 4

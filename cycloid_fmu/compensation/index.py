@@ -1,4 +1,4 @@
-"""Finding the index: which crank angle of the model belongs to the zero of a controller's angles."""
+"""Finding the index: the crank angle of the model at the zero of a controller's angles."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ _BLOCK = 256  # candidates at a time
 
 
 class Index(NamedTuple):
-    """What a search found.
+    """The result of a search.
 
     Attributes
     ----------
     angle
         Crank angle of the model where the output angle is 0, rad, 0 to the model's period.
     probability
-        That it is this one and no other candidate; above 0.99 take it, else go farther or load the drive more.
+        Probability of this candidate; accept it above 0.99, otherwise move farther or load the drive more.
     residual
-        What it leaves of the measured deviation, rms, rad.
+        Residual of the measured deviation, rms, rad.
     rival
-        What the best candidate elsewhere leaves, rms, rad.
+        Residual of the best other candidate, rms, rad.
     """
 
     angle: float
@@ -47,9 +47,9 @@ def find_index(
 ) -> Index:  # fmt: skip
     """Find the index from a slow motion of a crank turn or more with both angles measured.
 
-    Each candidate's ripple is held against the measured deviation, with the zero, the play and the gain of wind-up
-    free. What the model leaves is taken for independent from radian to radian of the crank, so that candidates' odds
-    are their residuals' ratio to the power of the way.
+    Each candidate's ripple is compared with the measured deviation, with the zero, the play and the gain of wind-up
+    free. Residuals are taken as independent from radian to radian of the crank, so the odds of two candidates are the
+    ratio of their residuals to the power of the motion.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def find_index(
     temperature
         Of the drive, K.
     spacing
-        Crank angle between two candidates, rad: 2π where the motor's encoder knows its turn but not which; any angle
-        where None.
+        Crank angle between two candidates, rad: 2π if the motor's encoder knows its angle within a turn; None for any
+        angle.
 
     Raises
     ------

@@ -1,13 +1,13 @@
-"""The inverse of a drive as a small table: by what its output is off, over where it is and what it carries.
+"""The inverse of a drive as a small table: the deviation of the output over its angle and torque.
 
-With the crank at θ under the torque T the output stands at φ = θ/ratio + x(θ, T). A controller knows the φ it wants, so
-the table holds the same deviation over ψ = ratio φ, the crank angle that an ideal drive would have there,
+With the crank at θ under the torque T the output is at φ = θ/ratio + x(θ, T). A controller knows the desired φ, so the
+table has the same deviation over ψ = ratio φ, the crank angle that an ideal drive would have there,
 
     x̃(ψ, T) = x(θ, T)  where  ψ = θ + ratio x(θ, T),
 
-and the crank belongs at θ = ψ - ratio x̃(ψ, T): nothing is searched for at run time. The mean over a period, of wind-up
-and play, stands for itself. What is left is a short sum of functions of ψ times functions of T (singular value
-decomposition): the first are uniform cubic B-splines of whole numbers, the second run straight between nodes.
+and the crank must be at θ = ψ - ratio x̃(ψ, T): nothing is iterated at run time. The mean over a period, of wind-up and
+play, is kept separately. The remainder is a short sum of functions of ψ times functions of T (singular value
+decomposition): the first are uniform cubic B-splines with integer coefficients, the second are linear between nodes.
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ class Inverse:
     Attributes
     ----------
     period
-        Crank angle after which all repeats, rad.
+        Crank angle after which the deviation repeats, rad.
     steps
         Coefficients of each spline over the period, whole numbers, each of shape (its knots,).
     scale
-        rad for each whole number of a spline where the torque's function is 1, shape (functions,).
+        rad per unit of a spline coefficient where the torque's function is 1, shape (functions,).
     torque
         Torques of the nodes, of the environment on the output, ascending, shape (nodes,), N·m.
     temperature
@@ -74,13 +74,13 @@ class Inverse:
     share
         Functions of the torque, shape (temperatures, nodes, functions), 1.
     flank
-        Mean of the direction of the torque, 1 or -1, where it is known to its accuracy alone, shape (nodes,).
+        Mean sign of the torque, 1 or -1, for a torque known to its accuracy, shape (nodes,).
     spread
-        Variance of the deviation where the torque is known to its accuracy alone, mean over the crank angle, shape
-        (temperatures, nodes), rad².
+        Variance of the deviation for a torque known to its accuracy, mean over the crank angle, shape (temperatures,
+        nodes), rad².
     residual
-        Largest difference from the model that was found at places that nothing was chosen by, at torques of `SURE`
-        times their accuracy or more, rad.
+        Largest difference from the model at places not used to choose the table, at torques of `SURE` times their
+        accuracy or more, rad.
     """
 
     period: float
@@ -96,7 +96,7 @@ class Inverse:
 
     @property
     def ripple_variance(self) -> Array:
-        """Mean square of what the crank angle makes of the deviation, shape (temperatures, nodes), rad²."""
+        """Mean square of the part that depends on the crank angle, shape (temperatures, nodes), rad²."""
         angles = 2 * max((len(steps) for steps in self.steps), default=1)
         turn = np.arange(angles) / angles
         waves = np.array([scale * _spline(steps, turn) for steps, scale in zip(self.steps, self.scale, strict=True)])
@@ -104,7 +104,7 @@ class Inverse:
         return np.asarray(np.einsum("tnr,rs,tns->tn", self.share, products, self.share))
 
     def at(self, angle: ArrayLike, torque: ArrayLike, temperature: ArrayLike) -> tuple[Array, Array]:
-        """Mean of the deviation, and what it is more than that (rad), at ideal crank angles, torques, temperatures."""
+        """Mean of the deviation, and the rest (rad), at ideal crank angles, torques, temperatures."""
         at, torques, warmth = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in (angle, torque, temperature)))
         weights = _weights(self.torque, torques)
         by_warmth = _weights(self.temperature, warmth)
@@ -119,7 +119,7 @@ class Inverse:
 
 
 def _weights(nodes: Array, at: Array) -> list[tuple[NDArray[np.intp], Array]]:
-    """Nodes on both sides of values and their weights; the outer ones hold beyond."""
+    """Return the nodes on both sides of values and their weights; constant beyond the outer ones."""
     if len(nodes) == 1:
         return [(np.zeros(at.shape, dtype=np.intp), np.ones(at.shape))]
     cell = np.clip(np.searchsorted(nodes, at, "right") - 1, 0, len(nodes) - 2)
@@ -164,7 +164,7 @@ class Model(NamedTuple):
         ).transmission_error  # fmt: skip
 
     def ends(self, crank: Array) -> tuple[Array, Array]:
-        """Return the ends of the play, or twice where the unloaded output stands, each of shape (angles,), rad."""
+        """Return the ends of the play, or the unloaded position as both, each of shape (angles,), rad."""
         found = solve(
             self.pair, self.surface, self.first_stage, [0.0], crank, slices_needed(self.surface), with_stiffness=False,
             workers=self.workers,
@@ -182,17 +182,17 @@ def inverse_of(
     total: Callable[[int], None] = lambda angles: None,
     progress: Callable[[int], None] = lambda angles: None,
 ) -> Inverse:
-    """Return the smallest table of this kind that errs by no more than a stated residual.
+    """Return the smallest table of this kind within a given residual.
 
     Parameters
     ----------
     models
         The drive at each temperature of the table, ascending.
     largest_torque
-        How far the table reaches, N·m.
+        Largest torque of the table, N·m.
     torque_accuracy
-        Standard deviation of the torque that will be asked for, N·m, above 0: the table holds the mean over it, so that
-        the flank changes over this torque and not at once.
+        Standard deviation of the torque from the controller, N·m, above 0: the table has the mean over it, so the flank
+        changes over this range and not at once.
     residual
         Largest difference from the model thus averaged, rad.
     total, progress
@@ -201,12 +201,12 @@ def inverse_of(
     Returns
     -------
     Inverse
-        Its own `residual` is larger than asked where a finer table would not help.
+        Its `residual` is larger than required if a finer table would not help.
 
     Raises
     ------
     edge.InputError
-        If a torque can't be carried or the drive repeats too late.
+        If a torque can't be carried or the period of the drive is too long.
     """
     pair, surface = models[0].pair, models[0].surface
     pitches = mesh_pitches(pair, surface)
@@ -259,7 +259,7 @@ def _inverses(
 
 
 class _Averaged(NamedTuple):
-    """Over torques (torques,) their mean deviation, what depends on the crank angle of it, and its variance.
+    """Over torques (torques,): the mean deviation, its part that depends on the crank angle, and its variance.
 
     Shapes (temperatures, torques), (temperatures, torques, angles) and (temperatures, torques).
     """
@@ -300,7 +300,7 @@ def _table(
 
 
 def _chosen_loads(model: Model, sign: float, largest: float, crank: Array, allowed: float) -> Array:
-    """Return loads between which a monotone cubic over the load's root errs by no more than allowed."""
+    """Return loads between which a monotone cubic over the load's root is within the allowed error."""
     end = model.ends(crank)[int(sign > 0.0)]
     first = set(_FIRST_LOADS)
     if model.pair.supports is not None:
@@ -323,7 +323,7 @@ def _chosen_loads(model: Model, sign: float, largest: float, crank: Array, allow
 
 
 def _inverted(ratio: float, period: float, crank: Array, deviation: Array) -> Array:
-    """Turn deviations at crank angles into those at the same ideal crank angles."""
+    """Convert deviations at crank angles to those at the same ideal crank angles."""
     ideal = crank + ratio * deviation
     if np.any(np.diff(ideal) <= 0.0):
         raise edge.InputError("the output does not always go on as the crank turns: no motion inverts this drive.")
@@ -332,9 +332,9 @@ def _inverted(ratio: float, period: float, crank: Array, deviation: Array) -> Ar
 
 
 def _normal_weights(torque: Array, accuracy: float) -> Array:
-    """Return the weights of what runs straight between torques in its mean over a normal distribution around each.
+    """Return the weights for the mean of a piecewise linear function of torque over a normal distribution.
 
-    Between the two zeros it jumps; the outer straight lines go on.
+    It jumps between the two zeros; the outer lines are extrapolated.
     """
     weights = np.zeros((torque.size, torque.size))
     width = np.diff(torque)
@@ -351,7 +351,7 @@ def _normal_weights(torque: Array, accuracy: float) -> Array:
 
 
 def _low_rank(deviation: Array, allowed: float) -> tuple[Array, Array]:
-    """Return functions of the angle (functions, angles) and their shares in rows, no more than are needed."""
+    """Return functions of the angle (functions, angles) and their shares in rows, as few as needed."""
     rows = deviation.reshape(-1, deviation.shape[-1])
     values, vectors = np.linalg.eigh(rows @ rows.T)
     vectors, left = vectors[:, ::-1], rows.copy()
@@ -364,7 +364,7 @@ def _low_rank(deviation: Array, allowed: float) -> tuple[Array, Array]:
 
 
 class _Spline(NamedTuple):
-    """A spline's whole coefficients, what one step of them is, and what it errs by at every angle."""
+    """A spline's integer coefficients, their unit, and its error at every angle."""
 
     steps: NDArray[np.int8 | np.int16]
     scale: float
@@ -374,7 +374,7 @@ class _Spline(NamedTuple):
 def _splines(functions: Array, share: Array, allowed: float) -> tuple[tuple[NDArray[np.int8 | np.int16], ...], Array]:
     """Return uniform periodic splines through functions of the angle, the fewest knots for each, and their scales.
 
-    Each may err by as much; that is raised until all together, with their shares, err by what is allowed.
+    Each has the same allowed error, which is raised until all together, with their shares, reach the limit.
     """
     if not len(functions):
         return (), np.zeros(0)
@@ -417,7 +417,7 @@ def _splines(functions: Array, share: Array, allowed: float) -> tuple[tuple[NDAr
 
 
 def _nodes(torque: Array, functions: Array, allowed: float) -> NDArray[np.intp]:
-    """Return the torques between which functions (temperatures, torques, functions) may run straight."""
+    """Return the torques between which functions (temperatures, torques, functions) may be linear."""
     kept = np.flatnonzero(np.append(np.diff(torque) > 0.0, True))  # one of both zeros, where all is alike
     chosen = [0, kept.size - 1]
     at, values = torque[kept], functions[:, kept]
@@ -433,7 +433,7 @@ def _nodes(torque: Array, functions: Array, allowed: float) -> NDArray[np.intp]:
 
 
 def _largest_error(table: Inverse, models: Sequence[Model], accuracy: float) -> float:
-    """Hold a table against the model's mean over the torque's accuracy at random angles and torques."""
+    """Compare a table with the model's mean over the torque's accuracy at random angles and torques."""
     random, largest = np.random.default_rng(2), float(table.torque[-1])
     least = min(SURE * accuracy, 0.5 * largest)
     points, weights = np.polynomial.hermite_e.hermegauss(_POINTS)

@@ -1,4 +1,4 @@
-"""The desk as a page in the browser: it asks for what its fields' values make, and has them saved."""
+"""The desk as a page in the browser: it requests the results for its fields' values, and saves them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ANSWER_SECONDS = 120.0  # for large drives on slow machines
 def save(
     desk: Desk, values: Mapping[str, str], folder: str | os.PathLike[str], name: str, overwrite: bool = False
 ) -> str | None:
-    """Write the pair that the fields state into a file of the desk's folder, whole or not at all.
+    """Write the pair of the fields into a file of the desk's folder; never a partial file.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def save(
     Returns
     -------
     question
-        What to ask before a file is replaced, None where the pair was written.
+        Question before a file is replaced, None if the pair was written.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def save(
 
 
 class DeskServer(PageServer):
-    """The page and what it asks for, on this machine alone; it serves from the beginning, and is a context manager.
+    """Server of the page and its requests, on this machine only; a context manager that serves from its creation.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class _Handler(PageHandler):
     name = "cycloid-fmu"
 
     def answer(self, path: str) -> bool:
-        """Answer what the page begins with."""
+        """Answer with the initial data of the page."""
         desk = self.server.desk
         if path != "/start":
             return False
@@ -94,7 +94,7 @@ class _Handler(PageHandler):
         return True
 
     def do_POST(self) -> None:  # noqa: N802 - the name that http.server calls
-        """Answer what values make, or save them."""
+        """Answer with the results for values, or save them."""
         path = self.welcome()
         if path is None:
             return
@@ -109,7 +109,7 @@ class _Handler(PageHandler):
             self._json(self._look(asked) if path == "/look" else self._save(asked))
 
     def _asked(self) -> dict[str, Any] | None:
-        """Return what the page sent; None where it was refused."""
+        """Return the page's data; None if it was refused."""
         length = self.headers.get("Content-Length") or ""
         if not (length.isascii() and length.isdecimal()):
             self.send_error(411)

@@ -1,4 +1,4 @@
-"""What the desk shows for the values that stand in its fields: figures, curves, pictures, verdicts, or sentences."""
+"""Results of the desk for the values in its fields: figures, curves, pictures, verdicts, or sentences."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class Field(NamedTuple):
     key
         `pair.eccentricity`: table and name in the pair file; `torque` and `crank_angle` are in no file.
     label
-        What stands before it.
+        Its label.
     hint
-        What an empty field means, or how it is written.
+        Meaning of an empty field, or the notation.
     choices
-        The words that it may have; empty where it is written.
+        Permitted words; empty for free text.
     """
 
     key: str
@@ -79,7 +79,7 @@ _WHOLE = ("pair.gear_teeth", "pair.discs")
 
 @dataclasses.dataclass(frozen=True)
 class Desk:
-    """What lies on the desk and is not changed there.
+    """The unchanged part of a desk.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Desk:
     tables
         Its tables as they are in the file.
     requirements, limits_source
-        What is asked of the drive, and its file's name; None where nothing is.
+        The requirements, and their file's name; None without requirements.
     """
 
     source: str
@@ -98,7 +98,7 @@ class Desk:
 
     @property
     def values(self) -> dict[str, str]:
-        """The text of every field as the file has it, empty where it leaves one out."""
+        """The text of every field as in the file, empty if missing."""
         found = {}
         for key, field in FIELDS.items():
             table, name = key.split(".")
@@ -107,17 +107,17 @@ class Desk:
 
     @property
     def kept(self) -> list[str]:
-        """Tables of the file that no field shows; they are part of the drive and of what is saved."""
+        """Tables of the file without fields; they are part of the drive and of the saved file."""
         return [name for name in self.tables if name in _TABLES and name != "modification"]
 
 
 def open_desk(path: str | os.PathLike[str], limits: str | os.PathLike[str] | None = None) -> Desk:
-    """Return the desk of a pair file, with what a requirements file asks of the drive.
+    """Return the desk of a pair file, with the limits of a requirements file.
 
     Raises
     ------
     edge.InputError
-        If a file can't be read, holds no possible pair, or the pair lacks something that a limit needs.
+        If a file can't be read, has no valid pair, or the pair lacks a value that a limit needs.
 
     Examples
     --------
@@ -146,29 +146,29 @@ def open_desk(path: str | os.PathLike[str], limits: str | os.PathLike[str] | Non
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """What the desk shows; with problems nothing else.
+    """Results of the desk; with problems nothing else.
 
     Attributes
     ----------
     problems
-        A sentence for each field whose value can't be used, by its key; "" for what no field has.
+        A sentence for each field with an invalid value, by its key; "" for other problems.
     pair
         The drive's, None with problems.
     torque
-        That the curves and pictures are for, N·m.
+        Torque of the curves and pictures, N·m.
     crank_angle, transmission_error, backlash, pressure
         Curves over a crank turn, shape (angles,): rad, rad, rad (NaN without a free position) and the largest contact
         pressure of any pin, Pa.
     figures
-        Names and values as people read them.
+        Names and values in field units.
     verdicts, not_judged
-        One for each limit that could be judged, and the limits that this does not judge.
+        One for each judged limit, and the limits that are not judged.
     notes
-        Where results lie outside what the model is made for.
+        Notes on results outside the range of the model.
     drive, tooth
         SVG pictures.
     caption, close_up
-        What is said of the drive, and the tooth's title and curves.
+        Caption of the drive, and the tooth's title and curves.
     """
 
     problems: Mapping[str, str]
@@ -188,7 +188,7 @@ class View:
     close_up: CloseUp | None = None
 
     def numbers(self) -> dict[str, Any]:
-        """Return what the page draws: angles in degrees, errors and play in arcsec, pressure in MPa."""
+        """Return the data of the page: angles in degrees, errors and play in arcsec, pressure in MPa."""
         curves = {
             "transmission_error": self.transmission_error * edge.ARCSEC, "backlash": self.backlash * edge.ARCSEC,
             "pressure": self.pressure * 1e-6,
@@ -208,12 +208,12 @@ class View:
 
 
 def pair_of(desk: Desk, values: Mapping[str, str]) -> Pair:
-    """Return the pair of a desk with the values of its fields, as its file would state it.
+    """Return the pair of a desk with the values of its fields, as in its file.
 
     Parameters
     ----------
     desk
-        Of everything that no field has.
+        For everything without a field.
     values
         Text of fields by their keys, with units; an empty one is left out of the file.
 
@@ -240,7 +240,7 @@ def pair_of(desk: Desk, values: Mapping[str, str]) -> Pair:
 
 
 def placed(desk: Desk, problem: edge.InputError) -> dict[str, str]:
-    """Return the sentences of a problem by the fields that they name; "" for those that name none."""
+    """Return the sentences of a problem by the fields that they name; "" for others."""
     keys = {key.split(".")[-1]: key for key in (*FIELDS, "torque", "crank_angle")}
     found = dict[str, str]()
     for line in str(problem).split("\n"):
@@ -261,16 +261,16 @@ def _quantity(values: Mapping[str, str], key: str, si: str) -> float:
 
 
 def look(desk: Desk, values: Mapping[str, str]) -> View:
-    """Return what the desk shows for the values in its fields.
+    """Return the results for the values in the desk's fields.
 
     Parameters
     ----------
     desk
-        What lies on it.
+        The desk.
     values
         Text of fields by their keys, with units: those of `FIELDS`, `torque` of the environment on the output (empty
-        for the rated torque, or else the first of the duty) and `crank_angle` of the drawing. Figures and curves are
-        those of `Drive.analyze` of the pair file with these values.
+        for the rated torque, or otherwise the first of the duty) and `crank_angle` of the drawing. Figures and curves
+        are those of `Drive.analyze` of the pair file with these values.
     """
     problems, torque, angle, pair = dict[str, str](), list[float](), 0.0, None
     try:

@@ -47,7 +47,7 @@ def _front(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
     for number, (one, a, b) in enumerate(zip(found, x, y, strict=True), 1):
         axes.plot(a, b, "o" if one.met else "x", color="C0" if one.met else "tab:red", zorder=2)
         axes.annotate(f" {number}", (a, b), fontsize=8)
-    missed = "; red: a limit is missed" if not all(one.met for one in found) else ""
+    missed = "; red: a limit is not met" if not all(one.met for one in found) else ""
     axes.set(xlabel=_label(first), ylabel=_label(second), title=f"Pareto front{missed}")
 
 

@@ -1,4 +1,4 @@
-"""The drive as one HTML page that loads nothing from anywhere: a crank turn with sliders for angle and load."""
+"""The drive as one self-contained HTML page: a crank turn with sliders for angle and load."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def motion_page(motion: Motion, load: int = 0, angle: int = 0) -> str:
 
 
 def write_motion(motion: Motion, path: str | os.PathLike[str], load: int = 0, angle: int = 0) -> None:
-    """Write a picture of the drive at a load and crank angle, or a page that moves from there, whole or not at all.
+    """Write a picture of the drive at a load and crank angle, or a page animated from there; never a partial file.
 
     Raises
     ------

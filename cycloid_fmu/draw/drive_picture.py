@@ -1,4 +1,4 @@
-"""The drive as a picture: discs, pins, what holds them, contacts and forces, with errors and gaps exaggerated."""
+"""The drive as a picture: discs, pins, supports, contacts and forces, with errors and gaps exaggerated."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class Circle(NamedTuple):
 
 
 def holders(motion: Motion, load: int, angle: int) -> list[Circle]:
-    """Return what holds the front disc: cranks or output rollers in its holes, and the eccentric.
+    """Return the supports of the front disc: cranks or output rollers in its holes, and the eccentric.
 
-    Where the pair states no size one is taken that fits in.
+    A size that is not stated is chosen to fit.
     """
     pair, theta = motion.pair, motion.crank_angle[angle]
     supports, e = pair.supports, pair.eccentricity
@@ -92,7 +92,7 @@ def drive_name(motion: Motion) -> str:
 
 
 def caption_of(motion: Motion) -> str:
-    """State what is exaggerated and what the arrows and colours are."""
+    """Return the caption: exaggeration, arrows and colours."""
     said = f"Gaps between disc and pins × {motion.exaggeration:g}"
     if motion.exaggeration * motion.nearest.max() > motion.room:
         said += f", up to {motion.room * 1e3:.2g} mm as drawn"
@@ -107,7 +107,7 @@ def caption_of(motion: Motion) -> str:
 
 
 def pressure_colours() -> Colormap:
-    """Colours from no pressure to the largest."""
+    """Colours from zero to the largest pressure."""
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("pressure", PRESSURES)
@@ -182,7 +182,7 @@ def draw_drive(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> Non
 
 
 def draw_error(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> None:
-    """Draw the transmission error about its mean over a crank turn, and where the crank is."""
+    """Draw the transmission error about its mean over a crank turn, and the crank's position."""
     curve, turn = motion.curve[load] * ARCSEC, np.degrees(motion.curve_angle)
     mean = curve[:-1].mean()
     axis.plot(turn, curve - mean, lw=0.9)
@@ -210,7 +210,7 @@ class CloseUp(NamedTuple):
 
 
 def close_up(motion: Motion) -> CloseUp:
-    """Return the tooth that deviates most: without modification, as drawn, and as made or worn."""
+    """Return the tooth with the largest deviation: without modification, as drawn, and as made or worn."""
     pair, raised = motion.pair, motion.raised
     disc, tooth, _ = np.unravel_index(np.abs(raised).round(10).argmax(), raised.shape)
     drawn = along(motion.drawn - motion.unmodified, motion.normal)

@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 
 
 def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw a result, and write the picture where a path is given.
+    """Draw a result, and write the picture if a path is given.
 
     Parameters
     ----------
     result
-        What `Drive.analyze`, `motion`, `study`, `sweep`, `wear`, `profile` or `budget` returned, a drive or an error
+        Result of `Drive.analyze`, `motion`, `study`, `sweep`, `wear`, `profile` or `budget`, a drive or an error
         surface.
     path
-        `.png` or `.pdf`; of a motion also `.svg`, or `.html` for a page that moves.
+        `.png` or `.pdf`; for a motion also `.svg`, or `.html` for an animated page.
 
     Raises
     ------
     TypeError
-        If it is none of these.
+        If it is another type.
     edge.InputError
         If the path has another ending.
 
@@ -84,14 +84,14 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     elif isinstance(result, Mapping) and "standard" in result:
         figure = plot_budget(result)
     else:
-        raise TypeError(f"result is a {type(result).__name__}: there is no picture of it")
+        raise TypeError(f"result is a {type(result).__name__}: it can't be drawn")
     if path is not None:
         save(figure, path)
     return figure
 
 
 def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figure:
-    """Forces of the bearings and shifts of the discs over the crank, and where compliance and lost motion come from."""
+    """Forces of the bearings and shifts of the discs over the crank, and shares of compliance and lost motion."""
     from cycloid_fmu.supports.figures import remaining
 
     figure, axes = new_figure(3, 2)
@@ -123,7 +123,7 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
     soft = {share.part: share.compliance * 1e6 for share in shares}
     left = math.nan if pair.supports is None else remaining(pair.supports, shares)
     if soft and not math.isnan(left):
-        soft["left to the catalogue's"] = left * 1e6
+        soft["rest to the catalogue"] = left * 1e6
     lost = {share.part: share.lost_motion * ARCMIN for share in shares}
     for axis, lengths, label in ((axes[4], soft, "compliance [µrad/(N·m)]"), (axes[5], lost, "lost motion [arcmin]")):
         axis.barh(list(lengths), list(lengths.values()), color="#4c78a8")
@@ -314,7 +314,7 @@ def plot_surface(surface: object) -> Figure:
 
 
 def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) -> Figure:
-    """Terms of a lost motion budget by size, closed form beside contact model, and below how the total scatters.
+    """Terms of a lost motion budget by size, closed form and contact model, and below the distribution of the total.
 
     `stack` is a `reducer.Stack` or None.
     """
@@ -337,7 +337,7 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
         )
     axis.axhline(0.0, color="k", lw=0.8)
     axis.set(ylabel="play at the output [arcmin]")
-    axis.set_title("lost motion, term by term; below zero a term takes play away", fontsize=9)
+    axis.set_title("lost motion, term by term; a term below zero reduces the play", fontsize=9)
     axis.set_xticks(place, [n.replace("_", "\n") for n in names], fontsize=7)
     axis.grid(alpha=0.3, axis="y")
     show_legend(axis, loc="lower right")
@@ -363,7 +363,7 @@ SHOWN = {"rad": ("arcsec", ARCSEC), "Pa": ("MPa", 1e-6), "m": ("µm", 1e6)}
 def plot_tolerance(result: object) -> Figure:
     """Distribution of every figure of a tolerance study, with its limit and the share of drives that keep it.
 
-    A figure that has no limit and is the same in all drives is left out.
+    A figure without limit that is the same in all drives is left out.
     """
     from cycloid_fmu.studies.tolerance import FIGURES, PER_TORQUE, Result, yields
 

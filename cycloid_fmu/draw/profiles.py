@@ -1,4 +1,4 @@
-"""Pictures of a disc to take along."""
+"""Pictures of a disc's profile."""
 
 from __future__ import annotations
 

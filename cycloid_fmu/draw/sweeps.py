@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 def plot_sweep(data: xr.Dataset) -> Figure:
     """Every figure of a sweep: over one value as lines, one a torque; over two as maps, at the first torque.
 
-    Of more than two the first two that take several values are drawn, at the first values of the others. Combinations
-    that make no drive, or one with interference, are left blank, grey in maps.
+    Of more than two the first two that take several values are drawn, at the first values of the others. Invalid
+    combinations and drives with interference are left blank, grey in maps.
     """
     missing = int((data["reason"].values != "").sum())
     size, data = data["reason"].size, with_free_positions(data)

@@ -1,4 +1,4 @@
-"""Verdicts below a picture, in red where a limit is not met; what slides, and how long bearings last, over a duty."""
+"""Verdicts below a picture, in red where a limit is not met; sliding and bearing lives over a duty."""
 
 from __future__ import annotations
 

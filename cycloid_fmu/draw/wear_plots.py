@@ -50,7 +50,7 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
                 show_legend(axis, markerscale=4)
         axes[0].set_title(f"new, {torque:g} N·m", fontsize=9)
         axes[4].set_ylim(-12.0, 12.0)
-        axes[4].set_title("the pin's has a pole where the contact turns back", fontsize=9)
+        axes[4].set_title("the pin's has a pole where the contact reverses", fontsize=9)
     turns = states[-1].crank_turns
     for axis, body, along, label in (
         (axes[6], "gear", np.linspace(0.0, 1.0, model.unworn.gear.shape[2]), "tooth's arc, root to root"),

@@ -147,7 +147,7 @@ def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
         return f"{source}: {field} is missing."
     if kind == "extra_forbidden":
         near = did_you_mean(str(place[-1]), _keys(model, place[:-1])) or "check its spelling or remove it."
-        return f"{source}: {field} is not a key known here; {near}"
+        return f"{source}: {field} is not a known key; {near}"
     message = message.removeprefix("Value error, ").removeprefix("Input should be ").removesuffix(".")
     message = _WORDS.get(kind, message)
     if counted := _COUNT.fullmatch(message):

@@ -109,18 +109,18 @@ def _kind(mode: int) -> str:
 def unit_columns(
     header: Sequence[str], wanted: Mapping[str, str], source: str, optional: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, tuple[int, float]]:
-    """Return position and scale to SI of the wanted columns of a table whose header says units, `time [s]`.
+    """Return position and scale to SI of the wanted columns of a table with units in its header, `time [s]`.
 
     Parameters
     ----------
     header
         The header's cells.
     wanted
-        SI unit of each column that must be there; others are passed over.
+        SI unit of each required column; others are ignored.
     source
         The file's name, for messages.
     optional
-        SI unit of each column that is looked for but need not be there.
+        SI unit of each optional column.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def unit_columns(
 
 
 def finite(cell: str, field: str) -> float:
-    """Return the number in a cell of a table; an `InputError` that begins with `field` where it is none."""
+    """Return the number in a cell of a table; an `InputError` that begins with `field` if it is not a number."""
     try:
         value = float(cell)
     except ValueError:
@@ -171,7 +171,7 @@ def csv_rows(path: str | os.PathLike[str]) -> Iterator[list[str]]:
 def number_rows(
     path: str | os.PathLike[str], wanted: Mapping[str, str], optional: Mapping[str, str] = MappingProxyType({})
 ) -> Iterator[tuple[int, dict[str, float]]]:
-    """Yield the lines of a CSV table whose header says units: line and {column: value in SI}; blank ones are left out.
+    """Yield the lines of a CSV table with units in its header: line and {column: value in SI}, without blank lines.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def number_rows(
 
 
 def output_path(path: str | os.PathLike[str], argument: str, endings: Collection[str]) -> Path:
-    """Return where a result goes, before anything is computed.
+    """Check and return the path of a result, before anything is computed.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def output_path(path: str | os.PathLike[str], argument: str, endings: Collection
 
 
 def _unwritable(target: Path) -> str:
-    """Return why no file may be written under this name, "" where one may."""
+    """Return the reason why no file may be written under this name, or ""."""
     try:
         if not target.parent.is_dir():
             return f"the folder {target.parent} does not exist"
@@ -224,7 +224,7 @@ def _unwritable(target: Path) -> str:
 
 
 def writable(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a plain file that may be written, or of none; an `InputError` says what else is there."""
+    """Return a path that is a plain file or free; an `InputError` names anything else found there."""
     if problem := _unwritable(Path(path)):
         raise InputError(f"{path}: {problem}.")
     return Path(path)
@@ -232,7 +232,7 @@ def writable(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def naming(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Have an `OSError` of a file being written name that file: those of a write name none."""
+    """Add the file's name to an `OSError` while writing: those of a write have none."""
     try:
         yield
     except OSError as problem:
@@ -243,16 +243,16 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary path beside `path` and rename it to `path` on success: readers see all of it or nothing.
+    """Provide a temporary path next to `path` and rename it to `path` on success: readers never see a partial file.
 
-    What commands that were killed left beside it is removed.
+    Unfinished files of killed commands next to it are removed.
 
     Raises
     ------
     InputError
-        If the folder does not exist or takes no file, or what has the name is no plain file.
+        If the folder does not exist or is not writable, or the path is not a plain file.
     OSError
-        If the disk takes no more; it names the file.
+        If the disk is full; it names the file.
     """
     target = writable(path)
     try:
@@ -294,7 +294,7 @@ def _own_folder(target: Path) -> tuple[Path, int]:
 
 
 def _remove_left(folder: Path) -> None:
-    """Remove the unfinished files in a folder that nobody writes any more: their locks went with their writers."""
+    """Remove unfinished files in a folder whose writer has ended: its lock has ended with it."""
     for left in folder.glob(f".*{_LEFT}"):
         with contextlib.suppress(OSError):  # another's, or removed by another meanwhile
             if left.is_symlink():
@@ -313,12 +313,12 @@ def _remove_left(folder: Path) -> None:
 
 
 def _locked(descriptor: int) -> bool | None:
-    """Take the lock of an open file, which goes with the process.
+    """Take the lock of an open file, which ends with the process.
 
     Returns
     -------
     bool or None
-        False where another has it, None where the file system knows no locks.
+        False if another process has it, None if the file system has no locks.
     """
     try:
         if sys.platform == "win32":
@@ -342,9 +342,9 @@ def zip_archive(path: str | os.PathLike[str], what: str, description: str | None
     path
         The file.
     what
-        What it should be, for messages, such as "FMU".
+        Kind of file, for messages, such as "FMU".
     description
-        Name in it of an XML file that is going to be read.
+        Name of the XML file in it that will be read.
 
     Raises
     ------
@@ -375,7 +375,7 @@ def _check_xml(data: bytes, what: str) -> None:
 
 
 def json_text(data: Any) -> str:
-    """Return JSON with NaN as null, which is what other languages' readers accept; each array is one line.
+    """Return JSON with NaN as null, which readers in other languages accept; each array is one line.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""netCDF files: read by Python alone, written so that a disk that takes no more is an `OSError`."""
+"""netCDF files: read by Python alone, written so that a full disk is an `OSError`."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
 
 
 def _check_contained(path: Path, names: Collection[str]) -> None:
-    """Refuse variables whose data the file does not hold, to be read as zeros, and more data than can be meant."""
+    """Refuse variables whose data are not in the file, which would be read as zeros, and implausibly large ones."""
     import pyfive
 
     total = 0
@@ -63,14 +63,14 @@ def _check_contained(path: Path, names: Collection[str]) -> None:
 def write_netcdf(
     data: xr.Dataset, path: str | os.PathLike[str], encoding: Mapping[str, Mapping[str, Any]] | None = None
 ) -> None:
-    """Write a dataset as netCDF, whole or not at all; `encoding` as xarray has it.
+    """Write a dataset as netCDF, never a partial file; `encoding` as in xarray.
 
     Raises
     ------
     InputError
         If no file may be written there.
     OSError
-        If the disk takes no more; it names the file.
+        If the disk is full; it names the file.
     """
     with written_whole(path) as temporary, hdf5_target(temporary) as target:
         data.to_netcdf(target, engine="h5netcdf", encoding=encoding)
@@ -78,16 +78,16 @@ def write_netcdf(
 
 @contextlib.contextmanager
 def hdf5_target(path: Path) -> Iterator[_HDF5Target]:
-    """Give a new file for HDF5's library to write to, and raise its first `OSError` at the end."""
+    """Provide a new file for HDF5's library to write to, and raise its first `OSError` at the end."""
     with _HDF5Target(path) as target:
         yield target
         target.check()
 
 
 class _HDF5Target(io.RawIOBase):
-    """A new file that takes everything, for HDF5's library, which crashes some time after a write that failed.
+    """A new file that accepts every write, for HDF5's library, which crashes some time after a failed write.
 
-    From the first failure on, what is written is held in memory. Whoever writes much calls `check` on the way.
+    After the first failure, writes go to memory. Code that writes large data calls `check` in between.
     """
 
     def __init__(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A page in the browser of this machine: who may see it, what it may load, and when a connection ends.
+"""A page in the browser of this machine: access, permitted content, and time limits of connections.
 
 The pages that commands serve share it. Each is one HTML file with its own script and style, which loads nothing else.
 """
@@ -26,7 +26,7 @@ _LOCAL = ("localhost", "127.0.0.1", "[::1]")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is this machine's own; a `ValueError` where it is no address."""
+    """Whether an address is local; a `ValueError` if it is not an address."""
     return ipaddress.ip_address(host).is_loopback
 
 
@@ -38,12 +38,12 @@ class PageServer(http.server.ThreadingHTTPServer):
     Parameters
     ----------
     handler
-        What answers.
+        Class that handles the requests.
     host, port
-        Address to listen on; port 0 takes a free one. On an address of this machine alone, only clients that call it by
-        a local name are answered.
+        Address to listen on; port 0 takes a free one. On a local address only clients that use a local name are
+        answered.
     token
-        What a client must show; None asks for none.
+        Token that a client must send; None for no token.
 
     Raises
     ------
@@ -66,13 +66,13 @@ class PageServer(http.server.ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """What to open in the browser."""
+        """Address to open in the browser."""
         host, port = self.server_address[:2]
         query = "" if self.token is None else f"?token={self.token}"
         return f"http://{host if isinstance(host, str) else host.decode()}:{port}/{query}"
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, or close the connection where there are too many."""
+        """Answer in a new thread, or close the connection if there are too many."""
         with self._counting:
             welcome = len(self._ends) < CONNECTIONS
             if welcome:
@@ -83,12 +83,12 @@ class PageServer(http.server.ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def keep(self, request: socket.socket, seconds: float) -> None:
-        """Let a connection last so long from now on."""
+        """Set the time from now after which a connection is closed."""
         with self._counting:
             self._ends[request] = time.monotonic() + seconds
 
     def service_actions(self) -> None:
-        """End the connections whose time is over: what their threads wait for then fails."""
+        """Close the connections whose time is over: the waiting calls of their threads then fail."""
         with self._counting:
             for request, end in self._ends.items():
                 if time.monotonic() > end:
@@ -96,13 +96,13 @@ class PageServer(http.server.ThreadingHTTPServer):
                         request.shutdown(socket.SHUT_RDWR)
 
     def shutdown_request(self, request: Any) -> None:
-        """Close a connection, whose place is free then."""
+        """Close a connection and free its place."""
         with self._counting:
             self._ends.pop(request, None)
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of a client that went: the terminal belongs to the command."""
+        """Print nothing about a disconnected client: the terminal belongs to the command."""
 
     def wait(self) -> None:
         """Wait until the server is closed."""
@@ -118,7 +118,7 @@ class PageServer(http.server.ThreadingHTTPServer):
 
 @functools.cache
 def _page(package: str) -> tuple[bytes, str]:
-    """Return a package's page and the policy that lets its own script and style act, and nothing else."""
+    """Return a package's page and the content policy that permits only its own script and style."""
     page = importlib.resources.files(package).joinpath("page.html").read_text(encoding="utf-8")
     own = {}
     for tag in ("script", "style"):
@@ -130,7 +130,7 @@ def _page(package: str) -> tuple[bytes, str]:
 
 
 class PageHandler(http.server.BaseHTTPRequestHandler):
-    """Answers the page at `/`; what else there is to get is `answer`'s."""
+    """Serves the page at `/`; other paths are served by `answer`."""
 
     server: PageServer
     timeout = REQUEST_SECONDS  # of a client that takes nothing
@@ -140,7 +140,7 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
     """The command, as the server's name."""
 
     def do_GET(self) -> None:
-        """Answer the page or what it asks for."""
+        """Answer with the page or its data."""
         path = self.welcome()
         if path == "/":
             self.send(_page(self.package)[0], "text/html; charset=utf-8")
@@ -148,11 +148,11 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
             self.send_error(404)
 
     def answer(self, path: str) -> bool:
-        """Answer what is at a path beside the page; False where there is nothing."""
+        """Answer a path other than the page; False if there is nothing there."""
         return False
 
     def welcome(self) -> str | None:
-        """Return the path that a client may have; None where it was refused."""
+        """Return the requested path; None if the client was refused."""
         try:
             parts = urllib.parse.urlsplit(self.path)
             query = urllib.parse.parse_qs(parts.query, max_num_fields=8)
@@ -169,7 +169,7 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
         return parts.path
 
     def send(self, content: bytes, kind: str) -> None:
-        """Send an answer whole; `kind` is its content type."""
+        """Send a complete answer; `kind` is its content type."""
         self.send_response(200)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(content)))
@@ -177,7 +177,7 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def end_headers(self) -> None:
-        """Say with every answer that nobody may frame, keep, guess at or refer to it."""
+        """Add the headers that forbid framing, caching, content sniffing and referrers."""
         self.send_header("Content-Security-Policy", _page(self.package)[1])
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("X-Frame-Options", "DENY")
@@ -190,4 +190,4 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
         return self.name
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing: the terminal belongs to the command."""
+        """Print nothing: the terminal belongs to the command."""

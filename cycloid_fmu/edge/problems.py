@@ -1,4 +1,4 @@
-"""What a user is told when something given cannot be used, and the exit codes that belong to it."""
+"""Errors and warnings about invalid input, and the exit codes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _CONTROLS = frozenset([*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F),
 
 
 class InputWarning(UserWarning):
-    """Input that contradicts itself and can be used all the same; the sentence says how."""
+    """Contradictory input that can still be used; the sentence states how."""
 
 
 class InputError(ValueError):
-    """What a user gave can't be used; the text is one sentence that says where, what and what is allowed.
+    """Invalid input; the text is one sentence with place, value and allowed values.
 
-    Several problems are a line each; one that what was given makes longer than anybody reads is cut.
+    Several problems have one line each; very long lines are cut.
     """
 
     def __init__(self, text: str = "") -> None:
@@ -28,16 +28,16 @@ class InputError(ValueError):
 
 
 class ArgumentError(InputError):
-    """An argument of a function can't be used; a command line shows the option that stands for it instead.
+    """An invalid argument of a function; a command line shows the corresponding option instead.
 
     Parameters
     ----------
     argument
         Name of the function's argument.
     problem
-        What is wrong and what is allowed, without the closing full stop.
+        The problem and the allowed values, without the closing full stop.
     value
-        What was given; leave it out where nothing was, and begin `problem` with a verb: "is missing".
+        The given value; leave it out if there is none, and begin `problem` with a verb: "is missing".
 
     Examples
     --------
@@ -59,19 +59,19 @@ class ArgumentError(InputError):
 
 @contextlib.contextmanager
 def parsed_by_others(source: object, problem: str) -> Iterator[None]:
-    """Refuse, in one sentence, a file on which a library that is not ours fails, whatever it raises.
+    """Refuse, in one sentence, a file on which another library fails with any exception.
 
     Parameters
     ----------
     source
         The file's name.
     problem
-        What is wrong, without the closing full stop: "this is not a netCDF file". The library's own reason follows.
+        The problem, without the closing full stop: "this is not a netCDF file". The library's reason follows.
 
     Raises
     ------
     InputError
-        In place of any other exception; one that is an `InputError` already goes on as it is.
+        In place of any other exception; an `InputError` is passed on unchanged.
     """
     try:
         yield
@@ -112,18 +112,18 @@ def needs_extra(
 
 
 def first_line(problem: BaseException) -> str:
-    """What a library's error says, in one line and cut where it is long."""
+    """Return the message of a library's error, in one line and cut if it is long."""
     said = (str(problem).strip() or type(problem).__name__).splitlines()[0].rstrip(".")
     return cut(said, 200)
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return names as they are listed in a sentence, cut where they are many."""
+    """Return names as a list in a sentence, cut if there are many."""
     return cut(", ".join(names), 300)
 
 
 def cut(text: str, length: int) -> str:
-    """Return text in one line, with dots at its end where it is longer."""
+    """Return text in one line, cut with dots if it is longer."""
     plain = "".join(c if c.isprintable() else " " for c in text)
     return plain if len(plain) <= length else plain[: length - 3] + "..."
 
@@ -136,12 +136,12 @@ def shown(value: object) -> str:
 
 
 def without_controls(text: str) -> str:
-    """Return a text without what makes a terminal act, such as the escape sequences in a name of a file; lines stay."""
+    """Return a text without control characters, such as escape sequences in a file name; line breaks stay."""
     return "".join(c if c == "\n" or ord(c) not in _CONTROLS else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return "did you mean …?" with the known word nearest to `word`, or nothing where none is near.
+    """Return "did you mean …?" with the known word nearest to `word`, or "" if none is near.
 
     Examples
     --------

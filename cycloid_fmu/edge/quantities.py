@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pint
 
 ARCSEC = 648000.0 / math.pi
-"""Arcseconds in a radian: what people are shown."""
+"""Arcseconds in a radian, for reports."""
 ARCMIN = ARCSEC / 60.0
 
 _NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
@@ -70,7 +70,7 @@ def units() -> pint.UnitRegistry[Any]:
 
 
 def _factors(text: str) -> list[tuple[str, int]]:
-    """Return the units that a text multiplies, each with its exponent; a `ValueError` where it is no such text."""
+    """Return the units in a text, each with its exponent; a `ValueError` if the text is not a product of units."""
     if len(text) > _LONGEST:
         raise ValueError
     text = re.sub("[⁻⁺]?[⁰¹²³⁴-⁹]+", lambda raised: f"**{raised[0].translate(_RAISED)}", text)
@@ -117,7 +117,7 @@ def _factors(text: str) -> list[tuple[str, int]]:
 def parse_unit(text: str) -> pint.Unit:
     """Return the unit that a text names: units of pint's registry, multiplied, divided and raised to whole numbers.
 
-    Pint's own reading of text computes what the text asks for: `m**9**9**9` for ever.
+    Pint evaluates the text: `m**9**9**9` would take for ever.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def parse_unit(text: str) -> pint.Unit:
 
 @functools.lru_cache(maxsize=512)
 def unit_scale(unit: str, si: str) -> float:
-    """Return how many `si` units one `unit` is.
+    """Return the number of `si` units in one `unit`.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def unit_scale(unit: str, si: str) -> float:
         parsed, wanted = parse_unit(unit), parse_unit(si)  # FMUs and encoders' tables say both
         zero, one = (float(units().Quantity(x, parsed).to(wanted).magnitude) for x in (0.0, 1.0))
     except Exception as problem:
-        reason = "measures something else" if "convert" in str(problem) else "is not a unit known here"
+        reason = "measures something else" if "convert" in str(problem) else "is not a known unit"
         raise ValueError(f"the unit {shown(unit)} {reason}; use one such as {example}") from None
     if zero != 0.0:
         raise ValueError(f"the unit {shown(unit)} has an offset; use one such as {example}")
@@ -175,10 +175,10 @@ def parse_quantity(value: object, si: str) -> float:
     Parameters
     ----------
     value
-        One finite number with a decimal point, a space, which a letter after it does not need, and a unit. Newton
-        metres may be written as Nm.
+        One finite number with a decimal point, a space (optional before a letter) and a unit. Newton metres may be
+        written as Nm.
     si
-        The SI unit asked for, as pint writes it: "m", "rad", "N*m". A temperature, "K", may be in "degC".
+        The required SI unit, as pint writes it: "m", "rad", "N*m". A temperature, "K", may be in "degC".
 
     Raises
     ------

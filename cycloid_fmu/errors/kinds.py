@@ -1,9 +1,9 @@
 """The kinds of error, each defined once: `KINDS`.
 
-A kind says what an error is called in files, datasets, FMUs and identifications, its unit, sign and limit, what it
-displaces, which parts it makes unlike, and how a tolerance names it. Everything else is made from that: the keys of a
-pair file's `[errors]`, the variables of an error surface, the contact problem, the columns of its sensitivities, the
-FMU's parameters, what a tolerance study samples and what an identification looks for.
+A kind states the name of an error in files, datasets, FMUs and identifications, its unit, sign and limit, the
+displacements it causes, the parts it makes different, and its name in tolerance files. Everything else follows from it:
+the keys of a pair file's `[errors]`, the variables of an error surface, the contact problem, the columns of its
+sensitivities, the FMU's parameters, what a tolerance study samples and what an identification looks for.
 `register_error_kind` adds a kind.
 """
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 class Sizes(Protocol):
-    """What a kind of error needs to know of a pair."""
+    """The dimensions of a pair that an error kind needs."""
 
     @property
     def pins(self) -> int:
@@ -30,7 +30,7 @@ class Sizes(Protocol):
 
     @property
     def places(self) -> Mapping[str, tuple[int, ...]]:
-        """Shape of what has one value each, by the words of `ErrorKind.of`; what the pair has not is not in it."""
+        """Shapes of the arrays with one value each, by the words of `ErrorKind.of`."""
 
     @property
     def pin_circle_radius(self) -> float:
@@ -47,23 +47,23 @@ LARGEST_MISALIGNMENT = 0.02
 BODIES = (
     "centre_x", "centre_y", "tilt_x", "tilt_y", "crank_throw", "generating_pin_radius", "generating_circle_radius",
 )  # fmt: skip
-"""What one number displaces: the gear's centre at mid-width (m), the tilt of its axis (rad), the crank's eccentricity,
+"""Displacements by one value: the gear's centre at mid-width (m), the tilt of its axis (rad), the crank's eccentricity,
 and radius and circle radius of the generating pin, from which the flank is made (m)."""
 EACH_PIN = ("pin_radial", "pin_tangential", "pin_radius")
-"""What is displaced of each pin: its place outwards and counter-clockwise, as arc at the pin circle radius, and its
+"""Displacements of each pin: its place outwards and counter-clockwise, as arc at the pin circle radius, and its
 radius, m. Behind these, the turn of each tooth about the gear's centre, `tooth_turn`, rad."""
 EACH_SUPPORT = {
     "hole_x": "hole", "hole_y": "hole", "carrier_x": "support", "carrier_y": "support", "eccentric_throw": "eccentric",
     "eccentric_phase": "eccentric", "hole_play": "roller_hole",
 }  # fmt: skip
-"""What is displaced of each part that holds discs and carrier, with its places: holes in the disc's axes, cranks or
+"""Displacements of each part of the supports, with its places: holes in the disc's axes, cranks or
 rollers in the carrier's, throw and phase of each eccentric, and by how much a hole leaves its roller free; m, phases
 rad. They come last."""
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How a tolerance file names a kind.
+    """The name and form of a kind in a tolerance file.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Tolerance:
         "each" is a number within ± a tolerance, one for the drive or one for each pin or tooth; "pitch" is a position
         round the circle with a single and a cumulative tolerance.
     share
-        The error for each unit of what is toleranced: 0.5 of a radius whose diameter is.
+        The error per unit of the toleranced quantity: 0.5 for a radius whose diameter has the tolerance.
     """
 
     key: str
@@ -88,27 +88,27 @@ class ErrorKind:
     Attributes
     ----------
     name
-        Of the error surface's variable, the dataset's, the FMU's parameter and the identification's.
+        Name of the variable in error surfaces and datasets, of the FMU's parameter and in identifications.
     text, sign
-        What it is, and what a value above zero means.
+        Its meaning, and the meaning of a value above zero.
     of
-        What has one value: the drive, each pin, each tooth of each disc; with supports each hole of each disc, each
-        crank (cranks) or roller (output rollers) in the carrier, each eccentric and each output roller's hole of each
-        disc.
+        The objects with one value each: the drive, each pin, each tooth of each disc; with supports each hole of each
+        disc, each crank (cranks) or roller (output rollers) in the carrier, each eccentric and each output roller's
+        hole of each disc.
     displaces
         By the names of `BODIES`, `EACH_PIN`, "tooth_turn" and `EACH_SUPPORT`: the displacement (m, or rad for tilts and
         turns) as a linear function of the pair and the error's values, shape () or (pins,) or (..., teeth).
     breaks
-        Which parts are unlike each other when it is not zero ("frame": the parts that stand still) or not the same for
-        all ("pins", "teeth"); "" where all stay alike.
+        The parts that are no longer equal when it is not zero ("frame": the parts at rest) or not the same for all
+        ("pins", "teeth"); "" if all stay equal.
     unit
         "m" or "rad".
     key
-        In a pair file's `[errors]`; the name where it is empty.
+        Key in a pair file's `[errors]`; the name if empty.
     waves
-        Whether its Fourier orders round the circle are structured errors, with a cosine and a sine part each.
+        Whether its Fourier orders around the circle are structured errors, with a cosine and a sine part each.
     tolerance
-        How a tolerance file names it, None where it has none.
+        Its tolerance, None if it has none.
 
     Examples
     --------
@@ -130,7 +130,7 @@ class ErrorKind:
 
     @property
     def limit(self) -> float:
-        """Largest magnitude that makes sense, m or rad."""
+        """Largest plausible magnitude, m or rad."""
         return LARGEST_MISALIGNMENT if self.unit == "rad" else LARGEST_DEVIATION
 
     @property
@@ -144,12 +144,12 @@ class ErrorKind:
         return f"{self.text}, {self.sign}"
 
     def shape(self, pair: Sizes) -> tuple[int, ...]:
-        """Shape of its values for a pair that has what it is of: (), (pins,), (discs, teeth)…."""
+        """Shape of its values for a pair: (), (pins,), (discs, teeth)…."""
         return pair.places[self.of]
 
     @property
     def of_supports(self) -> bool:
-        """Whether it is an error of what holds discs and carrier, in a pair file's `[errors.supports]`."""
+        """Whether it is an error of the supports, in a pair file's `[errors.supports]`."""
         return self.of not in ("drive", "pin", "tooth")
 
 
@@ -170,12 +170,12 @@ KINDS: dict[str, ErrorKind] = {}
 
 
 def register_error_kind(kind: ErrorKind) -> ErrorKind:
-    """Add a kind of error; from then on files, surfaces, sensitivities, studies, FMUs and identifications know it.
+    """Add an error kind; files, surfaces, sensitivities, studies, FMUs and identifications then support it.
 
     Raises
     ------
     ValueError
-        If a kind of this name or key is there already, or it displaces what no contact problem has.
+        If a kind of this name or key exists, or a displacement is unknown to the contact problem.
 
     Examples
     --------
@@ -196,14 +196,14 @@ def register_error_kind(kind: ErrorKind) -> ErrorKind:
         raise ValueError(f'displaces = "{sorted(unknown)[0]}": it must be one of {", ".join(sorted(known))}')
     for other in KINDS.values():
         if kind.name == other.name or kind.file_key == other.file_key:
-            raise ValueError(f'name = "{kind.name}": there is a kind of this name or key already')
+            raise ValueError(f'name = "{kind.name}": a kind of this name or key exists')
     KINDS[kind.name] = kind
     _wave_names.cache_clear()
     return kind
 
 
 def remove_error_kind(name: str) -> None:
-    """Remove a kind that was added."""
+    """Remove an added kind."""
     del KINDS[name]
     _wave_names.cache_clear()
 
@@ -228,7 +228,7 @@ def kinds_of(pair: Sizes) -> dict[str, ErrorKind]:
 def structured_names(orders: Collection[int]) -> list[str]:
     """Return the names of the structured errors.
 
-    These are the kinds of one number, and of the kinds with waves the cosine and sine parts at the given orders.
+    These are the kinds with one value, and the cosine and sine parts of the kinds with waves at the given orders.
     """
     found = []
     for kind in KINDS.values():
@@ -240,7 +240,7 @@ def structured_names(orders: Collection[int]) -> list[str]:
 
 
 def names_of(pair: Sizes) -> list[str]:
-    """Return the structured errors of a pair: waves of the orders that its teeth can tell from one another."""
+    """Return the structured errors of a pair: waves of the orders that its number of teeth can distinguish."""
     teeth = pair.places["tooth"][-1]
     return structured_names([order for order in ORDERS if 2 * order <= teeth])
 
@@ -252,7 +252,7 @@ def wave_of(name: str) -> tuple[ErrorKind, int, str] | None:
 
 
 def kind_of(name: str) -> ErrorKind | None:
-    """Return the kind of an error or of a wave, None for a name that is neither."""
+    """Return the kind of an error or of a wave, None for other names."""
     wave = wave_of(name)
     return KINDS.get(name) if wave is None else wave[0]
 
@@ -287,11 +287,11 @@ for _kind in (
         tolerance=Tolerance("pin_radius"),
     ),
     ErrorKind(
-        "isometric", "isometric modification really made beyond the nominal", "> 0 material removed", "drive",
+        "isometric", "error of the isometric modification", "> 0 material removed", "drive",
         {"generating_pin_radius": _same}, tolerance=Tolerance("isometric"),
     ),
     ErrorKind(
-        "offset", "offset modification really made beyond the nominal", "> 0 material added", "drive",
+        "offset", "error of the offset modification", "> 0 material added", "drive",
         {"generating_circle_radius": _same}, tolerance=Tolerance("offset"),
     ),
     ErrorKind(

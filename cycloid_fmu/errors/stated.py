@@ -17,11 +17,11 @@ _ORDER = re.compile(r"order_([1-9]\d{0,8})")
 
 
 def limited(value: float, kind: ErrorKind) -> float:
-    """Return the value of an error; a ValueError where its magnitude is above the kind's limit."""
+    """Return the value of an error; a ValueError if its magnitude is above the kind's limit."""
     if abs(value) > kind.limit:
         if kind.unit == "rad":
-            raise ValueError("misalignments must lie between -20 mrad and 20 mrad")
-        raise ValueError("modifications and errors must lie between -1 mm and 1 mm")
+            raise ValueError("misalignments must be between -20 mrad and 20 mrad")
+        raise ValueError("modifications and errors must be between -1 mm and 1 mm")
     return value
 
 
@@ -58,7 +58,7 @@ def _each(values: Any, kind: ErrorKind, in_file: bool) -> tuple[float, ...]:
 
 
 def _value(given: Any, kind: ErrorKind, in_file: bool) -> Any:
-    """Check one error as it was stated: a number, {order: (amplitude, phase)}, one value each, or lists for discs."""
+    """Check one stated error: a number, {order: (amplitude, phase)}, one value each, or lists for discs."""
     if kind.of == "drive":
         return limited(_quantity(given, kind.unit, in_file), kind)
     if isinstance(given, Mapping) and not kind.of_supports:
@@ -72,7 +72,7 @@ def _value(given: Any, kind: ErrorKind, in_file: bool) -> Any:
         if not any(lists) and kind.of not in _EACH_DISC[1:]:
             return _each(given, kind, in_file)
     if kind.of_supports:
-        where = "a list a disc" if kind.of in _EACH_DISC else "a list"
+        where = "a list for each disc" if kind.of in _EACH_DISC else "a list"
         raise ValueError(f"write {where}, with one {'angle' if kind.unit == 'rad' else 'length'} each")
     raise ValueError('write a list of lengths or orders such as { order_1 = ["3 um", "40 deg"] }')
 
@@ -85,10 +85,10 @@ def _is_none(stated: Any) -> bool:
 
 
 class Errors(Mapping[str, Any]):
-    """The errors that are stated of a drive, by their keys in a pair file; what is not stated is zero.
+    """The stated errors of a drive, by their keys in a pair file; others are zero.
 
-    A kind of one number has a float (m or rad); one of pins or teeth has {order: (amplitude, phase)}, a tuple with one
-    value each, or of teeth a tuple of these, one a disc. `errors.pin_radius` is the value, zero or () where not stated.
+    A kind with one value has a float (m or rad); one of pins or teeth has {order: (amplitude, phase)}, a tuple with one
+    value each, or for teeth a tuple of these for each disc. `errors.pin_radius` is the value, zero or () if not stated.
     Immutable, equal by value.
 
     Parameters
@@ -96,7 +96,7 @@ class Errors(Mapping[str, Any]):
     stated
         Values as above, in SI units or as text with a unit.
     source
-        The file that they come from, in which each quantity must be text with a unit; None for values from Python.
+        Their file, in which each quantity must be text with a unit; None for values from Python.
 
     Raises
     ------
@@ -123,7 +123,7 @@ class Errors(Mapping[str, Any]):
         for key, given in ({} if problems else {**flat, **held}).items():
             if key not in kinds:
                 hint = edge.did_you_mean(str(key), kinds) or "check its spelling or remove it."
-                problems.append(f"{where}{key} is not a key known here; {hint}")
+                problems.append(f"{where}{key} is not a known key; {hint}")
                 continue
             try:
                 values[key] = _value(given, kinds[key], source is not None)
@@ -164,7 +164,7 @@ class Errors(Mapping[str, Any]):
 
 
 def values_of(kind: ErrorKind, stated: Any, shape: tuple[int, ...]) -> NDArray[np.float64] | float:
-    """Return the values of a kind that is stated as `Errors` has it, in the shape that a pair gives it, m or rad."""
+    """Return the values of a kind stated as in `Errors`, in its shape for a pair, m or rad."""
     if kind.of == "drive":
         return float(stated)
     if kind.of in _EACH_DISC and isinstance(stated, tuple) and stated and isinstance(stated[0], tuple):
@@ -173,7 +173,7 @@ def values_of(kind: ErrorKind, stated: Any, shape: tuple[int, ...]) -> NDArray[n
 
 
 def _one_circle(stated: Any, count: int) -> NDArray[np.float64]:
-    """Values round one circle: from {order: (amplitude, phase)}, or one each."""
+    """Values around one circle: from {order: (amplitude, phase)}, or one each."""
     if isinstance(stated, Mapping):
         index = np.arange(count)
         waves = [a * np.cos(2.0 * np.pi * k * index / count - phase) for k, (a, phase) in stated.items()]

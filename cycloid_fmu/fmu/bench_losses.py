@@ -1,4 +1,4 @@
-"""Losses as a bench measures them, over speed, torque and temperature, made to the loss table of an FMU."""
+"""Measured losses over speed, torque and temperature, converted to the loss table of an FMU."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LARGEST_COEFFICIENT = 0.1  # 1/K, of temperature
 
 @dataclass(frozen=True)
 class BenchLosses:
-    """A loss table that was fitted to a bench's.
+    """A loss table fitted to measured losses.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class BenchLosses:
     temperature_coefficient, reference_temperature
         As of `Friction`, 1/K and K.
     misfit
-        What the table leaves of the measured losses: root mean square over that of the losses, 1.
+        Residual of the measured losses: root mean square over that of the losses, 1.
     """
 
     rows: tuple[LossRow, ...]
@@ -44,18 +44,18 @@ def fitted_losses(
 ) -> BenchLosses:
     """Return the loss table nearest to measured losses, by least squares.
 
-    At each speed Modelica's `LossyGear` takes a torque that is linear in what the teeth ask for, with other numbers
-    where `flange_b` drives; all of it goes with exp(-β(T - T_ref)). Where nothing was measured with `flange_b` driving,
-    as much is taken there. Below the lowest speed the losses are those at it.
+    At each speed the lost torque of Modelica's `LossyGear` is linear in the torque of the teeth, with other
+    coefficients where `flange_b` drives; all losses are proportional to exp(-β(T - T_ref)). Without measurements with
+    `flange_b` driving the same losses are used there. Below the lowest speed the losses are constant.
 
     Parameters
     ----------
     speed
         Of flange_a, rad/s, one value for each point of a set speed; shapes all (points,).
     torque
-        What the teeth ask for at flange_a, N·m: the load over the ratio, above 0 where flange_a drives.
+        Torque of the teeth at flange_a, N·m: the load over the ratio, above 0 where flange_a drives.
     loss
-        Torque that is lost there, N·m.
+        Lost torque there, N·m.
     temperature
         K; None where it was not measured.
 
@@ -88,7 +88,7 @@ def fitted_losses(
             )
 
     def lines(coefficient: float) -> tuple[list[LossRow], float]:
-        """The table that is nearest with a temperature coefficient, and the squares that it leaves."""
+        """Return the nearest table for a temperature coefficient, and its residual sum of squares."""
         warmth, rows, left = np.exp(-coefficient * warmer), [], 0.0
         for one in speeds:
             found: list[NDArray[np.float64]] = []
@@ -120,7 +120,7 @@ def fitted_losses(
 
 
 def read_bench_losses(path: str | os.PathLike[str], ratio: float) -> BenchLosses:
-    """Return the loss table of a bench's: CSV, `speed [rpm],torque [N*m],loss [N*m]`, perhaps `temperature [K]`.
+    """Return the loss table for measured losses: CSV, `speed [rpm],torque [N*m],loss [N*m]`, maybe `temperature [K]`.
 
     Parameters
     ----------
@@ -146,6 +146,6 @@ def read_bench_losses(path: str | os.PathLike[str], ratio: float) -> BenchLosses
 
 
 def is_of_bench(path: str | os.PathLike[str]) -> bool:
-    """Say whether a file of losses has a bench's columns instead of a loss table's."""
+    """Return whether a file of losses has the columns of measured losses instead of a loss table."""
     header = next(edge.csv_rows(path), [])
     return any(cell.partition("[")[0].strip() == "loss" for cell in header)

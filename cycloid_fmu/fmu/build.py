@@ -59,14 +59,14 @@ class DriveWithErrors(Protocol):
 
     @property
     def first_stage(self) -> FirstStage | None:
-        """What turns the cranks of an RV reducer."""
+        """The first stage of an RV reducer."""
 
 
 AnyDrive = Pair | Reducer | DriveWithErrors
 
 
 def whole_drive(drive: AnyDrive, surface: ErrorSurface | None) -> tuple[Pair, ErrorSurface, FirstStage | None]:
-    """Return the pair, its errors (those given, else the drive's own), and what stands before the pair in a reducer."""
+    """Return the pair, its errors (the given ones, otherwise the drive's own), and the first stage of a reducer."""
     if isinstance(drive, Reducer):
         pair, made, first_stage = parts_of(drive)
         return pair, surface or made, first_stage
@@ -90,7 +90,7 @@ def build_fmu(
     draws: int = 0,
     seed: int = 0,
 ) -> None:
-    """Write a Co-Simulation FMU of the drive that runs in a Python host, whole or not at all.
+    """Write a Co-Simulation FMU of the drive that runs in a Python host; never a partial file.
 
     Parameters
     ----------
@@ -101,18 +101,18 @@ def build_fmu(
     surface
         Errors of the pair, of a reducer's cycloid stage; those that the drive states by default.
     interface
-        What the FMU offers: "kinematic", "compliant", or an `Interface`.
+        The interface: "kinematic", "compliant", or an `Interface`.
     fmi_version
         "2.0" or "3.0".
     draws, seed
-        How many drives the FMU holds besides this one, drawn from the covariance of its fit: its parameter `draw`
-        chooses among them. The same seed draws the same.
+        Number of drives in the FMU besides this one, drawn from the covariance of its fit; its parameter `draw` selects
+        one. The same seed draws the same drives.
 
     Raises
     ------
     edge.InputError
-        If the folder does not exist, the loss table is none, the interface is none of this drive, or there is no
-        covariance to draw from.
+        If the folder does not exist, the loss table is invalid, the interface is not available for this drive, or there
+        is no covariance to draw from.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
     interface = completed(interface, pair, surface, first_stage)
@@ -164,15 +164,15 @@ def build_fmu(
 
 
 def surfaces_of_draws(pair: Pair, surface: ErrorSurface, draws: int, seed: int) -> list[ErrorSurface]:
-    """Return the surfaces among which an FMU's parameter `draw` chooses, from 1 on.
+    """Return the surfaces that an FMU's parameter `draw` selects, from 1 on.
 
     Raises
     ------
     edge.ArgumentError
-        If there can't be so many, or the surface has no covariance.
+        If there are too many, or the surface has no covariance.
     """
     if not 0 <= draws <= MOST_DRAWS:
-        raise ArgumentError("draws", f"it must lie between 0 and {MOST_DRAWS}", draws)
+        raise ArgumentError("draws", f"it must be between 0 and {MOST_DRAWS}", draws)
     if draws > 0 and surface.covariance is None:
         raise ArgumentError(
             "draws", "the drive's errors have no covariance of a fit to draw from; give a surface of identify", draws
@@ -181,7 +181,7 @@ def surfaces_of_draws(pair: Pair, surface: ErrorSurface, draws: int, seed: int) 
 
 
 def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstStage | None) -> Interface:
-    """Return the interface as an FMU of this drive has it; an `InputError` says what does not go together."""
+    """Return the interface for an FMU of this drive; an `InputError` names contradictions."""
     interface = Interface(interface) if isinstance(interface, str) else interface
     if interface.kind not in INTERFACES:
         raise ArgumentError("interface", f"it must be one of {', '.join(INTERFACES)}", interface.kind)
@@ -202,7 +202,7 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
 def completed(
     interface: InterfaceKind | Interface, pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None
 ) -> Interface:
-    """Return the interface of an FMU of this drive with all that is found as it is built.
+    """Return the interface of an FMU of this drive with all values determined during the build.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def completed(
 
 
 def with_damping(interface: Interface, pair: Pair, surface: ErrorSurface) -> Interface:
-    """Return a compliant interface with the mesh damping that it starts with where none is stated."""
+    """Return a compliant interface with the default mesh damping if none is stated."""
     if interface.kind == "kinematic" or interface.mesh_damping is not None:
         return interface
     stiffness = solve(pair, surface, [pair.rated_torque or 100.0], [0.0], slices_needed(surface)).torsional_stiffness
@@ -230,7 +230,7 @@ def read_losses(path: str | os.PathLike[str]) -> tuple[LossRow, ...]:
     Raises
     ------
     edge.InputError
-        If the file can't be read, a column or its unit is missing, or a row is none of a loss table.
+        If the file can't be read, a column or its unit is missing, or a row is invalid.
     """
     wanted = {"speed": "rad/s", "eta_mf1": "1", "eta_mf2": "1", "tau_bf1": "N*m", "tau_bf2": "N*m"}
     rows = [

@@ -1,4 +1,4 @@
-"""What stands in series with the drive that an FMU holds: stated, from a catalogue's stiffness or a measured loop."""
+"""The compliance in series with the drive of an FMU: stated, from a catalogue's stiffness or from a measured loop."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SAME = 1e-6  # share by which a drive may be softer than stated: digits
 def own_stiffness(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None = None) -> float:
     """Return the drive's stiffness between half its rated torque and all of it, mean over the crank angle, N·m/rad.
 
-    That is how catalogues state it; behind a first stage with the sun locked. NaN without a rated torque.
+    Catalogues state it so; behind a first stage with the sun locked. NaN without a rated torque.
     """
     if pair.rated_torque is None:
         return math.nan
@@ -42,15 +42,15 @@ def own_stiffness(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | N
 def with_chain(
     interface: Interface, pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None = None
 ) -> Interface:
-    """Return an interface that says how stiff the drive is by itself, and what stands in series with it.
+    """Return an interface with the drive's own stiffness and the compliance in series with it.
 
-    A first stage that gives way does so at the output: s²/(z_c² κ) with its stiffness κ at the cranks. The crank then
-    stands where a rigid stage would have it, some hundredths of a mesh pitch from where it is.
+    A compliant first stage is included at the output: s²/(z_c² κ) with its stiffness κ at the cranks. The crank is then
+    where a rigid stage would put it, some hundredths of a mesh pitch from its actual place.
 
     Raises
     ------
     edge.InputError
-        If a stiffness is stated that the drive is softer than, or that nothing can be compared with.
+        If a stated stiffness is above that of the drive, or can't be compared with it.
     """
     series = interface.series_compliance
     if not 0.0 <= series < math.inf:
@@ -83,9 +83,9 @@ def with_chain(
 
 
 def read_loop(path: str | os.PathLike[str]) -> tuple[float, float]:
-    """Return stiffness (N·m/rad) and dry friction (N·m) of a measured loop, from what `cycloid-fit metrics` writes.
+    """Return stiffness (N·m/rad) and dry friction (N·m) of a measured loop, from the file of `cycloid-fit metrics`.
 
-    Loading and unloading branch are apart by 2 T_f/K, which is the loop's hysteresis loss less its backlash
+    Loading and unloading branch are apart by 2 T_f/K, which is the loop's hysteresis loss minus its backlash
     (docs/theory/measurement.md).
 
     Raises

@@ -1,10 +1,10 @@
-"""The drive between two flanges whose motion comes from outside: angles and speeds in, torques out.
+"""The drive between two flanges with prescribed motion: angles and speeds in, torques out.
 
-Contacts, series compliance and friction store one energy E(θ, φ_b) whose derivatives are the torques, so nothing is
-gained over a closed cycle; damping, losses and sliding friction only take. Between communication points the flanges
-move on at their speeds: the torques at the end of a step are not a step late. With inertias inside their motion is
-solved here, in sub-steps that keep the energy's balance (a discrete gradient: O. Gonzalez, Time integration and
-discrete Hamiltonian systems, J. Nonlinear Sci. 6, 1996).
+Contacts, series compliance and friction store one energy E(θ, φ_b) whose derivatives are the torques, so a closed cycle
+gains no energy; damping, losses and sliding friction only dissipate. Between communication points the flanges continue
+at their speeds: the torques at the end of a step are not a step late. With inertias inside their motion is solved here,
+in sub-steps that keep the energy's balance (a discrete gradient: O. Gonzalez, Time integration and discrete Hamiltonian
+systems, J. Nonlinear Sci. 6, 1996).
 """
 
 from __future__ import annotations
@@ -55,15 +55,15 @@ class CompliantState(State):
     Attributes
     ----------
     output_angle, output_speed
-        Of the output, rad and rad/s: inputs, but with an output inertia its state.
+        Of the output, rad and rad/s: inputs, or with an output inertia its state.
     mesh_damping
         Damping of the contacts at the output, N·m·s/rad. Its torque is at most the contacts' own (as in Modelica's
         `ElastoBacklash2`): it acts in contact only and never pulls.
     output_inertia, crank_inertia
-        Moments of inertia inside, kg·m²; 0 where there is none. A crank without goes, within a step, from where it
-        stood to where its angle and speed at the step's start lead.
+        Moments of inertia inside, kg·m²; 0 for none. A crank without inertia moves, within a step, linearly to the
+        place given by its angle and speed at the step's start.
     crank_angle_start, crank_speed_start
-        Where a crank with an inertia starts, rad and rad/s.
+        Start values of a crank with an inertia, rad and rad/s.
     largest_step
         Longest step inside, s: `advance` divides a longer one.
     dissipated_energy
@@ -102,9 +102,9 @@ class Place(NamedTuple):
 def _mean_over(
     way: float, shortest: float, difference: float, at_start: float, at_end: float, slope: float
 ) -> tuple[float, float]:
-    """Mean of what changes by a difference over a way, and how it changes with the way's end.
+    """Mean slope: a difference over a displacement, and its derivative by the end of the displacement.
 
-    Over a way too short for a difference it is the mean of both ends.
+    Over a displacement too short for a difference it is the mean of both ends.
     """
     if abs(way) > shortest:
         value = difference / way
@@ -206,7 +206,7 @@ class CompliantModel(SteppedModel, CompliantState):
         return self._press(1, self.output_angle - self._seen, self.output_speed, torque)
 
     def forget_history(self) -> None:
-        """Make the next step start without history: friction unstrained and, with an inertia, at rest on the load."""
+        """Make the next step start without history: friction unstrained and an inertia at rest under the load."""
         self._strains, self.dissipated_energy = [list(UNSTRAINED), list(UNSTRAINED)], 0.0
         if not self._held:
             if not self._led:
@@ -232,7 +232,7 @@ class CompliantModel(SteppedModel, CompliantState):
             self._mean_output = self._load_torque
 
     def _move(self, step: float) -> None:
-        """Move the flanges on for a step, from the inputs' values at its start."""
+        """Move the flanges for a step, from the inputs' values at its start."""
         if self._held:
             self._follow(step)
         else:
@@ -281,7 +281,7 @@ class CompliantModel(SteppedModel, CompliantState):
         return self._solve()[3] * (self.output_speed - self.crank_speed / self._ratio)
 
     def _longest(self, crank_speed: float) -> float:
-        """The longest sub-step: a share of the fastest swing and of the mesh's passing, s."""
+        """The longest sub-step: a share of the fastest oscillation and of the mesh period, s."""
         if self._stiffest == 0.0:
             largest = LARGEST_LOAD * (self.pair.rated_torque or 100.0)
             _, self._stiffest = self._made_teeth().equilibrium(0.0, largest, 0.0)
@@ -294,7 +294,7 @@ class CompliantModel(SteppedModel, CompliantState):
         )
 
     def _swing(self, step: float) -> None:
-        """The inertias move under the torques on them and the contacts; a crank without goes where it is led."""
+        """Move the inertias under the torques on them and the contacts; a crank without inertia follows its input."""
         goal, before, left = self.crank_angle + self.crank_speed * step, self.dissipated_energy, step
         speed_before = self.output_speed
         if self._led and step == 0.0:
@@ -334,9 +334,9 @@ class CompliantModel(SteppedModel, CompliantState):
     def _sub_step(self, part: float, turn: float, at: Place) -> tuple[float, float, Place] | None:
         """One sub-step by the implicit midpoint rule with means in place of derivatives.
 
-        The crank goes half its way at the same deviation, the deviation changes, the crank goes the other half: what is
-        done is what is stored and lost. Returned are the crank's way (rad; that given, of a crank without inertia), its
-        torque (N·m) and the place at the end; None where the sub-step is too long to be solved.
+        The crank moves by half of its rotation at the same deviation, the deviation changes, the crank moves by the
+        other half: the work done is stored or dissipated. Returned are the crank's rotation (rad; the given one without
+        inertia), its torque (N·m) and the place at the end; None if the sub-step is too long to be solved.
         """
         ratio, led, start, speed = self._ratio, self._led, self._turned, self.output_speed
         rubs_crank, rubs_output = self._rubs

@@ -1,7 +1,7 @@
-"""What the slaves of FMI 2.0 and 3.0 share: the model from the FMU's resources, its variables by reference, its state.
+"""Common part of the slaves of FMI 2.0 and 3.0: model, variables by reference, state.
 
-A value that is no value is refused without an exception, which the slaves' library would make fatal: it is not set, a
-message says so, and steps are refused until it is set right.
+An invalid value is refused without an exception, which the slaves' library would make fatal: it is not set, a message
+states it, and steps are refused until a valid value is set.
 """
 
 from __future__ import annotations
@@ -128,9 +128,9 @@ class Core:
     table
         Its variables by reference.
     told
-        What it says of how stiff it is.
+        Its stated stiffness.
     faults
-        What was refused and not set right since: a sentence for each variable's reference.
+        Refused values that were not corrected since: a sentence for each variable's reference.
     phase
         `INSTANTIATED`, `INITIALIZING`, `STEPPING` or `TERMINATED`.
 
@@ -206,20 +206,20 @@ class Core:
         return functools.partial(getattr, model, attribute), setter
 
     def of_kind(self, reference: int, kind: Kind) -> Variable:
-        """Return a variable; a `ValueError` says that there is none of that kind."""
+        """Return a variable; a `ValueError` if there is none of that kind."""
         variable = self.table.get(reference)
         if variable is None or variable.kind != kind:
             raise ValueError(f"there is no {kind} variable with the value reference {reference}")
         return variable
 
     def values(self, references: Sequence[int], kind: Kind) -> list[Any]:
-        """Return values of variables of a kind; a `ValueError` says that there is none."""
+        """Return values of variables of a kind; a `ValueError` if there is none."""
         for reference in references:
             self.of_kind(reference, kind)
         return [self.getters[reference]() for reference in references]
 
     def put(self, reference: int, value: Any, kind: Kind | None = None) -> str:
-        """Set a variable; what is no value for it is refused with a sentence, else the answer is empty.
+        """Set a variable; an invalid value is refused with a sentence, otherwise the answer is empty.
 
         Raises
         ------
@@ -243,7 +243,7 @@ class Core:
         return ""
 
     def put_all(self, references: Sequence[int], values: Sequence[Any], kind: Kind = "real") -> list[str]:
-        """Set variables of a kind as `put` does; the sentences of what is refused."""
+        """Set variables of a kind as `put` does; return the sentences of refused values."""
         refused, quickly, faults = [], self._quick, self.faults
         plain = kind == "real" and not faults and self.phase != TERMINATED
         for reference, value in zip(references, values, strict=True):
@@ -256,7 +256,7 @@ class Core:
         return refused
 
     def _refused(self, variable: Variable, value: Any) -> str:
-        """Why a value is none for a variable; else an empty answer."""
+        """Return the reason why a value is invalid for a variable, or ""."""
         given = tuple(value) if variable.dimensions else (value,)
         least = -math.inf if variable.least is None else variable.least
         most = math.inf if variable.most is None else variable.most
@@ -273,7 +273,7 @@ class Core:
             raise ValueError(f"{what} is allowed {allowed[-1]} only, not {self.phase}")
 
     def begin(self, start: float | None = None) -> None:
-        """Begin initialization at a time (s), by default at the present one; a `ValueError` says what forbids it."""
+        """Begin initialization at a time (s), by default at the present one; a `ValueError` if this is not allowed."""
         self._check_phase("to begin initialization", INSTANTIATED)
         start = self.time if start is None else start
         if not math.isfinite(start):
@@ -281,7 +281,7 @@ class Core:
         self.time, self.phase = start, INITIALIZING
 
     def start(self) -> None:
-        """Settle at the initial inputs, without history; a `ValueError` says what forbids it."""
+        """Settle at the initial inputs, without history; a `ValueError` if this is not allowed."""
         self._check_phase("to end initialization", INITIALIZING)
         if self.faults:
             raise ValueError("; ".join(self.faults.values()))
@@ -291,11 +291,11 @@ class Core:
         self.phase = STEPPING
 
     def step(self, time: float, step: float) -> str:
-        """Make a step; why it is refused, else an empty answer. A refused step leaves all as it was."""
+        """Make a step; return the reason if it is refused, or "". A refused step changes nothing."""
         if self.phase != STEPPING:
             return f"a step is allowed {STEPPING} only, not {self.phase}"
         if self.faults:
-            return "no step before this is set right: " + "; ".join(self.faults.values())
+            return "no step before this is corrected: " + "; ".join(self.faults.values())
         if not math.isfinite(time):
             return f"a step from the time {time:g} s over {step:g} s: both must be finite"
         try:
@@ -306,7 +306,7 @@ class Core:
         return ""
 
     def end(self) -> None:
-        """Terminate; a `ValueError` says what forbids it."""
+        """Terminate; a `ValueError` if this is not allowed."""
         self._check_phase("to terminate", STEPPING)
         self.phase = TERMINATED
 

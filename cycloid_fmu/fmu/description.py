@@ -20,7 +20,7 @@ _SPACE = uuid.UUID("6a1f3b0e-51c4-4a52-9c1c-0c2b6a7d39e4")  # the names of this 
 
 
 def token_of(content: str) -> str:
-    """Return an FMU's `guid` or `instantiationToken`, which says what it holds and nothing of where it was built."""
+    """Return an FMU's `guid` or `instantiationToken`, which depends on its content alone."""
     return f"{{{uuid.uuid5(_SPACE, content)}}}"
 
 
@@ -31,13 +31,13 @@ def _text(variable: Variable, value: float) -> str:
 
 
 def _places(table: Sequence[Variable], version: Version, references: Sequence[int] | None) -> dict[str, int]:
-    """Return by what number a model description names each variable: its place in FMI 2.0, its reference in 3.0."""
+    """Return the number of each variable in a model description: its place in FMI 2.0, its reference in 3.0."""
     numbers = range(1, len(table) + 1) if version == "2.0" else references or range(len(table))
     return {v.name: number for v, number in zip(table, numbers, strict=True)}
 
 
 def unit_definitions(table: Sequence[Variable]) -> Element:
-    """Return `<UnitDefinitions>` of the units that the variables have; both versions write them alike."""
+    """Return `<UnitDefinitions>` of the variables' units, the same for both versions."""
     root = Element("UnitDefinitions")
     for unit in dict.fromkeys(v.unit for v in table if v.unit is not None):
         base, displays = UNITS[unit]

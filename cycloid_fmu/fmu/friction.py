@@ -1,10 +1,10 @@
-"""Friction at a flange: what sliding takes, and elements that hold before it slides.
+"""Friction at a flange: sliding friction, and elements that stick before it slides.
 
 Sliding takes F = (Coulomb + share |load| + Stribeck extra · exp(-(w/w_s)²)) · exp(-β(T - T_ref)), at `flange_a` with
-Modelica's loss table as well (`losses`), and a viscous torque beside it. Before it slides, Maxwell-slip elements in
-parallel hold (W. D. Iwan, J. Appl. Mech. 33 (1966) 893; F. Al-Bender, V. Lampaert and J. Swevers, IEEE Trans. Autom.
+Modelica's loss table as well (`losses`), and a viscous torque in addition. Before it slides, Maxwell-slip elements in
+parallel stick (W. D. Iwan, J. Appl. Mech. 33 (1966) 893; F. Al-Bender, V. Lampaert and J. Swevers, IEEE Trans. Autom.
 Control 50 (2005) 1883): each a spring that slides where its force reaches its share of F. A reversal is remembered
-until it is passed again, a load below F holds for ever, and where F falls the springs slip back, so that nothing is
+until it is passed again, a load below F is held for ever, and where F falls the springs slip back, so no energy is
 gained.
 """
 
@@ -36,7 +36,7 @@ UNSTRAINED = (0.0,) * FRICTION_ELEMENTS
 
 
 class Law(NamedTuple):
-    """Friction at one flange, numbers alone: `friction_file.Friction` without what that leaves open."""
+    """Friction at one flange as numbers: `friction_file.Friction` with its defaults."""
 
     coulomb: float
     load_share: float
@@ -57,7 +57,7 @@ NO_FRICTION = (
 
 
 def factor(law: Law, temperature: float) -> float:
-    """Return what a temperature (K) makes of a law's torques."""
+    """Return the factor of a temperature (K) on a law's torques."""
     coefficient = law.temperature_coefficient
     return 1.0 if coefficient == 0.0 else math.exp(-coefficient * (temperature - law.reference_temperature))
 
@@ -65,14 +65,14 @@ def factor(law: Law, temperature: float) -> float:
 def yields(
     law: Law, load: float, speed: float, temperature: float, table: Sequence[Row] | None = None
 ) -> tuple[float, float]:
-    """Torques that sliding takes towards negative and towards positive angles, N·m.
+    """Sliding friction torques towards negative and towards positive angles, N·m.
 
     Parameters
     ----------
     law
         Of the flange.
     load, speed
-        What the teeth ask for at that flange, N·m, and its speed, rad/s.
+        Torque of the teeth at that flange, N·m, and its speed, rad/s.
     temperature
         K.
     table
@@ -97,16 +97,16 @@ def element_stiffness(law: Law, load: float, table: Sequence[Row] | None = None)
 
 
 class Slid(NamedTuple):
-    """What elements do over a way.
+    """Result of a displacement of the elements.
 
     Attributes
     ----------
     strains
         At its end, rad.
     torque, slope
-        Mean torque against the way, N·m, and how that changes with its end, N·m/rad.
+        Mean torque against the displacement, N·m, and its derivative by the end, N·m/rad.
     stored, lost
-        Energy stored more than before, and lost, J: their sum is torque times way.
+        Increase of the stored energy, and lost energy, J: their sum is torque times displacement.
     """
 
     strains: list[float]
@@ -124,11 +124,11 @@ def slide(strains: Sequence[float], way: float, time: float, stiffness: float, l
     strains
         Of the elements, rad.
     way, time
-        Angle of the flange (rad), and how long it takes (s): a strain that grows is damped, 0 without.
+        Rotation of the flange (rad), and its duration (s), for the damping; 0 without damping.
     stiffness
         Of each element, N·m/rad.
     low, high
-        Torques at which all of them slide, as of `yields`, N·m.
+        Torques at which all of them slide, from `yields`, N·m.
     """
     found, torque, slope, stored, lost = [], 0.0, 0.0, 0.0, 0.0
     damping = stiffness * PRESLIDING_TIME / time if time > 0.0 else 0.0
@@ -163,7 +163,7 @@ def slide(strains: Sequence[float], way: float, time: float, stiffness: float, l
 def held_strains(
     strains: Sequence[float], way: float, stiffness: float, low: float, high: float
 ) -> tuple[list[float], float]:
-    """Return the strains after a way, however long it takes, and the stiffness of those elements that hold, N·m/rad."""
+    """Return the strains after a displacement of any duration, and the stiffness of the sticking elements, N·m/rad."""
     found, held = [], 0
     low, high = SHARE * low / stiffness, SHARE * high / stiffness
     for i, strain in enumerate(strains, start=1):
@@ -182,7 +182,7 @@ def held_strains(
 def balanced(
     missing: Callable[[float], tuple[float, float]], low: float, high: float, start: float, accuracy: float
 ) -> float:
-    """Return where a function that grows is 0, by Newton's method within bounds; where it was asked last.
+    """Return the zero of an increasing function, by Newton's method within bounds; the last argument evaluated.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def balanced(
 
 
 class Pressed(NamedTuple):
-    """What elements do at a place and speed: torque against the flange (N·m), power lost (W), energy stored (J)."""
+    """Elements at a place and speed: torque against the flange (N·m), lost power (W), stored energy (J)."""
 
     torque: float
     power: float
@@ -226,7 +226,7 @@ def press(
     high: float,
     time: float = PRESLIDING_TIME,
 ) -> Pressed:
-    """Say what elements do a way (rad) from where they are, at a speed (rad/s).
+    """Return the state of the elements after a displacement (rad), at a speed (rad/s).
 
     `time` is their damping over their stiffness, s; the others are as of `slide`.
     """
@@ -248,7 +248,7 @@ def press(
 
 
 class FrictionState:
-    """Both flanges' friction in a model's state: `rub` moves it on, `press` looks at it.
+    """Friction of both flanges in a model's state: `rub` moves it, `press` evaluates it.
 
     A model has `friction`, `loss_table`, `temperature` and `_strains` (`stepped_model.State`).
     """
@@ -263,7 +263,7 @@ class FrictionState:
     _table: Sequence[Row] | None
 
     def _settle_friction(self, loads: tuple[float, float]) -> None:
-        """Find what follows from the laws; `loads` are the rated torque at both flanges, N·m."""
+        """Compute the values that follow from the laws; `loads` are the rated torque at both flanges, N·m."""
         self._laws = Law(*self.friction[0]), Law(*self.friction[1])
         self._table = self.loss_table if any(row[1:] != list(LOSSLESS) for row in self.loss_table) else None
         self._elements = (
@@ -281,7 +281,7 @@ class FrictionState:
         return law.viscous * factor(law, self.temperature) if law.viscous > 0.0 else 0.0
 
     def _rub(self, flange: int, way: float, time: float, load: float) -> Slid:
-        """What friction of a flange does over a way (rad) in a time (s), under a load (N·m); nothing is moved."""
+        """Friction of a flange over a displacement (rad) in a time (s), under a load (N·m); the state is unchanged."""
         speed, stiffness, viscous = way / time if time > 0.0 else 0.0, self._elements[flange], self._viscous(flange)
         if stiffness > 0.0:
             found = slide(self._strains[flange], way, time, stiffness, *self._yields(flange, load, speed))
@@ -296,7 +296,7 @@ class FrictionState:
         return found
 
     def _press(self, flange: int, way: float, speed: float, load: float, time: float = PRESLIDING_TIME) -> Pressed:
-        """What the friction of a flange does a way (rad) from where it was moved to, at a speed (rad/s)."""
+        """Friction of a flange at a displacement (rad) from its last place, at a speed (rad/s)."""
         stiffness, viscous = self._elements[flange], self._viscous(flange) * speed
         if stiffness == 0.0:
             return Pressed(viscous, viscous * speed, 0.0)

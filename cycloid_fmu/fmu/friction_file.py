@@ -1,4 +1,4 @@
-"""Friction as people state it: for both flanges in a friction file `cycloid-friction/1`, or as losses of a bench."""
+"""Friction input: for both flanges in a friction file `cycloid-friction/1`, or as measured losses."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ class Friction(Config):
     Attributes
     ----------
     coulomb
-        Torque that sliding takes without load, N·m.
+        Sliding friction torque without load, N·m.
     load_share
-        More of it for each N·m that the teeth take or give at that flange, 1.
+        Additional friction torque per N·m of the teeth's torque at that flange, 1.
     stribeck
-        More of it at rest, N·m; it goes with exp(-(w/`stribeck_speed`)²).
+        Additional friction torque at rest, N·m; proportional to exp(-(w/`stribeck_speed`)²).
     stribeck_speed
-        rad/s of that flange; where None 2 rad/s at flange_a, 0.05 rad/s at flange_b.
+        rad/s of that flange; None for 2 rad/s at flange_a, 0.05 rad/s at flange_b.
     viscous
         Torque over speed, N·m·s/rad.
     temperature_coefficient, reference_temperature
-        β (1/K) and T_ref (K): all of it, at flange_a the losses too, is multiplied by exp(-β(T - T_ref)). Where β is
-        not 0 an FMU has the input `temperature`.
+        β (1/K) and T_ref (K): all of it, at flange_a the losses too, is multiplied by exp(-β(T - T_ref)). If β is not 0
+        an FMU has the input `temperature`.
     presliding_angle
-        Angle of that flange over which friction builds up from rest, under the rated torque, rad; where None 2 mrad at
+        Angle of that flange over which friction builds up from rest, under the rated torque, rad; None for 2 mrad at
         flange_a, 20 µrad at flange_b.
 
     Examples
@@ -93,7 +93,7 @@ class _FrictionFile(Config):
 
 
 def read_friction(path: str | os.PathLike[str]) -> FrictionTables:
-    r"""Return the friction at both flanges that a friction file states; an `edge.InputError` names what is wrong in it.
+    r"""Return the friction at both flanges in a friction file; an `edge.InputError` names the invalid entries.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Losses of the mesh and bearings as Modelica's `LossyGear` has them: a table over the input's speed."""
+"""Losses of the mesh and bearings as in Modelica's `LossyGear`: a table over the input's speed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Row = Sequence[float]
 
 
 def interpolated(table: Sequence[Row], speed: float) -> tuple[float, float, float, float]:
-    """Efficiencies and friction torques at a speed: linear between the rows, held beyond the last."""
+    """Efficiencies and friction torques at a speed: linear between the rows, constant beyond the last."""
     speed = abs(speed)
     last, a, b, c, d = table[-1]
     if speed < last:
@@ -21,18 +21,18 @@ def interpolated(table: Sequence[Row], speed: float) -> tuple[float, float, floa
 
 
 def lost_torque(table: Sequence[Row], speed: float, asked: float) -> float:
-    """Torque that sliding takes at flange_a against its motion, N·m.
+    """Sliding friction torque at flange_a against its motion, N·m.
 
-    `Modelica.Mechanics.Rotational.Components.LossyGear` (Modelica Standard Library 4.0): with τ the torque that the
-    teeth ask for, signed as the motion is, flange_a needs (τ + τ_bf1)/η_mf1 while it drives and η_mf2 (τ + τ_bf2)
-    while flange_b does. Its stuck mode is that of `friction`.
+    `Modelica.Mechanics.Rotational.Components.LossyGear` (Modelica Standard Library 4.0): with τ the torque of the
+    teeth, with the sign of the motion, flange_a needs (τ + τ_bf1)/η_mf1 while it drives and η_mf2 (τ + τ_bf2) while
+    flange_b does. Its stuck mode is that of `friction`.
 
     Parameters
     ----------
     table
         Rows of |w|, η_mf1, η_mf2, τ_bf1, τ_bf2 (`Interface.losses`).
     speed
-        Of flange_a, rad/s, whatever its sign.
+        Of flange_a, rad/s, of any sign.
     asked
         τ, N·m.
     """
@@ -51,7 +51,7 @@ def lost_torque(table: Sequence[Row], speed: float, asked: float) -> float:
 
 
 def check_losses(rows: Sequence[Row]) -> None:
-    """Refuse a loss table that is none.
+    """Refuse an invalid loss table.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The contacts behind a model's flanges, which keep how they stand: a model has its history and no contact rows."""
+"""The contacts behind a model's flanges, which keep their state: the model keeps its history and no contact rows."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class _BoxType(types.StructRef):  # type: ignore[misc]
 
 
 class _Box(structref.StructRefProxy):  # type: ignore[misc]
-    """A drive as one pointer: handing its thirty fields to a kernel takes longer than a warm solution."""
+    """A drive as one pointer: passing its thirty fields to a kernel takes longer than a warm solution."""
 
 
 structref.define_proxy(_Box, _BoxType, ["drive"])
@@ -83,7 +83,7 @@ class ContactTeeth:
 
     Each solution is the start of the next; where a method takes `x`, the search starts there. `crank_side`, `torque`,
     `sharing`, `pin_force` and `pin_pressure` are of what `equilibrium`, `behind` or `press` solved last. A torque or
-    place at which nothing can be found is a `StepError`.
+    place without a solution raises a `StepError`.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class ContactTeeth:
         self._bytes, self._play_bytes = self._rows.view(np.uint8), self._play_rows.view(np.uint8)
 
     def play(self, theta: float, x: float) -> tuple[float, float, float]:
-        """Return the ends of the free rotation (rad), and above 0 that there is none (m)."""
+        """Return the ends of the free rotation (rad), and the interference (m), above 0 if there is none."""
         self._keep_play()
         found = _play(self._drive, theta, x, self._play_rows, self._play_cold)
         self._play_cold = math.isnan(found[0])
@@ -120,12 +120,12 @@ class ContactTeeth:
             self._play_moved = True
 
     def touch_rate(self, theta: float, x: float, side: float) -> float:
-        """Return how the crank moves the end x of the play on a side (±1) with it: dφ_b/dθ (1)."""
+        """Return dφ_b/dθ (1) of the end x of the play on a side (±1)."""
         self._keep_play()
         return _touch_rate(self._drive, theta, x, self._play_rows, self._play_cold, side)
 
     def _start(self) -> bool:
-        """Keep the rows before the first solution of a step; whether they hold nothing yet."""
+        """Keep the rows before the first solution of a step; return whether they are still empty."""
         if not self._moved:
             np.copyto(self._spare, self._bytes)
             self._moved = True
@@ -160,7 +160,7 @@ class ContactTeeth:
         return found
 
     def crank_side(self, theta: float, x: float) -> tuple[float, float]:
-        """Return the torque that the crank must be given (N·m), and dφ_b/dθ at constant torque (1)."""
+        """Return the torque required at the crank (N·m), and dφ_b/dθ at constant torque (1)."""
         return _crank_side(self._drive, theta, x, self._rows)
 
     @property
@@ -181,12 +181,12 @@ class ContactTeeth:
         return self._pin_pressure.ravel().tolist()
 
     def begin(self) -> None:
-        """Keep how all stands, for `undo`; rows are kept when they are first solved."""
+        """Keep the state for `undo`; rows are kept when they are first solved."""
         self._before = self._cold, self._play_cold
         self._moved = self._play_moved = False
 
     def undo(self) -> None:
-        """Return to how all stood at `begin`."""
+        """Return to the state at `begin`."""
         self._cold, self._play_cold = self._before
         if self._moved:
             np.copyto(self._bytes, self._spare)
@@ -194,7 +194,7 @@ class ContactTeeth:
             np.copyto(self._play_bytes, self._play_spare)
 
     def copy(self) -> Self:
-        """Return teeth that stand alike and move by themselves."""
+        """Return an independent copy."""
         other = copy.copy(self)
         for name in (*_ARRAYS, "_spare", "_play_spare"):
             setattr(other, name, getattr(self, name).copy())
@@ -202,7 +202,7 @@ class ContactTeeth:
         return other
 
     def state(self) -> dict[str, Any]:
-        """Return how all stands, as plain values."""
+        """Return the state, as plain values."""
         arrays = {name: base64.b64encode(getattr(self, name).tobytes()).decode() for name in _ARRAYS}
         return {"cold": self._cold, "play_cold": self._play_cold, **arrays}
 

@@ -1,9 +1,8 @@
-"""The drive as a system model sees it: inputs and parameters in, output angle with its history out.
+"""The drive in a system model: inputs and parameters in, output angle with its history out.
 
-Nothing of FMI here; every slave wraps this class. Friction and play are one rate-independent hysteresis: the output
-stands where teeth and friction's elements balance the torque, carried along by friction once all of these slide: then
-it is where it would be at torque - friction or at torque + friction. At zero torque without friction these ends are the
-ends of the play.
+This module does not depend on FMI; every slave wraps this class. Friction and play are one rate-independent hysteresis:
+the output is where teeth and friction elements balance the torque. Once all elements slide it is carried along, at its
+place for torque - friction or torque + friction. At zero torque without friction these ends are the ends of the play.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ class DriveModel(SteppedModel, DriveState):
         return deviation if self.backlash_on else deviation - self._shift(self._side)
 
     def _hold(self, deviation: float) -> None:
-        """Find the teeth's state when the flange stands still at a deviation inside the hysteresis."""
+        """Find the teeth's state when the flange is at rest at a deviation inside the hysteresis."""
         if not self.backlash_on:
             low, high, _ = self._solve_play()
             self._side = 1.0 if deviation > 0.5 * (low + high) else -1.0
@@ -87,7 +86,7 @@ class DriveModel(SteppedModel, DriveState):
         self._strains = [list(UNSTRAINED), list(UNSTRAINED)]
 
     def _settle(self) -> float:
-        """Return the output angle, solved without history where no step was made yet."""
+        """Return the output angle, solved without history before the first step."""
         if self._output_angle is None:
             self.advance()
         assert self._output_angle is not None
@@ -121,7 +120,7 @@ class DriveModel(SteppedModel, DriveState):
         self._crank_seen = self.crank_angle
 
     def _floating(self, before: float) -> float:
-        """Where the output is at no torque, rad from the ideal: where it was, but within the ends of the play."""
+        """Place of the output at zero torque, rad from the ideal: its last place, limited to the ends of the play."""
         self._pushed = 0.0
         high = self._elastic(0.0, 1.0)
         if before > high:
@@ -137,10 +136,10 @@ class DriveModel(SteppedModel, DriveState):
         return low
 
     def _carried(self, before: float) -> float:
-        """Where the output is with friction, that held it `before`: M + f(way) = T with M of the teeth, f of friction.
+        """Place of the output with friction, from `before`: M + f(displacement) = T, M of the teeth, f of friction.
 
-        Where all elements slide the friction follows from the torque. Else it is found in between: the teeth have one
-        place x at T - f, which falls as f grows, and the elements one f at each place, which grows with it.
+        Where all elements slide the friction follows from the torque. Otherwise it is found in between: the teeth have
+        one place x at T - f, which decreases with f, and the elements one f at each place, which increases with it.
         """
         load, stiffness = self.torque - self._viscous(1) * self._output_pace(), self._elements[1]
         self._pushed = 1.0
@@ -198,13 +197,13 @@ class DriveModel(SteppedModel, DriveState):
         return kept()
 
     def _output_pace(self) -> float:
-        """The ideal speed of the output, which its friction is told, rad/s."""
+        """The ideal speed of the output, used for its friction, rad/s."""
         return self.crank_speed / self._ratio
 
     def _sliding(self, towards: float) -> float:
-        """Friction F of the output while all of it slides, with its share of what the teeth bear, N·m.
+        """Friction F of the output while all elements slide, with its share of the teeth's torque, N·m.
 
-        `towards` is the torque on the output, signed as it moves: the teeth bear |towards - F|.
+        `towards` is the torque on the output, with the sign of the motion: the teeth carry |towards - F|.
         """
         bare = self._yields(1, 0.0, self._output_pace())[1]
         share = self._yields(1, 1.0, self._output_pace())[1] - bare
@@ -247,7 +246,7 @@ class DriveModel(SteppedModel, DriveState):
         return self.crank_speed * rate * self._yielding(rate) if carried and not math.isnan(rate) else 0.0
 
     def _yielding(self, rate: float) -> float:
-        """Share of its pace that friction leaves the output while elements of it hold; `rate` has the pace's sign."""
+        """Factor on the output's speed while friction elements stick; `rate` has the sign of the speed."""
         stiffness = self._elements[1]
         if stiffness == 0.0 or self._stiffness <= 0.0:
             return 1.0
@@ -264,13 +263,13 @@ class DriveModel(SteppedModel, DriveState):
 
     @property
     def crank_torque(self) -> float:
-        """Torque that the crank must be given, friction and losses included, N·m."""
+        """Torque required at the crank, friction and losses included, N·m."""
         torque = self._lever * (self._crank or self._crank_side())[0]
         return torque + self._pressing(0).torque if self._rubs[0] else torque
 
     @property
     def power_loss(self) -> float:
-        """Power lost in the mesh and bearings and to friction, W."""
+        """Power lost in mesh, bearings and friction, W."""
         return sum(self._pressing(flange).power for flange in (0, 1) if self._rubs[flange])
 
     @property

@@ -1,4 +1,4 @@
-"""A drive on its bearings behind a model's flanges: what `mesh.ContactTeeth` offers, for discs that float."""
+"""A drive on its bearings behind a model's flanges: the interface of `mesh.ContactTeeth` for floating discs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PLACE = ("place", "pose", "moved")
 
 
 class _Stand:
-    """The drive where it was solved last, from where the next solution starts."""
+    """The last solution of the drive, where the next one starts."""
 
     def __init__(self, pair: Pair, surface: ErrorSurface, slices: int) -> None:
         shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
@@ -48,7 +48,7 @@ class _Stand:
     def solve(
         self, theta: float, torque: float, spring: float = 0.0, flange: float = 0.0, pressed: bool = False
     ) -> bool:
-        """Solve a place; whether it was found."""
+        """Solve a place; return whether it was found."""
         cold = not abs(theta - self.theta) < _NEAR
         centring = _PRESSED_CENTRING if pressed else CENTRING
         self.theta = theta
@@ -88,8 +88,8 @@ class _Stand:
 class SupportedTeeth:
     """Gear, pins and bearings at a crank angle θ (rad), with the methods and units of `mesh.ContactTeeth`.
 
-    Below `PLAY_LOAD` of the rated torque the output goes along the tangent there, which leaves the play at no torque
-    (`supports.transmission.play_loads`). `press` solves every torque: inside that play less than that is left.
+    Below `PLAY_LOAD` of the rated torque the output follows the tangent there, so the play remains at zero torque
+    (`supports.transmission.play_loads`). `press` solves every torque, which is smaller than that inside the play.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class SupportedTeeth:
         return (low, high, 0.0) if low < high else (middle, middle, math.ulp(1.0))
 
     def touch_rate(self, theta: float, x: float, side: float) -> float:
-        """Return how the crank moves the end of the play on a side (±1) with it: dφ_b/dθ (1); NaN of none (0)."""
+        """Return dφ_b/dθ (1) of the end of the play on a side (±1); NaN for none (0)."""
         if side == 0.0:
             return math.nan
         before, after = (self._end(theta + step, side)[0] for step in (-_CRANK_STEP, _CRANK_STEP))
@@ -188,7 +188,7 @@ class SupportedTeeth:
         )  # fmt: skip
 
     def crank_side(self, theta: float, x: float) -> tuple[float, float]:
-        """Return the torque that the crank must be given (N·m), and dφ_b/dθ at constant torque (1)."""
+        """Return the torque required at the crank (N·m), and dφ_b/dθ at constant torque (1)."""
         found = self._now.found
         rate = float(found[energy.RATE])
         if self._side == 0.0:
@@ -224,26 +224,26 @@ class SupportedTeeth:
         return self._main, self._ends[-1.0], self._ends[1.0]
 
     def begin(self) -> None:
-        """Keep how all stands, for `undo`."""
+        """Keep the state for `undo`."""
         self._before = self._side, self._share
         for stand in self._stands:
             stand.begin()
 
     def undo(self) -> None:
-        """Return to how all stood at `begin`."""
+        """Return to the state at `begin`."""
         self._side, self._share = self._before
         for stand in self._stands:
             stand.undo()
 
     def copy(self) -> Self:
-        """Return teeth that stand alike and move by themselves."""
+        """Return an independent copy."""
         other = copy.copy(self)
         other._main, other._ends = self._main.copy(), {side: stand.copy() for side, stand in self._ends.items()}
         other._pin_force, other._pin_pressure = self._pin_force.copy(), self._pin_pressure.copy()
         return other
 
     def state(self) -> dict[str, Any]:
-        """Return how all stands, as plain values."""
+        """Return the state, as plain values."""
         pins = [self._pin_force.tolist(), self._pin_pressure.tolist()]
         return {"stands": [s.state() for s in self._stands], "tangent": [self._side, self._share], "pins": pins}
 

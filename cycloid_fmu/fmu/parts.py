@@ -1,4 +1,4 @@
-"""What lies in every FMU beside model description and binaries: documentation, icon, licences and terminals."""
+"""Further files of every FMU: documentation, icon, licences and terminals."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def icon(pair: Pair) -> bytes:
 
 
 def licences(packages: Sequence[str]) -> str:
-    """Return the licence texts of this package and of others whose files lie in the FMU."""
+    """Return the licence texts of this package and of others whose files are in the FMU."""
     found = []
     for package in ("cycloid-fmu", *packages):
         texts = [f.read_text() for f in metadata.files(package) or [] if f.name.upper().startswith("LICENSE")]
@@ -133,9 +133,9 @@ def parts(
     Parameters
     ----------
     pair, surface, interface, table, version
-        What the FMU is made of.
+        Content of the FMU.
     packages
-        Installed packages whose files lie in the FMU, for their licences.
+        Installed packages whose files are in the FMU, for their licences.
     """
     found = {
         "documentation/index.html": documentation(pair, interface, table).encode(),

@@ -1,4 +1,4 @@
-"""The one place that reaches into pythonfmu and pythonfmu3, which offer no public way to do what is done here."""
+"""The only module that uses internals of pythonfmu and pythonfmu3, which have no public way for this."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def build_archive(library: str, script: Path, files: Sequence[Path], folder: Pat
     script
         Defines the class `CycloidDrive`.
     files
-        What lies in the FMU's `resources/` besides.
+        Further files in the FMU's `resources/`.
     folder
         Where to build; the FMU's name there is returned.
     """

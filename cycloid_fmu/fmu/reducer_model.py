@@ -1,10 +1,11 @@
-"""The whole RV reducer as a system model sees it: the drive with an involute stage before it and its crank bearings.
+"""The whole RV reducer in a system model: the drive with an involute stage before it and its crank bearings.
 
-The sun turns the planets, these the cranks, and the cycloid gears turn the carrier, on which the planets sit: so the
-crank angle is θ = a φ_b - b (φ_a + δ) with b = z_1/z_2, a = 1 + b and δ the sun's place within its play, and depends
-on the output that it moves. With s = 1/(1 + a/z_c) the output deviates by φ_b - φ_a/i = δ/i + s (x(θ) - β) from the
-ideal reducer, x the gear's deviation at its own torque and β the carrier's place in the crank bearings. Virtual work
-gives the torques: T = M + a τ at the output and -b τ at the sun, M at the gear and τ at the crank.
+The sun turns the planets, the planets the cranks, and the cycloid discs turn the carrier, in which the planets are
+mounted: so the crank angle is θ = a φ_b - b (φ_a + δ) with b = z_1/z_2, a = 1 + b and δ the sun's place within its
+play, and depends on the output angle that it causes. With s = 1/(1 + a/z_c) the output deviates by φ_b - φ_a/i = δ/i +
+s (x(θ)
+- β) from the ideal reducer, x the gear's deviation at its own torque and β the carrier's place in the crank bearings.
+Virtual work gives the torques: T = M + a τ at the output and -b τ at the sun, M at the gear and τ at the crank.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _FREE = 1e-7  # J: no more is stored where the plays around the gears leave them
 
 
 class _Staged(SteppedModel):
-    """What a first stage makes of a drive; `crank_angle` is the sun's."""
+    """A drive behind a first stage; `crank_angle` is the sun's."""
 
     _stage: FirstStage
 
@@ -43,11 +44,11 @@ class _Staged(SteppedModel):
 
     @property
     def _outer(self) -> float:
-        """Half of what the sun's and the bearings' play are at the output, rad."""
+        """Half of the play of sun and bearings at the output, rad."""
         return 0.5 * (self._sun_play / self._ratio + self._s * self._stage.bearing_play) if self.backlash_on else 0.0
 
     def _crank_at(self, sun: float, deviation: float, side: float) -> float:
-        """Where the sun (reduced) and an output that deviates so have the crank, the sun's play on the given side."""
+        """Crank angle for a sun angle (reduced) and an output deviation, the sun's play on the given side."""
         ideal = -sun * self.pair.gear_teeth / self._ratio
         return ideal + self._a * deviation - 0.5 * self._b * side * self._sun_play
 
@@ -104,7 +105,7 @@ class ReducerModel(_Staged, DriveModel, ReducerState):
         self._lever = -self._b
 
     def _turn_crank(self, deviation: float, side: float) -> None:
-        """Put the crank where the sun and an output that deviates so have it, the sun's play on the given side."""
+        """Set the crank angle for the sun and an output deviation, the sun's play on the given side."""
         self._theta = self._crank_at(self._reduced(self.crank_angle), deviation, side)
         self._forget()
 
@@ -189,8 +190,8 @@ class CompliantReducer(_Staged, CompliantModel):
     """An RV reducer between two flanges, those of the sun and of the output.
 
     The cycloid stage's energy E(θ, φ) is the reducer's under a linear change of coordinates, and the torques are its
-    derivatives. Within the plays around it the crank, without mass, stands where the energy is least: at an end of
-    them, or where nothing is pressed.
+    derivatives. Within the plays the massless crank is where the energy is smallest: at an end of them, or where
+    nothing is pressed.
 
     Parameters
     ----------
@@ -244,7 +245,7 @@ class CompliantReducer(_Staged, CompliantModel):
         return found[:3]
 
     def _within_plays(self, sun: float, deviation: float, side: float) -> tuple[float, float, float, float]:
-        """The same with the plays around the stage at a share of their way (-1 to 1), and the derivative by that."""
+        """The same with the plays at a share of their range (-1 to 1), and the derivative by that share."""
         teeth, outer = self.pair.gear_teeth, self._outer
         theta = self._crank_at(sun, deviation, side)
         energy, by_angle, gear = super()._contact(theta, (deviation - side * outer) / self._s)

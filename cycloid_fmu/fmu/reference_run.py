@@ -1,8 +1,8 @@
-"""A run that every FMU brings along with its result by the exact model, for its user's first try in a new tool.
+"""A reference run in every FMU with its result by the exact model, for a first test in a new tool.
 
-The files are laid out as the layered standard FMI-LS-REF has it (Modelica Association, 1.0.0-alpha.1: manifest with
-roles, experiments with stimuli and references). What is compared does not depend on how a tool hands on inputs between
-samples: inputs rest where references are taken, or never change.
+The files follow the layered standard FMI-LS-REF (Modelica Association, 1.0.0-alpha.1: manifest with roles, experiments
+with stimuli and references). The compared values do not depend on a tool's interpolation of inputs between samples:
+inputs are constant where references are taken, or throughout.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def reference_files(
         f"{{{_NAMESPACE}}}fmi-ls-version": "1.0.0-alpha.1", f"{{{_NAMESPACE}}}fmi-ls-description": _ABOUT,
     })  # fmt: skip
     for source, kind, role, text in (
-        ("smoke-test.exp", "application/x-ma-hs-experiments", "experiment/smoke-test", "A run to try the FMU with"),
+        ("smoke-test.exp", "application/x-ma-hs-experiments", "experiment/smoke-test", "A run to test the FMU with"),
         ("smoke-test-in.csv", "text/csv", "other", "Its inputs over time (s, SI units)"),
         ("smoke-test-ref.csv", "text/csv", "result", f"Its outputs, {told}"),
         ("../../documentation/index.html", "text/html", "document", "Interface, variables and losses"),

@@ -1,4 +1,4 @@
-"""Look into FMUs of drives, run them through a motion and compare them, with fmpy; FMI 2.0 and 3.0 alike."""
+"""Inspect FMUs of drives, run them through a motion and compare them, with fmpy; FMI 2.0 and 3.0."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def described(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[
     Raises
     ------
     edge.InputError
-        If the file is no FMU.
+        If the file is not an FMU.
     """
     from fmpy.validation import validate_fmu
 
@@ -55,23 +55,23 @@ def described(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[
 
 
 def told(path: str | os.PathLike[str]) -> str:
-    """Return what the FMU's model description says of it, its stiffness among it.
+    """Return the description in the FMU's model description, which states its stiffness.
 
     Raises
     ------
     edge.InputError
-        If the file is no FMU.
+        If the file is not an FMU.
     """
     return str(_description(path).description or "")
 
 
 def stated_drive(path: str | os.PathLike[str]) -> str:
-    """Return the fingerprint of the drive that an FMU was built from, empty where it states none.
+    """Return the fingerprint of the drive that an FMU was built from, or "".
 
     Raises
     ------
     edge.InputError
-        If the file is no FMU.
+        If the file is not an FMU.
     """
     from cycloid_fmu.fmu.parts import DRIVE
 
@@ -143,7 +143,7 @@ class Fmu:
             self._raise("the start", problem)
 
     def step(self, time: float, step: float) -> None:
-        """Make a step, s; an `edge.InputError` has the FMU's message where it refuses it."""
+        """Make a step, s; an `edge.InputError` has the FMU's message if it refuses it."""
         try:
             self.slave.doStep(time, step)
         except FMICallException as problem:
@@ -162,12 +162,12 @@ def open_fmu(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: 
     Parameters
     ----------
     inputs, outputs
-        Variables without which it is not what is wanted.
+        Required variables.
 
     Raises
     ------
     edge.InputError
-        If the file is no co-simulation FMU, lacks a variable or does not instantiate.
+        If the file is not a co-simulation FMU, lacks a variable or does not instantiate.
     """
     import fmpy
     from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
@@ -221,8 +221,8 @@ def simulate(
 ) -> dict[str, Array]:
     """Run an FMU through given values of its inputs and return outputs at each.
 
-    An FMU that takes the angle of a flange whose speed is given too gets both at the start of each step, from which it
-    moves on by itself; other inputs are those at the step's end.
+    If angle and speed of a flange are given, both are set at the start of each step, from which the FMU continues;
+    other inputs are those at the step's end.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def simulate(
     parameters
         Values set before initialisation.
     progress
-        Told the number of samples done since the last call.
+        Called with the number of samples done since the last call.
 
     Returns
     -------
@@ -299,9 +299,9 @@ def turn_crank(
     Parameters
     ----------
     torque, turns, crank_speed
-        N·m; crank turns, below zero backwards; rad/s, above zero.
+        N·m; crank turns, below zero for backwards; rad/s, above zero.
     samples
-        Samples for each crank turn.
+        Samples per crank turn.
 
     Returns
     -------
@@ -318,19 +318,19 @@ def turn_crank(
 
 
 def si_unit(unit: str) -> str:
-    """Return an FMU's unit as quantities are written elsewhere: N.m is N*m."""
+    """Return an FMU's unit in the notation of quantities: N.m is N*m."""
     return unit.replace(".", "*").replace("m2", "m^2")
 
 
 def read_motion(path: str | os.PathLike[str], units: Mapping[str, str]) -> tuple[Array, dict[str, Array]]:
-    """Read a table of variables over time: a CSV file whose header says units, such as a recording or a simulation.
+    """Read a table of variables over time: a CSV file with units in its header, such as a recording or a simulation.
 
     Parameters
     ----------
     path
         The file: `time [s]` and columns under a variable's name, or a bench's `input_angle`, `output_angle`, `torque`.
     units
-        SI unit of each variable that is looked for; other columns are passed over.
+        SI unit of each wanted variable; other columns are ignored.
 
     Returns
     -------
@@ -340,7 +340,7 @@ def read_motion(path: str | os.PathLike[str], units: Mapping[str, str]) -> tuple
     Raises
     ------
     edge.InputError
-        If the file can't be read, has no time, or a line has no number where one belongs.
+        If the file can't be read, has no time, or a cell is not a number.
     """
     columns = {name: RECORDED.get(name, name) for name in (*units, *RECORDED) if RECORDED.get(name, name) in units}
     rows = [row for _, row in edge.number_rows(path, {"time": "s"}, {n: units[v] for n, v in columns.items()})]
@@ -352,7 +352,7 @@ def read_motion(path: str | os.PathLike[str], units: Mapping[str, str]) -> tuple
 
 
 def write_motion(path: str | os.PathLike[str], results: Mapping[str, Array], fmu: str | os.PathLike[str]) -> None:
-    """Write `time` and an FMU's variables over it as the CSV table that `read_motion` reads, whole or not at all."""
+    """Write `time` and an FMU's variables over it as the CSV table that `read_motion` reads; never a partial file."""
     units = {"time": "s", **units_of(fmu, "input"), **units_of(fmu, "output")}
     header = ",".join(f"{name} [{units[name]}]" for name in results)
     with edge.written_whole(path) as temporary, temporary.open("w", encoding="utf-8") as file:
@@ -367,7 +367,7 @@ def units_of(path: str | os.PathLike[str], causality: str) -> dict[str, str]:
     Raises
     ------
     edge.InputError
-        If the file is no FMU.
+        If the file is not an FMU.
     """
     return {
         v.name: si_unit(v.unit or "1")
@@ -401,14 +401,14 @@ def compare(
     motion: str | os.PathLike[str],
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[Array, dict[str, tuple[Array, Array]]]:
-    """Lead two FMUs, or an FMU and the drive of a recording, through the same motion.
+    """Run two FMUs, or an FMU and a recorded drive, through the same motion.
 
     Parameters
     ----------
     one
         An FMU.
     other
-        Another one; or the table (CSV) of what was recorded or simulated, `motion` itself.
+        Another FMU; or a recorded or simulated table (CSV), which is `motion` itself.
     motion
         The table of the inputs.
 
@@ -435,7 +435,7 @@ def compare(
     for name in (*inputs, *others):
         if name not in inputs or name not in others:
             has, lacks = (one, other) if name in inputs else (other, one)
-            raise edge.InputError(f"{lacks}: it has no input {name}, which {has} has; only like interfaces compare.")
+            raise edge.InputError(f"{lacks}: it has no input {name}, which {has} has; interfaces must be equal.")
     theirs = units_of(other, "output")
     shared = [n for n in outputs if n in theirs]
     time, given = read_inputs(motion, one)

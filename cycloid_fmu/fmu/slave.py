@@ -1,7 +1,7 @@
 """The Co-Simulation slaves, of FMI 2.0 on pythonfmu and of FMI 3.0 on pythonfmu3, around the same `Core`.
 
-Both libraries turn an exception into a fatal status with its message. It is left to what no simulation goes on after: a
-wrong reference, a foreign state, parameters that contradict each other. A step that is refused is an error instead.
+Both libraries turn an exception into a fatal status with its message. Exceptions are raised only where no simulation
+can continue: a wrong reference, a foreign state, contradictory parameters. A refused step is an error instead.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def keep_alive(slave: DriveSlave) -> None:
 
 
 def kept_alive(method: _Method) -> _Method:
-    """Keep the slave alive after an exception of a method that is seldom called."""
+    """Keep the slave alive after an exception in a rarely called method."""
 
     @functools.wraps(method)
     def guarded(self: DriveSlave, *arguments: Any) -> Any:
@@ -56,7 +56,7 @@ def _release_at_exit(library: Path) -> None:
 
 
 class DriveSlave:
-    """What both slaves do; the libraries' own classes come behind it."""
+    """Common part of both slaves; the libraries' own classes follow it."""
 
     fmi_version: Version
     log_queue: list[Any]
@@ -69,7 +69,7 @@ class DriveSlave:
         self._put_all = self.core.put_all
 
     def _refuse(self, message: str) -> None:
-        """Log a message of something refused."""
+        """Log a refusal."""
         raise NotImplementedError
 
     @kept_alive
@@ -106,14 +106,14 @@ class DriveSlave:
 
     @staticmethod
     def _fmu_state_from_bytes(data: bytes) -> dict[str, Any] | ValueError:
-        """Return the state or what is wrong with it: the libraries keep no slave alive that raises it here."""
+        """Return the state or its error: the libraries do not keep a slave alive that raises it here."""
         try:
             return state_from_bytes(data)
         except ValueError as problem:
             return problem
 
     def _described(self, root: Element) -> Element:
-        """Replace in a library's model description what comes from the table of variables."""
+        """Replace the parts of a library's model description that come from the table of variables."""
         table = self.core.table
         for tag, made in (("ModelVariables", model_variables), ("ModelStructure", model_structure)):
             old = root.find(tag)

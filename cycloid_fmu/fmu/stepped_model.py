@@ -1,4 +1,4 @@
-"""What all drives with history share: errors, contacts and outputs, and steps that are made or refused whole."""
+"""Common part of all drives with history: errors, contacts, outputs, and steps made or refused as a whole."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Teeth = ContactTeeth | SupportedTeeth
 
 @dataclass_transform()
 def state_fields(kind: type[_Kind]) -> type[_Kind]:
-    """Make a dataclass of a class; its defaults leave the class, where they would slow each look at a field down."""
+    """Make a dataclass of a class; its defaults are removed, which would slow each attribute access."""
     made = dataclass(eq=False)(kind)
     for name in kind.__annotations__:
         if name in kind.__dict__:
@@ -41,10 +41,10 @@ def state_fields(kind: type[_Kind]) -> type[_Kind]:
 
 @state_fields
 class State:
-    """All that later steps and outputs depend on: a field that is added here takes part in rollback.
+    """The complete state for later steps and outputs: a field that is added here takes part in rollback.
 
-    What was found from the state since is kept with it, so that reading an output is the same before and after.
-    Dictionaries and lists are replaced where they change, never altered: copies share them.
+    Results computed from the state are kept with it, so that outputs are the same before and after. Dictionaries and
+    lists are replaced when they change, never modified: copies share them.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class State:
 
 
 def _absolute(name: str, of_housing: str) -> property:
-    """An angle or speed seen from where the housing turns."""
+    """An angle or speed relative to the housing."""
 
     def get(self: Any) -> float:
         return float(getattr(self, name) + getattr(self, of_housing))
@@ -118,7 +118,7 @@ def _absolute(name: str, of_housing: str) -> property:
 
 
 class SteppedModel(State, FrictionState):
-    """A cycloid-pin drive with history, stepped by `advance`; a subclass says how it moves (`_move`).
+    """A cycloid-pin drive with history, stepped by `advance`; a subclass defines its motion (`_move`).
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class SteppedModel(State, FrictionState):
     Attributes
     ----------
     draws
-        What the draws of a fit's distribution add to the errors (`posterior.displacements_of`).
+        Additions to the errors by the draws of a fit's distribution (`posterior.displacements_of`).
     """
 
     absolute_crank_angle = _absolute("crank_angle", "_support_angle")
@@ -165,11 +165,11 @@ class SteppedModel(State, FrictionState):
         return {n: v for n, v in self.errors.items() if v != self._stated[n]}
 
     def check(self) -> None:
-        """Refuse parameters that contradict each other; a `ValueError` says which in one sentence."""
+        """Refuse contradictory parameters; a `ValueError` names them in one sentence."""
         check_losses(self.loss_table)
 
     def _rebuild(self) -> None:
-        """Make the contacts of the present errors."""
+        """Create the contacts for the present errors."""
         self._teeth = self._made_teeth()
         self._x = self._stiffness = self._side = 0.0
         self._forget()
@@ -197,7 +197,7 @@ class SteppedModel(State, FrictionState):
         return values
 
     def set_pin_errors(self, name: str, values: Sequence[float]) -> None:
-        """Set the errors of each pin (m), from the next step on; the structured errors then say what they hold."""
+        """Set the errors of each pin (m), from the next step on; the structured errors are updated."""
         if list(values) != self.pin_errors(name):
             self._put_pin_errors({**self.pin_arrays, name: list(values)})
             self.errors = {**self.errors, **{n: v for n, v in self._stated.items() if n.startswith(f"{name}_")}}
@@ -219,7 +219,7 @@ class SteppedModel(State, FrictionState):
     def set_friction(self, flange: int, **values: float) -> None:
         """Set numbers of the friction (`friction.Law`) at `flange_a`, 0, or `flange_b`, 1.
 
-        Elements that get another stiffness begin unstrained; what they stored is lost.
+        Elements with a changed stiffness start unstrained; their stored energy is lost.
         """
         laws = [list(law) for law in self.friction]
         laws[flange] = list(Law(*laws[flange])._replace(**values))
@@ -236,7 +236,7 @@ class SteppedModel(State, FrictionState):
                 self._put_strains(flange, UNSTRAINED)
 
     def _lose(self, energy: float) -> None:
-        """Count what friction stored as lost, J."""
+        """Count the energy stored in friction as lost, J."""
 
     def _rated(self) -> tuple[float, float]:
         """The rated torque at both flanges, N·m."""
@@ -254,7 +254,7 @@ class SteppedModel(State, FrictionState):
 
     @property
     def crank_turns_worn(self) -> float:
-        """Crank turns since new, of a surface that holds a life: how far it is worn, from the next step on."""
+        """Crank turns since new, of a surface with a life: its wear, from the next step on."""
         return self._crank_turns_worn
 
     @crank_turns_worn.setter
@@ -269,7 +269,7 @@ class SteppedModel(State, FrictionState):
         return None if self.surface.life is None else self.surface.life.ageing
 
     def _aged(self, pair: Pair) -> Pair:
-        """The pair with the clearance of the bearing that wears as it is at this age."""
+        """The pair with the clearance of the wearing bearing at this age."""
         ageing = self._ageing
         if ageing is None or not ageing.bearing or pair.supports is None:
             return pair
@@ -306,7 +306,7 @@ class SteppedModel(State, FrictionState):
 
     @property
     def draw(self) -> int:
-        """Which of the `draws`, counted from 1, adds its errors, from the next step on; 0: none."""
+        """Number of the active draw, counted from 1, from the next step on; 0: none."""
         return self._draw
 
     @draw.setter
@@ -317,7 +317,7 @@ class SteppedModel(State, FrictionState):
 
     @property
     def support_angle(self) -> float:
-        """Of the housing, rad. All angles and speeds but the `absolute` ones are seen from it."""
+        """Of the housing, rad. All angles and speeds except the `absolute` ones are relative to it."""
         return self._support_angle
 
     @support_angle.setter
@@ -336,7 +336,7 @@ class SteppedModel(State, FrictionState):
         self._support_speed = speed
 
     def _turn_housing(self, angle: float, speed: float) -> None:
-        """See from a housing that stands and turns otherwise what does not move with it."""
+        """Convert values that do not move with the housing to its new angle and speed."""
         self.crank_angle -= angle
         self.crank_speed -= speed
 
@@ -354,7 +354,7 @@ class SteppedModel(State, FrictionState):
         return self._play
 
     def _shift(self, side: float) -> float:
-        """How far the play that does not act would let the output go to a side (±1), rad."""
+        """Shift of the output to a side (±1) by the disabled play, rad."""
         if self.backlash_on:
             return 0.0
         low, high, interference = self._solve_play()
@@ -370,11 +370,11 @@ class SteppedModel(State, FrictionState):
         return 0.5 * side * (teeth.touch_rate(theta, high, 1.0) - teeth.touch_rate(theta, low, -1.0))
 
     def _settle(self) -> float:
-        """Return the output angle, solved where no step was made yet."""
+        """Return the output angle, solved before the first step."""
         raise NotImplementedError
 
     def _move(self, step: float) -> None:
-        """Move on for a step (s), from the state before; a `StepError` refuses it."""
+        """Move for a step (s), from the state before; a `StepError` refuses it."""
         raise NotImplementedError
 
     def forget_history(self) -> None:
@@ -387,12 +387,12 @@ class SteppedModel(State, FrictionState):
         Parameters
         ----------
         step
-            How long that takes, s: where the drive is quasi-static, it does not matter.
+            Duration, s; without effect on a quasi-static drive.
 
         Raises
         ------
         StepError
-            If the step is refused; nothing has moved then.
+            If the step is refused; the state is unchanged.
         """
         if not 0.0 <= step < math.inf:
             raise StepError(f"a step of {step:g} s: it must be finite and not below 0")
@@ -413,12 +413,12 @@ class SteppedModel(State, FrictionState):
 
     @property
     def outside_range(self) -> bool:
-        """Whether a torque is beyond what is known: never, it is solved."""
+        """Whether a torque is beyond the tables: never, it is solved."""
         return False
 
     @property
     def backlash(self) -> float:
-        """Free rotation of the output with the crank locked, rad; 0 where there is none."""
+        """Free rotation of the output with the crank locked, rad; 0 if there is none."""
         self._settle()
         low, high, interference = self._solve_play()
         return high - low if interference == 0.0 and self.backlash_on else 0.0

@@ -1,7 +1,7 @@
-"""The one table of FMU variables; slaves and model descriptions, Python or native, FMI 2.0 or 3.0, are made of it.
+"""The table of all FMU variables; slaves and model descriptions, Python or native, FMI 2.0 or 3.0, are made from it.
 
 Names follow Modelica.Mechanics.Rotational; torques are positive into the drive at their flange. A variable's place in
-the table is its value reference. What only FMI 3.0 has, `time` and the arrays, stands last, so that a scalar has the
+the table is its value reference. Variables of FMI 3.0 alone, `time` and the arrays, are last, so that a scalar has the
 same reference in both versions.
 """
 
@@ -69,7 +69,7 @@ UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
 
 @dataclass(frozen=True)
 class Interface:
-    """What an FMU offers and how it is driven.
+    """The interface of an FMU.
 
     Attributes
     ----------
@@ -81,24 +81,24 @@ class Interface:
         gives angle and speed, as in the kinematic interface.
     crank_inertia
         Moment of inertia on the crank inside as well, kg·m²; above 0 that flange too takes a torque and gives angle and
-        speed, and no stiff contact is left to the tool around.
+        speed, and the importing tool has no stiff contact to solve.
     mesh_damping
-        Damping of the contacts that a compliant FMU starts with, N·m·s/rad at the output; where None, 0.1 ms times the
+        Start value of the contacts' damping in a compliant FMU, N·m·s/rad at the output; None for 0.1 ms times the
         stiffness at the rated torque.
     losses
         Rows of Modelica's `LossyGear.lossTable`: |w| of flange_a (rad/s, ascending from 0), efficiency while power
         flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
     driven
-        What `flange_a` is: "crank", or "sun" of an RV reducer.
+        Shaft at `flange_a`: "crank", or "sun" of an RV reducer.
     stiffness
-        Of the whole drive as a catalogue or a measured loop states it, N·m/rad: what the drive gives way less is put in
-        series, `series_compliance`.
+        Stiffness of the whole drive from a catalogue or a measured loop, N·m/rad: the rest is put in series,
+        `series_compliance`.
     support_flange
         Whether the housing turns: the flanges' angles and speeds are absolute then.
     series_compliance
-        What the parameter of this name starts with, rad/(N·m).
+        Start value of the parameter of this name, rad/(N·m).
     own_stiffness
-        Found as the FMU is built (`fmu.chain.own_stiffness`), N·m/rad.
+        Computed during the build (`fmu.chain.own_stiffness`), N·m/rad.
     input_friction, output_friction
         Friction at `flange_a`, where it adds to the losses, and at `flange_b` (`friction_file.Friction`).
 
@@ -131,12 +131,12 @@ class Interface:
 
     @property
     def warms(self) -> bool:
-        """Whether friction depends on temperature: then the FMU has that as an input."""
+        """Whether friction depends on temperature, which is then an input of the FMU."""
         return any(law.temperature_coefficient != 0.0 for law in self.laws)
 
     @property
     def step(self) -> float:
-        """Communication step that the FMU suggests, s: stiff contacts between masses outside take shorter ones."""
+        """Suggested communication step, s: shorter for stiff contacts between external masses."""
         return 1e-4 if self.kind == "compliant" and self.output_inertia == 0.0 else 1e-3
 
 
@@ -147,13 +147,13 @@ class Variable:
     Attributes
     ----------
     name, description
-        As the model description has them.
+        As in the model description.
     causality, variability
         Of FMI; both versions use the same words.
     unit, display
-        SI unit and display unit, keys of `UNITS`; None where there is none.
+        SI unit and display unit, keys of `UNITS`; None if there is none.
     least, most, nominal
-        Limits and a typical size, SI; None where physics gives none.
+        Limits and a typical size, SI; None without a physical limit.
     start
         Value before it is set: of inputs and parameters; row by row for an array.
     depends
@@ -165,7 +165,7 @@ class Variable:
     dimensions
         Of an array, which only FMI 3.0 has; () otherwise.
     baked
-        Whether a native FMU has it in its tables: there it can be read but not set.
+        Whether it is fixed in a native FMU's tables: there it can be read but not set.
     derivative_of
         Name of the variable whose derivative by time it is.
     """
@@ -189,13 +189,13 @@ class Variable:
 
 
 def stiffness_text(pair: Pair, interface: Interface) -> str:
-    """Return what an FMU says of how stiff it is."""
+    """Return an FMU's text on its stiffness."""
     text = "mesh alone, rigid bodies" if pair.supports is None else "mesh and bearings"
     if interface.own_stiffness is not None:
         own, series, arcmin = interface.own_stiffness, interface.series_compliance, UNITS["N.m/rad"][1]["N.m/arcmin"]
         text += f": {own * arcmin:.4g} N.m/arcmin"
         if series > 0.0:
-            text += f", {arcmin / (1.0 / own + series):.4g} with the series_compliance that it starts with"
+            text += f", {arcmin / (1.0 / own + series):.4g} with the start value of series_compliance"
     return text
 
 
@@ -220,7 +220,7 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
         return Variable(f"flange_{end}.tau", text, causality, unit="N.m", nominal=nominal, start=start, depends=depends)
 
     tau_b = "torque of the environment on the output, counter-clockwise"
-    tau_a = f"torque to give the {driven}" + (", mean over the last step" if moved and not both else "")
+    tau_a = f"torque required at the {driven}" + (", mean over the last step" if moved and not both else "")
     taken = [torque("a", f"torque on the {driven}", "input")] if both else place("a", driven, "input")
     taken += [torque("b", tau_b, "input")] if inside else place("b", "output", "input")
     every = () if moved else tuple(v.name for v in taken)
@@ -235,7 +235,7 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     given += [
         Variable("transmission_error", f"output angle minus {driven} angle/ratio", "output", unit="rad",
                  display="arcsec", nominal=1e-4, depends=placed),
-        Variable("backlash", f"free rotation of the output with the {driven} locked; 0 where there is none", "output",
+        Variable("backlash", f"free rotation of the output with the {driven} locked; 0 if there is none", "output",
                  unit="rad", display="arcsec", least=0.0, nominal=1e-4, depends=crank),
         Variable("torsional_stiffness", f"torsional stiffness at the output; {stiffness_text(pair, interface)}",
                  "output", unit="N.m/rad", display="N.m/arcmin", least=0.0, nominal=1e5, depends=placed),
@@ -265,7 +265,7 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
     ]  # fmt: skip
     if surface.life is not None and (ageing := surface.life.ageing) is not None:
         found += [
-            Variable("age", "running time of the drive since new: how far it is worn", "parameter", "tunable", "s", "h",
+            Variable("age", "running time of the drive since new, for its wear", "parameter", "tunable", "s", "h",
                      0.0, ageing.largest_age, ageing.largest_age, ageing.age, baked=True),
             Variable("wear_factor", "wear coefficient over the forecast's median", "parameter", "tunable",
                      least=ageing.smallest_wear_factor, most=ageing.largest_wear_factor, start=1.0, baked=True),
@@ -273,19 +273,19 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
     elif surface.life is not None:
         turns = float(surface.life.crank_turns[-1])
         found.append(Variable(
-            "crank_turns_worn", "crank turns since new: how far the drive is worn", "parameter", "tunable",
+            "crank_turns_worn", "crank turns since new, for the drive's wear", "parameter", "tunable",
             least=0.0, most=turns, nominal=turns, start=turns, baked=True,
         ))  # fmt: skip
     return found
 
 
 def _further(interface: Interface) -> list[Variable]:
-    """What came after the first version's variables, so that their references stay."""
+    """Variables added after the first version, so that earlier references stay."""
     moving = () if interface.output_inertia > 0.0 else ("flange_a.phi", "flange_a.w", *(
         ("flange_b.tau",) if interface.kind == "kinematic" else ("flange_b.phi", "flange_b.w")
     ))  # fmt: skip
     found = [
-        Variable("power_loss", "power turned to heat", "output", unit="W", nominal=10.0, depends=moving, least=0.0),
+        Variable("power_loss", "dissipated power", "output", unit="W", nominal=10.0, depends=moving, least=0.0),
         Variable("backlash_on", "whether the play acts; without it both flanks touch at zero torque", "parameter",
                  "tunable", kind="boolean", start=1.0),
     ]  # fmt: skip
@@ -307,7 +307,7 @@ def _further(interface: Interface) -> list[Variable]:
         found += [
             Variable("elastic_energy", "energy stored in contacts, series compliance and friction", "output", unit="J",
                      least=0.0, nominal=1e-2, depends=still),
-            Variable("dissipated_energy", "energy turned to heat since initialisation", "output", unit="J", least=0.0,
+            Variable("dissipated_energy", "energy dissipated since initialisation", "output", unit="J", least=0.0,
                      nominal=1.0),
             Variable("mesh_damping", "damping of the contacts at the output, not beyond their elastic torque",
                      "parameter", "tunable", "N.m.s/rad", least=0.0, nominal=10.0, start=interface.mesh_damping or 0.0),
@@ -332,9 +332,9 @@ def _further(interface: Interface) -> list[Variable]:
 
 
 def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
-    """What a model around the drive asks of it."""
+    """Values that a surrounding model needs."""
     found = [
-        Variable("outside_range", "whether a torque is beyond a native FMU's tables, of no stated accuracy there",
+        Variable("outside_range", "whether a torque is beyond a native FMU's tables, without stated accuracy",
                  "output", "discrete", kind="boolean", depends=placed),
         Variable("ratio", "flange_a.phi/flange_b.phi of the ideal drive", "local", "constant", "1", start=ratio,
                  baked=True),
@@ -348,16 +348,16 @@ def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
 
 
 def _friction(interface: Interface) -> list[Variable]:
-    """What friction is made of at both flanges, and its temperature where it depends on that."""
+    """Parameters of friction at both flanges, and its temperature if it depends on that."""
     texts = {
         "coulomb": "Coulomb friction",
-        "load_share": "more of it for each N.m that the teeth take or give at that flange",
-        "stribeck": "more of it at rest, going with exp(-(w/stribeck_speed)^2)",
-        "stribeck_speed": "speed at which that has fallen to 1/e",
+        "load_share": "additional friction per N.m of the teeth's torque at that flange",
+        "stribeck": "additional friction at rest, proportional to exp(-(w/stribeck_speed)^2)",
+        "stribeck_speed": "speed at which that has decreased to 1/e",
         "viscous": "viscous friction",
         "presliding_angle": "angle over which friction builds up under the rated torque",
-        "temperature_coefficient": "b: friction goes with exp(-b (temperature - reference_temperature))",
-        "reference_temperature": "temperature at which friction is stated",
+        "temperature_coefficient": "b: friction is proportional to exp(-b (temperature - reference_temperature))",
+        "reference_temperature": "reference temperature of the friction",
     }
     displays = {"stribeck_speed": "rev/min", "load_share": "%", "presliding_angle": "arcsec"}
     found = []
@@ -379,7 +379,7 @@ def _friction(interface: Interface) -> list[Variable]:
 
 
 def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
-    """Add the housing's flange; what follows the driven shaft's motion follows from the housing's as well."""
+    """Add the housing's flange; variables that depend on the driven shaft's motion depend on the housing's as well."""
     follows = {"flange_a.phi": "support.phi", "flange_a.w": "support.w"}
     found = [
         dataclasses.replace(v, depends=(*v.depends, *(other for name, other in follows.items() if name in v.depends)))
@@ -432,11 +432,11 @@ def variables(
     interface
         What the FMU offers.
     fmi_version
-        With "3.0" `time` and the arrays follow after the scalars of both.
+        With "3.0" `time` and the arrays follow the scalars of both versions.
     ratio
-        Angle of `flange_a` over that of `flange_b`; the pair's where None.
+        Angle of `flange_a` over that of `flange_b`; None for that of the pair.
     draws
-        Drives that the FMU holds besides the most likely one.
+        Number of drives in the FMU besides the most likely one.
     """
     flanges = _flanges(pair, interface)
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
@@ -480,9 +480,9 @@ def variables(
 
 
 def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
-    """Return what a native FMU has of the variables, by value reference.
+    """Return the variables of a native FMU, by value reference.
 
-    What its tables were made with is a constant, and nothing is known of single pins.
+    Values that are fixed in its tables are constants, and there are no values of single pins.
     """
     kept = {
         reference: dataclasses.replace(v, causality="local", variability="constant") if v.baked else v
@@ -497,10 +497,10 @@ def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
 
 
 def states(interface: Interface) -> tuple[str, ...]:
-    """Return the names of the continuous states that a native FMU has in Model Exchange, in their order.
+    """Return the names of a native FMU's continuous states in Model Exchange, in order.
 
-    With inertias inside the deviation is one in place of the output's angle, of which it is a millionth. A drive with a
-    support flange has none: it is for Co-Simulation alone.
+    With inertias inside the deviation is a state in place of the output's angle, of which it is a millionth. A drive
+    with a support flange has none: it is for Co-Simulation only.
     """
     if interface.kind == "kinematic" or interface.support_flange:
         return ()
@@ -522,7 +522,7 @@ _INDICATORS = {
 
 
 def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal["2.0", "3.0"]) -> dict[int, Variable]:
-    """Return the variables of a native FMU with what Model Exchange has besides, last.
+    """Return the variables of a native FMU, with those of Model Exchange last.
 
     Parameters
     ----------
@@ -556,7 +556,7 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
         for name in _strains(flange):
             add(name, f"strain of an element of the friction at flange_{end}", "rad", None, law.presliding_angle)
         for name, strain in zip(_strains(flange, "_rate"), _strains(flange), strict=True):
-            add(name, "how fast that goes", "rad/s", strain, 0.1, (*moving, strain))
+            add(name, "its derivative", "rad/s", strain, 0.1, (*moving, strain))
     depends = {
         "flange_a.tau": (*moving, *crank), "power_loss": (*moving, *crank, *output),
         "elastic_energy": (*contact, *crank, *output), "dissipated_energy": ("dissipated_energy",),

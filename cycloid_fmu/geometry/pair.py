@@ -1,7 +1,7 @@
-"""What a cycloid-pin gear pair is: geometry, profile modification, material and the errors that are stated of it.
+"""A cycloid-pin gear pair: geometry, profile modification, material and stated errors.
 
-The pair file `cycloid-pair/1` is read and written here; everything leaves this module in SI units. A pair is its
-values: its text is made from them, never kept from a file.
+The pair file `cycloid-pair/1` is read and written here; all values in this module are SI. A pair is its values: its
+text is generated from them, never kept from a file.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Modification(Config):
     Attributes
     ----------
     isometric
-        ΔR_rp, added to the generating pin's radius: > 0 removes material, everywhere alike.
+        ΔR_rp, added to the generating pin's radius: > 0 removes material, the same everywhere.
     offset
         ΔR_p, added to the generating circle's radius: < 0 removes material, > 0 adds it and makes the pair interfere.
     """
@@ -119,7 +119,7 @@ class _Geometry(Config):
 
 
 class _File(Config):
-    """A gear pair as drawn; `[errors]` states what was really made."""
+    """A gear pair as drawn; `[errors]` states the errors of the part."""
 
     pair: _Geometry
     modification: Modification = Modification()
@@ -132,8 +132,8 @@ class _File(Config):
 class Pair(Config):
     """A cycloid-pin gear pair, SI units, validated: it has one more pin than teeth and can be made and assembled.
 
-    It is its values: two pairs of the same values are equal, hash alike and have the same `text`, wherever they came
-    from. Lengths and other quantities are SI numbers or text with a unit, `0.064` or `"64 mm"`.
+    Pairs with the same values are equal and have the same hash and `text`, however they were made. Lengths and other
+    quantities are SI numbers or text with a unit, `0.064` or `"64 mm"`.
 
     Attributes
     ----------
@@ -152,9 +152,9 @@ class Pair(Config):
     discs
         Cycloid gears, evenly spread around the crank.
     output
-        What turns: the gear in the fixed ring, or the ring round the gear that only orbits.
+        The rotating part: the gear in the fixed ring, or the ring around the gear, which only orbits.
     rated_torque
-        At the output, N·m: the load where none is given, and what the loads of the lost motion are parts of.
+        At the output, N·m: the default load, and the reference of the loads for lost motion.
     contact_law
         "capped" bounds the flank's curvature radius in Hertz's logarithm by the pin circle radius.
     pressure_limit
@@ -162,18 +162,18 @@ class Pair(Config):
     modification, material
         Profile modification of the gear and the materials of both flanks.
     supports
-        What holds discs and carrier; None for rigid bearings.
+        Supports of discs and carrier; None for rigid bearings.
     temperature
         Of the bodies; None for the drawing's, 20 °C.
     expansion
-        By how much the bodies grow with it.
+        Coefficients of thermal expansion of the bodies.
     errors
-        What is stated of how it was really made, by the keys of a pair file's `[errors]`.
+        The stated errors, by the keys of a pair file's `[errors]`.
 
     Raises
     ------
     edge.InputError
-        If a value is missing, out of range or the pair can't be made; one sentence a problem, naming the value.
+        If a value is missing or out of range, or the pair can't be made; one sentence for each problem, with the value.
 
     Examples
     --------
@@ -219,7 +219,7 @@ class Pair(Config):
             raise ContradictionError(table, sentence)
 
     def replace(self, **changes: Any) -> Self:
-        """Return the pair with other values, validated as reading a file does.
+        """Return the pair with other values, validated as a file is.
 
         `isometric` and `offset` may be given directly; `errors` names those that change, the others are kept.
 
@@ -238,7 +238,7 @@ class Pair(Config):
 
     @functools.cached_property
     def places(self) -> dict[str, tuple[int, ...]]:
-        """Shape of what has one value each, by the words of `ErrorKind.of`: {"pin": (40,), …}."""
+        """Shapes of the arrays with one value each, by the words of `ErrorKind.of`: {"pin": (40,), …}."""
         found: dict[str, tuple[int, ...]] = {
             "drive": (), "pin": (self.pins,), "tooth": (self.discs, self.gear_teeth)
         }  # fmt: skip
@@ -254,17 +254,17 @@ class Pair(Config):
 
     @property
     def at_temperature(self) -> Pair:
-        """The pair as drawn, of the size that its discs have at their temperature; itself without temperatures."""
+        """The pair as drawn, with the sizes of its discs at their temperature; unchanged without temperatures."""
         return self if self.temperature is None else self.grown  # kept in itself a pair would never end to be compared
 
     @functools.cached_property
     def grown(self) -> Pair:
-        """What `at_temperature` makes of a pair with temperatures."""
+        """The pair with temperatures after `at_temperature`."""
         return thermal.at_temperature(self)
 
     @property
     def nominal(self) -> Self:
-        """The pair as drawn: without the errors that are stated of it."""
+        """The pair as drawn, without its stated errors."""
         return self.replace(errors=Errors()) if self.errors else self
 
     @functools.cached_property
@@ -284,7 +284,7 @@ class Pair(Config):
 
     @property
     def lost_motion_loads(self) -> list[float]:
-        """Torques between which the lost motion lies, + and - `LOST_MOTION_LOAD`, N·m; none without a rated torque."""
+        """Torques of the lost motion, + and - `LOST_MOTION_LOAD`, N·m; none without a rated torque."""
         rated = self.rated_torque
         return [] if rated is None else [LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
 
@@ -305,7 +305,7 @@ class Pair(Config):
 
 
 class ContradictionError(edge.InputError):
-    """Values that contradict each other, each possible by itself; `table` is theirs in a pair file."""
+    """Values that contradict each other, each possible alone; `table` is their table in a pair file."""
 
     def __init__(self, table: str, sentence: str) -> None:
         super().__init__(f"{sentence}.")
@@ -313,7 +313,7 @@ class ContradictionError(edge.InputError):
 
 
 def _contradictions(pair: Pair) -> list[tuple[str, str]]:
-    """Return why a pair can't be made or its errors not be its own: the table in a pair file, and a sentence."""
+    """Return the reasons why a pair or its errors are impossible: the table in a pair file, and a sentence."""
     if pair.pins != pair.gear_teeth + 1:
         teeth = pair.gear_teeth
         sentence = f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}"
@@ -327,7 +327,7 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
     most = max(LARGEST_DEVIATION, _LARGEST_SHARE * pair.pin_circle_radius)
     for name in Modification.model_fields:
         if abs(value := getattr(pair.modification, name)) > most:
-            limits = f"it must lie between -{most * 1e3:.6g} mm and {most * 1e3:.6g} mm in this size"
+            limits = f"it must be between -{most * 1e3:.6g} mm and {most * 1e3:.6g} mm in this size"
             return [("modification", f"{name} = {_mm(value)}: {limits}")]
     k = pair.shortening
     if k >= 1.0:
@@ -370,11 +370,13 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
             continue
         rows = stated if isinstance(stated[0], tuple) else (stated,)
         if isinstance(stated[0], tuple) and len(stated) != pair.discs:
-            found.append(("errors", f"{kind.file_key} has {len(stated)} lists; it needs one a disc, {pair.discs}"))
+            sentence = f"{kind.file_key} has {len(stated)} lists; it needs one for each disc, {pair.discs}"
+            found.append(("errors", sentence))
         count = kind.shape(pair)[-1]
         for row in rows:
             if len(row) != count:
-                sentence = f"{kind.file_key} has {len(row)} values; it needs one a {kind.of.replace('_', ' ')}, {count}"
+                what = kind.of.replace("_", " ")
+                sentence = f"{kind.file_key} has {len(row)} values; it needs one for each {what}, {count}"
                 found.append(("errors", sentence))
     return found
 
@@ -405,7 +407,7 @@ def _contradictions_of_supports(pair: Pair) -> list[tuple[str, str]]:
 
 
 def _zeros(errors: Mapping[str, Any]) -> dict[str, Any]:
-    """Errors that are taken back: those whose new value is zero."""
+    """Return the errors to remove: those whose new value is zero."""
     return {key: value for key, value in errors.items() if key not in Errors(errors)}
 
 
@@ -417,7 +419,7 @@ def smallest_convex_radius(circle_radius: float, eccentricity: float, pins: int)
     """Smallest convex curvature radius of the path of the pin's centre in the gear, m; infinite where none is convex.
 
     With K = e z_p/R the radius is R S³/(1 + z_p K² - K (z_p + 1) cos φ). Its minimum is where the derivative vanishes,
-    cos φ = (K²(2 z_p - 1) + 2 - z_p)/(K (z_p + 1)), or at the tip (cos φ = -1) where that lies outside.
+    cos φ = (K²(2 z_p - 1) + 2 - z_p)/(K (z_p + 1)), or at the tip (cos φ = -1) if that is outside.
     """
     k = eccentricity * pins / circle_radius
     stationary = (k * k * (2.0 * pins - 1.0) + 2.0 - pins) / (k * (pins + 1.0))
@@ -443,7 +445,7 @@ _SHOWN_UNITS = {
 
 
 def _written(value: float, si: str) -> str:
-    """Write a quantity so that reading it gives the same number, in the unit of drawings where that can be."""
+    """Write a quantity so that reading it gives the same number, in the unit of drawings where possible."""
     value += 0.0  # -0 is 0
     units = _SHOWN_UNITS[si]
     for unit in reversed(units) if 0.0 < abs(value) < 1e-4 else units:
@@ -518,13 +520,13 @@ def parse_pair(text: str, source: str) -> Pair:
     Raises
     ------
     edge.InputError
-        If it is not a valid pair; one sentence a problem, naming field, value and file.
+        If it is not a valid pair; one sentence for each problem, with field, value and file.
     """
     return pair_of_tables(edge.toml_table(text, FORMAT, source), source)
 
 
 def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
-    """Return the pair that a file's tables describe; an `edge.InputError` names what is wrong in them."""
+    """Return the pair that a file's tables describe; an `edge.InputError` names the invalid entries."""
     tables = dict(tables)
     stated = tables.pop("errors", {})
     if not isinstance(stated, Mapping):
@@ -541,11 +543,11 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
 
 
 def read_pair(path: str | os.PathLike[str]) -> Pair:
-    """Return the pair of a pair file; an `edge.InputError` names what is wrong in it."""
+    """Return the pair of a pair file; an `edge.InputError` names the invalid entries."""
     return parse_pair(edge.read_text(path), str(path))
 
 
 def write_pair(pair: Pair, path: str | os.PathLike[str]) -> None:
-    """Write a pair file that `read_pair` reads as an equal pair, whole or not at all."""
+    """Write a pair file that `read_pair` reads as an equal pair; never a partial file."""
     with edge.written_whole(path) as temporary:
         temporary.write_text(pair.text, encoding="utf-8")

@@ -56,8 +56,8 @@ def flank_normals(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
 def flank_curvature(pair: Pair, alpha: ArrayLike) -> Array:
     """Curvature 1/ρ_c of the nominal flank, > 0 convex, 1/m, the shape of `alpha`.
 
-    The generating pin's centre moves on a path of curvature (1 + z_p K² - K (z_p + 1) cos z_c α)/(R S³); the flank lies
-    r inside it, so 1/ρ_c = κ/(1 - r κ).
+    The generating pin's centre moves on a path of curvature (1 + z_p K² - K (z_p + 1) cos z_c α)/(R S³); the flank is r
+    inside it, so 1/ρ_c = κ/(1 - r κ).
     """
     a = np.asarray(alpha, dtype=float)
     k, g = pair.shortening, pair
@@ -69,7 +69,7 @@ def flank_curvature(pair: Pair, alpha: ArrayLike) -> Array:
 
 
 def flank_speed(pair: Pair, alpha: ArrayLike) -> Array:
-    """Arc length of the nominal flank for each radian of the profile parameter, m, the shape of `alpha`.
+    """Arc length of the nominal flank per radian of the profile parameter, m, the shape of `alpha`.
 
     The generating pin's centre runs at R S; the flank r inside its path is 1 - r κ = 1/(1 + r/ρ_c) as long.
     """

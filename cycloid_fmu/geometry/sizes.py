@@ -1,7 +1,7 @@
-"""How large the parts of a drive can be: a length beyond these limits has slipped by a unit.
+"""Limits of the sizes of a drive: a length beyond them has a wrong unit.
 
-The drives that catalogues and papers show have pin circles of some 10 mm to some 500 mm radius. The limits, chosen
-here, lie a decade beyond: a usual drive's length in metres or micrometres instead of millimetres is outside.
+Drives in catalogues and papers have pin circles of about 10 mm to 500 mm radius. The limits, chosen here, are a decade
+beyond: a usual length in metres or micrometres instead of millimetres is outside.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from cycloid_fmu.edge.quantities import EXAMPLES
 
 
 def _between(least: float, most: float) -> tuple[pydantic.AfterValidator, Any]:
-    """Return what makes a length one that lies between two, m."""
+    """Return the validator of a length between two limits, m."""
     low, high = (format_quantity(limit, "m", "mm" if limit < 1.0 else "m") for limit in (least, most))
 
     def check(value: float) -> float:
         if not least <= value <= most:
-            raise ValueError(f"it must lie between {low} and {high}")
+            raise ValueError(f"it must be between {low} and {high}")
         return value
 
     said: dict[str, Any] = {"quantity": EXAMPLES["m"], "si": "m", "limits": f"{low} … {high}"}
@@ -28,7 +28,7 @@ def _between(least: float, most: float) -> tuple[pydantic.AfterValidator, Any]:
 
 
 CircleRadius = Annotated[Length, *_between(1e-3, 5.0)]
-"""Of pins, cranks or output rollers, and of what else stands on such a circle."""
+"""Radius of the circle of pins, cranks, output rollers or similar parts."""
 PinRadius = Annotated[Length, *_between(20e-6, 0.5)]
 Eccentricity = Annotated[Length, *_between(10e-6, 0.25)]
 Width = Annotated[Length, *_between(0.1e-3, 2.0)]

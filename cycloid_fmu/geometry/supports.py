@@ -1,4 +1,4 @@
-"""What holds discs and carrier: bearings, cranks or output rollers, as a pair file's `[supports]` states them."""
+"""Supports of discs and carrier: bearings, cranks or output rollers, as in a pair file's `[supports]`."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class Bearing(Config):
     roller_length
         Their effective length, m.
     rigid
-        Whether it does not give way at all, as a bearing that states nothing.
+        Whether it is rigid, as a bearing without stated stiffness.
     clearance
-        Diametral: the radial displacement begins to press at half of it, m.
+        Diametral: contact begins at a radial displacement of half of it, m.
     dynamic_capacity
-        Basic dynamic radial load rating C of ISO 281, N, for its life; None where no one asks.
+        Basic dynamic radial load rating C of ISO 281, N, for its life; None if not needed.
     raceway_diameter
         Of the outer raceway, m: with it the clearance follows the temperatures of the bodies around the rollers.
 
@@ -71,7 +71,7 @@ class Bearing(Config):
 
     @property
     def is_rigid(self) -> bool:
-        """Whether it does not give way."""
+        """Whether it is rigid."""
         return self.stiffness is None and self.rollers is None
 
     @pydantic.model_validator(mode="after")
@@ -94,9 +94,9 @@ class OutputRoller(Config):
     stiffness
         Of one roller in one disc's hole, N/m.
     rigid
-        Whether it does not give way, as one that states no stiffness.
+        Whether it is rigid, as a roller without stated stiffness.
     clearance
-        Twice what the hole's radius is larger than the roller's and the eccentricity, m.
+        Twice the difference of the hole's radius and the sum of roller radius and eccentricity, m.
     radius
         Of a roller, m: with it the clearance follows the temperatures of discs and carrier.
     """
@@ -116,12 +116,12 @@ class OutputRoller(Config):
 
 
 class PinSeat(Config):
-    """How the ring holds each pin.
+    """The seat of each pin in the ring.
 
     Attributes
     ----------
     stiffness_per_width
-        Of a pin in its seat, N/m for each m of face width; None where it is rigid.
+        Of a pin in its seat, N/m per m of face width; None if it is rigid.
     clearance
         Diametral, m.
     """
@@ -131,7 +131,7 @@ class PinSeat(Config):
 
 
 class Supports(Config):
-    """What holds discs and carrier (docs/theory/supports.md); what is not stated is rigid.
+    """Supports of discs and carrier (docs/theory/supports.md); parts that are not stated are rigid.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class Supports(Config):
     count
         Cranks, or output rollers.
     circle_radius
-        Of the circle on which they stand, a, m.
+        Radius of their circle, a, m.
     first_angle
         Of the first one from +x at crank angle 0, ψ_0, rad.
     turning_arm
@@ -155,8 +155,8 @@ class Supports(Config):
     pin_seat
         The pins in the ring.
     catalogue_stiffness
-        Torsional stiffness at the output that a catalogue or a bench states, N·m/rad: shown beside the model's, which
-        leaves out how shafts, bodies and housing bend. Not part of the model.
+        Torsional stiffness at the output from a catalogue or a bench, N·m/rad: shown next to that of the model, which
+        neglects the bending of shafts, bodies and housing. Not part of the model.
 
     Examples
     --------
@@ -196,12 +196,12 @@ class Supports(Config):
 
     @property
     def largest_clearance(self) -> float:
-        """Largest diametral clearance that may be stated, m: 0.2 mm, or of large drives a share of their radius."""
+        """Largest permitted diametral clearance, m: 0.2 mm, or a share of the radius of large drives."""
         return max(_SMALL_CLEARANCE, _CLEARANCE_SHARE * self.circle_radius)
 
     @property
     def cranks(self) -> int:
-        """Crank shafts: the count of them, or the one of output rollers."""
+        """Number of crank shafts; 1 with output rollers."""
         return self.count if self.kind == "cranks" else 1
 
     def grown(self, bearing: str, growth: float) -> Supports:
@@ -210,7 +210,7 @@ class Supports(Config):
         Raises
         ------
         edge.InputError
-            If they state no such bearing, it is rigid, or its clearance leaves what may be stated.
+            If there is no such bearing, it is rigid, or its clearance becomes too large.
         """
         stated = getattr(self, bearing, None) if bearing in BEARINGS else None
         if stated is None or stated.is_rigid:

@@ -1,8 +1,8 @@
-"""A drive's bodies at their temperatures: by what they grow, and what that makes of a pair.
+"""A drive's bodies at their temperatures: thermal strains, and the resulting pair.
 
-Each body has one temperature and grows alike in all directions (docs/theory/temperature.md). A disc keeps its form, so
-a pair at temperature is the pair of its grown discs; ring, pins, crank and carrier stand off it by displacements, as
-errors do.
+Each body has one temperature and expands equally in all directions (docs/theory/temperature.md). A disc keeps its form,
+so a pair at temperature is the pair of its expanded discs; ring, pins, crank and carrier are displaced from it, as by
+errors.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ Coefficient = Annotated[edge.ThermalExpansion, pydantic.AfterValidator(_expansio
 
 
 class Temperatures(Config):
-    """Temperatures of a drive's bodies; what is not stated is at 20 °C, where the drawing's sizes hold (ISO 1).
+    """Temperatures of a drive's bodies; bodies that are not stated are at 20 °C, the reference of the drawing (ISO 1).
 
     Attributes
     ----------
     ring
         Of the pin ring and the housing: the pin circle, the pins' seats, the seats of the main bearing.
     pins
-        The ring's where left out.
+        Default: that of the ring.
     discs
         Of the cycloid gears: flanks with their modification, holes for cranks or output rollers.
     carrier
@@ -90,7 +90,7 @@ class Temperatures(Config):
 
 
 class Expansions(Config):
-    """Coefficients of linear thermal expansion of a drive's bodies, steel's (ISO 3650) where left out.
+    """Coefficients of linear thermal expansion of a drive's bodies; default: steel (ISO 3650).
 
     Attributes
     ----------
@@ -114,14 +114,14 @@ class Expansions(Config):
 
 
 def parse_temperatures(text: str, before: Temperatures | None = None) -> Temperatures:
-    """Return the temperatures that a text such as "ring = 50 degC, discs = 60 degC" states, or "60 degC" of all bodies.
+    """Return the temperatures in a text such as "ring = 50 degC, discs = 60 degC", or "60 degC" for all bodies.
 
     Parameters
     ----------
     text
         Bodies with their temperatures, or one temperature.
     before
-        Those of bodies that it does not name; 20 °C without.
+        Temperatures of bodies that it does not name; default 20 °C.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def parse_temperatures(text: str, before: Temperatures | None = None) -> Tempera
 
 
 def strains(pair: Pair) -> dict[str, float]:
-    """Return what each body has grown by since 20 °C, as a share of its lengths, 0 without temperatures."""
+    """Return the thermal strain of each body from 20 °C, 1; 0 without temperatures."""
     at = pair.temperature
     if at is None:
         return dict.fromkeys(BODIES, 0.0)
@@ -161,7 +161,7 @@ def strains(pair: Pair) -> dict[str, float]:
 
 
 def displaced_by_temperature(pair: Pair) -> dict[str, Any]:
-    """Return by what bodies other than the discs stand off `at_temperature`, by the names of `errors.kinds`, m.
+    """Return the displacements of bodies other than the discs from `at_temperature`, by the names of `errors.kinds`, m.
 
     Empty without temperatures.
     """
@@ -182,15 +182,15 @@ def displaced_by_temperature(pair: Pair) -> dict[str, Any]:
 
 
 def at_temperature(pair: Pair) -> Pair:
-    """Return the pair whose sizes are its discs' at their temperature, with the clearances of all, at 20 °C by itself.
+    """Return the pair with the sizes of its discs and all clearances at temperature, as a pair at 20 °C.
 
-    Modifications and the eccentricity of the flanks are the discs' too. Lengths along the axis stay as drawn, and so do
-    errors. A bearing's clearance follows its bodies where it states its raceway; rollers are at the inner one's.
+    Modifications and the eccentricity of the flanks are those of the discs too. Axial lengths and errors stay as drawn.
+    A bearing's clearance follows its bodies where it states its raceway; rollers are at the inner one's.
 
     Raises
     ------
     edge.InputError
-        If bodies grow so that they do not go together any more, one sentence.
+        If the expanded bodies no longer fit together, one sentence.
     """
     if pair.temperature is None:
         return pair
@@ -230,7 +230,7 @@ def _open(name: str, clearance: float) -> float:
 
 
 def _check_rigid(pair: Pair, by: dict[str, float]) -> None:
-    """Refuse rigid bearings that hold bodies which grow unlike each other."""
+    """Refuse rigid bearings between bodies with different expansion."""
     supports = pair.supports
     assert supports is not None
     if supports.kind == "cranks":
@@ -246,7 +246,7 @@ def _check_rigid(pair: Pair, by: dict[str, float]) -> None:
 
 
 def missing_for_clearances(pair: Pair) -> list[str]:
-    """Return the sizes that are not stated, and without which a clearance between unlike bodies stays as drawn."""
+    """Return the missing sizes without which a clearance between bodies of different expansion stays as drawn."""
     supports = pair.supports
     if supports is None or pair.temperature is None:
         return []

@@ -58,9 +58,9 @@ class Platform:
     Attributes
     ----------
     folders
-        Its folder under `binaries/` in FMI 2.0 and 3.0; "" where FMI does not know it.
+        Its folder under `binaries/` in FMI 2.0 and 3.0; "" if FMI does not define it.
     target
-        As `zig cc -target` wants it: Linux no newer than GLIBC 2.17, macOS from 11.
+        Argument of `zig cc -target`: Linux no newer than GLIBC 2.17, macOS from 11.
     suffix
         Of a shared library.
     """
@@ -86,7 +86,7 @@ def platforms_of(version: Version) -> tuple[str, ...]:
 
 
 def checked_platforms(platforms: Sequence[str], version: Version) -> tuple[str, ...]:
-    """Return platforms once each, all of an FMI version where there are none.
+    """Return platforms once each; if there are none, all of an FMI version.
 
     Raises
     ------
@@ -102,20 +102,20 @@ def checked_platforms(platforms: Sequence[str], version: Version) -> tuple[str, 
 
 
 def this_platform() -> str:
-    """Return the name of the platform that this runs on, as a key of `PLATFORMS` where it is one."""
+    """Return the name of this platform, a key of `PLATFORMS` if supported."""
     machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
     return f"{machine}-{platform.system().lower()}"
 
 
 def headers() -> Path:
-    """Return the folder of FMI's C headers, which fmpy brings along."""
+    """Return the folder of FMI's C headers, which are part of fmpy."""
     import fmpy
 
     return Path(fmpy.__file__).parent / "c-code"
 
 
 def _compiler(name: str) -> list[str]:
-    """Command that compiles for a platform: zig; for this machine what CC names, or without zig the system's own."""
+    """Command that compiles for a platform: zig; for this machine that of CC, or without zig the system's compiler."""
     if name not in PLATFORMS:
         raise ArgumentError("platforms", f"this is none of {', '.join(PLATFORMS)}", name)
     given = os.environ.get("CC", "")
@@ -130,13 +130,13 @@ def _compiler(name: str) -> list[str]:
 
 
 def windows_headers() -> Path:
-    """Return the folder of zig's Windows headers, which it offers only along with mingw's library."""
+    """Return the folder of zig's Windows headers, which are available only with mingw's library."""
     (zig,) = importlib.util.find_spec("ziglang").submodule_search_locations  # type: ignore[union-attr, misc]
     return Path(zig, "lib", "libc", "include", "any-windows-any")
 
 
 def windows_runtime(*more: str) -> list[str]:
-    """Return what zig compiles and links for Windows in place of mingw's library, which takes minutes to compile.
+    """Return the sources and libraries for zig on Windows in place of mingw's library, which takes minutes to compile.
 
     The C runtime is Windows' own (the Universal CRT, part of it since Windows 10), but sine, cosine, exponential and
     logarithm are those of zig's compiler runtime.
@@ -144,7 +144,7 @@ def windows_runtime(*more: str) -> list[str]:
     Parameters
     ----------
     more
-        Names of its parts that a program needs beside the library's, such as "time".
+        Further parts of it that a program needs, such as "time".
     """
     parts = ("stdio", "heap", "string", "private", "math", *more)
     return [
@@ -154,18 +154,18 @@ def windows_runtime(*more: str) -> list[str]:
 
 
 def _source_files() -> dict[str, bytes]:
-    """Return what is compiled, by name: our sources and FMI's headers."""
+    """Return the compiled files, by name: our sources and FMI's headers."""
     files = (*sorted(SOURCE_FOLDER.glob("*.[ch]")), *sorted(headers().glob("fmi[23]*.h")))
     return {**{path.name: path.read_bytes() for path in files}, "constants.h": constants_header()}
 
 
 def binary(name: str) -> bytes:
-    """Return the shared library for a platform, which depends on no drive, as `library` does."""
+    """Return the shared library for a platform, which does not depend on the drive, as `library` does."""
     return library(name, _source_files(), SOURCES)
 
 
 def library(name: str, files: Mapping[str, bytes], sources: Sequence[str]) -> bytes:
-    """Return a shared library for a platform, compiled unless that was done before.
+    """Return a shared library for a platform, compiled if it is not in the cache.
 
     It is kept in the user's cache folder under the hash of its source and compiler.
 
@@ -176,7 +176,7 @@ def library(name: str, files: Mapping[str, bytes], sources: Sequence[str]) -> by
     files
         Sources and headers, by name.
     sources
-        Which of them are compiled.
+        Names of the sources to compile.
 
     Raises
     ------
@@ -304,7 +304,7 @@ def build_description(identifier: str, sources: Sequence[str]) -> Element:
 
 
 def _check_size(draws: int, size: int) -> None:
-    """Refuse draws whose tables, each of a size in bytes, take more than `MOST_BYTES`."""
+    """Refuse draws whose tables, each of the given size in bytes, take more than `MOST_BYTES`."""
     if (1 + draws) * size > MOST_BYTES:
         text = f"tables of {size / 1e6:.3g} MB each would take more than {MOST_BYTES / 1e6:.0f} MB"
         raise ArgumentError("draws", f"{text}; this drive's FMU has room for {MOST_BYTES // size - 1}", draws)
@@ -315,7 +315,7 @@ def _larger(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, floa
 
 
 def _erring_as_both(made: tables.Tables, other: tables.Tables) -> tables.Tables:
-    """Return tables with what they or others err by, whichever is more."""
+    """Return tables with the larger errors of them and others."""
     errors, others = made.errors, other.errors
     if errors is not None and others is not None:
         errors = tables.Errors(
@@ -343,30 +343,30 @@ def build_native(
     compiled: Callable[[str], None] = lambda name: None,
     drawing: Callable[[int], None] = lambda number: None,
 ) -> tables.Tables:
-    """Write an FMU for Model Exchange and Co-Simulation that needs no Python, whole or not at all; returns its tables.
+    """Write an FMU for Model Exchange and Co-Simulation that needs no Python, never a partial file; return its tables.
 
     Parameters
     ----------
     drive, path, surface, interface, fmi_version, draws, seed
         As of `cycloid_fmu.fmu.build.build_fmu`.
     platforms
-        Keys of `PLATFORMS`; all that the FMI version knows where empty.
+        Keys of `PLATFORMS`; if empty, all of the FMI version.
     largest_torque
-        How far the tables reach, N·m; 2.5 times the rated torque where None. Beyond they have no stated accuracy.
+        Largest torque of the tables, N·m; None for 2.5 times the rated torque. Beyond, they have no stated accuracy.
     made
-        Tables of this drive; where None those that are kept of it (`table_cache`), else they are computed.
+        Tables of this drive; None for those in the cache (`table_cache`), or computed ones.
     workers, total, progress
         As of `tables.compute`.
     compiled
-        Told each platform whose library is there.
+        Called with each platform whose library is ready.
     drawing
-        Told each draw before its tables are made.
+        Called with each draw before its tables are computed.
 
     Raises
     ------
     edge.InputError
-        If the folder does not exist, a platform can't be built for, the interface is none of this drive, or its draws
-        can't be made or would take more than `MOST_BYTES`.
+        If the folder does not exist, a platform can't be built for, the interface is not available for this drive, or
+        its draws can't be made or would take more than `MOST_BYTES`.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
     if (ageing := None if surface.life is None else surface.life.ageing) and ageing.bearing and pair.supports:

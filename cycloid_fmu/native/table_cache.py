@@ -1,7 +1,8 @@
-"""Tables that were made before, in the user's cache folder: all FMUs of one drive have the same.
+"""Cache of tables in the user's cache folder: all FMUs of one drive share them.
 
-A file's name is the hash of the drive, of what was asked of its tables and of the code that made them; its first bytes
-are the hash of the rest. One that does not fit, or can't be read, is made anew; the oldest go when all take too much.
+A file's name is the hash of the drive, the settings of its tables and the code that made them; its first bytes are the
+hash of the rest. A file that does not match or can't be read is made again; the oldest are removed when all take too
+much space.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _SCALARS = ("ratio", "period", "allowed", "largest_error")
 
 
 def tables_of(pair: Pair, surface: ErrorSurface, *, largest_load: float | None = None, **making: Any) -> Tables:
-    """Return the tables of a drive: those that were kept, else those that `tables.compute` makes, which are kept.
+    """Return the tables of a drive from the cache, or by `tables.compute`, which are then stored.
 
     Parameters are those of `tables.compute`.
     """
@@ -66,7 +67,7 @@ def _makers() -> str:
 
 
 def _tidy(kept: Path) -> None:
-    """Remove what was not used for longest where all take more than `_MOST_BYTES`."""
+    """Remove the least recently used files if all take more than `_MOST_BYTES`."""
     files = sorted(((p.stat(), p) for p in kept.glob("*.tables")), key=lambda one: -one[0].st_mtime_ns)
     room = _MOST_BYTES
     for status, path in files:

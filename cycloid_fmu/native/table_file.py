@@ -1,9 +1,9 @@
-"""What the C of a native FMU and this package share: the file of tables, and the numbers of `constants.h`.
+"""Data shared by the C code of a native FMU and this package: the file of tables, and the numbers of `constants.h`.
 
 The file, little endian: magic, version, size of the rest and two sums of its words; then the FMU's token, interface and
-variables; ratio, period, what stands before the drive, torques; and of each direction, crank angle and load the
-deviation, its derivative by the load, the square of the largest pressure (each in whole steps of 16 bits) and the
-contact count. C uses them where they lie, once the deviation's differences from angle to angle are summed.
+variables; ratio, period, first stage, torques; and for each direction, crank angle and load the deviation, its
+derivative by the load, the square of the largest pressure (each in whole steps of 16 bits) and the contact count. C
+uses them in place, once the deviation's differences from angle to angle are summed.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _FIELDS = (
 
 
 def of_draw(number: int) -> str:
-    """Return the name of a draw's file in the resources; 0 is the most likely drive's."""
+    """Return the name of a draw's file in the resources; 0 for the most likely drive."""
     return f"{TABLE}{number or ''}"
 
 
@@ -90,12 +90,12 @@ def write(
     token
         The FMU's `guid` or `instantiationToken`.
     first_stage
-        What makes the drive an RV reducer.
+        The first stage of an RV reducer.
 
     Raises
     ------
     ValueError
-        If values lie further apart than 16 bits count steps.
+        If the range of values exceeds 16 bits.
     """
     offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
     body = bytearray(struct.pack("<II", offered, len(variables)))
@@ -137,7 +137,7 @@ def named(file: bytes, token: str) -> bytes:
 
 
 def _padding(body: Sized) -> bytes:
-    """Return what makes a whole number of 8 bytes."""
+    """Return the padding to a multiple of 8 bytes."""
     return bytes(-len(body) % 8)
 
 
@@ -146,7 +146,7 @@ def _last(token: str) -> bytes:
 
 
 def sealed(body: bytes) -> bytes:
-    """Return what a file holds behind its head, of a whole number of words, with the head."""
+    """Return the content of a file, of a whole number of words, with its head."""
     words = np.frombuffer(body, "<u4").astype(np.uint64)
     sums = int(words.sum()), int(np.cumsum(words).sum())
     return HEAD.pack(_MAGIC.encode(), constants.TABLE_VERSION, len(body), *sums) + body
@@ -158,7 +158,7 @@ def _text(text: str) -> bytes:
 
 
 def _field(variable: Variable) -> int:
-    """What a variable is in the C model; -1 where the tables have it in them."""
+    """Field of a variable in the C model; -1 if it is fixed in the tables."""
     cell = re.fullmatch(r"loss_table\[(\d+),(\d+)\]", variable.name)
     if cell:
         return _FIELDS.index("loss_table") + (int(cell[1]) - 1) * constants.LOSS_COLUMNS + int(cell[2]) - 1

@@ -1,13 +1,13 @@
 """Tables of the exact contact model, for FMUs that run without it.
 
-One function of crank angle θ and torque T holds everything: the deviation x(θ, T) of the output at rest under load. On
-each side of zero torque it is, over t = |T|, the cubic Hermite interpolation of deviations and compliances at chosen
-torques, and over θ a periodic cubic B-spline. With the energy at zero torque V_0(θ), 0 where there is play,
+Everything follows from one function of crank angle θ and torque T: the deviation x(θ, T) of the output at rest under
+load. On each side of zero torque it is, over t = |T|, the cubic Hermite interpolation of deviations and compliances at
+chosen torques, and over θ a periodic cubic B-spline. With the energy at zero torque V_0(θ), 0 where there is play,
 
     G(θ, T) = ∫_0^T x dT - V_0(θ),    φ_b - φ_a/ratio = ∂G/∂T,    τ_a = -T/ratio - ∂G/∂θ,
 
-so that the torques of both flanges are the derivatives of one elastic energy, T x - G (Legendre), whatever the table's
-own error, and no path makes or loses energy. Between the two sides at zero torque lies the play.
+so that the torques of both flanges are the derivatives of one elastic energy, T x - G (Legendre), for any error of the
+table, and no path generates or loses energy. Between the two sides at zero torque is the play.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ PROBES = 20000  # random crank angles and torques at which the finished tables a
 
 @dataclass(frozen=True)
 class Side:
-    """One direction of torque; mirrored, so that everything grows with the load.
+    """One direction of torque; mirrored, so that everything increases with the load.
 
     Attributes
     ----------
@@ -85,10 +85,10 @@ class Side:
         Spline coefficients of the largest contact pressure's square there, shape (told loads, told angles), Pa²:
         force, so nearly linear in the load.
     steps
-        What deviation, compliance and pressure of each load are whole multiples of.
+        Quantisation steps of deviation, compliance and pressure of each load.
     far
         Load beyond the last, N·m, and coefficients of the deviation and of the compliance there, each of shape
-        (angles,): between lies a last cell, of no stated accuracy, and beyond it all goes on along the tangent.
+        (angles,): in between is a last cell, of no stated accuracy, and beyond it the tangent continues.
     """
 
     load: Array
@@ -102,7 +102,7 @@ class Side:
 
 
 class States(NamedTuple):
-    """What a drive does at crank angles and torques, arrays of one shape; NaN is what an exact model does not say.
+    """State of a drive at crank angles and torques, arrays of one shape; NaN where the exact model has no value.
 
     Attributes
     ----------
@@ -126,16 +126,16 @@ class States(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """What tables err by at random crank angles and torques from `TOLD_FROM` of the largest on.
+    """Errors of tables at random crank angles and torques from `TOLD_FROM` of the largest on.
 
     Attributes
     ----------
     stiffness, pressure
-        Of themselves: what `MOST_STATES` err by at most, and the largest.
+        Relative errors: the largest of `MOST_STATES`, and the largest.
     speed
-        Rms error of the output's speed at constant crank speed and torque, of the rms of its ripple.
+        Rms error of the output's speed at constant crank speed and torque, relative to the rms of its ripple.
     crank_torque
-        Of torque over ratio: rms, and the largest.
+        Errors relative to torque over ratio: rms, and the largest.
     """
 
     stiffness: tuple[float, float]
@@ -153,18 +153,18 @@ class Tables:
     ratio
         φ_a/φ_b of the ideal drive.
     period
-        Crank angle after which all repeats, rad; the nodes divide it evenly.
+        Crank angle after which the drive repeats, rad; the nodes divide it evenly.
     positive, negative
         The two directions of torque.
     rest_torque
-        Spline coefficients of the crank's torque at zero load, which interference gives it, shape (angles,), N·m.
+        Spline coefficients of the crank's torque at zero load, due to interference, shape (angles,), N·m.
     allowed
-        What the deviation may err, rad.
+        Allowed error of the deviation, rad.
     largest_error
-        What the deviation was found to err by at random crank angles and torques, and ever closer around those where
-        it errs most, rad.
+        Largest error of the deviation at random crank angles and torques, and increasingly close to the largest errors,
+        rad.
     errors
-        What the rest was found to err by, at places that nothing was chosen by.
+        Errors of the other quantities, at places not used for refinement.
     """
 
     ratio: float
@@ -198,9 +198,9 @@ class Tables:
 
 
 def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
-    """Return after how many mesh pitches all repeats: 1 where all parts are alike, up to z_c z_p of unequal ones.
+    """Return the period of the drive in mesh pitches: 1 for equal parts, up to z_c z_p for different ones.
 
-    Cranks or output rollers stand anew, as teeth do, after z_c over what divides both their count and z_c.
+    Cranks or output rollers repeat after z_c over the greatest common divisor of their count and z_c.
     """
     teeth_alike, pins_alike = alike(surface)
     turn = 1 if teeth_alike else pair.gear_teeth
@@ -210,7 +210,7 @@ def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
 
 
 def _evenly_held(surface: ErrorSurface) -> bool:
-    """Whether cranks or output rollers, their eccentrics and holes have no errors, and so are alike."""
+    """Whether cranks or output rollers, their eccentrics and holes have no errors, and so are equal."""
     kinds = kinds_of(surface.pair).items()
     return not any(np.any(surface.errors[name]) for name, kind in kinds if EACH_SUPPORT.keys() & kind.displaces)
 
@@ -298,7 +298,7 @@ def _middle(low: float, high: float) -> float:
 def _chosen_loads(
     pair: Pair, surface: ErrorSurface, direction: float, largest: float, angles: Array, allowed: float
 ) -> Array:
-    """Return loads between which Hermite's interpolation errs by no more than allowed: cells are halved until then."""
+    """Return loads between which Hermite's interpolation is within the allowed error: cells are halved until then."""
 
     def at(load: float, following: float) -> tuple[Array, Array]:
         one = _solved(pair, surface, direction, np.array([load, following] if load == 0.0 else [load]), angles)
@@ -330,18 +330,18 @@ def _chosen_loads(
 
 
 def _joined(parts: Sequence[_Solved], order: NDArray[np.int64], axis: int) -> _Solved:
-    """Put loads (axis 0) or crank angles (axis 1) solved one after another in their order."""
+    """Sort loads (axis 0) or crank angles (axis 1) that were solved one after another."""
     channels = zip(*parts, strict=True)
     return _Solved(*(np.take(np.concatenate(channel, axis), order, axis) for channel in channels))
 
 
 def _with_angles(coarse: _Solved, between: _Solved) -> _Solved:
-    """Put the crank angles midway after those before them."""
+    """Insert the midway crank angles."""
     return _joined([coarse, between], np.arange(2 * coarse.deviation.shape[1]).reshape(2, -1).T.ravel(), 1)
 
 
 def _with_loads(kept: _Solved, kept_loads: Array, solved: _Solved, loads: Array) -> _Solved:
-    """Put loads among those that are kept."""
+    """Insert loads."""
     return _joined([kept, solved], np.argsort(np.append(kept_loads, loads)), 0)
 
 
@@ -351,11 +351,11 @@ def _coefficients(values: Array | Array32) -> Array:
 
 
 def _side(loads: Array, exact: _Solved, far: tuple[float, _Solved], step: float, told: int) -> Side:
-    """Turn nodes into coefficients that are monotone in the load for every crank angle, rounded as they are stored.
+    """Convert nodes to coefficients that are monotone in the load for every crank angle, rounded as stored.
 
     Where the coefficients satisfy Fritsch and Carlson's condition (SIAM J. Numer. Anal. 17 (1980) 238), every spline
     between them does, for a B-spline's weights are positive. Count and pressure are kept at every `told`th node. Both
-    directions have one step of the deviation.
+    directions have the same step of the deviation.
     """
     some = np.unique(np.round(np.linspace(0, loads.size - 1, _TOLD_LOADS)).astype(int))
     square, count = exact.pressure[some, ::told], exact.contact_count[some, ::told]
@@ -382,9 +382,9 @@ def _side(loads: Array, exact: _Solved, far: tuple[float, _Solved], step: float,
 def _far_end(
     last: float, deviation: Array, compliance: Array, load: float, exact: _Solved
 ) -> tuple[float, Array, Array]:
-    """Return the end of the cell beyond the last load, its tangent one for all crank angles: none changes beyond it.
+    """Return the end of the cell beyond the last load, with one tangent for all crank angles.
 
-    What a tangent changes with the angle makes a crank torque that grows with the square of what is beyond.
+    A tangent that changes with the angle would cause a crank torque that grows with the square of the excess.
     """
     x = np.maximum(_coefficients(exact.deviation[0]), deviation + compliance * (load - last) / 3.0)
     c = min(float(exact.compliance.mean()), 3.0 * float((x - deviation).min()) / (load - last))
@@ -392,7 +392,7 @@ def _far_end(
 
 
 def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
-    """Crank torque at zero load, where interference presses the contacts; its mean, which is no energy's, is 0."""
+    """Crank torque at zero load, where interference presses the contacts; its mean is 0, as no energy is gained."""
     if pair.supports is not None:
         return np.zeros(angles.size)
     slices = slices_needed(surface)
@@ -421,21 +421,21 @@ def compute(
     total: Callable[[int], None] = lambda angles: None,
     progress: Callable[[int], None] = lambda angles: None,
 ) -> Tables:
-    """Make the tables of a drive, with as many nodes as an accuracy needs.
+    """Compute the tables of a drive, with as many nodes as an accuracy needs.
 
     Parameters
     ----------
     pair, surface
         The nominal pair and its errors.
     accuracy
-        What the deviation may err, rad; or `RANGE_SHARE` of its range over the crank angle, where that is more. What
-        stiffness and speed may err, `STIFFNESS_SHARE` and `SPEED_SHARE`, is in proportion.
+        Allowed error of the deviation, rad; or `RANGE_SHARE` of its range over the crank angle, if that is more. The
+        allowed errors of stiffness and speed, `STIFFNESS_SHARE` and `SPEED_SHARE`, are in proportion.
     largest_load
-        Largest |torque|, N·m; 2.5 times the rated torque where None.
+        Largest |torque|, N·m; None for 2.5 times the rated torque.
     workers
         Threads.
     total, progress
-        Told how many crank angles (times loads) there are to solve, and how many were just finished.
+        Called with the total number of crank angles (times loads), and with the number just finished.
 
     Raises
     ------
@@ -556,9 +556,9 @@ def _assembled(
 def _missing_loads(
     pair: Pair, surface: ErrorSurface, loads: Sequence[Array], probed: _Probed, off: Array, allowed: float
 ) -> tuple[list[Array], bool]:
-    """Return the middles of the cells that are too wide for what tables err by, and whether rather angles are too wide.
+    """Return the middles of cells too wide for the allowed error, and whether the angles are too wide instead.
 
-    Where exact nodes at the probe's own crank angle err by half as much, the load's cell is to blame.
+    If exact nodes at the probe's own crank angle have half of the error, the cell of the load is the cause.
     """
     worst = np.argsort(-np.abs(off))[: min(int(np.sum(np.abs(off) > allowed)), _WORST)]
     further: list[set[float]] = [set() for _ in loads]
@@ -580,10 +580,10 @@ def _missing_loads(
 def _missing_elsewhere(
     pair: Pair, surface: ErrorSurface, tables: Tables, probed: _Probed, room: int, looser: float
 ) -> tuple[list[Array], bool]:
-    """Return the middles of the cells, of no more than there is room for, that make stiffness and speed err most.
+    """Return the middles of the cells with the largest errors of stiffness and speed, as many as there is room for.
 
-    None where both are within `looser` times what they may err, and on bearings, whose states take longer to solve;
-    and whether angles are too wide for the stiffness.
+    None if both are within `looser` times their allowed errors, and on bearings, whose states take longer to solve; and
+    whether angles are too wide for the stiffness.
     """
     if pair.supports is not None:
         return [np.empty(0) for _ in _DIRECTIONS], False
@@ -614,7 +614,7 @@ def _missing_elsewhere(
 def _blames_load(
     pair: Pair, surface: ErrorSurface, tables: Tables, theta: float, torque: float, stiffness: float, allowed: float
 ) -> bool:
-    """Whether exact nodes at a probe's own crank angle err by more than is allowed too."""
+    """Whether exact nodes at a probe's own crank angle exceed the allowed error too."""
     side, direction = (tables.positive, 1.0) if torque > 0.0 else (tables.negative, -1.0)
     (j,), (u,), (h,) = _cells(side.load, np.array([abs(torque)]))
     ends = _solved(pair, surface, direction, side.load[j : j + 2], np.array([theta]))

@@ -1,6 +1,6 @@
-"""What an RV reducer is: its cycloid stage, its first stage and what was really made, as a reducer file states them.
+"""An RV reducer: its cycloid stage, its first stage and its deviations, as in a reducer file.
 
-The file `cycloid-reducer/1` is read here; everything leaves this module in SI units. Source of the deviations: Liu et
+The file `cycloid-reducer/1` is read here; all values in this module are SI. Source of the deviations: Liu et
 al., "Analysis of the coaxiality-geometric hysteresis model of a rotate vector reducer" (2022), in short the RV paper.
 """
 
@@ -33,7 +33,7 @@ MESH_STIFFNESS = 20e9
 
 
 class Deviation(Config):
-    """A deviation that lies within `value` ± `tolerance`, m.
+    """A deviation within `value` ± `tolerance`, m.
 
     In a file a length alone has no tolerance; `{ value, tolerance }` and `{ lower, upper }` may name a `distribution`,
     "normal" (three standard deviations at the tolerance, cut off there) or "uniform".
@@ -45,7 +45,7 @@ class Deviation(Config):
 
 
 def _deviation(given: Any) -> Any:
-    """Read a deviation in any of its three ways; values stay text, so that they are read once."""
+    """Read a deviation in any of its three forms; values stay text, so that they are parsed once."""
     if isinstance(given, Deviation):
         return given
     if not isinstance(given, dict):
@@ -64,7 +64,7 @@ def _deviation(given: Any) -> Any:
     if "tolerance" in table and tolerance <= 0.0:
         raise ValueError("a distribution needs a width: write a tolerance above zero, or the value alone")
     if abs(value) + tolerance > LARGEST_DEVIATION:
-        raise ValueError("deviations must lie between -1 mm and 1 mm")
+        raise ValueError("deviations must be between -1 mm and 1 mm")
     return table
 
 
@@ -72,7 +72,7 @@ OfDeviation = Annotated[Deviation, pydantic.BeforeValidator(_deviation)]
 
 
 class Deviations(Config):
-    """What was really made: the RV paper's table 9, its δ and E.
+    """The deviations: the RV paper's table 9, its δ and E.
 
     Attributes
     ----------
@@ -86,9 +86,9 @@ class Deviations(Config):
     gear_runout
         ΔF_r, radial runout of the cycloid gear's ring: twice its eccentricity.
     pin_tangential
-        δt, circumferential position of the pins; the contact model takes it with alternating sign.
+        δt, circumferential position of the pins; the contact model uses it with alternating sign.
     tooth_cumulative_pitch
-        ΔF_p, largest minus smallest tooth position; the contact model takes it as one wave round the gear.
+        ΔF_p, largest minus smallest tooth position; the contact model uses it as one wave around the gear.
     crank_bearing_clearance
         Δu, diametral clearance.
     """
@@ -108,7 +108,7 @@ class Deviations(Config):
 
 def _below_right_angle(value: float) -> float:
     if not 0.0 <= value < 0.25 * math.pi:
-        raise ValueError("it must lie between 0 and 45 deg")
+        raise ValueError("it must be between 0 and 45 deg")
     return value
 
 
@@ -118,15 +118,15 @@ class Involute(Config):
     Attributes
     ----------
     centre_distance
-        Sun to planet, which is the radius of the crank shafts' circle, m; from module and teeth where not stated.
+        Sun to planet, which is the radius of the crank shafts' circle, m; from module and teeth if not stated.
     shaft_tilt
         The RV paper's β, tilt of the input shaft, rad (`shaft_tilt`).
     shaft_displacement
         The RV paper's a_1, radial displacement of the sun in mesh, m.
     planets
-        Planets, one on each crank shaft; the cranks of `[supports]` where not stated.
+        Number of planets, one on each crank shaft; default: the cranks of `[supports]`.
     face_width
-        Common face width of sun and planets, m: it gives their mesh stiffness by ISO 6336-1, method C.
+        Common face width of sun and planets, m: determines their mesh stiffness by ISO 6336-1, method C.
     mesh_stiffness
         Of one planet's mesh along the line of action, N/m, stated instead; without both the first stage is rigid.
     """
@@ -150,7 +150,7 @@ class Involute(Config):
 
     @property
     def one_mesh(self) -> float:
-        """Stiffness of one planet's mesh along the line of action, N/m; infinite where none is stated."""
+        """Stiffness of one planet's mesh along the line of action, N/m; infinite if not stated."""
         if self.mesh_stiffness is not None:
             return self.mesh_stiffness
         return math.inf if self.face_width is None else MESH_STIFFNESS * self.face_width
@@ -172,14 +172,14 @@ class Involute(Config):
 
 
 class Stated(Config):
-    """What a drawing or paper states although it follows from the rest; the closed forms then use it as stated.
+    """Values that a drawing or paper states although they follow from others; the closed forms use them as stated.
 
     Attributes
     ----------
     shortening
-        K_1; else eccentricity x pins/pin circle radius.
+        K_1; default: eccentricity x pins/pin circle radius.
     sun_pitch_radius
-        r_1, m; else module x sun teeth/2.
+        r_1, m; default: module x sun teeth/2.
     """
 
     shortening: float | None = pydantic.Field(default=None, gt=0.0, lt=1.0)
@@ -194,7 +194,7 @@ class Reducer(Config):
     stage
         The cycloid stage; its errors are those of `deviations`.
     involute, stated, deviations
-        The first stage, what is stated although it follows from the rest, and the deviations of both stages.
+        The first stage, the redundant stated values, and the deviations of both stages.
 
     Examples
     --------
@@ -229,13 +229,13 @@ class Reducer(Config):
 
     @property
     def planets(self) -> int | None:
-        """Planets, one on each crank; None where neither they nor cranks are stated."""
+        """Number of planets, one on each crank; None if neither they nor cranks are stated."""
         supports = self.stage.supports
         return self.involute.planets if supports is None else supports.count
 
     @property
     def turning_arm_clearance(self) -> float:
-        """Diametral clearance of the crank bearings as made, m: the deviations', else that of the supports as drawn."""
+        """Diametral clearance of the crank bearings, m: of the deviations, otherwise of the supports as drawn."""
         made, supports = self.deviations.crank_bearing_clearance, self.stage.supports
         if supports is None or made.value != 0.0 or made.tolerance != 0.0:
             return made.value
@@ -243,10 +243,10 @@ class Reducer(Config):
 
     @property
     def planet_keys(self) -> Array:
-        """Angle by which each planet is keyed to its crank beside the first one's, rad, shape (planets,).
+        """Angle at which each planet is keyed to its crank relative to the first one, rad, shape (planets,).
 
-        All cranks stand alike, so a planet k of n stands k (z_1 + z_2)/n of its tooth pitch further; where n divides
-        z_1 + z_2 all planets are alike.
+        All cranks have the same angle, so planet k of n is k (z_1 + z_2)/n of its tooth pitch further; if n divides z_1
+        + z_2 all planets are equal.
         """
         if self.planets is None:
             raise edge.InputError("[involute] planets is missing; the planets' keys need it.")
@@ -262,12 +262,12 @@ class Reducer(Config):
 
     @property
     def sun_locked(self) -> float:
-        """Share of a play with the crank locked that is left with the sun locked (`first_stage.sun_locked_share`)."""
+        """Ratio of a play with the sun locked to that with the crank locked (`first_stage.sun_locked_share`)."""
         return sun_locked_share(self.crank_share, self.stage.gear_teeth)
 
     @property
     def crank_share(self) -> float:
-        """Crank turn for each turn of the output with the sun locked, 1 + z_1/z_2."""
+        """Crank turns per turn of the output with the sun locked, 1 + z_1/z_2."""
         return 1.0 + self.involute.sun_teeth / self.involute.planet_teeth
 
 
@@ -280,15 +280,15 @@ def values_of(reducer: Reducer) -> dict[str, float]:
 
 
 def surface_of_reducer(reducer: Reducer, values: Mapping[str, float] | None = None) -> ErrorSurface:
-    """Return the error surface of the cycloid stage that the deviations describe.
+    """Return the error surface of the cycloid stage by the deviations.
 
-    The runout is an offset of the gear that stands still while the gear turns, so that over an output turn it meets the
-    pitch error in every direction; a pin in its hole gives way by half the clearance, so it is as much thinner.
+    The runout is an offset of the gear at rest in the frame while the gear turns, so over an output turn it meets the
+    pitch error in every direction; a pin moves in its hole by half the clearance, so it is thinner by this.
 
     Parameters
     ----------
     values
-        Amount behind each of `lost_motion.TERMS`, m; the reducer's own where not given.
+        Amount of each of `lost_motion.TERMS`, m; default: those of the reducer.
     """
     v = values_of(reducer) if values is None else values
     g, m = reducer.stage, reducer.stage.modification
@@ -307,12 +307,12 @@ def surface_of_reducer(reducer: Reducer, values: Mapping[str, float] | None = No
 
 
 def parse_reducer(text: str, source: str) -> Reducer:
-    """Return the reducer that a TOML text describes.
+    """Return the reducer of a TOML text.
 
     Raises
     ------
     edge.InputError
-        If it is not a valid reducer; one sentence a problem, naming field, value and `source`.
+        If it is not a valid reducer; one sentence for each problem, with field, value and `source`.
     """
     table = edge.toml_table(text, FORMAT, source)
     stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material", "supports") if k in table}
@@ -321,7 +321,7 @@ def parse_reducer(text: str, source: str) -> Reducer:
     else:
         raise edge.InputError(f"{source}: [errors]: a reducer's errors are its [deviations] and [errors.supports].")
     if "stage" in table:
-        raise edge.InputError(f"{source}: stage is not a key known here; check its spelling or remove it.")
+        raise edge.InputError(f"{source}: stage is not a known key; check its spelling or remove it.")
     pair = pair_of_tables(stage, source)
     if pair.output != "gear":
         raise edge.InputError(f'{source}: [pair] output = "ring": an RV reducer\'s pin ring is fixed; write "gear".')
@@ -331,7 +331,7 @@ def parse_reducer(text: str, source: str) -> Reducer:
 
 
 def read_reducer(path: str | os.PathLike[str]) -> Reducer:
-    """Return the reducer of a file; an `edge.InputError` names what is wrong in it.
+    """Return the reducer of a file; an `edge.InputError` names the invalid entries.
 
     Examples
     --------
@@ -347,7 +347,7 @@ def read_reducer(path: str | os.PathLike[str]) -> Reducer:
 
 
 def contradictions(reducer: Reducer, source: str) -> list[str]:
-    """Return one sentence for each stated number that another contradicts; it names both and says which is used."""
+    """Return one sentence for each contradiction of stated numbers; it names both and states the one used."""
     g, involute, stated = reducer.stage, reducer.involute, reducer.stated
     found = []
     follows = g.eccentricity * g.pins / g.pin_circle_radius

@@ -1,4 +1,4 @@
-"""The file of a drive, whichever it is: a gear pair or a whole RV reducer."""
+"""The file of a drive: a gear pair or a whole RV reducer."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 
 
 def parts_of_file(path: str | os.PathLike[str]) -> tuple[Pair, ErrorSurface, FirstStage | None]:
-    """Return the pair of a pair file or a reducer file, the errors that it states, and a reducer's first stage.
+    """Return the pair of a pair file or a reducer file, its stated errors, and a reducer's first stage.
 
-    Where a reducer file contradicts itself, an `edge.InputWarning` says what is used.
+    If a reducer file contradicts itself, an `edge.InputWarning` states the values used.
 
     Raises
     ------
     edge.InputError
-        If the file can't be read, or a drive with its errors can't have been made.
+        If the file can't be read, or a drive with its errors is impossible.
     """
     if edge.format_of(path) == FORMAT:
         reducer = read_reducer(path)

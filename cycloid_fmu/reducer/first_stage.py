@@ -1,4 +1,4 @@
-"""What stands around the cycloid stage of an RV reducer: the involute first stage and the crank bearings."""
+"""The parts around the cycloid stage of an RV reducer: the involute first stage and the crank bearings."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class FirstStage:
     sun_play
         Free rotation of the sun with the planets held, two-sided, rad.
     bearing_play
-        Free rotation of the carrier against the cycloid gears, two-sided, rad; 0 where bearings are modelled.
+        Free rotation of the carrier against the cycloid discs, two-sided, rad; 0 if bearings are modelled.
     crank_stiffness
-        Torque on the cranks, all of them, for each radian that they turn against sun and carrier, N·m/rad.
+        Torque on all cranks per radian of their rotation against sun and carrier, N·m/rad.
     """
 
     sun_teeth: int
@@ -31,7 +31,7 @@ class FirstStage:
 
     @property
     def sun_share(self) -> float:
-        """Crank turn for each turn of the sun with the output locked, backwards: z_1/z_2."""
+        """Crank turns per turn of the sun with the output locked, backwards: z_1/z_2."""
         return self.sun_teeth / self.planet_teeth
 
     @property
@@ -41,7 +41,7 @@ class FirstStage:
 
     @property
     def crank_share(self) -> float:
-        """Crank turn for each turn of the output with the sun locked, 1 + z_1/z_2."""
+        """Crank turns per turn of the output with the sun locked, 1 + z_1/z_2."""
         return 1.0 + self.sun_share
 
     def ratio(self, gear_teeth: int) -> float:
@@ -50,12 +50,12 @@ class FirstStage:
 
     @property
     def text(self) -> str:
-        """Its values as JSON, SI, without what is rigid."""
+        """Its values as JSON, SI, without rigid parts."""
         return json.dumps({name: value for name, value in vars(self).items() if math.isfinite(value)})
 
 
 def sun_locked_share(crank_share: float, gear_teeth: int) -> float:
-    """Return the share of a play with the crank locked that is left with the sun locked: 1/(1 + (1 + z_1/z_2)/z_c).
+    """Return the ratio of a play with the sun locked to that with the crank locked: 1/(1 + (1 + z_1/z_2)/z_c).
 
     The planets roll on the locked sun and turn the cranks by 1 + z_1/z_2 of the output.
     """

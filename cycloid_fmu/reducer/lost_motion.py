@@ -1,7 +1,7 @@
 """The RV reducer around the cycloid stage: involute first stage, crank bearings, and the budget of its lost motion.
 
 Source: Liu et al., "Analysis of the coaxiality-geometric hysteresis model of a rotate vector reducer" (2022), in short
-the RV paper; docs/theory/reducer.md says which of its equations hold. Plays are two-sided, in radians at the output,
+the RV paper; docs/theory/reducer.md states which of its equations hold. Plays are two-sided, in radians at the output,
 > 0 is clearance.
 """
 
@@ -43,8 +43,8 @@ TERMS = {
     "gear_runout": "radial runout of the cycloid gear's ring",
     "pin_tangential": "circumferential position of the pins",
     "tooth_cumulative_pitch": "cumulative pitch of the cycloid gear",
-    "isometric": "isometric modification made beyond the nominal",
-    "offset": "offset modification made beyond the nominal",
+    "isometric": "error of the isometric modification",
+    "offset": "error of the offset modification",
     "eccentricity": "longer crank",
     "crank_bearing_clearance": "diametral clearance of the crank bearings",
 }
@@ -69,7 +69,7 @@ def _shortening(reducer: Reducer) -> float:
 
 
 def outer_stages(reducer: Reducer, values: Mapping[str, ArrayLike], sun_radius: float) -> dict[str, Array]:
-    """Play of the first stage for a common normal off by E_w, and of the crank bearings (RV paper, 5 and 20)."""
+    """Play of the first stage (deviation E_w of the common normal) and of the crank bearings (RV paper, 5 and 20)."""
     involute = reducer.involute
     lever = involute.crank_circle_radius + involute.shaft_displacement
     return {
@@ -87,7 +87,7 @@ def _stated_base_radius(reducer: Reducer) -> float:
 
 
 def standard(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Return the play that each amount makes by the RV paper's closed forms, typesetting corrected, rad.
+    """Return the play of each amount by the RV paper's closed forms, typesetting corrected, rad.
 
     With d = e z_c and s = sqrt(1 - K²) the cycloid stage is [2 ΔR_rp - 2 ΔR_p s + 2 δr_p s - 2 δr_rp + δJ + ΔF_r/2 +
     2 K δt - K ΔF_p + 2 δΔR_rp - 2 δΔR_p s]/d - 2 K_n δe with K_n = ΔR_rp/(e² z_c) - [z_p²/(z_c R_p² s) +
@@ -98,7 +98,7 @@ def standard(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, Arr
     reducer
         The nominal reducer; stated numbers are used as stated.
     values
-        Amount behind each of `TERMS`, m, scalars or arrays of one shape.
+        Amount of each of `TERMS`, m, scalars or arrays of one shape.
 
     Returns
     -------
@@ -139,9 +139,9 @@ def _factors(k: float, s: float) -> dict[str, float]:
 def as_printed(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
     """Return the RV paper's equation 21 exactly as typeset, in millimetres, read as arcminutes; rad.
 
-    The factor 10800/π and the root stand on the two modification terms alone, every other term of the cycloid stage is
-    bare radians added to arcminutes, and K_n is the printed one. The pressure angle is the nominal one, because the
-    forces that the paper takes it from are not published, and the bearings' term, printed twice, counts once.
+    The factor 10800/π and the root are on the two modification terms only, every other term of the cycloid stage is
+    added in radians to arcminutes, and K_n is the printed one. The pressure angle is the nominal one, because the
+    forces from which the paper takes it are not published, and the bearings' term, printed twice, counts once.
     """
     g, k = reducer.stage, _shortening(reducer)
     s = math.sqrt(1.0 - k * k)
@@ -177,9 +177,9 @@ class Play:
 
 
 def contact_play(reducer: Reducer, surface: ErrorSurface, angles: int) -> Play:
-    """Return the play of the contact model at so many crank angles, spread evenly over one output turn.
+    """Return the play of the contact model at a number of crank angles, evenly over one output turn.
 
-    It is the mesh's between rigid bodies, whatever holds them. Angles that share no factor with the teeth meet every
+    It is that of the mesh between rigid bodies, for any supports. Angles that share no factor with the teeth meet every
     tooth in another phase of the mesh.
     """
     teeth = reducer.stage.gear_teeth
@@ -191,12 +191,12 @@ def contact_play(reducer: Reducer, surface: ErrorSurface, angles: int) -> Play:
 
 
 def geometric(reducer: Reducer) -> dict[str, float]:
-    """Return what the contact model says of the play with the crank locked, and what each amount changes in it.
+    """Return the play of the contact model with the crank locked, and the effect of each amount.
 
-    A term is the mean play less the mean play without that amount. Where there is interference there is no play to
-    compare, so pins are thinned for the terms, not for the play, until all is free; what the terms' sum lacks of the
-    play is `interaction`. With the crank locked the first stage takes no part. The bearings' term is that of the model
-    with the stage's supports (`bearing_share`), without them the closed form.
+    A term is the mean play minus the mean play without that amount. With interference there is no play to compare, so
+    pins are thinned for the terms, not for the play, until all is free; the difference of the play and the terms' sum
+    is `interaction`. With the crank locked the first stage has no effect. The bearings' term is that of the model with
+    the stage's supports (`bearing_share`), without them the closed form.
 
     Returns
     -------
@@ -242,10 +242,10 @@ def geometric(reducer: Reducer) -> dict[str, float]:
 
 
 def bearing_share(reducer: Reducer, surface: ErrorSurface) -> float:
-    """Return how much more play the crank bearings' clearance makes on the stage's supports than by the closed form.
+    """Return the ratio of the play by the crank bearings' clearance on the stage's supports to the closed form.
 
-    Of the model it is the mean play with this clearance in the turning arms less that with none, crank locked, whatever
-    else the supports state as it is; turning arms that are stated rigid are springs here. 1 without supports.
+    In the model it is the mean play with this clearance in the turning arms minus that without it, crank locked, with
+    the other supports as stated; turning arms that are stated rigid are springs here. 1 without supports.
 
     Raises
     ------
@@ -269,10 +269,10 @@ def bearing_share(reducer: Reducer, surface: ErrorSurface) -> float:
 
 
 def with_sun_locked(reducer: Reducer, crank_locked: Mapping[str, float]) -> dict[str, float]:
-    """Return the budget of `geometric` as the bench measures it, the sun locked instead of the crank.
+    """Return the budget of `geometric` as a bench measures it, with the sun locked instead of the crank.
 
-    The cranks turn with the output then, which leaves `Reducer.sun_locked` of every play behind them, and the first
-    stage's play joins: the common normal is tangent to the sun's base circle.
+    The cranks then turn with the output, so `Reducer.sun_locked` of every play after them remains, and the first
+    stage's play is added: the common normal is tangent to the sun's base circle.
     """
     kept = ("transmission_error", "interference", "interfering")
     found = {n: v if n in kept else reducer.sun_locked * v for n, v in crank_locked.items()}
@@ -282,10 +282,10 @@ def with_sun_locked(reducer: Reducer, crank_locked: Mapping[str, float]) -> dict
 
 
 def parts_of(reducer: Reducer) -> tuple[Pair, ErrorSurface, FirstStage]:
-    """Return what a reducer is made of: its cycloid stage, the stage's errors and the first stage, as made.
+    """Return the parts of a reducer: its cycloid stage, the stage's errors and the first stage, as made.
 
-    Where the stage has bearings that give way, the clearance of its crank bearings is the turning arms'; else it is a
-    play beside the stage.
+    If the stage has compliant bearings, the clearance of its crank bearings is that of the turning arms; otherwise it
+    is a play in series with the stage.
     """
     outer = outer_stages(reducer, values_of(reducer), reducer.involute.sun_base_radius)
     stage, involute, beside = reducer.stage, reducer.involute, float(outer["crank_bearing_clearance"])
@@ -352,7 +352,7 @@ def remarks(reducer: Reducer, found: Mapping[str, Mapping[str, float]]) -> dict[
             continue
         text = f"geometry gives {b * ARCMIN:+.4f}′"
         if name in modelled:
-            text += " on the stage's bearings: their clearance lets the discs shift as well as turn"
+            text += " on the stage's bearings: their clearance allows the discs to shift as well as turn"
         elif name == "gear_runout":
             swing = runout_error(reducer, values[name]) * ARCMIN
             text += f": as an eccentricity it is a transmission error, {swing:.3f}′ peak to peak, not play"
@@ -372,7 +372,7 @@ def remarks(reducer: Reducer, found: Mapping[str, Mapping[str, float]]) -> dict[
 
 
 def play_alone(reducer: Reducer, name: str, amount: float) -> float:
-    """Return how one amount (m) of `TERMS` changes the mean play of an otherwise nominal, unmodified stage, rad.
+    """Return the effect of one amount (m) of `TERMS` on the mean play of an otherwise nominal, unmodified stage, rad.
 
     Pins 20 µm thinner, or thinner by twice the amount, make room for it.
     """
@@ -390,7 +390,7 @@ def play_alone(reducer: Reducer, name: str, amount: float) -> float:
 def runout_error(reducer: Reducer, runout: float) -> float:
     """Return the transmission error, peak to peak (rad), of one disc that is eccentric by half the runout (m).
 
-    Nothing else is off; the pins are 20 µm thinner, so that the gear runs free.
+    There are no other errors; the pins are 20 µm thinner, so that the gear runs free.
     """
     one = reducer.stage.replace(discs=1)
     alone = reducer.replace(stage=one)

@@ -1,4 +1,4 @@
-"""How the lost motion of an RV reducer scatters within its tolerances: worst case, root sum square, Monte Carlo."""
+"""Variation of the lost motion of an RV reducer within its tolerances: worst case, root sum square, Monte Carlo."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class Stack:
-    """How the play scatters within the tolerances.
+    """Variation of the play within the tolerances.
 
     Attributes
     ----------
@@ -50,14 +50,14 @@ class Stack:
 def stack(
     reducer: Reducer, samples: int, seed: int, progress: Callable[[int], None] = lambda samples: None
 ) -> Stack | None:
-    """Return worst case, root sum square and Monte Carlo of the total play; None where nothing has a tolerance.
+    """Return worst case, root sum square and Monte Carlo of the total play; None without tolerances.
 
     Parameters
     ----------
     samples, seed
-        Reducers drawn within the tolerances, each deviation from a stream of its own.
+        Number of reducers drawn within the tolerances, and the seed; each deviation has its own stream.
     progress
-        Told how many samples were just finished.
+        Called with the number of samples just finished.
     """
     from scipy.stats import binomtest
 

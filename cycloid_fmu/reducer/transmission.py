@@ -1,9 +1,9 @@
-"""A drive behind its first stage: what the output does with the sun held, over the places of the sun.
+"""A drive behind its first stage: motion of the output with the sun held, over the places of the sun.
 
-The cranks turn with the output that they move: θ = a φ_b - b φ_a + w with b = z_1/z_2, a = 1 + b and w by how much the
-first stage lets the cranks turn, -τ/κ and half its play against the load. Virtual work gives the torques: T = M + a τ
-at the output and -b τ at the sun, M at the cycloid stage and τ at the cranks. With s = 1/(1 + a/z_c) the output
-deviates by d = φ_b - φ_a/i = s (x(θ, M) - w/z_c) from the ideal reducer (docs/theory/reducer.md).
+The cranks turn with the output that they move: θ = a φ_b - b φ_a + w with b = z_1/z_2, a = 1 + b and w the rotation of
+the cranks by the first stage, -τ/κ and half its play against the load. Virtual work gives the torques: T = M + a τ at
+the output and -b τ at the sun, M at the cycloid stage and τ at the cranks. With s = 1/(1 + a/z_c) the output deviates
+by d = φ_b - φ_a/i = s (x(θ, M) - w/z_c) from the ideal reducer (docs/theory/reducer.md).
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class _Stage:
         return dataclasses.replace(found, crank_torque=crank_torque)
 
     def turned(self, side: float, crank_torque: ArrayLike) -> Array:
-        """Return w: by how much the first stage lets the cranks turn, rad."""
+        """Return w, the rotation of the cranks by the first stage, rad."""
         return np.asarray(-np.multiply(self.soft, crank_torque) - 0.5 * side * self.first.crank_play)
 
     def output(self, x: ArrayLike, side: float, w: ArrayLike) -> Array:
@@ -106,9 +106,9 @@ class _Stage:
         )
 
     def moved(self, settled: _Settled) -> tuple[Array, Array, Array]:
-        """Return what moves the output: by torque (rad/(N·m)), by an error for each rad that it moves x (1), and dx/dθ.
+        """Return derivatives of the output: by torque (rad/(N·m)), by x for an error (1), and dx/dθ.
 
-        What an error changes in the cranks' torque is left out.
+        The effect of an error on the cranks' torque is neglected.
         """
         places, torques = [], []
         for step in (-_DIFFERENCE, _DIFFERENCE):
@@ -178,17 +178,17 @@ def solve(
     workers: int = 1,
     progress: Callable[[int], None] = lambda angles: None,
 ) -> Transmission:
-    """Solve a drive at every torque and crank angle, behind a first stage where there is one.
+    """Solve a drive at every torque and crank angle, behind a first stage if there is one.
 
-    Parameters and errors are those of `contact.transmission.solve`, but:
+    Parameters and errors are those of `contact.transmission.solve`, and:
 
     Parameters
     ----------
     first_stage
-        The sun is held then, its places are those at which ideal gears would have the cranks at `crank_angle`, and
+        The sun is then held at places at which ideal gears would have the cranks at `crank_angle`, and
         transmission error, stiffness and play are those of the output behind the whole reducer.
     with_stiffness
-        Whether the torsional stiffness behind a first stage is asked for; NaN otherwise.
+        Whether to compute the torsional stiffness behind a first stage; NaN otherwise.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def error_sensitivity(
 ) -> tuple[Array, Array]:
     """Return the transmission error at one torque and its derivatives, as `supports.transmission.error_sensitivity`.
 
-    Behind a first stage what an error changes in the cranks' torque is left out: 0.2 % of a derivative at the rated
+    Behind a first stage the effect of an error on the cranks' torque is neglected: 0.2 % of a derivative at the rated
     torque.
     """
     if first_stage is None:
@@ -273,7 +273,7 @@ def labelled(
     *,
     complete: bool,
 ) -> xr.Dataset:
-    """Return results as a dataset (format `cycloid-analysis/1`), behind a first stage with what the sun does."""
+    """Return results as a dataset (format `cycloid-analysis/1`), behind a first stage also of the sun."""
     data = of_stage.labelled(pair, surface, found, slices, complete=complete)
     if first_stage is None or found.crank_torque is None:
         return data
@@ -300,7 +300,7 @@ def labelled(
 def compliance(
     pair: Pair, first_stage: FirstStage | None, *, progress: Callable[[int], None] = lambda parts: None
 ) -> list[Share]:
-    """Return where the compliance and the lost motion of a drive as drawn come from, as `supports.figures.compliance`.
+    """Return the shares of compliance and lost motion of a drive as drawn, as `supports.figures.compliance`.
 
     Behind a first stage each part's share is that with the sun locked, and the first stage has its own.
     """

@@ -2,8 +2,9 @@
 
 A tolerance's cost is taken as inversely proportional to its width, the usual reciprocal law: at a width s times the
 stated one it costs c/s, c its relative cost as stated. The same drives are scaled throughout (common random numbers),
-to first order in their errors; the exact kernel confirms what is found on other drives. On rigid bearings that is about
-the error-free drive; where errors open and close bearings' clearances it is about each drive, solved at every step.
+to first order in their errors; the exact kernel confirms the result on other drives. On rigid bearings the expansion is
+about the error-free drive; where errors open and close bearings' clearances it is about each drive, solved at every
+step.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ _ON_BEARINGS = 256  # drives with supports on which tolerances are found: each i
 
 @dataclasses.dataclass(frozen=True)
 class Allocation:
-    """Tolerances that reach a yield at least cost.
+    """Tolerances that reach a yield at the lowest cost.
 
     Attributes
     ----------
@@ -52,7 +53,7 @@ class Allocation:
     cost, stated_cost
         Sum of the tolerances' relative costs, found and as stated.
     exact_yield
-        Share of drives drawn anew that keep all limits, by the exact kernel; it reaches what was asked for.
+        Share of new drives that keep all limits, by the exact kernel; at least the required yield.
     stated_yield
         Share of the study's own drives that keep them with the tolerances as stated, to first order.
     """
@@ -65,7 +66,7 @@ class Allocation:
 
 
 def errors_of_factors(study: Study, place: Array) -> Array:
-    """Return what each factor's errors displace in each drive, shape (factors, drives, displacements).
+    """Return the displacements by each factor's errors in each drive, shape (factors, drives, displacements).
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def errors_of_factors(study: Study, place: Array) -> Array:
 
 
 def scaled(study: Study, scale: Array) -> Study:
-    """Return a study whose tolerances are so much wider; every drive's errors are as much larger."""
+    """Return a study with scaled tolerances; every drive's errors scale with them."""
     changes = {}
     for name, factor in zip(study.factors, scale, strict=True):
         stated = getattr(study.tolerances, name)
@@ -92,10 +93,10 @@ def scaled(study: Study, scale: Array) -> Study:
 
 
 class Nearby:
-    """Drives on bearings at some widths of the tolerances, solved, and what they do at widths near by.
+    """Drives on bearings, solved at some widths of the tolerances and linearised for nearby widths.
 
-    It stands in for `contact.first_order.Screen`, whose first order about the error-free drive would leave every
-    bearing's clearance where that drive has it.
+    It replaces `contact.first_order.Screen`, whose first order about the error-free drive would keep every bearing's
+    clearance as in that drive.
 
     Parameters
     ----------
@@ -104,7 +105,7 @@ class Nearby:
     place
         The drives, points of the unit cube, shape (drives, factors).
     errors
-        What `errors_of_factors` gives for them.
+        The result of `errors_of_factors` for them.
     scale
         The widths relative to the stated ones, shape (factors,).
     workers
@@ -149,9 +150,9 @@ class Nearby:
         self._pressure, self._rate = np.array([one[2] for one in drives]), np.array([one[3] for one in drives])
 
     def loaded(self, sweep_number: int, scale: Array, /) -> tuple[Array, Array]:
-        """Return transmission error (drives, angles), rad, and largest pressure, (drives, 1), Pa, at widths near by.
+        """Return transmission error (drives, angles), rad, and largest pressure, (drives, 1), Pa, at nearby widths.
 
-        The pressure is known at the study's torques, where it has a limit; else it is 0.
+        The pressure is given at the study's torques if it has a limit; otherwise it is 0.
         """
         moved = scale - self._scale
         deviation = self._deviation[sweep_number] + np.tensordot(moved, self._slope[sweep_number], (0, 1))
@@ -174,12 +175,12 @@ def allocate(
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> Allocation:
-    """Return the cheapest tolerances by which a share `target` of the drives keeps all the study's limits.
+    """Return the cheapest tolerances with which a share `target` of the drives keeps all the study's limits.
 
     They are found on the study's own drives, of a pair with supports on the first `_ON_BEARINGS` of them, and confirmed
     on as many others as the study has, drawn with the next seed.
 
-    From the stated tolerances on, the logarithm of the demand that the share just meets is made linear in the
+    Starting from the stated tolerances, the logarithm of the demand that the share just meets is linearised in the
     logarithms of the widths; the cheapest step within a shrinking region has a closed form, c/(s λ) = slope.
 
     Parameters
@@ -189,18 +190,18 @@ def allocate(
     workers, scheduler
         Of the exact kernel, as in `tolerance.solved`.
     progress
-        Told 1 after each step, `steps` times at least.
+        Called with 1 after each step, at least `steps` times.
 
     Raises
     ------
     edge.InputError
-        If there are no limits, the target is none, or no tolerances, however narrow, reach it.
+        If there are no limits, the target is invalid, or no tolerances, however narrow, reach it.
     """
     limits = study.tolerances.limits.stated()
     if not limits:
         raise edge.InputError(f"{source}: [limits] is missing; a yield needs at least one limit.")
     if not 0.0 < target < 1.0:
-        raise edge.InputError(f"target = {target:g}: the yield to reach must lie between 0 and 1.")
+        raise edge.InputError(f"target = {target:g}: the yield to reach must be between 0 and 1.")
     nominal = demand(study, figures_of(study, nominal_surface(study.pair))[None])
     for name, taken in nominal.items():
         if taken[0] > 1.0:
@@ -216,7 +217,7 @@ def allocate(
     screen = screen_of(study, WIDEST) if study.pair.supports is None else None
 
     def demands_about(width: Array) -> Callable[[Array], Array]:
-        """Return the demand of every drive over the scale, which holds near these widths."""
+        """Return the demand of every drive over the scale, valid near these widths."""
         near = Nearby(study, place, errors, width, workers) if screen is None else None
 
         def demands(scale: Array) -> Array:
@@ -264,7 +265,7 @@ def allocate(
         if narrower * scale.max() < NARROWEST:
             raise edge.InputError(
                 f"target = {target:g}: no tolerances of {source}, narrowed to {NARROWEST:g} of their width, reach "
-                "it; widen a limit or ask for a lower yield."
+                "it; widen a limit or require a lower yield."
             )
     others = dataclasses.replace(study, seed=study.seed + 1)
     while True:
@@ -282,7 +283,7 @@ def allocate(
 
 
 def steps() -> int:
-    """Return how many steps `allocate` tells of, at least."""
+    """Return the least number of steps that `allocate` reports."""
     return _ROUNDS + 1
 
 

@@ -1,4 +1,4 @@
-"""The drives of a study that were solved, kept on disk until the study is written."""
+"""Solved drives of a study, kept on disk until the study is written."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ class Identified(Protocol):
     """A study."""
 
     def identity(self) -> dict[str, Any]:
-        """Return what tells it from another."""
+        """Return its identity."""
 
 
 class Checkpoint:
-    """The drives that were solved, on disk: a header and a line for each task, each with its CRC-32.
+    """Solved drives on disk: a header and a line for each task, each with its CRC-32.
 
-    A line that a kill cut short is passed over, and its drives are solved again. `done` has the figures of each task by
-    its first drive, `notes` what was said of its drives.
+    A line cut short by a kill is ignored, and its drives are solved again. `done` has the figures of each task by its
+    first drive, `notes` the notes on its drives.
 
     Raises
     ------
     edge.InputError
-        If the file is no checkpoint, or one of another study.
+        If the file is not a checkpoint, or that of another study.
     """
 
     def __init__(self, path: Path, study: Identified) -> None:
@@ -70,7 +70,7 @@ class Checkpoint:
                 )
 
     def add(self, first: int, values: Array, notes: Sequence[str] = ()) -> None:
-        """Keep the figures of the drives from `first` on, NaN where there are none, and what was said of them."""
+        """Store the figures of the drives from `first` on, NaN where there are none, and the notes on them."""
         numbers = [[None if math.isnan(number) else number for number in row] for row in values.tolist()]
         record = {"first": first, "values": numbers, **({"notes": list(notes)} if notes else {})}
         # A newline first: a line that a kill cut short must not spoil this one.
@@ -84,7 +84,7 @@ def _line(record: dict[str, Any]) -> str:
 
 
 def _content(line: str) -> dict[str, Any] | None:
-    """Return what `_line` wrote, None where the line is not whole."""
+    """Return the content that `_line` wrote, None if the line is incomplete."""
     check, _, text = line.partition(" ")
     if check != f"{zlib.crc32(text.encode()):08x}":
         return None

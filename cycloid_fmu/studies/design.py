@@ -1,14 +1,14 @@
-"""Drives that keep an application's limits: geometry and modification searched within ranges, for one goal or two.
+"""Search for drives that keep given limits: geometry and modification within ranges, for one goal or two.
 
 The search is sequential quadratic programming in a trust region, on quadratic models of goal and limits that need no
 derivatives (SciPy's COBYQA; Ragonneau, thesis, Hong Kong 2022), from several starts. Largest and smallest values over
 loads, crank angles and pins are replaced by the Kreisselmeier-Steinhauser envelope (IFAC Proc. 12 (1979) 113), which is
-never below the largest one: a design that keeps a limit by it keeps it exactly. Where a yield is asked for, limits are
-tightened by how much worse than the drawn drive sampled ones are, and the search is repeated from there until that
-changes no more (sequential optimisation and reliability assessment; Du and Chen, J. Mech. Design 126 (2004) 225).
+never below the largest one: a design that keeps a limit by it keeps it exactly. Where a yield is required, limits are
+tightened by the difference between sampled drives and the drawn one, and the search is repeated from there until this
+converges (sequential optimisation and reliability assessment; Du and Chen, J. Mech. Design 126 (2004) 225).
 
-Isometric and offset modification take each other's place, so that goals and limits are long curved valleys. There a
-method that sees the limits' slopes alone (SLSQP) ended after its last iteration, far from the best drive.
+Isometric and offset modification can replace each other, so goals and limits are long curved valleys. There a method
+that uses only the slopes of the limits (SLSQP) ended after its last iteration, far from the best drive.
 """
 
 from __future__ import annotations
@@ -80,16 +80,16 @@ _GIVEN_WAY = 1e-3
 
 
 class Robust(edge.Config):
-    """For how many drives of those that a drawing allows the limits hold.
+    """The required yield, and how it is computed.
 
     Attributes
     ----------
     tolerances
-        The tolerance file, beside the design's own file where the path is relative; in Python given by themselves.
+        The tolerance file, relative to the design file; in Python given separately.
     required_yield
         Share of drives that keep every limit.
     samples
-        Drives that are solved in each round.
+        Number of drives solved in each round.
     """
 
     tolerances: str = ""
@@ -99,21 +99,21 @@ class Robust(edge.Config):
 
 
 class DesignTask(Requirements):
-    """What is searched: a drive, the ranges of what may change, what it must keep and what it should be best at.
+    """A search: a drive, the ranges of the variables, the limits and the goals.
 
     Attributes
     ----------
     drive
-        Pair file of everything that does not change, and the first start; beside this file where the path is relative.
-        In Python the drive is given by itself.
+        Pair file of everything that does not change, and the first start; relative to the design file. In Python the
+        drive is given separately.
     duty
-        Of a requirements file; the search is at its torques.
+        Duty as in a requirements file; the search is at its torques.
     goals
-        One figure of `GOALS` or size that should be as good as it can be, or two for a Pareto front.
+        One figure of `GOALS` or a size, to be as good as possible, or two for a Pareto front.
     vary
         {name of `VARIABLES`: (lowest, highest)}, SI.
     robust
-        None where the limits hold for the drive as drawn.
+        None if the limits hold for the drive as drawn.
     """
 
     drive: str = ""
@@ -162,7 +162,7 @@ def read_design_task(path: str | os.PathLike[str]) -> tuple[Pair, DesignTask, To
     Raises
     ------
     edge.InputError
-        If a file can't be read, or something in it is wrong; it names the file.
+        If a file can't be read or is invalid; it names the file.
     """
     source, beside = str(path), Path(path).parent
     task = edge.validated(DesignTask, edge.toml_table(edge.read_text(path), FORMAT, source), source)
@@ -191,8 +191,8 @@ def read_design_task(path: str | os.PathLike[str]) -> tuple[Pair, DesignTask, To
 def rotation_form(pair: Pair, elements: int) -> Array:
     """Return the form of a tooth whose flanks are turned towards each other by 1 rad, shape (elements,), m/rad.
 
-    The rotation of the profile of Chinese practice (Guan, Zhang and others): the material that a turn about the gear's
-    centre takes along the flank's normal, on both sides; nothing at root and tip, so it is no clearance by itself.
+    The rotation of the profile of Chinese practice (Guan, Zhang and others): the material that a rotation about the
+    gear's centre removes along the flank's normal, on both sides; none at root and tip, so it is not a clearance alone.
 
     Examples
     --------
@@ -211,14 +211,14 @@ def rotation_form(pair: Pair, elements: int) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """A drive within the ranges: its pair as drawn, and the form of its flanks, if any is searched."""
+    """A drive within the ranges: its pair as drawn, and the form of its flanks, if it is a variable."""
 
     pair: Pair
     surface: ErrorSurface
 
 
 def candidate(pair: Pair, values: Mapping[str, float]) -> Candidate:
-    """Return the drive with these values of `VARIABLES`, SI; an `edge.InputError` says why it can't be made."""
+    """Return the drive with these values of `VARIABLES`, SI; an `edge.InputError` if it is impossible."""
     made = pair.replace(**{n: v for n, v in values.items() if n in (*SIZES, *MODIFICATIONS)})
     surface = surface_of_pair(made)
     shapes = [v * np.asarray(profile_wave(n, _ELEMENTS)) for n, v in values.items() if n in FORMS]
@@ -233,7 +233,7 @@ def candidate(pair: Pair, values: Mapping[str, float]) -> Candidate:
 def values_over_sweep(
     task: Requirements, one: Candidate, names: Sequence[str], angles: Array
 ) -> dict[str, list[Array]]:
-    """Return each named figure as values whose worst counts, SI.
+    """Return the values of each named figure, of which the worst counts, SI.
 
     Parameters
     ----------
@@ -247,8 +247,8 @@ def values_over_sweep(
     Returns
     -------
     values
-        {figure: arrays}: of the angular transmission error an array for each load, whose range counts; of the others
-        one array, whose largest value counts, of those in `LOWER` the smallest.
+        {figure: arrays}: for the angular transmission error an array for each load, whose range counts; for the others
+        one array, whose largest value counts, or for those in `LOWER` the smallest.
     """
     pair, limits = one.pair, set(names)
     loads = np.array(loads_of(task, None))
@@ -300,7 +300,7 @@ def _ripple(values: Array, sharpness: float) -> float:
 
 
 def worst_of(name: str, values: Sequence[Array], sharpness: float = math.inf) -> float:
-    """Return the worst of a figure's values, by the envelope where its sharpness is finite.
+    """Return the worst of a figure's values, by the envelope if its sharpness is finite.
 
     Examples
     --------
@@ -321,18 +321,18 @@ def worst_of(name: str, values: Sequence[Array], sharpness: float = math.inf) ->
 
 @dataclasses.dataclass(frozen=True)
 class Relaxed:
-    """What a limit or an end of a range costs where it binds.
+    """The cost of a binding limit or end of a range.
 
     Attributes
     ----------
     name, unit
-        The limit, or what is varied; SI.
+        The limit, or the variable; SI.
     value
         The limit or the end of the range.
     gain
-        By how much the first goal gets better for each unit by which this is relaxed, > 0; to first order.
+        Gain of the first goal per unit of relaxation, > 0; to first order.
     of_a_tenth
-        By how much where it is relaxed by a tenth: of the limit, or of the range.
+        Gain for a relaxation by a tenth of the limit or of the range.
     """
 
     name: str
@@ -344,29 +344,30 @@ class Relaxed:
 
 @dataclasses.dataclass(frozen=True)
 class Design:
-    """A drive that was found.
+    """A found drive.
 
     Attributes
     ----------
     pair, surface
-        The drive, as drawn; the surface holds its flanks' form, where any was searched.
+        The drive as drawn; the surface has the form of its flanks, if it was a variable.
     values
-        {name: SI} of what was searched.
+        {name: SI} of the variables.
     goals
-        {name: SI}: what the goals are.
+        {name: SI} of the goals.
     verdicts
         On every limit, of the drive as drawn, over a whole crank turn.
     binding
-        What holds the goal back, the most costly first.
+        The binding constraints, the most costly first.
     allowance
-        {limit: SI}: by how much worse than the drawn drive the tolerances make it, at the yield; empty without.
+        {limit: SI}: difference between drives within tolerances and the drawn drive, at the yield; empty without
+        tolerances.
     yields
-        {limit, or "all": share of drives that keep it, with the ends of its interval at 95 %}, of drives that the
-        search has not seen; empty without tolerances.
+        {limit, or "all": share of drives that keep it, with the ends of its interval at 95 %}, of drives not used in
+        the search; empty without tolerances.
     required_yield
-        Share of drives that is asked for; None without tolerances.
+        Required share of drives; None without tolerances.
     evaluations
-        Drives that were solved.
+        Number of solved drives.
     """
 
     pair: Pair
@@ -382,12 +383,12 @@ class Design:
 
     @property
     def met(self) -> bool:
-        """Whether all limits are kept, where a yield is asked for by that share of drives as far as samples tell."""
+        """Whether all limits are kept; for a yield, whether the samples do not exclude it."""
         return all(one.met for one in self.verdicts) and self.has_yield
 
     @property
     def has_yield(self) -> bool:
-        """Whether the sampled drives do not exclude that the yield is the one asked for."""
+        """Whether the sampled drives do not exclude the required yield."""
         return self.required_yield is None or self.yields["all"]["high"] >= self.required_yield
 
     def numbers(self) -> dict[str, Any]:
@@ -401,7 +402,7 @@ class Design:
 
 
 class Search:
-    """One goal, others held at levels, over the unit cube of the ranges."""
+    """One goal, with limits on the others, over the unit cube of the ranges."""
 
     def __init__(self, pair: Pair, task: DesignTask, allowance: Mapping[str, float]) -> None:
         self.pair, self.task, self.allowance = pair, task, dict(allowance)
@@ -415,11 +416,11 @@ class Search:
         self._kept: dict[tuple[bytes, float], dict[str, float] | None] = {}
 
     def values_at(self, place: Array) -> dict[str, float]:
-        """Return the values of a place in the unit cube, SI."""
+        """Return the values at a point of the unit cube, SI."""
         return dict(zip(self.names, (self.low + np.clip(place, 0.0, 1.0) * self.width).tolist(), strict=True))
 
     def place_of(self, pair: Pair) -> Array:
-        """Return the place of a pair, moved into the ranges."""
+        """Return the point of a pair, moved into the ranges."""
         stated = {**{n: getattr(pair, n) for n in SIZES}, **{n: getattr(pair.modification, n) for n in MODIFICATIONS}}
         found = [(stated.get(n, 0.0) - low) / width
                  for n, low, width in zip(self.names, self.low, self.width, strict=True)]  # fmt: skip
@@ -427,7 +428,7 @@ class Search:
         return place
 
     def figures(self, place: Array, sharpness: float) -> dict[str, float] | None:
-        """Return the goals' and limits' figures at a place; None where no drive can be made."""
+        """Return the goals' and limits' figures at a point; None if the drive is impossible."""
         key = (np.asarray(place).tobytes(), sharpness)
         if key not in self._kept:
             self.evaluations += 1
@@ -444,13 +445,13 @@ class Search:
         return self._kept[key]
 
     def exact(self, place: Array) -> dict[str, float]:
-        """Return the figures at a place that is a drive."""
+        """Return the figures at a valid point."""
         found = self.figures(place, math.inf)
         assert found is not None
         return found
 
     def margins(self, figures: Mapping[str, float], levels: Mapping[str, float]) -> Array:
-        """Return by how much each limit and each level of another goal is kept, as a share of it."""
+        """Return the margin of each limit and of each level of another goal, as a share of it."""
         found = []
         for name, limit in self.limits.items():
             allowed = self.tightened(name, limit)
@@ -459,11 +460,11 @@ class Search:
         return np.array(found)
 
     def tightened(self, name: str, limit: float) -> float:
-        """Return a limit as the drive as drawn has to keep it."""
+        """Return the tightened limit for the drive as drawn."""
         return limit + self.allowance.get(name, 0.0) * (1.0 if name in LOWER else -1.0)
 
     def gradients(self, place: Array, of: Callable[[Mapping[str, float]], Array]) -> Array:
-        """Return central differences of some figures' values, shape (values, names); one-sided beside what can't be."""
+        """Return central differences of some figures' values, (values, names); one-sided next to invalid points."""
         here = self.figures(place, _SHARPNESS)
         assert here is not None
         columns = []
@@ -479,7 +480,7 @@ class Search:
         return np.array(columns).T
 
     def minimised(self, start: Array, goal: str, levels: Mapping[str, float]) -> Array | None:
-        """Return where the search ends from a start, None where the start is no drive."""
+        """Return the end point of the search from a start, None if the start is invalid."""
         from scipy.optimize import NonlinearConstraint, minimize
 
         first = self.figures(start, _SHARPNESS)
@@ -507,7 +508,7 @@ class Search:
         return start if self.figures(end, _SHARPNESS) is None else np.clip(end, 0.0, 1.0)
 
     def rank(self, place: Array, goal: str, levels: Mapping[str, float]) -> tuple[float, float]:
-        """Return what ranks places: by how much limits are missed, then the goal; smaller is better."""
+        """Return the rank of a point: the violation of limits, then the goal; smaller is better."""
         figures = self.figures(place, math.inf)
         if figures is None:
             return math.inf, math.inf
@@ -515,26 +516,26 @@ class Search:
         return (0.0 if missed < 1e-6 else missed), figures[goal] * (-1.0 if goal in LOWER else 1.0)
 
     def best(self, starts: Sequence[Array], goal: str, levels: Mapping[str, float]) -> Array:
-        """Return the best place that any start leads to.
+        """Return the best point from all starts.
 
         Raises
         ------
         edge.InputError
-            If no start is a drive that can be made and carries the loads.
+            If no start is a valid drive that carries the loads.
         """
         ends = [end for start in starts if (end := self.minimised(start, goal, levels)) is not None]
         if not ends:
             raise edge.InputError(
-                "vary: nowhere within these ranges was a gear found that can be made and carries the torques; give "
-                f"ranges about the drive ({self.refused.rstrip('.')})."
+                "vary: no gear was found within these ranges that can be made and carries the torques; give "
+                f"ranges around the drive ({self.refused.rstrip('.')})."
             )
         return min(ends, key=lambda end: self.rank(end, goal, levels))
 
     def binding(self, place: Array, goal: str, levels: Mapping[str, float]) -> tuple[Relaxed, ...]:
-        """Return what holds the goal back at an optimum: multipliers of the binding limits and ends of ranges.
+        """Return the binding constraints at an optimum: multipliers of limits and ends of ranges.
 
-        The goal's slope is a sum of those of what binds, none with a share below zero (Karush, Kuhn and Tucker), found
-        by non-negative least squares.
+        The gradient of the goal is a sum of the gradients of the constraints with non-negative multipliers (Karush,
+        Kuhn and Tucker), found by non-negative least squares.
         """
         from scipy.optimize import nnls
 
@@ -579,7 +580,7 @@ def _kept_by(name: str, value: float, allowed: float, size: float) -> float:
 
 
 def size_of(name: str, limit: float) -> float:
-    """Return the size by which a limit's margin is measured: its own, of a limit of 0 one that can be noticed, SI."""
+    """Return the reference of a limit's margin: the limit itself, or for a limit of 0 a noticeable size, SI."""
     return abs(limit) if limit != 0.0 else _NOTICED.get(_unit_of(name), 1.0)
 
 
@@ -588,7 +589,7 @@ def _unit_of(name: str) -> str:
 
 
 def _starts(search: Search, count: int, seed: int) -> list[Array]:
-    """The drive itself, then evenly spread places that are drives."""
+    """Yield the drive itself, then evenly spread valid points."""
     from scipy.stats import qmc
 
     found = [search.place_of(search.pair)]
@@ -603,7 +604,7 @@ def _starts(search: Search, count: int, seed: int) -> list[Array]:
 def sampled_figures(
     task: DesignTask, pair: Pair, form: ErrorSurface, tolerances: Tolerances, seed: int, workers: int
 ) -> dict[str, Array]:
-    """Return the limits' figures of drives that tolerances allow: {limit: shape (samples,)}, SI.
+    """Return the limits' figures of drives within tolerances: {limit: shape (samples,)}, SI.
 
     Parameters
     ----------
@@ -636,10 +637,10 @@ def sampled_figures(
 
 
 def allowances(task: DesignTask, drawn: Mapping[str, float], figures: Mapping[str, Array]) -> dict[str, float]:
-    """Return by how much worse than the drive as drawn its limits' figures are in sampled drives, at the task's yield.
+    """Return the differences of the limits' figures between sampled drives and the drawn one, at the task's yield.
 
-    They hold together: the share of drives that keep every figure within its own is the yield, at the smallest level of
-    all figures' quantiles that does it.
+    They hold together: the share of drives within all of them is the yield, at the smallest common quantile for which
+    it is.
     """
     assert task.robust is not None
     names = list(figures)
@@ -665,37 +666,37 @@ def search(
     workers: int = 1,
     progress: Callable[[str], None] = lambda step: None,
 ) -> list[Design]:
-    """Search drives that keep a task's limits.
+    """Search for drives that keep a task's limits.
 
     Parameters
     ----------
     pair
         The drive as drawn, without errors.
     task
-        What is searched; its paths are not read.
+        The search; its paths are not read.
     tolerances
         Of the task's `robust`.
     starts
-        Places to start from beside the drive itself.
+        Starting points besides the drive itself.
     seed
-        Of these places and of sampled drives; the same finds the same.
+        Seed of these points and of sampled drives; the same seed gives the same result.
     points
         Drives of a Pareto front, both ends among them.
     workers
         Threads for sampled drives.
     progress
-        Told what is being done.
+        Called with the name of each stage.
 
     Returns
     -------
     designs
-        One for one goal; of two goals those of the front, the best by the first goal first. Limits that can't be kept
-        are missed by as little as was found, and the verdicts say so.
+        One for one goal; for two goals those of the front, the best by the first goal first. If limits can't be kept,
+        the nearest drives are returned, and the verdicts state it.
 
     Raises
     ------
     edge.InputError
-        If no drive can be made within the ranges, or a goal or limit needs something that is not stated.
+        If no drive within the ranges is valid, or a goal or limit needs a missing value.
     """
     _check(pair, task)
     one = Search(pair, task, {})
@@ -722,7 +723,7 @@ def search(
 
 
 def _eased(name: str, value: float) -> float:
-    """A goal's best value, given way by a thousandth."""
+    """Return a goal's best value, relaxed by a thousandth."""
     return value + (-_GIVEN_WAY if name in LOWER else _GIVEN_WAY) * abs(value)
 
 
@@ -732,7 +733,7 @@ def _words(name: str) -> str:
 
 def _check(pair: Pair, task: DesignTask) -> None:
     if task.limits.wear_depth is not None:
-        raise edge.InputError("[limits] wear_depth: a search does not know wear; remove it.")
+        raise edge.InputError("[limits] wear_depth: a search does not include wear; remove it.")
 
     def refuse(needed: str) -> NoReturn:
         raise edge.ArgumentError("goals", needed, list(task.goals))
@@ -753,7 +754,7 @@ def _tightened_best(
     search: Search, task: DesignTask, tolerances: Tolerances | None, places: Sequence[Array], goal: str,
     levels: Mapping[str, float], seed: int, workers: int, progress: Callable[[str], None],
 ) -> Array:  # fmt: skip
-    """Return the best place, where a yield is asked for with limits that are tightened until they change no more."""
+    """Return the best point; for a yield with limits that are tightened until they converge."""
     best = search.best(places, goal, levels)
     if tolerances is None or not search.limits:
         return best
@@ -791,7 +792,7 @@ def _designed(
 
 
 def shown(name: str, value: float) -> tuple[str, str]:
-    """Return a goal's, limit's or varied value as people read it, and its unit.
+    """Return a goal's, limit's or variable's value in field units, and the unit.
 
     Examples
     --------
@@ -808,7 +809,7 @@ def write_designs(found: Sequence[Design], folder: str | os.PathLike[str]) -> li
     Returns
     -------
     paths
-        Of what was written: `design-1.toml`, `design-1.nc`, …, `designs.json`; the folder is made where it is missing.
+        The written files: `design-1.toml`, `design-1.nc`, …, `designs.json`; a missing folder is created.
 
     Raises
     ------
@@ -822,7 +823,7 @@ def write_designs(found: Sequence[Design], folder: str | os.PathLike[str]) -> li
     try:
         target.mkdir(exist_ok=True)
     except OSError as failure:
-        raise edge.InputError(f"{folder}: it can't be made a folder: {failure.strerror}.") from None
+        raise edge.InputError(f"{folder}: it can't be created as a folder: {failure.strerror}.") from None
     written = []
     for number, one in enumerate(found, 1):
         written.append(target / f"design-{number}.toml")

@@ -1,8 +1,8 @@
-"""What an application asks of a drive, and whether results keep it: each limit met or not, by how much and where.
+"""Requirements of an application and verdicts on them: each limit met or not, with margin and place.
 
-A drive's values are the drive; what an application asks of it is a file of its own, `cycloid-requirements/1`:
-`[limits]` and the duty under which they hold. Judging is pure: results go in as arrays by name (a dataset of
-`Drive.analyze`, or the same arrays), verdicts come out.
+The requirements are not part of the drive but a separate file, `cycloid-requirements/1`: `[limits]` and the duty under
+which they hold. Functions that judge take results as arrays by name (a dataset of `Drive.analyze`, or the same arrays)
+and return verdicts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _ABOVE_ZERO = pydantic.Field(gt=0.0, allow_inf_nan=False)
 
 
 class Limits(sampling.Limits):
-    """What a drive must keep: those of a tolerance file and more; each is one number, and its side is the figure's own.
+    """Limits of a drive: those of a tolerance file and more; each is one number, an upper or lower limit by its figure.
 
     Attributes
     ----------
@@ -45,8 +45,8 @@ class Limits(sampling.Limits):
     torsional_stiffness
         Smallest allowed over the crank angles, N·m/rad; at every load but zero.
     static_safety
-        Smallest allowed static safety of the contacts, S_0 = (p_limit/p)²: the load that makes the pressure limit over
-        the load (line contact). The limit is the pair's `pressure_limit`, or 4 GPa (ISO 76); at every load.
+        Smallest allowed static safety of the contacts, S_0 = (p_limit/p)²: the load at the pressure limit over the load
+        (line contact). The limit is the pair's `pressure_limit`, or 4 GPa (ISO 76); at every load.
     smallest_curvature_radius
         Smallest allowed convex curvature radius of the flank as drawn, m.
     bearing_life
@@ -54,7 +54,7 @@ class Limits(sampling.Limits):
     sliding_speed
         Largest allowed between flank and pin over the duty, m/s.
     friction_power_density
-        Largest allowed friction power over the contact's area, μ p v with the mean Hertzian pressure, W/m².
+        Largest allowed friction power per contact area, μ p v with the mean Hertzian pressure, W/m².
     wear_depth
         Largest allowed on flanks and pins, m.
     """
@@ -69,7 +69,7 @@ class Limits(sampling.Limits):
 
     @property
     def of_study(self) -> sampling.Limits:
-        """Those that a tolerance study judges."""
+        """The limits that a tolerance study judges."""
         return sampling.Limits(**{name: getattr(self, name) for name in sampling.Limits.model_fields})
 
 
@@ -82,18 +82,18 @@ SHOWN = {
     "smallest_curvature_radius": ("mm", 1e3), "bearing_life": ("h", 1.0 / 3600.0), "sliding_speed": ("m/s", 1.0),
     "friction_power_density": ("W/mm²", 1e-6), "wear_depth": ("µm", 1e6),
 }  # fmt: skip
-"""Unit and factor with which people are shown each figure."""
+"""Unit and factor of each figure in reports."""
 
 
 class DutyLoad(edge.Config):
-    """One row of the duty: a load, how fast it turns, and its share of the time.
+    """One row of the duty: a load, a speed, and its share of the time.
 
     Attributes
     ----------
     torque
         Of the environment on the output, N·m.
     output_speed
-        Of the output, either way, rad/s; 0 is a standstill under load.
+        Of the output, in either direction, rad/s; 0 is a standstill under load.
     share
         Of the time, above 0 and at most 1; those of a duty add up to 1.
     """
@@ -104,16 +104,17 @@ class DutyLoad(edge.Config):
 
 
 class Requirements(edge.Config):
-    """What an application asks of a drive.
+    """Requirements of an application.
 
     Attributes
     ----------
     limits
-        What the drive must keep.
+        The limits.
     duty
-        Loads, speeds and shares of time: bearing lives and sliding are taken over it, everything else at each torque.
+        Loads, speeds and shares of time: bearing lives and sliding are computed over it, everything else at each
+        torque.
     friction_coefficient
-        Of flanks on pins, for the friction power; None where no one asks.
+        Of flanks on pins, for the friction power; None if not needed.
 
     Examples
     --------
@@ -132,7 +133,7 @@ class Requirements(edge.Config):
 
     @property
     def of_wear(self) -> Requirements:
-        """The same without what a wear run can't judge, which knows no bearings."""
+        """The same without the limits on bearings, which a wear run can't judge."""
         return self.replace(limits=self.limits.replace(bearing_life=None))
 
     @pydantic.model_validator(mode="after")
@@ -140,8 +141,8 @@ class Requirements(edge.Config):
         total = math.fsum(load.share for load in self.duty)
         if self.duty and abs(total - 1.0) > _SUM:
             raise ValueError(
-                f"[[duty]] share adds up to {total:g} over the rows; it must add up to 1, a standstill being a row of "
-                "output_speed 0"
+                f"[[duty]] share adds up to {total:g} over the rows; it must add up to 1; a standstill is a row "
+                "with output_speed 0"
             )
         for name in ("bearing_life", "sliding_speed", "friction_power_density"):
             if getattr(self.limits, name) is not None and not any(load.output_speed > 0.0 for load in self.duty):
@@ -152,18 +153,18 @@ class Requirements(edge.Config):
 
 
 def parse_requirements(text: str, source: str) -> Requirements:
-    """Return the requirements that a TOML text states; an `edge.InputError` names what is wrong in it."""
+    """Return the requirements of a TOML text; an `edge.InputError` names the invalid entries."""
     return edge.validated(Requirements, edge.toml_table(text, FORMAT, source), source)
 
 
 def read_requirements(path: str | os.PathLike[str]) -> Requirements:
-    """Return the requirements of a file, `cycloid-requirements/1`; an `edge.InputError` names what is wrong in it."""
+    """Return the requirements of a file, `cycloid-requirements/1`; an `edge.InputError` names the invalid entries."""
     return parse_requirements(edge.read_text(path), str(path))
 
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """Whether a figure keeps its limit.
+    """The verdict on one limit.
 
     Attributes
     ----------
@@ -176,7 +177,7 @@ class Verdict:
     side
         "max" where the limit is the largest value allowed, "min" where it is the smallest.
     where
-        Where the worst value is: `torque` (N·m), `crank_angle` (rad), `disc`, `pin`, `bearing` and the like.
+        Place of the worst value: `torque` (N·m), `crank_angle` (rad), `disc`, `pin`, `bearing` and so on.
     """
 
     figure: str
@@ -188,7 +189,7 @@ class Verdict:
 
     @property
     def margin(self) -> float:
-        """By how much the limit is kept, below 0 where it is not; in `unit`."""
+        """The margin, below 0 if the limit is not met; in `unit`."""
         return self.limit - self.value if self.side == "max" else self.value - self.limit
 
     @property
@@ -223,11 +224,11 @@ def verdict(name: str, value: float, limit: float, where: Mapping[str, Any] | No
 
 
 def static_safety(pair: Pair, pressure: float) -> float:
-    """Return S_0 = (p_limit/p)² of the contacts: how many times the load makes the pressure limit (1).
+    """Return S_0 = (p_limit/p)² of the contacts: the load at the pressure limit over the load (1).
 
     The pressure of a line contact grows with the root of its load (Hertz), and ISO 76 rates by load. The limit is the
-    pair's `pressure_limit`, or ISO 76's 4 GPa of roller bearings, at which the bodies are deformed for good by 1e-4 of
-    the roller's diameter. Infinite where nothing presses.
+    pair's `pressure_limit`, or ISO 76's 4 GPa of roller bearings, at which the permanent deformation is 1e-4 of the
+    roller's diameter. Infinite without contact.
     """
     limit = LARGEST_PRESSURE if pair.pressure_limit is None else pair.pressure_limit
     return (limit / pressure) ** 2 if pressure > 0.0 else math.inf
@@ -240,7 +241,7 @@ def flank_curvature_radius(pair: Pair) -> float:
 
 
 def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
-    """Return the verdicts on an analysis: on every stated limit that its arrays have a figure for, at the worst load.
+    """Return the verdicts on an analysis: on every stated limit whose figure is in its arrays, at the worst load.
 
     Parameters
     ----------
@@ -273,7 +274,7 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
             found.append(verdict(name, value, stated[name], where))
 
     def at(values: Array, place: int, torques: Array = torque) -> dict[str, Any]:
-        """Where a flat place of values over torque, crank angle, disc and pin is."""
+        """Return the place of a flat index over torque, crank angle, disc and pin."""
         index = np.unravel_index(place, values.shape)
         names = dict(zip(("torque", "crank_angle", "disc", "pin"), index, strict=False))
         where: dict[str, Any] = {"torque": float(torques[index[0]]), "crank_angle": float(angle[index[1]])}
@@ -314,7 +315,7 @@ def judge_lives(limits: Limits, lives: Iterable[DutyLife]) -> list[Verdict]:
     Parameters
     ----------
     lives
-        Of `supports.figures.lives_over_duty`; those that are not known, NaN, are left out.
+        Of `supports.figures.lives_over_duty`; unknown ones, NaN, are left out.
     """
     known = {one.bearing: one.life for one in lives if not math.isnan(one.life)}
     if limits.bearing_life is None or not known:
@@ -326,12 +327,12 @@ def judge_lives(limits: Limits, lives: Iterable[DutyLife]) -> list[Verdict]:
 def judge_sliding(
     limits: Limits, duty: Sequence[DutyLoad], crank_angle: Array, figures: Mapping[str, Array]
 ) -> list[Verdict]:
-    """Return the verdicts on what slides.
+    """Return the verdicts on sliding.
 
     Parameters
     ----------
     duty
-        The rows that `figures` were taken for.
+        The rows of `figures`.
     crank_angle
         rad.
     figures
@@ -357,8 +358,8 @@ def judge_wear(limits: Limits, gear: Array, pin: Array, crank_turns: Array, deep
     gear, pin
         Depth of each element at the end, m: shapes (discs, teeth, profile, slices) and (pins, angle, slices).
     crank_turns, deepest
-        The history, and the largest depth of both bodies at each of its states, m: where the limit is not met, the
-        verdict says after how many crank turns it was reached.
+        The history, and the largest depth of both bodies at each of its states, m: if the limit is not met, the verdict
+        states the crank turns at which it was reached.
     """
     if limits.wear_depth is None:
         return []
@@ -380,8 +381,8 @@ def judge_budget(limits: Limits, total: float, upper: float | None) -> list[Verd
     total
         By the contact model with the sun locked, of the deviations' values, rad.
     upper
-        Upper end of the central 99.73 % of the reducers within tolerances, which is judged then; None where nothing
-        scatters.
+        Upper end of the central 99.73 % of the reducers within tolerances, which is then judged; None without
+        tolerances.
     """
     if limits.backlash is None:
         return []
@@ -392,13 +393,13 @@ def judge_budget(limits: Limits, total: float, upper: float | None) -> list[Verd
 
 
 def not_judged(limits: Limits, verdicts: Iterable[Verdict]) -> list[str]:
-    """Return the limits that are stated and have no verdict among these."""
+    """Return the stated limits without a verdict."""
     judged = {one.figure for one in verdicts}
     return [name for name in limits.stated() if name not in judged]
 
 
 def all_met(verdicts: Iterable[Verdict]) -> bool:
-    """Return whether every verdict is that its limit is met."""
+    """Return whether all limits are met."""
     return all(one.met for one in verdicts)
 
 
@@ -407,7 +408,7 @@ HEAD = ("limit", "allowed", "found", "verdict", "margin", "where")
 
 
 def row_of(one: Verdict) -> list[str]:
-    """Return a verdict as people read it: figure, limit, value, met or not, margin and its share, where."""
+    """Return a verdict as a table row: figure, limit, value, met or not, margin and its share, place."""
     unit, factor = SHOWN[one.figure]
     after = f" {unit}" if unit else ""
     share = "" if not math.isfinite(one.share) else f" ({one.share:+.1%})"
@@ -419,7 +420,7 @@ def row_of(one: Verdict) -> list[str]:
 
 
 def place_of(one: Verdict) -> str:
-    """Return where a verdict's value is, as people read it."""
+    """Return the place of a verdict's value, as text."""
     said = []
     for name, value in one.where.items():
         text = name.replace("_", " ")

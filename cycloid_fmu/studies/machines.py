@@ -1,4 +1,4 @@
-"""Drives solved in parallel, on the cores of this machine or a dask cluster, and kept on disk as they are done."""
+"""Drives solved in parallel, on the cores of this machine or a dask cluster, and stored on disk as they finish."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _DECISIVE = ("cycloid-fmu", "numba", "numpy", "scipy")
 
 
 class Solved(NamedTuple):
-    """Some drives of a study: the number of the first, their figures (drives, columns), and what was said of them."""
+    """Some drives of a study: the number of the first, their figures (drives, columns), and notes."""
 
     first: int
     values: Array
@@ -32,12 +32,12 @@ Task = Callable[[dict[str, str], AnyStudy, int, Array], Solved]
 
 @functools.cache
 def versions() -> dict[str, str]:
-    """Return the versions of the packages that decide a result's last digits."""
+    """Return the versions of the packages that determine a result's last digits."""
     return {name: importlib.metadata.version(name) for name in _DECISIVE}
 
 
 def check_versions(wanted: dict[str, str]) -> None:
-    """Refuse to work where other versions would compute other digits."""
+    """Refuse to work with other versions, which would compute other digits."""
     here = versions()
     for name, version in wanted.items():
         if here[name] != version:
@@ -47,7 +47,7 @@ def check_versions(wanted: dict[str, str]) -> None:
 
 
 def _connected(scheduler: str) -> Any:
-    """Return a client of a dask scheduler whose workers are there."""
+    """Return a client of a dask scheduler that has workers."""
     with edge.needs_extra("distributed", lambda said: edge.ArgumentError("scheduler", said, scheduler)):
         from distributed import Client
     try:
@@ -68,16 +68,16 @@ def solved(
     workers: int = 1,
     scheduler: str | None = None,
 ) -> Iterator[Solved]:
-    """Yield the waiting tasks as they are finished, in any order.
+    """Yield the tasks as they finish, in any order.
 
     Parameters
     ----------
     waiting
         {first drive: points, shape (drives, factors)}.
     task
-        What solves them: a function of a module, given `versions`, the study, the first drive and its points.
+        The function that solves them, of a module; called with `versions`, the study, the first drive and its points.
     workers
-        Processes of this machine; 1 works in this one.
+        Processes of this machine; 1 uses this one.
     scheduler
         Address of a dask scheduler, such as "tcp://host:8786"; its workers are used instead.
 
@@ -117,16 +117,16 @@ def complete(
     scheduler: str | None = None,
     progress: Callable[[int], None],
 ) -> None:
-    """Solve all tasks but those of the checkpoint; `done` holds what is finished, by the first drive, at any time.
+    """Solve all tasks except those of the checkpoint; `done` has the finished ones, by the first drive, at any time.
 
-    Parameters are those of `solved`, but:
+    Parameters are those of `solved`, and:
 
     Parameters
     ----------
     checkpoint
-        Where finished drives are kept as they come.
+        Storage of finished drives.
     progress
-        Told how many drives were just finished, first those of the checkpoint.
+        Called with the number of drives just finished, first those of the checkpoint.
     """
     for first, values in ({} if checkpoint is None else checkpoint.done).items():
         if checkpoint is not None and first in tasks:

@@ -1,6 +1,6 @@
 """Sweeps: every combination of several values of a pair file, each drive solved by itself.
 
-A value that makes no drive is part of the result: its figures are NaN and a sentence says why.
+An invalid combination is part of the result: its figures are NaN, with a sentence that gives the reason.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ FREE = {name: OF_STUDIES[name] for name in ("mean_backlash", "backlash", "lost_m
 
 @dataclass(frozen=True)
 class Sweep:
-    """What a sweep solves; two sweeps with equal fields have equal results.
+    """Definition of a sweep; two sweeps with equal fields have equal results.
 
     Attributes
     ----------
     pair, surface, first_stage
         The drive whose values vary.
     vary
-        What varies; the last one fastest.
+        The varied values; the last one varies fastest.
     torque
         Loads on the output, N·m, not zero.
     angles, turns
@@ -72,7 +72,7 @@ class Sweep:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of values of each that varies."""
+        """Number of values of each variable."""
         return tuple(len(one.values) for one in self.vary)
 
     @functools.cached_property
@@ -86,7 +86,7 @@ class Sweep:
         return {one.name: one.texts[k] for one, k in zip(self.vary, place, strict=True)}
 
     def identity(self) -> dict[str, Any]:
-        """Return what tells this sweep from another, for a checkpoint."""
+        """Return the identity of this sweep, for a checkpoint."""
         return {
             "pair": self.pair.text,
             "surface": self.surface.hash,
@@ -105,8 +105,8 @@ def check_sweep(sweep: Sweep) -> None:
     Raises
     ------
     edge.InputError
-        If nothing varies, something twice, there are too many drives, a load is zero or missing, or no value at all
-        makes a drive.
+        If nothing is varied, something is varied twice, there are too many drives, a load is zero or missing, or no
+        combination is valid.
     """
     names = [one.name for one in sweep.vary]
     if not names:
@@ -120,7 +120,7 @@ def check_sweep(sweep: Sweep) -> None:
     if 0.0 in sweep.torque:
         raise edge.ArgumentError("torque", "a sweep's loads must not be zero; the play has its own figures", 0.0)
     if len(set(sweep.torque)) != len(sweep.torque):
-        raise edge.ArgumentError("torque", "each load must be another one", edge.listed(map(str, sweep.torque)))
+        raise edge.ArgumentError("torque", "the loads must be different", edge.listed(map(str, sweep.torque)))
     reason = ""
     for number in range(math.prod(sweep.shape)):
         try:
@@ -130,11 +130,11 @@ def check_sweep(sweep: Sweep) -> None:
         else:
             return
     shown = ", ".join(f"{one.name} {one.texts[0]} … {one.texts[-1]}" for one in sweep.vary)
-    raise edge.ArgumentError("vary", f"none of these values makes a drive; the first one: {reason}", shown)
+    raise edge.ArgumentError("vary", f"none of these values is a valid drive; the first one: {reason}", shown)
 
 
 def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
-    """Return the figures of one drive in the order of `Sweep.columns`, NaN where there are none, and why, or ""."""
+    """Return the figures of one drive in the order of `Sweep.columns`, NaN where missing, and the reason, or ""."""
     loads = len(sweep.torque)
     found: dict[str, Any] = {name: np.full(loads, math.nan) for name in LOADED} | dict.fromkeys(FREE, math.nan)
     reasons: list[str] = []
@@ -166,14 +166,14 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
 
 
 def _task(wanted: dict[str, str], sweep: Sweep, first: int, nothing: Array) -> Solved:
-    """Solve one drive wherever this runs."""
+    """Solve one drive, in any process."""
     check_versions(wanted)
     values, reason = figures_of(sweep, first)
     return Solved(first, values[None], (reason,))
 
 
 class Interrupted(KeyboardInterrupt):
-    """A sweep was interrupted; the text says what is kept."""
+    """A sweep was interrupted; the text states the kept results."""
 
 
 def run(
@@ -188,19 +188,19 @@ def run(
     Parameters
     ----------
     output
-        The file that `sweep_files.conduct` is going to write: until then one with `.checkpoint` behind its name keeps
-        the drives that are solved, and the same sweep goes on from there.
+        The file that `sweep_files.conduct` will write: until then solved drives are kept in a file of that name with
+        `.checkpoint` appended, and the same sweep continues from there.
     workers
         Processes; the result does not depend on them.
     progress
-        Told how many drives were just finished, first those of the checkpoint.
+        Called with the number of drives just finished, first those of the checkpoint.
 
     Raises
     ------
     edge.InputError
-        If the sweep can't be made or the checkpoint is of another one.
+        If the sweep is invalid or the checkpoint is that of another one.
     Interrupted
-        At a KeyboardInterrupt; its text says what is kept.
+        At a KeyboardInterrupt; its text states the kept results.
     """
     check_sweep(sweep)
     size = math.prod(sweep.shape)
@@ -212,7 +212,7 @@ def run(
     except KeyboardInterrupt:
         where = "nothing is kept without an output"
         if kept is not None:
-            where = f"{kept.path} keeps them; the same sweep goes on from there"
+            where = f"{kept.path} keeps them; the same sweep continues from there"
         raise Interrupted(f"Interrupted: {len(done)} of {size} drives are done; {where}.") from None
     order = [done[number] for number in range(size)]
     return _dataset(sweep, np.concatenate([one.values for one in order]), [one.notes[0] for one in order])
@@ -234,7 +234,7 @@ def _dataset(sweep: Sweep, values: Array, reasons: list[str]) -> xr.Dataset:
         dims = (*names, "torque") if name in LOADED else tuple(names)
         data[name] = (dims, figure if name in LOADED else figure[..., 0], {"units": unit, "long_name": text})
     reason = np.array(reasons, dtype=object).reshape(sweep.shape)
-    data["reason"] = (names, reason, {"long_name": "why figures are missing, empty where none are"})
+    data["reason"] = (names, reason, {"long_name": "reason for missing figures, empty if none are missing"})
     places: dict[str, Any] = {"torque": ("torque", list(sweep.torque), {
         "units": "N*m", "long_name": "torque of the environment on the output"
     })}  # fmt: skip
@@ -245,5 +245,5 @@ def _dataset(sweep: Sweep, values: Array, reasons: list[str]) -> xr.Dataset:
 
 
 def vary_of(given: Mapping[str, str | Iterable[float | str]]) -> tuple[Varied, ...]:
-    """Return what varies, of {name: its values}; an `edge.InputError` says what is wrong with them."""
+    """Return the varied values from {name: its values}; an `edge.InputError` names invalid ones."""
     return tuple(varied(name, values) for name, values in given.items())

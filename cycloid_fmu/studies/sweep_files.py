@@ -33,7 +33,7 @@ def conduct(
     workers: int = 1,
     progress: Callable[[int], None] = lambda drives: None,
 ) -> xr.Dataset:
-    """Solve a sweep and write it, as `Drive.sweep` says; parameters are those of `sweep.run`."""
+    """Solve a sweep and write it, as `Drive.sweep`; parameters are those of `sweep.run`."""
     target = None if output is None else edge.output_path(output, "output", ENDINGS)
     data = run(sweep, target, workers=workers, progress=progress)
     if target is not None:
@@ -43,7 +43,7 @@ def conduct(
 
 
 def write(data: xr.Dataset, path: str | os.PathLike[str]) -> None:
-    """Write a sweep in the format of the name's ending, whole or not at all.
+    """Write a sweep in the format of the name's ending; never a partial file.
 
     Raises
     ------
@@ -59,20 +59,20 @@ def write(data: xr.Dataset, path: str | os.PathLike[str]) -> None:
 
 
 def label_of(name: str, unit: str) -> str:
-    """Return a figure or what varies with its unit, as people read it."""
+    """Return the label of a figure or a varied value, with its unit."""
     shown = unit.replace("um", "µm").replace("*", "·").replace("degC", "°C")
     return name.replace("_", " ") + ("" if unit == "1" else f" [{shown}]")
 
 
 def varied_names(data: xr.Dataset) -> list[str]:
-    """Return what a sweep varies, in its order."""
+    """Return the names of the varied values, in order."""
     return [str(name) for name in data["reason"].dims]
 
 
 def with_free_positions(data: xr.Dataset) -> xr.Dataset:
-    """Return a sweep without the figures, but the interference, of drives that have some; all of it where all have.
+    """Return a sweep without the figures of drives with interference, unless all have it; the interference stays.
 
-    A preloaded drive is many times as stiff and carries on all pins: it would hide by what the others differ.
+    A preloaded drive is many times stiffer and carries on all pins: it would hide the differences of the others.
     """
     free = ~(data["interference"] > 0.0)
     if not free.any():
@@ -82,7 +82,7 @@ def with_free_positions(data: xr.Dataset) -> xr.Dataset:
 
 
 def shown_values(data: xr.Dataset, name: str) -> tuple[list[float], str]:
-    """Return the values of what varies, and their unit, as they were given."""
+    """Return the varied values and their unit, as given."""
     place = data[name]
     si, unit = place.attrs["units"], place.attrs["shown_units"]
     if si == "1":

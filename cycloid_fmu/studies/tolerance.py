@@ -1,8 +1,8 @@
-"""Tolerance studies: many drives that a drawing allows, each solved exactly, and what follows for yield and cost.
+"""Tolerance studies: many drives within tolerances, each solved exactly, and the resulting yield and cost.
 
 A drive is a point of the unit cube with one axis for each tolerance (`sampling.surface_at`). The design of a study is a
-set of such points, fixed by its seed; every drive is solved by itself, from a cold start, so neither the number of
-workers nor their order nor an interruption changes a result.
+set of such points, fixed by its seed; every drive is solved alone, from a cold start, so the number of workers, their
+order and interruptions do not change a result.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ FIGURES = {
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """What a study solves; two studies with equal fields have equal results.
+    """Definition of a study; two studies with equal fields have equal results.
 
     Attributes
     ----------
     pair, tolerances
-        The nominal pair, and what is sampled.
+        The nominal pair, and the tolerances.
     samples, seed, design
         Points: "sobol" (scrambled), "latin-hypercube", or "saltelli" for Sobol indices, whose number of points is the
         largest multiple of tolerances + 2 by a power of two that `samples` allows.
@@ -69,7 +69,7 @@ class Study:
     angles, turns
         Crank angles evenly from 0 over so many crank turns, end excluded.
     first_stage
-        What turns the cranks of an RV reducer: figures are then those with the sun locked.
+        The first stage of an RV reducer: figures are then those with the sun locked.
     """
 
     pair: Pair
@@ -96,7 +96,7 @@ class Study:
         return (*((n, k) for n in PER_TORQUE for k in range(len(self.torque))), *alone)
 
     def identity(self) -> dict[str, Any]:
-        """Return what tells this study from another, for a checkpoint."""
+        """Return the identity of this study, for a checkpoint."""
         return {
             "pair": self.pair.nominal.text,
             "tolerances": self.tolerances.text,
@@ -144,7 +144,7 @@ def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
 
 
 def points(study: Study) -> Array:
-    """Return the study's points in the unit cube, shape (samples, factors); the seed decides them.
+    """Return the study's points in the unit cube, shape (samples, factors), determined by the seed.
 
     Raises
     ------
@@ -227,9 +227,9 @@ def figures_of(study: Study, surface: ErrorSurface) -> Array:
 
 
 def check_first_order(study: Study, tolerances_source: str) -> None:
-    """Refuse, with an `edge.InputError`, what first order does not take: form deviations, a first stage."""
+    """Raise `edge.InputError` for studies that first order does not support: form deviations, a first stage."""
     if study.first_stage is not None:
-        raise edge.InputError("[involute]: to first order no first stage is known; solve the drives exactly.")
+        raise edge.InputError("[involute]: first order does not include a first stage; solve the drives exactly.")
     for name in study.factors:
         if name.endswith("_profile"):
             raise edge.InputError(
@@ -243,7 +243,7 @@ def screen_of(study: Study, largest: float = 1.0) -> Screen:
     Parameters
     ----------
     largest
-        Errors may be this often what the tolerances allow.
+        Largest errors, in units of the tolerances.
     """
     angles = crank_angles(study)
     low_loads = (*study.pair.lost_motion_loads, 0.0)
@@ -301,7 +301,7 @@ def _screening_task(wanted: dict[str, str], study: Study, first: int, rows: Arra
 
 
 def _task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> Solved:
-    """Solve some samples wherever this runs."""
+    """Solve some samples, in any process."""
     check_versions(wanted)
     return Solved(first, np.array([figures_of(study, surface_of(study, row)) for row in rows]))
 
@@ -332,7 +332,7 @@ class Result:
 
     @functools.cached_property
     def independent(self) -> NDArray[np.bool_]:
-        """Which samples are an even sample of the drives: all but those of Saltelli's that share coordinates."""
+        """Mask of the samples that are independent: all except those of Saltelli's design that share coordinates."""
         if self.study.design != "saltelli":
             return np.ones(self.sample.size, dtype=bool)
         place = self.sample % (len(self.study.factors) + 2)
@@ -352,11 +352,11 @@ def run(
     Parameters
     ----------
     checkpoint
-        Where finished samples are kept as they come.
+        Storage of finished samples.
     workers, scheduler
         As in `machines.solved`; the result does not depend on them.
     progress
-        Told how many samples were just finished, first those of the checkpoint.
+        Called with the number of samples just finished, first those of the checkpoint.
 
     Raises
     ------
@@ -390,11 +390,11 @@ class Screened:
     result
         All samples, the confirmed ones by the exact kernel.
     confirmed
-        Numbers of the samples that were solved exactly.
+        Numbers of the samples solved exactly.
     difference
         {figure: largest difference between both kernels over the confirmed samples, SI}.
     changed
-        Confirmed samples that one kernel lets keep all limits and the other does not.
+        Number of confirmed samples with different verdicts of the two kernels.
     """
 
     result: Result
@@ -413,18 +413,18 @@ def screened(
 ) -> Screened:
     """Solve a study to first order and confirm a share of it by the exact kernel.
 
-    Confirmed are the samples nearest to the limits, where a difference would decide; without limits the first ones,
-    which are as even as any.
+    The samples nearest to the limits are confirmed, where a difference would change the verdict; without limits the
+    first ones.
 
     Parameters
     ----------
     share
         Of the samples, above 0 and at most 1.
     workers, scheduler, progress
-        As in `run`; each confirmed sample is told of once more. An `edge.InputError` refuses a pair with supports.
+        As in `run`; each confirmed sample is counted once more. An `edge.InputError` refuses a pair with supports.
     """
     if study.pair.supports is not None:
-        problem = "first order does not see errors open and close bearings' clearances; leave it out with supports"
+        problem = "first order does not include opening and closing clearances of bearings; leave it out with supports"
         raise edge.ArgumentError("screen", problem, share)
     place = points(study)
     values = np.empty((len(place), len(study.columns)))
@@ -458,7 +458,7 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, result: Result, size: int, checkpoint: Checkpoint | None) -> None:
         kept = "nothing is kept without an output"
         if checkpoint is not None:
-            kept = f"{checkpoint.path} keeps them; the same study goes on from there"
+            kept = f"{checkpoint.path} keeps them; the same study continues from there"
         super().__init__(f"Interrupted: {result.sample.size} of {size} drives are done; {kept}.")
         self.result = result
 
@@ -480,7 +480,7 @@ def statistics(result: Result) -> dict[str, dict[str, Any]]:
 
 
 def demand(study: Study, values: Array) -> dict[str, Array]:
-    """Return how much of each stated limit the samples take, largest over the loads: {limit: shape (samples,)}.
+    """Return the samples' figures as shares of each stated limit, largest over the loads: {limit: shape (samples,)}.
 
     1 is at the limit. A limit of 0 is kept (share 0) by what does not exceed it.
     """
@@ -494,7 +494,7 @@ def demand(study: Study, values: Array) -> dict[str, Array]:
 def yields(result: Result) -> dict[str, dict[str, float]]:
     """Return the shares of drives that keep the study's limits, as `shares_kept` does.
 
-    Evenly spread points err less than the interval says, which is that of independent ones.
+    Evenly spread points have smaller errors than this interval of independent ones.
     """
     return shares_kept({n: d[result.independent] <= 1.0 for n, d in demand(result.study, result.values).items()})
 

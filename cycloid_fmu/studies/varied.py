@@ -1,4 +1,4 @@
-"""Values of a pair file that a sweep varies: their names, their ranges, and the drives that they make."""
+"""Values of a pair file that a sweep varies: their names, ranges, and the resulting drives."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ _HOW = 'write a range with its number of values, "2.5:3.5:11 mm", or values, "2.
 
 @dataclass(frozen=True)
 class Varied:
-    """A value of a pair file that takes several values.
+    """A varied value of a pair file.
 
     Attributes
     ----------
     name
-        As the file has it, with the names of its table before it where that is not [pair] or [modification].
+        As in the file, with the names of its table before it unless that is [pair] or [modification].
     texts
         The values as a file has them, with their unit.
     values
@@ -56,9 +56,9 @@ class Varied:
 
 
 def known_names() -> dict[str, tuple[str, bool]]:
-    """Return every number that a pair file can have: {name: (its SI unit, "1" without one; whether it is whole)}.
+    """Return every number that a pair file can have: {name: (its SI unit, "1" without one; whether it is an integer)}.
 
-    Errors round a circle have a name for each order, which is not listed: `errors.pin_radial.order_2`.
+    Errors around a circle have a name for each order, which is not listed: `errors.pin_radial.order_2`.
     """
     errors = {f"errors.{kind.file_key}": (kind.unit, False) for kind in KINDS.values() if kind.of == "drive"}
     return {**_drawn_names(), **errors}
@@ -66,7 +66,7 @@ def known_names() -> dict[str, tuple[str, bool]]:
 
 @functools.cache
 def _drawn_names() -> dict[str, tuple[str, bool]]:
-    """Return the numbers of a pair as drawn; kinds of error may come later."""
+    """Return the numbers of a pair as drawn; error kinds may be added later."""
     found = {"temperature": ("K", False)}
     for name, field in Pair.model_fields.items():
         found |= _numbers(name, field)
@@ -77,7 +77,7 @@ def _drawn_names() -> dict[str, tuple[str, bool]]:
 
 
 def _numbers(name: str, field: Any) -> dict[str, tuple[str, bool]]:
-    """Return the numbers that a field is or holds, by their dotted names."""
+    """Return the numbers in a field, by their dotted names."""
     parts = typing.get_args(field.annotation) if typing.get_origin(field.annotation) else (field.annotation,)
     if isinstance(field.annotation, types.UnionType):
         parts = field.annotation.__args__
@@ -93,7 +93,7 @@ def _numbers(name: str, field: Any) -> dict[str, tuple[str, bool]]:
 
 
 def varied(name: str, given: str | Iterable[float | str]) -> Varied:
-    """Return what a sweep varies.
+    """Return one varied value.
 
     Parameters
     ----------
@@ -107,14 +107,14 @@ def varied(name: str, given: str | Iterable[float | str]) -> Varied:
     Raises
     ------
     edge.InputError
-        If there is no such value, or these are none of it.
+        If there is no such value, or these are invalid.
     """
     known = known_names()
     name = name.removeprefix("pair.").removeprefix("modification.")
     wave = _WAVE.fullmatch(name)
     of_waves = {kind.file_key: kind.unit for kind in KINDS.values() if kind.waves}
     if name not in known and not (wave and wave[1] in of_waves):
-        why = "pins are one more than gear_teeth; vary these" if name == "pins" else "no number of a pair file"
+        why = "pins are one more than gear_teeth; vary these" if name == "pins" else "not a number of a pair file"
         near = edge.did_you_mean(name, known)
         raise edge.ArgumentError("vary", f"{why}{f'; {near}' if near else ''}".rstrip(".?"), name)
     si, whole = (of_waves[wave[1]], False) if wave else known[name]
@@ -125,7 +125,7 @@ def varied(name: str, given: str | Iterable[float | str]) -> Varied:
         shown = given if isinstance(given, str) else ", ".join(map(str, given))
         raise edge.ArgumentError("vary", str(problem), f"{name}={shown}") from None
     if len(set(values)) != len(values):
-        raise edge.ArgumentError("vary", "each value must be another one", f"{name}={edge.listed(texts)}")
+        raise edge.ArgumentError("vary", "the values must be different", f"{name}={edge.listed(texts)}")
     if whole:
         texts = [str(int(value)) for value in values]
     return Varied(name, tuple(texts), tuple(values), si, unit)
@@ -169,7 +169,7 @@ def _value(text: str, si: str, whole: bool) -> float:
 
 
 def drive_with(pair: Pair, surface: ErrorSurface, stated: Mapping[str, str]) -> tuple[Pair, ErrorSurface]:
-    """Return the pair and the surface of a drive in which values of the pair file are other ones.
+    """Return the pair and the surface of a drive with other values of the pair file.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def drive_with(pair: Pair, surface: ErrorSurface, stated: Mapping[str, str]) -> 
     Raises
     ------
     edge.InputError
-        If these values make no drive; one sentence.
+        If these values are not a valid drive; one sentence.
     """
     tables: dict[str, Any] = tomllib.loads(pair.text)
     tables.pop("format")
@@ -196,7 +196,7 @@ def drive_with(pair: Pair, surface: ErrorSurface, stated: Mapping[str, str]) -> 
         for part in path:
             table = table.setdefault(part, {})
             if not isinstance(table, dict):
-                raise edge.InputError(f"{name}: the drive states {part} one by one, not by its orders.")
+                raise edge.InputError(f"{name}: the drive states single values of {part}, not its orders.")
         if key.startswith("order_"):
             table[key] = [text, table.get(key, ["", "0 rad"])[1]]
         else:

@@ -1,4 +1,4 @@
-"""The verdicts on one drive: what is solved beyond a sweep so that every stated limit that can be judged is judged."""
+"""The verdicts on one drive: computations in addition to a sweep, for every stated limit that can be judged."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ Array = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class Judged:
-    """What was found of a drive against what an application asks.
+    """The results of judging a drive.
 
     Attributes
     ----------
     verdicts
         One for each limit that could be judged; none without limits.
     not_judged
-        Limits that are stated and that this does not judge.
+        Stated limits that are not judged here.
     lives
         Bearings over the duty; none without speeds or supports.
     crank_angle
         Shape (angles,), rad, of `sliding`.
     sliding
-        Each row of the duty that turns under load, and how its pins slide.
+        Sliding of the pins for each row of the duty that turns under load.
     """
 
     verdicts: tuple[Verdict, ...]
@@ -55,11 +55,11 @@ class Judged:
 
     @property
     def met(self) -> bool:
-        """Whether every limit that was judged is met."""
+        """Whether all judged limits are met."""
         return judging.all_met(self.verdicts)
 
     def numbers(self) -> dict[str, Any]:
-        """Return everything for scripts, SI; of what slides the largest of each pin."""
+        """Return everything for scripts, SI; for sliding the largest value of each pin."""
         sliding = [
             {
                 "torque": load.torque, "output_speed": load.output_speed,
@@ -73,7 +73,7 @@ class Judged:
         }  # fmt: skip
 
     def labelled(self, data: xr.Dataset) -> xr.Dataset:
-        """Return a sweep's dataset with the verdicts as an attribute, and what slides over `duty`, its rows that turn.
+        """Return a sweep's dataset with the verdicts as an attribute, and the sliding over `duty`, its rows that turn.
 
         `sliding_speed`, `friction_power` and `friction_power_density` are over duty, crank angle, disc and pin;
         `duty_torque`, `duty_output_speed` and `duty_share` state the rows.
@@ -99,7 +99,7 @@ _LABELS = {
 
 
 def loads_of(requirements: Requirements, torque: Sequence[float] | None) -> list[float]:
-    """Return the torques to solve, N·m: those given, and those of the duty that are not among them.
+    """Return the torques to solve, N·m: the given ones, and those of the duty that are not among them.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def loads_of(requirements: Requirements, torque: Sequence[float] | None) -> list
 
 
 def check(requirements: Requirements, pair: Pair, source: str, pair_source: str) -> None:
-    """Refuse, with an `edge.InputError`, limits that the pair lacks something for; it names both files."""
+    """Raise `edge.InputError` for limits that need a value that the pair lacks; it names both files."""
     limits = requirements.limits
     if limits.lost_motion is not None and pair.rated_torque is None:
         raise edge.InputError(
@@ -145,11 +145,11 @@ def judge_sweep(
     pair, surface, first_stage
         The drive.
     requirements
-        What is asked of it, checked by `check`.
+        The requirements, checked by `check`.
     found
         Its sweep, with play and stiffness.
     workers
-        Threads for the lost motion, which is solved here where it has a limit.
+        Threads for the lost motion, which is solved here if it has a limit.
     """
     data: dict[str, Any] = {**vars(found), "backlash": found.backlash}
     if requirements.limits.lost_motion is not None:
@@ -214,9 +214,9 @@ def judge_drive(
 def judge_worn(
     run: WearRun, requirements: Requirements, *, workers: int = 1, progress: Callable[[int], None] = lambda angles: None
 ) -> Judged:
-    """Judge a drive at the end of a wear run, at the loads of its life and of the duty, and how deep it is worn.
+    """Judge a drive at the end of a wear run, at the loads of its life and of the duty, and its wear depth.
 
-    Bearings, which wear does not know, are not judged.
+    Bearings are not part of the wear model and are not judged.
     """
     model, last = run.model, run.states[-1]
     torque = list(dict.fromkeys(load.torque for load in model.loads if load.torque != 0.0))
@@ -237,7 +237,7 @@ SLIDING_HEAD = ("load", "sliding speed", "friction power of a pin", "over its co
 
 
 def life_rows(judged: Judged) -> list[list[str]]:
-    """Return the bearings' lives over the duty as people read them, columns `LIVES_HEAD`."""
+    """Return the bearings' lives over the duty as table rows, columns `LIVES_HEAD`."""
 
     def shown(life: float) -> str:
         return "-" if math.isnan(life) else "unlimited" if math.isinf(life) else f"{life / 3600.0:.4g} h"
@@ -246,7 +246,7 @@ def life_rows(judged: Judged) -> list[list[str]]:
 
 
 def sliding_rows(judged: Judged) -> list[list[str]]:
-    """Return the largest of what slides at each row of the duty as people read it, columns `SLIDING_HEAD`.
+    """Return the largest sliding at each row of the duty as table rows, columns `SLIDING_HEAD`.
 
     The place is that of the largest friction power, or of the largest speed without a friction coefficient.
     """

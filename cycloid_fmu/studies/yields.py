@@ -1,4 +1,4 @@
-"""A tolerance study as a whole: read, checked, solved, written, and what it says of yields."""
+"""A complete tolerance study: read, check, solve, write, and its yields."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from cycloid_fmu.surfaces.sampling import read_tolerances
 
 @dataclasses.dataclass(frozen=True)
 class Findings:
-    """What a study found.
+    """The findings of a study.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Findings:
     statistics, yields, indices
         As `tolerance.statistics`, `yields` and `sobol_indices` return them; no indices but with Saltelli's design.
     screened
-        What the exact kernel confirmed, where the study was solved to first order.
+        The samples confirmed by the exact kernel, if the study was solved to first order.
     """
 
     result: Result
@@ -106,7 +106,7 @@ def read_study(
 
 
 def with_limits(study: Study, limits: judging.Limits, source: str, tolerances_source: str) -> Study:
-    """Return a study that judges the limits of a requirements file, those of them that a study has figures for.
+    """Return a study that judges the limits of a requirements file, as far as a study has their figures.
 
     Raises
     ------
@@ -121,9 +121,9 @@ def with_limits(study: Study, limits: judging.Limits, source: str, tolerances_so
 
 
 def judged(result: Result) -> list[judging.Verdict]:
-    """Return the verdicts on a study: a limit is met where every drive keeps it.
+    """Return the verdicts on a study: a limit is met if every drive meets it.
 
-    The value is the worst drive's, `sample` its number, and the place where it has it, from solving it once more.
+    The value is that of the worst drive, `sample` its number, and the place is found by solving it once more.
     """
     study, found = result.study, []
     for name, limit in study.tolerances.limits.stated().items():
@@ -144,14 +144,14 @@ def judged(result: Result) -> list[judging.Verdict]:
 
 
 def check(study: Study, pair_source: str, tolerances_source: str, *, to_first_order: bool = False) -> None:
-    """Refuse, with an `edge.InputError`, a study that can't be made, or not to first order; it names the files."""
+    """Raise `edge.InputError` for an invalid study, or one that first order does not support; it names the files."""
     check_study(study, pair_source, tolerances_source)
     if to_first_order:
         check_first_order(study, tolerances_source)
 
 
 def drives(study: Study, screen: float | None = None) -> int:
-    """Return how many drives `conduct` solves: the samples, and the share of them that is confirmed."""
+    """Return the number of drives that `conduct` solves: the samples, and the confirmed share of them."""
     size = len(points(study))
     return size if screen is None else size + math.ceil(screen * size)
 
@@ -172,8 +172,8 @@ def conduct(
     screen
         Solve to first order, and confirm this share of the samples by the exact kernel.
     output
-        A netCDF file, format `cycloid-tolerance-study/1`. Until it is written, `output` with `.checkpoint` behind it
-        keeps the samples that the exact kernel has solved; the same study goes on from there.
+        A netCDF file, format `cycloid-tolerance-study/1`. Until it is written, samples solved by the exact kernel are
+        kept in `output` with `.checkpoint` appended; the same study continues from there.
     workers, scheduler, progress
         As of `tolerance.run`.
 
@@ -182,7 +182,7 @@ def conduct(
     edge.InputError
         If the share is not between 0 and 1, or the checkpoint is of another study.
     Interrupted
-        At a KeyboardInterrupt; its text says what is kept.
+        At a KeyboardInterrupt; its text states the kept results.
     """
     if screen is not None and not 0.0 < screen <= 1.0:
         raise edge.ArgumentError("screen", "the share must be between 0 and 1", screen)

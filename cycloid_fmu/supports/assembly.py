@@ -1,4 +1,4 @@
-"""What holds the discs: bearings, cranks and holes as numbers and arrays."""
+"""Supports of the discs: bearings, cranks and holes as numbers and arrays."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Assembly(NamedTuple):
     Attributes
     ----------
     cranks
-        Whether cranks hold the discs and carry the load to the carrier; else one eccentric holds them and rollers in
-        their holes carry the load.
+        Whether cranks hold the discs and transmit the load to the carrier; otherwise one eccentric holds them and
+        rollers in their holes transmit the load.
     eccentricity
         Nominal e, m.
     place_x, place_y
@@ -25,7 +25,7 @@ class Assembly(NamedTuple):
     hole_x, hole_y
         Errors of the holes' places in each disc, shape (discs, count), m.
     hole_play
-        Of output rollers: by how much more than e a hole lets its roller move, shape (discs, count), m.
+        Of output rollers: free motion of a roller in its hole beyond e, shape (discs, count), m.
     throw, phase
         Errors of each eccentric's throw (m) and phase (rad), shape (discs, cranks), of one crank with output rollers.
     seat_x, seat_y
@@ -33,9 +33,9 @@ class Assembly(NamedTuple):
     turning_arm, crank_shaft, main, output_roller
         The bearings; an output roller's clearance is in `hole_play`.
     rotation_scale
-        A radius that makes a rotation a displacement, m.
+        Radius that converts a rotation to a displacement, m.
     balanced
-        What may be left of a balance, N.
+        Tolerance of the balance, N.
     """
 
     cranks: bool

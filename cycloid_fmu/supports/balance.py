@@ -2,7 +2,7 @@
 
 The unknowns q are deviations from the ideal place, in axes that do not turn: the carrier's rotation x and its centre,
 then of each disc the shift (u, v) of its centre and its rotation y, then the shift of each crank's axis from its place
-in the carrier. Forces and moments balance where the energy of all laws less the work of the torque is stationary.
+in the carrier. Forces and moments balance where the energy of all laws minus the work of the torque is stationary.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ _LAST_ITERATIONS = 600  # a drive that hangs in its clearances finds its place i
 
 
 class Load(NamedTuple):
-    """What acts on the carrier: a torque, and a spring from its rotation x to a flange that is held.
+    """Load on the carrier: a torque, and a spring from its rotation x to a held flange.
 
     Attributes
     ----------
     torque
         N·m.
     spring
-        N·m/rad; 0 where no flange is held.
+        N·m/rad; 0 without a held flange.
     flange
         Rotation of the flange from its ideal place, rad.
     """
@@ -54,7 +54,7 @@ class Work(NamedTuple):
     Attributes
     ----------
     place, residual, step, before, jump
-        Shape (unknowns,); the place is where the last solution ended, the jump where a step last met one.
+        Shape (unknowns,); the place of the last solution, and of the last jump in a step.
     jacobian, matrix
         Shape (unknowns, unknowns).
     bearing
@@ -62,8 +62,7 @@ class Work(NamedTuple):
     at
         Which unknowns those are, shape (8,).
     pose, moved
-        Where each disc was when it was last placed (discs, 3), and how far discs have moved since all pins were solved,
-        shape (1,), m.
+        Last position of each disc (discs, 3), and the motion of discs since all pins were solved, shape (1,), m.
     """
 
     place: Array
@@ -91,7 +90,7 @@ def work_of(unknowns: int, discs: int) -> Work:
 
 @spliced
 def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, contacts: Rows, work: Work) -> None:
-    """Put the discs where q says and solve the gaps that this can close."""
+    """Place the discs according to q and solve the gaps that this can close."""
     x = q[0]
     furthest = 0.0
     for disc in range(problem.shift_x.size):
@@ -172,7 +171,7 @@ def _spring(bearing: Bearing, r: float, centring: float) -> tuple[float, float]:
 
 @part
 def _shift(work: Work, first: int, sign: float, column: int) -> None:
-    """Say that two unknowns shift the displacement directly."""
+    """Set two unknowns as direct shifts of the displacement."""
     work.at[column], work.at[column + 1] = first, first + 1
     work.bearing[0, column], work.bearing[1, column] = sign, 0.0
     work.bearing[0, column + 1], work.bearing[1, column + 1] = 0.0, sign
@@ -180,7 +179,7 @@ def _shift(work: Work, first: int, sign: float, column: int) -> None:
 
 @part
 def eccentric(assembly: Assembly, crank: float, disc: int, k: int) -> tuple[float, float]:
-    """By how much the ideal eccentric, e u(A), is ahead of the one that was made, (e + de) u(A + dψ), m.
+    """Ideal eccentric e u(A) minus the actual one (e + de) u(A + dψ), m.
 
     Computed from small terms.
     """
@@ -197,7 +196,7 @@ def eccentric(assembly: Assembly, crank: float, disc: int, k: int) -> tuple[floa
 def _hole_from_place(
     assembly: Assembly, carrier: float, q: Array, disc: int, k: int
 ) -> tuple[float, float, float, float, float, float]:
-    """By how much a disc's hole is off its crank's or roller's place in the carrier, beside the ideal eccentricity.
+    """Displacement of a disc's hole from its crank's or roller's place in the carrier, without the ideal eccentricity.
 
     Then the arms of disc and carrier there; all m, in axes that do not turn.
     """
@@ -263,7 +262,7 @@ def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, ce
 def roller_displacement(
     assembly: Assembly, carrier: float, crank: float, q: Array, disc: int, i: int
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Place of a hole from its output roller, the arms of disc and carrier there, and by how much it is beyond e."""
+    """Displacement of a hole from its output roller, the arms of disc and carrier there, and its excess over e."""
     dx, dy, hx, hy, ax, ay = _hole_from_place(assembly, carrier, q, disc, i)
     e = assembly.eccentricity
     ox, oy = e * math.cos(crank), e * math.sin(crank)
@@ -312,7 +311,7 @@ def assemble(
     problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
     work: Work,
 ) -> None:  # fmt: skip
-    """Write what does not balance at q, and its derivatives."""
+    """Write the residual of the balance at q, and its derivatives."""
     _place_discs(problem, assembly, theta, q, contacts, work)
     load(problem, theta, q[0], contacts)
     for i in range(work.residual.size):
@@ -380,7 +379,7 @@ def _is_rotation(problem: Problem, i: int) -> bool:
 
 @part
 def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
-    """Write the derivatives with springs (N/m) that hold rotations and, above `HELD`, everything."""
+    """Write the derivatives with springs (N/m) that hold rotations and, above `HELD`, all unknowns."""
     for i in range(work.step.size):
         for j in range(work.step.size):
             work.matrix[i, j] = work.jacobian[i, j]
@@ -392,7 +391,7 @@ def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
 
 @spliced
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
-    """dT/dx = 1/(H⁻¹)_xx where the torque balances, N·m/rad; NaN where nothing holds."""
+    """dT/dx = 1/(H⁻¹)_xx where the torque balances, N·m/rad; NaN if it is free."""
     hold(problem, assembly, work, HELD)
     for i in range(work.step.size):
         work.step[i] = 1.0 if i == 0 else 0.0
@@ -401,7 +400,7 @@ def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> flo
 
 @part
 def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
-    """Write Newton's step, held back where it is no way down or too long; returns the share of it to go, 0 for none."""
+    """Write Newton's step, limited if it is not a descent or too long; return the share of it to take, 0 for none."""
     step, matrix, n = work.step, work.matrix, work.step.size
     held = HELD
     while held < 1e12:
@@ -421,10 +420,10 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
 
 @part
 def _between(work: Work, share: float, now: float, low: float, high: float) -> float:
-    """Return where along a step the work should vanish: by Newton's method, or between the ends that are known.
+    """Return the place along a step where the work should vanish: by Newton's method, or between the known ends.
 
-    Contacts that close make the work's slope grow along the step, so that Newton's method comes down from beyond to
-    where they close, and seldom passes it.
+    Closing contacts increase the work's slope along the step, so Newton's method approaches their closing from beyond
+    and seldom passes it.
     """
     step, slope = work.step, 0.0
     for i in range(step.size):
@@ -441,11 +440,11 @@ def balance(
     problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
     work: Work, iterations: int,
 ) -> int:  # fmt: skip
-    """Solve the balance from q, which is overwritten; returns the number of steps, 0 where it was not found.
+    """Solve the balance from q, which is overwritten; returns the number of steps, 0 if it was not found.
 
-    A step that leads to where the work along it has turned round is shortened to where that work is at most half as
-    large, either way: energies are convex but for small turns. Short of that a contact that closes on the way would not
-    be met, and the next step would lead beyond it too.
+    A step that ends where the sign of the work along it has changed is shortened to where that work is at most half as
+    large, with either sign: energies are convex for small rotations. Otherwise a contact that closes on the way would
+    be missed, and the next step would go beyond it too.
     """
     assemble(problem, assembly, theta, pull, centring, q, contacts, work)
     for iteration in range(iterations):
@@ -492,9 +491,9 @@ def settle(
     problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
     work: Work, cold: bool,
 ) -> int:  # fmt: skip
-    """Solve the balance from q or, `cold` or not found, from the ideal place, with springs (N/m) that grow softer.
+    """Solve the balance from q or, `cold` or not found, from the ideal place, with ever softer springs (N/m).
 
-    Returns the number of steps, 0 where none balances.
+    Returns the number of steps, 0 without a balance.
     """
     total = 0
     for stage in range(1 if cold else 0, 3):

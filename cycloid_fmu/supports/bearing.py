@@ -1,4 +1,4 @@
-"""How a bearing pushes back: linear or a continuum of rollers, beyond its clearance."""
+"""The force of a bearing: linear or a continuum of rollers, beyond its clearance."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Bearing(NamedTuple):
     stiffness
         N/m, or of rollers Z K_l/(2π), N/m^(10/9).
     rollers
-        Whether rollers carry it, else a linear spring.
+        Whether it is a roller bearing, otherwise a linear spring.
     factor
         Of rollers: coefficients of g(s) in `_roller_factor`.
     energy_factor
@@ -52,7 +52,7 @@ def rollers(number: int, length: float, clearance: float = 0.0) -> Bearing:
     """Return a roller bearing of steel: number of rollers, their effective length and the diametral clearance, m.
 
     A line contact carries 8.06e4 N/mm^(10/9) (l/mm)^(8/9) δ^(10/9) (Palmgren, Grundlagen der Wälzlagertechnik, for
-    steel); a roller stands between two of them.
+    steel); a roller is between two of them.
     """
     each = 8.06e4 / 2.0**_EXPONENT * (1e3 * length) ** (8.0 / 9.0) * 1e3**_EXPONENT
     return Bearing(0.5 * clearance, number * each / (2.0 * math.pi), True, *_roller_factors())

@@ -1,8 +1,8 @@
-"""A drive on its bearings at one place: what it stores, the torques that are its derivatives, and how it follows.
+"""A drive on its bearings at one place: stored energy, the torques as its derivatives, and its motion.
 
 With the unknowns q at their balance under a torque or behind a spring, r(q, θ) = 0, the stored energy U(q, θ) changes
-with the crank angle by ∂U/∂θ + b·dq/dθ. Here b = ∂U/∂q less what balances, the part of Hertz's energy by the flank's
-curvature, which moves with the foot and which the balance leaves out (`contact.elastic_energy`).
+with the crank angle by ∂U/∂θ + b·dq/dθ. Here b = ∂U/∂q minus the balanced forces, the part of Hertz's energy by the
+change of the flank's curvature, which the balance neglects (`contact.elastic_energy`).
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ class _HeldType(types.StructRef):  # type: ignore[misc]
 
 
 class Held(structref.StructRefProxy):  # type: ignore[misc]
-    """A drive on its bearings as one pointer: handing its fields to a kernel takes longer than a warm solution.
+    """A drive on its bearings as one pointer: passing its fields to a kernel takes longer than a warm solution.
 
     Attributes
     ----------
     drive, assembly, work
-        The mesh, what holds it, and arrays to solve in.
+        The mesh, its supports, and arrays to solve in.
     by_energy, by_angle
-        Derivatives of the energy by the unknowns beyond what balances, and of the balance by θ, shape (unknowns,).
+        Derivatives of the energy by the unknowns minus the balanced forces, and of the balance by θ, shape (unknowns,).
     """
 
 
@@ -67,7 +67,7 @@ def held(drive: Problem, assembly: Assembly, work: Work, by_energy: Array, by_an
 def _mesh(
     drive: Problem, theta: float, x: float, rows: Rows, by_energy: Array, by_angle: Array
 ) -> tuple[float, float, float]:
-    """Add the mesh; returns its energy, its derivative by θ at fixed unknowns, and what curvature adds to it."""
+    """Add the mesh; returns its energy, its derivative by θ at fixed unknowns, and the contribution of curvature."""
     e, energy, turning, bent_by = drive.eccentricity, 0.0, 0.0, 0.0
     kappa = (drive.compliance_gear + drive.compliance_pin) / (math.pi * drive.slice_width)
     for row in range(rows.shape[0]):
@@ -104,9 +104,9 @@ def _joint(
     drive: Problem, disc: int, force: float, stiffness: float, dx: float, dy: float, r: float, hx: float, hy: float,
     ax: float, ay: float, vx: float, vy: float, by_angle: Array,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Add a joint of disc and carrier that is displaced by d, and moved by v with θ beside their turning.
+    """Add a joint of disc and carrier with the displacement d, and moved by v with θ in addition to their rotation.
 
-    Returns how its force changes with θ, and the derivative of its energy.
+    Returns the derivatives of its force by θ and of its energy.
     """
     teeth, at = drive.teeth, FIRST_DISC + 3 * disc
     vx, vy = vx + (hy - ay) / teeth, vy - (hx - ax) / teeth
@@ -221,13 +221,14 @@ def stand(
     theta, torque, spring, flange
         rad; N·m; N·m/rad and rad as of `balance.Load`.
     centring
-        Springs that hold what clearance leaves free, N/m.
+        Springs that hold parts free in their clearance, N/m.
     rows, cold
-        Contact rows; whether nothing is known of a neighbouring place.
+        Contact rows; whether there is no neighbouring solution.
     out
-        Overwritten, shape (`FOUND`,): the carrier's rotation x beside its ideal one (rad); its stiffness (N·m/rad); the
-        stored energy, the spring's included (J), and its derivatives by the flange and by the crank at a flange that
-        stands still (N·m); the crank's torque and dφ_b/dθ at constant torque (N·m, 1); and the torque on the carrier.
+        Overwritten, shape (`FOUND`,): the carrier's rotation x relative to its ideal one (rad); its stiffness
+        (N·m/rad); the stored energy, the spring's included (J), and its derivatives by the flange and by the crank at a
+        flange that stands still (N·m); the crank's torque and dφ_b/dθ at constant torque (N·m, 1); and the torque on
+        the carrier.
     """
     drive, assembly, work, by_energy, by_angle = box.drive, box.assembly, box.work, box.by_energy, box.by_angle
     q, teeth, n = work.place, drive.teeth, work.step.size

@@ -1,4 +1,4 @@
-"""What a designer asks of a drive on bearings: where its compliance and lost motion come from, and bearing lives."""
+"""Figures of a drive on bearings: shares of compliance and lost motion, and bearing lives."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ANGLES = 90
 
 @dataclass(frozen=True)
 class Share:
-    """What one part adds to the drive's compliance and lost motion.
+    """Share of one part in the drive's compliance and lost motion.
 
     Attributes
     ----------
@@ -42,9 +42,9 @@ class Share:
 
 
 def remaining(supports: Supports, shares: Sequence[Share]) -> float:
-    """Return what is left of the catalogue's compliance for what the model takes as rigid, rad/(N·m).
+    """Return the rest of the catalogue's compliance for the parts that the model assumes rigid, rad/(N·m).
 
-    Below zero where the model gives way more than the catalogue says; NaN without a catalogue's stiffness.
+    Below zero if the model is more compliant than the catalogue states; NaN without a catalogue's stiffness.
     """
     if supports.catalogue_stiffness is None:
         return math.nan
@@ -52,7 +52,7 @@ def remaining(supports: Supports, shares: Sequence[Share]) -> float:
 
 
 def _stages(supports: Supports) -> list[tuple[str, Supports]]:
-    """Return the supports with one part after the other giving way, first without any clearance."""
+    """Return the supports with one part after the other compliant, first without any clearance."""
     tight = {
         name: value.replace(clearance=0.0)
         for name, value in ((n, getattr(supports, n)) for n in Supports.model_fields)
@@ -79,16 +79,16 @@ def _stages(supports: Supports) -> list[tuple[str, Supports]]:
 
 
 def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: None) -> list[Share]:
-    """Return where the compliance and the lost motion of a drive as drawn come from.
+    """Return the shares of compliance and lost motion of a drive as drawn.
 
     One part after the other is given its stiffness, from the mesh between rigid bodies outwards; the clearances last.
 
     Parameters
     ----------
     pair
-        With supports and rated torque; errors and temperatures that it states are left out.
+        With supports and rated torque; stated errors and temperatures are ignored.
     progress
-        Told after each part.
+        Called after each part.
 
     Returns
     -------
@@ -129,7 +129,7 @@ class BearingLoad:
     largest, equivalent
         Largest force and the constant one of the same life, N.
     life
-        Basic rating life L10 in crank turns (ISO 281), infinite where nothing loads it; NaN without a capacity.
+        Basic rating life L10 in crank turns (ISO 281), infinite without load; NaN without a capacity.
     """
 
     bearing: str
@@ -139,7 +139,7 @@ class BearingLoad:
 
 
 def equivalent_load(force: ArrayLike) -> Array:
-    """Return the constant load of the same life as forces over equal steps of the crank (first axis), N.
+    """Return the constant load with the same life as forces over equal steps of the crank (first axis), N.
 
     The mean of F^p to the power 1/p with p = 10/3 of roller bearings (ISO 281, with a bearing that turns evenly).
     """
@@ -156,7 +156,7 @@ def bearing_loads(pair: Pair, found: Transmission, load: int = 0) -> list[Bearin
     found
         Of `solve`.
     load
-        Which of its torques.
+        Index of the torque.
     """
     supports = pair.supports
     if supports is None:
@@ -197,9 +197,9 @@ class DutyLife:
     bearing
         As of `BearingLoad`.
     equivalent
-        Constant load of the same life at the duty's mean speed, N; 0 where nothing turns.
+        Constant load of the same life at the duty's mean speed, N; 0 at standstill.
     life
-        Basic rating life L10h, s; infinite where nothing loads it or nothing turns, NaN without a capacity.
+        Basic rating life L10h, s; infinite without load or at standstill, NaN without a capacity.
     """
 
     bearing: str

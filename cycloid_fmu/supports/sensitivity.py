@@ -1,4 +1,4 @@
-"""Derivatives of the transmission error of a drive on its bearings, by everything that can be displaced.
+"""Derivatives of the transmission error of a drive on its bearings by all displacements.
 
 Where r(q, p) = 0 is the balance, dx/dp = -λ·∂r/∂p with λ the row of (∂r/∂q)⁻¹ that belongs to the carrier's rotation:
 one linear solution a crank angle, whatever the number of errors (docs/theory/supports.md).

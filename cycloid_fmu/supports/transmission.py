@@ -1,4 +1,4 @@
-"""A drive on its bearings over crank angles: what its bodies do, what every bearing carries, and a labelled dataset."""
+"""A drive on its bearings over crank angles: motion of its bodies, load of every bearing, and a labelled dataset."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _law(stated: Bearing) -> bearing.Bearing:
 
 
 def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
-    """Return what holds the discs of a pair with supports, as numbers and arrays, at its temperatures."""
+    """Return the supports of a pair as numbers and arrays, at its temperatures."""
     made = displacements(pair, surface, {})
     pair = pair.at_temperature
     supports = pair.supports
@@ -88,7 +88,7 @@ def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
 
 
 def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
-    """Return the mesh of a pair with supports: discs stand where bearings let them, pins give in their seats."""
+    """Return the mesh of a pair with supports: discs are placed by the bearings, pins are compliant in their seats."""
     mesh = transmission.mesh_of(pair, surface, slices)
     pair = pair.at_temperature
     supports = pair.supports
@@ -104,9 +104,9 @@ def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
 
 @dataclass(frozen=True)
 class OnBearings(Transmission):
-    """Results of a crank sweep of a drive on its bearings, SI: those of `Transmission`, and what the bodies do.
+    """Results of a crank sweep of a drive on its bearings, SI: those of `Transmission`, and the motion of the bodies.
 
-    The play is what `PLAY_LOAD` of the rated torque leaves, either way, at no torque; there is no interference.
+    The play is from the tangents at ± `PLAY_LOAD` of the rated torque to zero torque; there is no interference.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ def solve(
     workers: int = 1,
     progress: Callable[[int], None] = lambda angles: None,
 ) -> Transmission:
-    """Solve a drive at every torque and crank angle, on rigid bearings or on those that the pair states.
+    """Solve a drive at every torque and crank angle, on rigid bearings or on the stated ones.
 
     Parameters and errors are those of `contact.transmission.solve`.
 
@@ -267,7 +267,7 @@ def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
 
 
 def play_loads(pair: Pair) -> list[float]:
-    """Return the torques on whose tangents the ends of the play lie, N·m; an `edge.InputError` without a rated one."""
+    """Return the torques whose tangents give the ends of the play, N·m; an `edge.InputError` without a rated torque."""
     if pair.rated_torque is None:
         raise edge.InputError(
             f"rated_torque is missing; with [supports] the play at no torque is computed at {PLAY_LOAD:g} of it."
@@ -278,7 +278,7 @@ def play_loads(pair: Pair) -> list[float]:
 def _result(
     pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found, lines: ContactLines
 ) -> OnBearings:  # fmt: skip
-    """Return what was found, the play's two torques, if `first` is 2, before the others."""
+    """Return the results, the play's two torques, if `first` is 2, before the others."""
     deviation = found.place[..., 0]
     low = high = np.full(angles.size, np.nan)
     if first:
@@ -322,7 +322,7 @@ class Sensitivity:
     transmission_error
         Shape (angles,), rad.
     by_displacement
-        By everything that errors displace, `structured.displacement_layout`, shape (angles, displacements), rad/m.
+        By all displacements, `structured.displacement_layout`, shape (angles, displacements), rad/m.
     by_bearing
         By `LAWS`, shape (angles, 8).
     by_crank_angle, by_torque
@@ -379,7 +379,7 @@ def error_sensitivity(
     Raises
     ------
     edge.InputError
-        If a torque can't be carried, or a profile deviation is asked for with supports.
+        If a torque can't be carried, or a profile deviation is requested with supports.
     """
     if pair.supports is None:
         return transmission.error_sensitivity(pair, surface, torque, crank_angle, names, slices)[:2]
@@ -394,7 +394,7 @@ def error_sensitivity(
 
 
 def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int, *, complete: bool) -> xr.Dataset:
-    """Return results as a dataset (format `cycloid-analysis/1`), with what `OnBearings` has besides."""
+    """Return results as a dataset (format `cycloid-analysis/1`), with the additional results of `OnBearings`."""
     data = transmission.labelled(pair, surface, found, slices, complete=complete)
     if isinstance(found, OnBearings):
         for name, (dimensions, unit, text) in _LABELS.items():

@@ -1,1 +1,1 @@
-"""Error surfaces: what really was made of one pair, sampled from tolerances, measured, identified or worn."""
+"""Error surfaces: the actual errors of one pair, sampled from tolerances, measured, identified or worn."""

@@ -23,7 +23,7 @@ _DIMENSIONS = {
 
 
 def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
-    """Write a surface file (netCDF, `cycloid-surface/1`), whole or not at all."""
+    """Write a surface file (netCDF, `cycloid-surface/1`); never a partial file."""
     import xarray as xr
 
     data: dict[str, Any] = {name: (_DIMENSIONS[KINDS[name].of], values) for name, values in surface.errors.items()}
@@ -58,7 +58,7 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
     Raises
     ------
     edge.InputError
-        If it can't be read, is of another format, lacks a variable, holds a wrong unit, size or a value out of range.
+        If it can't be read, is of another format, lacks a variable, or has a wrong unit, size or a value out of range.
 
     Examples
     --------

@@ -1,13 +1,13 @@
-"""Error surfaces measured: coordinates of flanks and pins from a coordinate measuring machine.
+"""Measured error surfaces: coordinates of flanks and pins from a coordinate measuring machine.
 
 A point's deviation is its distance along the normal from the closest point of the nominal surface. The frame of a
-measurement is the machine's, so it is fitted: of each disc's gear a turn about the axis and a shift across it, together
-with a turn of each tooth (its pitch); of the pins a circle each, and the turn and shift of all their centres. z is
-taken as it is: 0 at mid-width, along the axis.
+measurement is the machine's, so it is fitted: for each disc's gear a rotation about the axis and a shift across it,
+together with a rotation of each tooth (its pitch); for the pins a circle each, and the rotation and shift of all their
+centres. z is not fitted: 0 at mid-width, along the axis.
 
-What a fitted frame can't tell is set to zero: the mean pitch of the teeth, the mean tangential error of the pins, and
-the part of the pins' position errors that is a shift of them all. The mean of the pins' radial errors is the pin
-circle's, the mean of their radius errors is that of all pins; what remains is each pin's own.
+Quantities that a fitted frame can't determine are set to zero: the mean pitch of the teeth, the mean tangential error
+of the pins, and the part of the pins' position errors that is a shift of them all. The mean of the pins' radial errors
+is the error of the pin circle, the mean of their radius errors that of all pins; the remainders are those of each pin.
 """
 
 from __future__ import annotations
@@ -83,18 +83,18 @@ class MeasuredPoints:
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the frame of one measured body was found.
+    """The fitted frame of one measured body.
 
     Attributes
     ----------
     body
         "gear, disc 0" and so on, or "pins".
     x, y, rotation
-        Where the nominal frame lies in the machine's: m, m, rad counter-clockwise.
+        Place of the nominal frame in the machine's frame: m, m, rad counter-clockwise.
     points, outliers
         Points measured, and those of them left out.
     rms
-        Root mean square of what is left of the points' deviations after pitch, positions and radii, m.
+        Root mean square of the points' deviations after pitch, positions and radii are removed, m.
     scatter
         Root mean square of the points about the mean of their element, m: noise, and form within an element.
     """
@@ -111,7 +111,7 @@ class Alignment:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A point that was left out: its line in the file, where it lies, and how far off its neighbours, m."""
+    """A point that was left out: its line in the file, its place, and its distance from its neighbours, m."""
 
     line: int
     place: str
@@ -120,7 +120,7 @@ class Outlier:
 
 @dataclass(frozen=True)
 class MeasurementReport:
-    """What was done to the points; `gear_empty` and `pin_empty` are True for elements that were interpolated."""
+    """Report of the fit; `gear_empty` and `pin_empty` are True for elements that were interpolated."""
 
     alignments: tuple[Alignment, ...]
     outliers: tuple[Outlier, ...]
@@ -130,14 +130,14 @@ class MeasurementReport:
 
 
 def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
-    """Read points from CSV: a header `body,disc,number,x [mm],y [mm],z [mm]`, one row a point.
+    """Read points from CSV: a header `body,disc,number,x [mm],y [mm],z [mm]`, one row for each point.
 
     `body` is gear or pin, `disc` is empty or 0 for pins, `number` the tooth or pin from 0; any unit of length will do.
 
     Raises
     ------
     edge.InputError
-        If a column or its unit is missing, or a cell is not what it must be; the sentence names the line.
+        If a column or its unit is missing, or a cell is invalid; the sentence names the line.
     """
     lines = edge.csv_rows(path)
     header = next(lines, [])
@@ -196,7 +196,7 @@ def closest_on_tooth(pair: Pair, points: Complex) -> tuple[Array, Array, Complex
     alpha
         Profile parameter of the closest point, kept within a twentieth of the tooth beyond its ends, rad.
     deviation
-        Distance from it, > 0 outside the material, m; along the normal wherever the tooth's ends don't hold it.
+        Distance from it, > 0 outside the material, m; along the normal, except where limited by the tooth's ends.
     normal
         Unit normal out of the material there, x + iy.
 
@@ -234,14 +234,14 @@ def _complex(x: Array, y: Array) -> Complex:
 
 
 def outlying(surface: Integers, along: Array, z: Array, deviation: Array) -> tuple[Booleans, Array]:
-    """Points that don't lie where their neighbours on the same tooth or pin do, and how far off they are.
+    """Points away from their neighbours on the same tooth or pin, and their distances.
 
     Parameters
     ----------
     surface
-        Which tooth or pin, shape (points,).
+        Tooth or pin of each point, shape (points,).
     along, z
-        Where on it: along the profile and the width, m.
+        Place on it along the profile and the width, m.
     deviation
         m.
 
@@ -302,7 +302,7 @@ def _length(value: float) -> str:
 
 
 def _check_units(points: MeasuredPoints, mask: Booleans, pair: Pair, body: str) -> list[str]:
-    """Refuse coordinates that can't be those of this pair, by their reach about their middle; note a narrow trace."""
+    """Refuse coordinates that can't be those of this pair, by their extent; note a narrow trace."""
     g = pair
     reach = g.pin_circle_radius + (0.0 if body == "gear" else g.pin_radius)
     for name in ("x", "y"):
@@ -384,8 +384,8 @@ def _fit(
 def _rough_frame(pair: Pair, points: Complex, tooth: Integers) -> tuple[complex, float, float]:
     """Shift (x + iy, m) and rotation (rad) of the gear frame that bring points near their teeth, and their misfit (m).
 
-    The middles of the teeth's points give the turn to about a part of a tooth (they may lie on one side of each), so
-    eight starts over one pitch are fitted and the best taken.
+    The middles of the teeth's points give the rotation to a fraction of a tooth (they may be on one side of each), so
+    eight starts over one pitch are fitted and the best is used.
     """
     teeth = pair.gear_teeth
     count = np.maximum(np.bincount(tooth, minlength=teeth), 1)
@@ -585,16 +585,16 @@ def _measured_pins(pair: Pair, points: MeasuredPoints, mask: Booleans, elements:
 def measured_surface(
     pair: Pair, points: MeasuredPoints, elements: Elements = DEFAULT_ELEMENTS
 ) -> tuple[ErrorSurface, MeasurementReport]:
-    """Return the error surface that measured points show, of origin "measured", and what was done to them.
+    """Fit an error surface of origin "measured" to points, and report on the fit.
 
     Parameters
     ----------
     pair
         The nominal pair; deviations count from its modified flank.
     points
-        Every tooth of every disc, or every pin, or both; a body without any points stays nominal, with a note.
+        Points of every tooth of every disc, or every pin, or both; a body without points stays nominal, with a note.
     elements
-        Sizes of the deviation arrays: coarse enough that most elements hold points.
+        Sizes of the deviation arrays: coarse enough that most elements contain points.
 
     Raises
     ------
@@ -651,7 +651,7 @@ def measured_surface(
 
 
 def _empty_note(source: str, what: str, number: str, along: str, empty: Booleans) -> str:
-    """Say how many elements have no point and which is the first; empty where every element has one."""
+    """Return a note on the elements without points; empty if there are none."""
     if not empty.any():
         return ""
     *disc, one, row, column = (int(i) for i in np.argwhere(empty)[0])

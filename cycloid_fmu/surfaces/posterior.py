@@ -1,4 +1,4 @@
-"""Drives that a fit leaves possible: error surfaces from the normal distribution of what was identified."""
+"""Drives that are possible after a fit: error surfaces from the normal distribution of the identified errors."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
 DISC_PHASE = "disc_phase"
-"""What a covariance calls the place of a further disc's teeth against the first one's, m at the pin circle."""
+"""Name in a covariance of the place of a further disc's teeth relative to the first one, m at the pin circle."""
 _FLANKS = "gear_deviation"  # what a profile deviation displaces
 _PLACE = re.compile(r"(\w+)_at_(\d+)")  # a single pin or tooth, as a surface's covariance names its scatter
 
 
 def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> list[ErrorSurface]:
-    """Draw error surfaces from the normal distribution that an identified surface's covariance states.
+    """Draw error surfaces from the normal distribution given by an identified surface's covariance.
 
     Parameters
     ----------
     pair, surface
         The nominal pair, and the identified surface, which is the distribution's mean.
     count, seed
-        How many; the same seed draws the same, and fewer of them are the first of more.
+        Number of surfaces, and the seed; the same seed draws the same surfaces, and a smaller count draws the first of
+        them.
 
     Returns
     -------
@@ -72,7 +73,7 @@ def _shifted(pair: Pair, surface: ErrorSurface, shifts: Mapping[str, float]) -> 
 
 
 def displacements_of(surface: ErrorSurface, drawn: Sequence[ErrorSurface]) -> dict[str, Array]:
-    """Return what each of some surfaces adds to one: {kind of error, or its flanks: shape (surfaces, …), m or rad}."""
+    """Return the differences of surfaces from one: {kind of error, or its flanks: shape (surfaces, …), m or rad}."""
     found = {name: np.array([one.errors[name] - values for one in drawn]) for name, values in surface.errors.items()}
     if any(one.gear_deviation is not None for one in drawn):
         flanks = 0.0 if surface.gear_deviation is None else surface.gear_deviation
@@ -81,7 +82,7 @@ def displacements_of(surface: ErrorSurface, drawn: Sequence[ErrorSurface]) -> di
 
 
 def displaced(surface: ErrorSurface, displacements: Mapping[str, Array], number: int) -> ErrorSurface:
-    """Return a surface with what draw `number`, counted from 1, adds; 0 leaves it as it is."""
+    """Return a surface with the displacements of draw `number`, counted from 1; unchanged for 0."""
     if number == 0:
         return surface
     changes: dict[str, Any] = {n: d[number - 1] + surface.errors[n] for n, d in displacements.items() if n != _FLANKS}

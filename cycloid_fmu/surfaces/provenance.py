@@ -1,4 +1,4 @@
-"""What results state of the drive that they are of: made from its values alone, the same however it was made."""
+"""Provenance that results state: made from the drive's values alone."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 
 def stating(pair: Pair, surface: ErrorSurface) -> Pair:
-    """Return the pair with the errors of a surface stated one by one; form and wear of elements can't be."""
+    """Return the pair with the errors of a surface as stated errors, without form and wear of elements."""
     values = {kind.file_key: np.asarray(surface.errors[name]) for name, kind in kinds_of(pair).items()}
     return pair.replace(errors=Errors({key: value.tolist() for key, value in values.items() if value.any()}))
 
 
 def drive_text(pair: Pair, surface: ErrorSurface) -> str:
-    """Return a drive as the text of a pair file: `parse_pair` gives it back, but for form and wear of elements."""
+    """Return a drive as the text of a pair file, which `parse_pair` reads; without form and wear of elements."""
     return stating(pair, surface).text
 
 

@@ -1,11 +1,11 @@
-"""Error surfaces sampled from tolerances: the drives that a drawing allows.
+"""Error surfaces sampled from tolerances.
 
 The error-surface paper, section 2: every manufacturing error is distributed within its tolerance, and the pitch
 deviations also meet the tolerance of the total cumulative pitch deviation. The file is TOML, `cycloid-tolerances/1`.
 
-Errors of size, position and assembly lie within ± their tolerance, the single pitch too. The two that standards define
-as a range are one here (ISO 1328-1): the total profile deviation is the largest less the smallest deviation over a
-tooth's or pin's surface, the total cumulative pitch deviation the largest less the smallest position of all teeth.
+Errors of size, position and assembly are within ± their tolerance, the single pitch too. The two that standards define
+as a range are ranges here (ISO 1328-1): the total profile deviation is the largest minus the smallest deviation over a
+tooth's or pin's surface, the total cumulative pitch deviation the largest minus the smallest position of all teeth.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _SWEEPS = 20
 def _up_to(largest: float, shown: str) -> pydantic.AfterValidator:
     def check(value: float) -> float:
         if not 0.0 <= value <= largest:
-            raise ValueError(f"tolerances must lie between 0 and {shown}")
+            raise ValueError(f"tolerances must be between 0 and {shown}")
         return value
 
     return pydantic.AfterValidator(check)
@@ -70,30 +70,30 @@ ZoneTolerance = Annotated[Length, _up_to(2.0 * LARGEST_ELEMENT, "1 mm")]
 
 
 class LengthError(Config):
-    """An error that lies within ± `tolerance` (m); normal means three standard deviations there, cut off there."""
+    """An error within ± `tolerance` (m); a normal distribution is cut off there, at three standard deviations."""
 
     tolerance: LengthTolerance
     distribution: Distribution = "normal"
 
 
 class AngleError(Config):
-    """An angle that lies within ± `tolerance` (rad); normal means three standard deviations there, cut off there."""
+    """An angle within ± `tolerance` (rad); a normal distribution is cut off there, at three standard deviations."""
 
     tolerance: AngleTolerance
     distribution: Distribution = "normal"
 
 
 class PitchErrors(Config):
-    """Positions of teeth or pins round the circle, as arc length at the pin circle radius, m.
+    """Positions of teeth or pins around the circle, as arc length at the pin circle radius, m.
 
     Attributes
     ----------
     single
-        Each single pitch deviation lies within ± this.
+        Each single pitch deviation is within ± this.
     cumulative
-        The largest less the smallest position of all teeth stays within this.
+        The largest minus the smallest position of all teeth is within this.
     distribution
-        Of each single pitch, before the circle is closed and the cumulative limit kept.
+        Of each single pitch, before the circle is closed and the cumulative limit applied.
     """
 
     single: LengthTolerance
@@ -113,9 +113,9 @@ class PitchErrors(Config):
 
 
 class Correlation(Config):
-    """How far a form deviation resembles itself: correlation lengths as parts of the profile and of the face width.
+    """Correlation lengths of a form deviation, as parts of the profile and of the face width.
 
-    Deviations that lie the length apart correlate with exp(-1/2). The defaults leave about two waves along a tooth's
+    Deviations at this distance correlate with exp(-1/2). The defaults leave about two waves along a tooth's
     profile and one across its width.
     """
 
@@ -135,11 +135,11 @@ class ProfileErrors(Config):
     Attributes
     ----------
     tolerance
-        Total profile deviation: the elements of a tooth lie within ± half of it, so their range within it.
+        Total profile deviation: the elements of a tooth are within ± half of it, so their range is within it.
     distribution
-        Of each element; normal means three standard deviations at half the tolerance, cut off there.
+        Of each element; a normal distribution is cut off at half the tolerance, at three standard deviations.
     correlation
-        None (in the file "none") is every element by itself, which is what the error-surface paper draws.
+        None (in the file "none") for independent elements, as in the error-surface paper.
     """
 
     tolerance: ZoneTolerance
@@ -148,12 +148,12 @@ class ProfileErrors(Config):
 
 
 class Limits(Config):
-    """What a drive must keep to be good, each the largest allowed.
+    """Limits of a good drive, each the largest allowed value.
 
     Attributes
     ----------
     angular_transmission_error
-        Largest less smallest transmission error over the crank angles, rad; at every load.
+        Largest minus smallest transmission error over the crank angles, rad; at every load.
     backlash, lost_motion
         Largest over the crank angles, rad.
     interference
@@ -169,12 +169,12 @@ class Limits(Config):
     max_contact_pressure: LargestPressure | None = None
 
     def stated(self) -> dict[str, float]:
-        """Return the limits that are stated, SI."""
+        """Return the stated limits, SI."""
         return {n: v for n in type(self).model_fields if (v := getattr(self, n)) is not None}
 
 
 class Tolerances(Config):
-    """The tolerances of a drive; what is not named has none and is sampled as nominal.
+    """The tolerances of a drive; errors without tolerance are nominal.
 
     The kinds of error are named by their tolerances' keys (`pin_circle_diameter` is the circle's diameter, `pin_radius`
     common to all pins, `pin_radius_each` each pin's own; `gear_pitch` and `pin_pitch` are positions round the circle),
@@ -214,13 +214,13 @@ class Tolerances(Config):
                 )
 
     def replace(self, **changes: Any) -> Self:
-        """Return the tolerances with others changed; None takes one away, and its cost with it."""
+        """Return the tolerances with changes; None removes one and its cost."""
         values = {n: getattr(self, n) for n in (*self.factors, "limits")} | changes
         costs = {n: cost for n, cost in self.costs.items() if values.get(n) is not None}
         return type(self)(**{"costs": costs, **values})
 
     def of(self, factor: str) -> LengthError | AngleError | PitchErrors | ProfileErrors | None:
-        """Return the tolerance of this name, None where there is none."""
+        """Return the tolerance of this name, None if there is none."""
         found: LengthError | AngleError | PitchErrors | ProfileErrors | None = getattr(self, factor, None)
         return found
 
@@ -231,12 +231,12 @@ class Tolerances(Config):
 
     @property
     def text(self) -> str:
-        """The tolerances as JSON, made from their values alone (SI)."""
+        """The tolerances as JSON, from their values alone (SI)."""
         return json.dumps({n: v.model_dump() for n in (*self.factors, "limits") if (v := getattr(self, n))})
 
 
 def _keys() -> dict[str, ErrorKind | None]:
-    """Every tolerance's key with its kind of error, None for form."""
+    """Return every tolerance's key with its error kind, None for form."""
     found = {kind.tolerance.key: kind for kind in KINDS.values() if kind.tolerance is not None}
     return {**{name: found.get(name) for name in _FIRST_AXES}, **found}
 
@@ -262,12 +262,12 @@ def _file_model(keys: tuple[str, ...]) -> type[Config]:
 
 
 def parse_tolerances(text: str, source: str) -> Tolerances:
-    """Return the tolerances that a TOML text states.
+    """Return the tolerances of a TOML text.
 
     Raises
     ------
     edge.InputError
-        If it is not a valid table of tolerances; one sentence a problem, naming field, value and `source`.
+        If it is not a valid table of tolerances; one sentence for each problem, with field, value and `source`.
     """
     read = edge.validated(file_model(), edge.toml_table(text, FORMAT, source), source)
     try:
@@ -277,7 +277,7 @@ def parse_tolerances(text: str, source: str) -> Tolerances:
 
 
 def read_tolerances(path: str | os.PathLike[str]) -> Tolerances:
-    """Return the tolerances of a file; an `edge.InputError` names what is wrong in it.
+    """Return the tolerances of a file; an `edge.InputError` names the invalid entries.
 
     Examples
     --------
@@ -291,12 +291,12 @@ def read_tolerances(path: str | os.PathLike[str]) -> Tolerances:
 
 
 def error_stream(seed: int, error: str) -> np.random.Generator:
-    """Return the random stream of one error: a child of the seed by the error's name, whatever else is sampled."""
+    """Return the random stream of one error: a child of the seed by the error's name, independent of other errors."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(error.encode()),)))
 
 
 def within_tolerance(probability: Array, tolerance: float, distribution: Distribution) -> Array:
-    """Return the values below which an error within ± `tolerance` lies with the given probability (its quantiles).
+    """Return the quantiles of an error within ± `tolerance`.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ def within_tolerance(probability: Array, tolerance: float, distribution: Distrib
     tolerance
         m or rad, ≥ 0.
     distribution
-        "uniform", or "normal" with three standard deviations at the tolerance, cut off there.
+        "uniform", or "normal" cut off at the tolerance, at three standard deviations.
     """
     if distribution == "uniform":
         return tolerance * (2.0 * probability - 1.0)
@@ -372,11 +372,11 @@ def _exchange(
 def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors) -> Array:
     """Return the positions of the teeth of one circle, their mean zero, shape (teeth,), m.
 
-    The single pitches are independent, of the stated distribution, on the condition that the circle closes (they sum
-    to zero), that each keeps the single limit and their running sum the cumulative one: the density is the product of
-    theirs, cut off at the limits and nowhere bent. It is reached by a Markov chain from the error-free circle that
-    exchanges deviation between two pitches, neighbours and strangers in turn, many times each: nothing is rejected
-    until it fits, so a tight cumulative limit costs no more than a wide one.
+    The single pitches are independent, of the stated distribution, under the conditions that the circle closes (they
+    sum to zero), that each keeps the single limit and their running sum the cumulative one: the density is the product
+    of theirs, cut off at the limits. It is sampled by a Markov chain from the error-free circle that exchanges
+    deviation between two pitches, neighbouring and distant ones in turn, many times each. There is no rejection until
+    all limits hold, so a tight cumulative limit costs no more than a wide one.
     """
     if errors.single == 0.0:
         return np.zeros(teeth)
@@ -395,8 +395,8 @@ def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors
 def _waves(length: float, count: int) -> Array:
     """Waves whose random sum is smooth with the given correlation length, at `count` elements, shape (count, waves).
 
-    The spectrum is that of the correlation exp(-u²/(2 length²)) with a period beyond the surface by four lengths, so
-    that its two ends know nothing of each other. The waves don't depend on `count`: finer elements show the same form.
+    The spectrum is that of the correlation exp(-u²/(2 length²)) with a period longer than the surface by four lengths,
+    so that its two ends are uncorrelated. The waves don't depend on `count`: finer elements have the same form.
     """
     u = (np.arange(count) + 0.5) / count
     step = 2.0 * np.pi * length / (1.0 + 4.0 * length)
@@ -413,7 +413,7 @@ def sample_profile(
 ) -> Array:
     """Return the normal deviations of the elements of teeth or pins, shape (surfaces, profile, width), m.
 
-    A standard normal field, smooth by its correlation lengths or white, is taken element by element through the stated
+    A standard normal field, smooth by its correlation lengths or white, is mapped element by element to the stated
     distribution (a Gaussian copula): each element has exactly that distribution and the range keeps its tolerance.
     """
     from scipy.special import ndtr
@@ -429,16 +429,16 @@ def sample_profile(
 
 
 def sample_surface(pair: Pair, tolerances: Tolerances, seed: int, elements: Elements | None = None) -> ErrorSurface:
-    """Return one drive that the tolerances allow, as an error surface of origin "sampled".
+    """Draw one drive within tolerances, as an error surface of origin "sampled".
 
     Parameters
     ----------
     pair
-        The nominal pair; the errors that its file states are another drive's and are not part of the sample.
+        The nominal pair; the errors stated in its file are not part of the sample.
     tolerances
-        What is sampled; the seed and the tolerances' text go into the surface's attributes.
+        The tolerances; they and the seed are stated in the surface's attributes.
     seed
-        0 … 2^63 - 1. The same seed gives the same surface, each error the same whatever others are sampled.
+        0 … 2^63 - 1. The same seed gives the same surface; each error is independent of the other tolerances.
     elements
         Sizes of the deviation arrays; the default is `Elements()`.
 
@@ -448,7 +448,7 @@ def sample_surface(pair: Pair, tolerances: Tolerances, seed: int, elements: Elem
         If the seed is out of range.
     """
     if not 0 <= seed <= LARGEST_SEED:
-        raise edge.InputError(f"seed = {seed}: it must lie between 0 and {LARGEST_SEED}.")
+        raise edge.InputError(f"seed = {seed}: it must be between 0 and {LARGEST_SEED}.")
     streams = {name: error_stream(seed, name) for name in tolerances.factors}
     drawn = _drawn(pair, tolerances, streams, {}, elements or Elements())
     return drawn.replace(attributes={"seed": seed, "tolerances": tolerances.text})
@@ -459,9 +459,9 @@ def surface_at(
 ) -> ErrorSurface:
     """Return the drive at a point of the unit cube that has one axis for each of the tolerances' `factors`.
 
-    A single error is its distribution's quantile there. Errors that are many (pitch, form, each pin's radius) are drawn
-    from a stream that the coordinate seeds: any even spread of points spreads the single errors as evenly, and the many
-    are as random as before.
+    A single error is its distribution's quantile there. Errors with many values (pitch, form, each pin's radius) are
+    drawn from a stream that the coordinate seeds: evenly spread points spread the single errors evenly, and the others
+    stay random.
     """
     many = (name for name in tolerances.factors if (kind := _keys()[name]) is None or kind.of != "drive")
     streams = {name: error_stream(int(point[name] * 2.0**53), name) for name in many}
@@ -475,7 +475,7 @@ def _drawn(
     point: Mapping[str, float],
     size: Elements,
 ) -> ErrorSurface:
-    """Draw each error from its stream, single ones at the probability that `point` says where it says one."""
+    """Draw each error from its stream, single ones at the probability in `point` if it has one."""
     changes: dict[str, Any] = {}
     for name in tolerances.factors:
         kind, error = _keys()[name], tolerances.of(name)

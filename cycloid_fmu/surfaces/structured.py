@@ -1,7 +1,7 @@
-"""Structured errors: the few numbers that errors are fitted, tuned and compared by, and what each displaces.
+"""Structured errors: the parameters with which errors are fitted, tuned and compared, and their displacements.
 
-A kind of one number is a structured error itself; of errors round a circle the cosine and sine parts of low orders are,
-and of the flank the low orders of a profile deviation that all teeth share.
+A kind with one value is a structured error itself. For errors around a circle the cosine and sine parts of low orders
+are, and for the flank the low orders of a profile deviation that all teeth share.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def structured_value(pair: Pair, surface: ErrorSurface, name: str) -> float:
 
 
 def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, float]) -> ErrorSurface:
-    """Return a surface in which the named structured errors have the given values (m or rad) and all else is kept.
+    """Return a surface with the given values (m or rad) of the named structured errors; the rest is kept.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, floa
 
 
 def displacement_layout(pair: Pair) -> dict[str, slice]:
-    """Return where each displacement stands in a vector of all: of `BODIES`, pins, teeth, and what supports have."""
+    """Return the position of each displacement in the vector of all: of `BODIES`, pins, teeth, and supports."""
     found = {name: slice(i, i + 1) for i, name in enumerate(BODIES)}
     start = len(BODIES)
     for name in EACH_PIN:
@@ -127,7 +127,7 @@ def displacement_layout(pair: Pair) -> dict[str, slice]:
 
 
 def displacements(pair: Pair, surface: ErrorSurface, nominal: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what all errors of a surface and the temperatures displace, added to nominal values by their names.
+    """Return the displacements by all errors of a surface and the temperatures, to be added to nominal values by name.
 
     The result has a value for every name of `BODIES`, an array (pins,) for each of `EACH_PIN`, `tooth_turn`
     (discs, teeth) and, of a pair with supports, an array for each of `EACH_SUPPORT`, in m and rad.
@@ -157,7 +157,7 @@ def dimensions(pair: Pair, surface: ErrorSurface, source: str = "errors") -> dic
     Raises
     ------
     edge.InputError
-        If the drive can't have been made: what a pair is checked for as drawn, with its errors.
+        If the drive is impossible: the checks of a pair as drawn, with its errors.
     """
     if pair.temperature is not None:
         source = source.replace("errors", "temperature and errors")
@@ -193,14 +193,14 @@ def dimensions(pair: Pair, surface: ErrorSurface, source: str = "errors") -> dic
 
 
 def displacement_vector(pair: Pair, surface: ErrorSurface) -> Array:
-    """Return what all errors of a surface displace in one row, laid out as `displacement_layout`."""
+    """Return the displacements by all errors of a surface as a row, laid out as `displacement_layout`."""
     return np.concatenate([np.ravel(values) for values in displacements(pair, surface, {}).values()])
 
 
 def displacement_columns(pair: Pair, names: Iterable[str]) -> Array:
     """Return the linear map from structured errors to displacements, shape (displacements, names).
 
-    Orders of the profile deviation have no part in them.
+    Orders of the profile deviation are not included.
     """
     return _columns_of(pair.nominal, tuple(names))
 

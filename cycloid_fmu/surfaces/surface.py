@@ -1,4 +1,4 @@
-"""The error surface: what really was made and assembled, beyond the nominal pair.
+"""The error surface: the actual errors of manufacturing and assembly, in addition to the nominal pair.
 
 Its errors are of the kinds of `cycloid_fmu.errors.kinds`; signs are those of docs/theory/errors.md.
 """
@@ -46,7 +46,7 @@ _OF_NO_SURFACE: Mapping[str, Any] = {
 
 @dataclass(frozen=True)
 class Elements:
-    """How many elements a surface has: along a tooth's profile, across the width, and round the half of a pin."""
+    """Numbers of elements of a surface: along a tooth's profile, across the width, and around the half of a pin."""
 
     profile: int = 200
     width: int = 20
@@ -60,20 +60,20 @@ class Elements:
 
 @dataclass(frozen=True)
 class Ageing:
-    """How fast a life passes: what a forecast adds to the states of a wear run.
+    """Rates of a life: the data that a forecast adds to the states of a wear run.
 
     Attributes
     ----------
     crank_turns_per_second
-        Of the life's crank turns in a second of age.
+        Crank turns of the life per second of age.
     age, largest_age
-        That of the surface's own deviations, and up to which the life reaches at any wear factor, s.
+        Age of the surface's own deviations, and the largest age of the life for any wear factor, s.
     smallest_wear_factor, largest_wear_factor
-        Of the wear coefficient over its median: how far its interval goes to both sides.
+        Interval of the wear coefficient over its median.
     clearance_per_second
         Growth of the diametral clearance of the bearing below, m/s.
     bearing
-        Which one of `[supports]`; empty where none wears.
+        Name of the wearing bearing in `[supports]`; empty if there is none.
     """
 
     crank_turns_per_second: float
@@ -89,8 +89,8 @@ class Ageing:
 class Life:
     """Deviations of a wearing drive over its life; each array's first axis is the state.
 
-    `crank_turns` (states,) grows from 0; the others are as an `ErrorSurface` has them. `ageing` says how fast the turns
-    pass, in the life of a forecast.
+    `crank_turns` (states,) grows from 0; the others are as in an `ErrorSurface`. `ageing` has the rates of the life of
+    a forecast.
     """
 
     crank_turns: Array
@@ -108,11 +108,11 @@ class Life:
 
 @dataclass(frozen=True, eq=False, init=False)
 class ErrorSurface:
-    """What really was made of one pair, SI, validated against it.
+    """The actual errors of one pair, SI, validated against it.
 
     Each kind of error is an attribute too: `surface.pin_radius` is a float, `surface.pin_radial` an array (pins,),
-    `surface.tooth_cumulative_pitch` one (discs, teeth). Surfaces are equal where their pairs, errors, deviations and
-    lives are, wherever they came from; arrays can't be written to.
+    `surface.tooth_cumulative_pitch` one (discs, teeth). Surfaces are equal if their pairs, errors, deviations and lives
+    are; arrays are read-only.
 
     Attributes
     ----------
@@ -123,16 +123,16 @@ class ErrorSurface:
     gear_deviation
         Normal deviation of each element of the flanks, > 0 material added, shape (discs, teeth, profile, width), m; or
         None where the flanks are nominal. Elements are of equal arc length from a tooth's first root to its second
-        (`profile.equal_arc_parameters`) and of equal width from -z to +z; values stand at their middles.
+        (`profile.equal_arc_parameters`) and of equal width from -z to +z; values are at their middles.
     pin_deviation
         Normal deviation of each element of the pins, > 0 material added, shape (pins, angle, width), m; or None.
         Elements are of equal angle over the half of the pin that faces the pin circle's centre: the angle runs
         counter-clockwise about the pin's axis from -90° to +90° of the direction to that centre.
     gear_curvature, pin_curvature
-        Curvature that wear adds at the same places, > 0 convex, shapes as the deviations', 1/m; or None, where the
-        deviations leave the curvature as it is (form and roughness of a scale that contact does not follow).
+        Curvature that wear adds at the same places, > 0 convex, shapes as the deviations', 1/m; or None if the
+        deviations do not change the curvature (form and roughness of a scale that contact does not follow).
     life
-        Of a worn surface: its states from new to the one that the deviations hold, of a forecast beyond it; else None.
+        Of a worn surface: its states from new to the present deviations, in a forecast beyond them; otherwise None.
     origin
         One of `ORIGINS`.
     covariance_of, covariance
@@ -143,7 +143,8 @@ class ErrorSurface:
     Raises
     ------
     edge.InputError
-        If a kind is unknown, an array has not the pair's shape, or a value is not finite or beyond its kind's limit.
+        If a kind is unknown, an array does not have the pair's shape, or a value is not finite or beyond its kind's
+        limit.
 
     Examples
     --------
@@ -210,7 +211,7 @@ class ErrorSurface:
         object.__setattr__(self, name, value)
 
     def _check_together(self) -> None:
-        """Check what deviations, curvatures and life need of each other."""
+        """Check deviations, curvatures and life against each other."""
         _check_curvatures(self)
         if self.life is not None:
             _check_life(self)
@@ -311,7 +312,7 @@ def _checked(kind: ErrorKind, given: Any, pair: Pair) -> Array | float:
         unit = "mrad" if kind.unit == "rad" else "mm"
         raise edge.InputError(
             f"{kind.name} reaches {np.abs(array).max() * 1e3:.4g} {unit}; "
-            f"it must lie within ± {kind.limit * 1e3:g} {unit}."
+            f"it must be within ± {kind.limit * 1e3:g} {unit}."
         )
     return array if shape else float(array)
 
@@ -335,12 +336,12 @@ def _checked_deviation(name: str, given: Any, pair: Pair) -> Array | None:
     if not np.isfinite(values).all():
         raise edge.InputError(f"{name} holds a value that is not finite.")
     if name.endswith("_deviation") and (largest := np.abs(values).max()) > LARGEST_ELEMENT:
-        raise edge.InputError(f"{name} reaches {largest * 1e3:.4g} mm; deviations must lie within half a millimetre.")
+        raise edge.InputError(f"{name} reaches {largest * 1e3:.4g} mm; deviations must be within half a millimetre.")
     return values
 
 
 def _check_curvatures(surface: ErrorSurface) -> None:
-    """Refuse curvatures that do not come for both bodies, each with deviations of the same elements."""
+    """Refuse curvatures that are not given for both bodies, each with deviations of the same elements."""
     if surface.gear_curvature is None and surface.pin_curvature is None:
         return
     for name in DEVIATIONS:
@@ -360,7 +361,7 @@ def _check_life(surface: ErrorSurface) -> None:
     assert life is not None
     turns = life.crank_turns
     if turns.ndim != 1 or turns.size == 0 or turns[0] != 0.0 or not (np.diff(turns) > 0.0).all():
-        raise edge.InputError("life_crank_turns must grow from 0, one value a state.")
+        raise edge.InputError("life_crank_turns must grow from 0, one value for each state.")
     for name in DEVIATIONS:
         own, given = getattr(surface, name), getattr(life, name)
         if own is None or given.shape != (turns.size, *own.shape):
@@ -372,7 +373,7 @@ def _check_life(surface: ErrorSurface) -> None:
 
 
 def _check_ageing(ageing: Ageing, crank_turns: float) -> None:
-    """Refuse an ageing that leads out of its life."""
+    """Refuse an ageing beyond its life."""
     numbers = [v for v in vars(ageing).values() if not isinstance(v, str)]
     given = ageing.largest_age * ageing.crank_turns_per_second * ageing.largest_wear_factor
     low, high = ageing.smallest_wear_factor, ageing.largest_wear_factor
@@ -394,7 +395,7 @@ def nominal_surface(pair: Pair) -> ErrorSurface:
 
 
 def surface_of_pair(pair: Pair) -> ErrorSurface:
-    """Return the surface with the errors that the pair itself states."""
+    """Return the surface with the stated errors of a pair."""
     return ErrorSurface(pair, stated_values(pair, pair.errors))
 
 
@@ -405,20 +406,20 @@ def stated_values(pair: Pair, errors: Errors) -> dict[str, Any]:
 
 
 def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
-    """Return a worn surface at another time of its life, linear between the states that it holds.
+    """Return a worn surface at another time of its life, linear between its states.
 
     Raises
     ------
     ValueError
-        If it holds no life, or not up to so many turns.
+        If it has no life, or the life ends before.
     """
     life = surface.life
     if life is None:
-        raise ValueError("this surface holds no states of a life")
+        raise ValueError("this surface has no life")
     turns, last = life.crank_turns, life.crank_turns.size - 1
     if not 0.0 <= crank_turns <= turns[-1]:
         raise ValueError(
-            f"crank_turns_worn = {crank_turns:g}: it must lie between 0 and {turns[-1]:g}, where the life ends"
+            f"crank_turns_worn = {crank_turns:g}: it must be between 0 and {turns[-1]:g}, the end of the life"
         )
     after = min(max(int(np.searchsorted(turns, crank_turns)), 1), last)
     before = min(after - 1, last)
@@ -429,10 +430,10 @@ def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
 
 
 def alike(surface: ErrorSurface) -> tuple[bool, bool]:
-    """Return whether all teeth of each disc are alike and whether all pins are, seen from what drives them.
+    """Return whether all teeth of each disc are equal and whether all pins are, with errors at rest.
 
-    What stands still in the frame makes the parts unlike that stand still too: the pins with the gear as output, the
-    teeth with the ring. Where both are alike everything repeats from pin to pin.
+    Errors at rest in the frame make the parts at rest different: the pins with the gear as output, the teeth with the
+    ring. If both are equal, everything repeats from pin to pin.
     """
     parts = {"pins": True, "teeth": True, "frame": True}
     for name, values in surface.errors.items():
@@ -450,7 +451,7 @@ def alike(surface: ErrorSurface) -> tuple[bool, bool]:
 
 
 def _shown(value: Any) -> str:
-    """Return a value of a pair's field as a sentence shows it."""
+    """Return the text of a value of a pair's field."""
     if value is None or isinstance(value, edge.Config):
         return "not stated" if value is None else "stated"
     return f"{value:.9g}" if isinstance(value, float) else str(value)

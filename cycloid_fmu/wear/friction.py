@@ -1,4 +1,4 @@
-"""How fast every pin slides on the flank at a speed of the crank, and the power that friction leaves there."""
+"""Sliding speed of every pin on the flank at a speed of the crank, and the friction power."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Sliding(NamedTuple):
     friction_power
         μ F v of each pin, W; empty without a friction coefficient.
     friction_power_density
-        Over the contact's area 2ab, which is μ v times the mean Hertzian pressure π/4 p, W/m²; empty likewise.
+        Friction power per contact area 2ab, which is μ v times the mean Hertzian pressure π/4 p, W/m²; empty likewise.
     """
 
     sliding_speed: Array
@@ -39,7 +39,7 @@ def sliding_of(
     crank_speed: float,
     friction_coefficient: float | None = None,
 ) -> Sliding:
-    """Return how every pin slides at one load.
+    """Return the sliding of every pin at one load.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def sliding_of(
     pin_force, pin_pressure
         Force (N) and largest pressure (Pa) of each pin, shape (angles, discs, pins).
     crank_speed
-        rad/s, either way.
+        rad/s, in either direction.
     friction_coefficient
         μ of flanks on pins.
 

@@ -1,4 +1,4 @@
-"""What wears a drive: the wear file `cycloid-wear/1` and the duty cycle, a table of torques and crank turns."""
+"""Input of a wear run: the wear file `cycloid-wear/1` and the duty cycle, a table of torques and crank turns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ABOVE_ZERO = pydantic.Field(gt=0.0)
 
 
 class Regression(edge.Config):
-    """Inputs of the wear coefficient's regression; none has a default, for k_0 goes with α^-7.4.
+    """Inputs of the wear coefficient's regression; none has a default, because k_0 is proportional to α^-7.4.
 
     Attributes
     ----------
@@ -45,17 +45,17 @@ class WearLaw(edge.Config):
     Attributes
     ----------
     pins
-        "fixed": a pin wears where it is swept; "free": it turns in its hole and wears evenly all round.
+        "fixed": a pin wears where contacts pass over it; "free": it turns in its hole and wears evenly.
     largest_step
-        How deep any element may wear before the contact is solved anew, m.
+        Largest wear of any element before the contact is solved again, m.
     coefficient, regression
-        Either a constant wear coefficient k_0, m²/N, or what its regression needs.
+        Either a constant wear coefficient k_0, m²/N, or the inputs of its regression.
     limit
-        Depth at which the drive counts as worn out, m; None stands for 5 % of the tooth's thickness.
+        Depth at which the drive is worn out, m; None for 5 % of the tooth's thickness.
     friction_coefficient
-        Of the sliding surfaces, for friction work and loss; None where they are not asked for.
+        Of the sliding surfaces, for friction work and loss; None if not needed.
     duty
-        The duty cycle, where the wear file states it.
+        The duty cycle, if the wear file states it.
     """
 
     pins: Literal["fixed", "free"]
@@ -81,12 +81,12 @@ class _WearFile(edge.Config):
 
 
 def parse_wear_law(text: str, source: str) -> WearLaw:
-    """Return the wear law that a TOML text describes; an `edge.InputError` names what is wrong in it."""
+    """Return the wear law of a TOML text; an `edge.InputError` names the invalid entries."""
     return edge.validated(_WearFile, edge.toml_table(text, FORMAT, source), source).wear
 
 
 def read_wear_law(path: str | os.PathLike[str]) -> WearLaw:
-    """Return the wear law of a wear file; an `edge.InputError` names what is wrong in it."""
+    """Return the wear law of a wear file; an `edge.InputError` names the invalid entries."""
     return parse_wear_law(edge.read_text(path), str(path))
 
 
@@ -99,7 +99,7 @@ def duty_cycle(
 ) -> tuple[tuple[Load, ...], float]:
     """Return the loads of a run and its crank turns, from one torque, from a file, or from the wear file.
 
-    A duty cycle is gone through so often that its loads wear together, each by its share of the turns.
+    A duty cycle is repeated so often that its loads wear together, each by its share of the turns.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def duty_cycle(
         raise edge.ArgumentError("crank_turns", "it must be zero or above, and finite", crank_turns)
     if torque is not None:
         if crank_turns is None:
-            raise edge.ArgumentError("crank_turns", "is missing; one torque alone does not say for how long")
+            raise edge.ArgumentError("crank_turns", "is missing; one torque alone does not determine the duration")
         return (Load(torque=torque, crank_turns=1.0),), crank_turns
     loads = law.duty if duty_file is None else read_duty_cycle(duty_file)
     total = sum(load.crank_turns for load in loads)
@@ -128,12 +128,12 @@ def duty_cycle(
 
 
 def read_duty_cycle(path: str | os.PathLike[str]) -> tuple[Load, ...]:
-    """Read a duty cycle: CSV with the header `torque [N*m],crank_turns [1]` (any unit of torque) and a row a load.
+    """Read a duty cycle: CSV with the header `torque [N*m],crank_turns [1]` (any unit of torque), a row for each load.
 
     Raises
     ------
     edge.InputError
-        If a column or its unit is missing, a value is no number, turns are negative, or nothing turns at all.
+        If a column or its unit is missing, a value is not a number, turns are negative, or their sum is zero.
     """
     loads = []
     for number, values in edge.number_rows(path, {"torque": "N*m", "crank_turns": "1"}):

@@ -37,7 +37,7 @@ LARGEST_LIFE = 24  # states that a worn surface keeps of its life
 
 @dataclasses.dataclass(frozen=True)
 class WearRun:
-    """A drive that wore.
+    """A worn drive.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class WearRun:
     figures
         As `wear_figures` returns them.
     notes
-        Sentences on what is doubtful, and on a wear limit that ended the run.
+        Sentences on doubtful inputs, and on a wear limit that ended the run.
     """
 
     model: WearModel
@@ -74,7 +74,7 @@ def run_wear(
     workers: int = 1,
     progress: Callable[[float], None] = lambda turns: None,
 ) -> WearRun:
-    """Wear a drive for so many crank turns, or until its wear limit is reached.
+    """Wear a drive for a number of crank turns, or until its wear limit is reached.
 
     Parameters
     ----------
@@ -87,14 +87,14 @@ def run_wear(
     workers
         Threads.
     progress
-        Told the crank turns that are done.
+        Called with the crank turns done.
 
     Raises
     ------
     edge.InputError
         If the teeth would wear through.
     KeyboardInterrupt
-        Its text says how far the run was.
+        Its text states the progress of the run.
     """
     model = wear_model(pair, surface, law, loads)
     new = wear_rate(model, model.surface, workers)
@@ -134,7 +134,7 @@ def surface_of_run(model: WearModel, states: list[WearState], half_width: float)
 
 
 def _figures_of(model: WearModel, depth: Depth) -> dict[str, float]:
-    """Largest and mean depth (over what is worn at all, m) and the worn volume (m³) of gear and pins."""
+    """Largest and mean depth (over the worn area, m) and the worn volume (m³) of gear and pins."""
     width = model.pair.face_width
     found = {}
     for body, values, element in (("gear", depth.gear, model.gear_element), ("pin", depth.pin, model.pin_element)):
@@ -151,8 +151,8 @@ def wear_figures(model: WearModel, states: list[WearState], new: WearRate, worke
     """Return the figures of a run, SI.
 
     `linear` is without profile update, `updated` the end of the history, `as_printed` by the paper's slip distance at
-    the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` says how fine the history is and
-    what halving all its steps changes: largest difference anywhere, and the depths in whole steps; `life` follows it.
+    the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` has the number of steps and the
+    effect of halving all of them: largest difference anywhere, and the depths in whole steps; `life` has the history.
     """
     turns = states[-1].crank_turns
     curve = accuracy(model, [s.depth for s in states], new.half_width, workers)
@@ -197,7 +197,7 @@ def wear_figures(model: WearModel, states: list[WearState], new: WearRate, worke
 
 
 def coefficient_warning(coefficient: float, model: WearModel, source: str) -> str | None:
-    """Return a sentence where the largest wear coefficient can't be right, naming what it comes from; else None."""
+    """Return a sentence if the largest wear coefficient is implausible, with its source; otherwise None."""
     low, high = SENSIBLE_COEFFICIENTS
     if coefficient == 0.0 or low <= coefficient <= high:
         return None

@@ -1,9 +1,9 @@
 """Wear of gear and pins: Archard's law over the Hertz pressure, with the profile updated as it wears.
 
-A point of a flank loses k_0 p for each metre that the other surface slides past while the pressure p is on it. Summed
-over the sweep of the Hertz pressure this is h = N ∫ k_0 p(s - s_c(φ)) |v_12| dφ: bounded, and it conserves
-k_0 ∫ F |v_12| exactly on any grid, because each contact gives every element the part of the pressure's ellipse that
-lies on it (loaded-contact-wear equations 18 to 22; docs/theory/wear.md says why not 2a|σ|).
+A point of a flank loses the depth k_0 p per metre that the other surface slides past while the pressure p acts on it.
+Summed over the sweep of the Hertz pressure this is h = N ∫ k_0 p(s - s_c(φ)) |v_12| dφ: bounded, and it conserves k_0 ∫
+F |v_12| exactly on any grid, because each contact gives every element the part of the pressure's ellipse over it
+(loaded-contact-wear equations 18 to 22; docs/theory/wear.md explains why 2a|σ| is not used).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def regression_coefficient(regression: Regression, line_load: ArrayLike, radius:
     Notes
     -----
     k_0 = 3.981e29/E_q L^1.219 G^-7.377 S^1.589, L = F'/(E_q ρ*), G = α E_q, S = Ra/ρ* (Janakiraman, Li, Kahraman 2014
-    as loaded-contact-wear equation 20 gives it), Ra = sqrt(Ra_1² + Ra_2²): printed without the squares, which is no
+    as loaded-contact-wear equation 20 gives it), Ra = sqrt(Ra_1² + Ra_2²): printed without the squares, which is not a
     length.
     """
     load = np.asarray(line_load) / (modulus * np.asarray(radius))
@@ -68,7 +68,7 @@ def regression_coefficient(regression: Regression, line_load: ArrayLike, radius:
 
 
 def contact_coefficients(law: WearLaw, drive: contact.Problem, contacts: LoadedContacts) -> Array:
-    """k_0 at each contact by the law that the wear file states, shape (contacts,), m²/N."""
+    """k_0 at each contact by the law of the wear file, shape (contacts,), m²/N."""
     if law.regression is None:
         assert law.coefficient is not None
         return np.full(contacts.force.size, law.coefficient)
@@ -78,7 +78,7 @@ def contact_coefficients(law: WearLaw, drive: contact.Problem, contacts: LoadedC
 
 @dataclass(frozen=True)
 class Sweep:
-    """The crank angles that stand for all: after them the mesh repeats, on other pins and teeth if these are alike."""
+    """The crank angles that represent all: after them the mesh repeats, on other pins and teeth if these are equal."""
 
     crank_angle: Array
     teeth_alike: bool
@@ -100,9 +100,9 @@ def sweep_of(pair: Pair, surface: ErrorSurface) -> Sweep:
 
 @dataclass(frozen=True)
 class Depth:
-    """Wear depth of every element, > 0 material lost, m (or a rate of it, m for each crank turn).
+    """Wear depth of every element, > 0 material lost, m (or its rate, m per crank turn).
 
-    `gear` has the shape (discs, teeth, profile, width), `pin` (pins, angle, width), elements as an `ErrorSurface` has.
+    `gear` has the shape (discs, teeth, profile, width), `pin` (pins, angle, width), elements as in an `ErrorSurface`.
     """
 
     gear: Array
@@ -122,14 +122,14 @@ class Depth:
 
 @dataclass(frozen=True)
 class WearRate:
-    """How fast a drive wears in one state.
+    """Wear rate of a drive in one state.
 
     Attributes
     ----------
     depth
         m for each crank turn.
     volume
-        k_0 ∫ F |v_12| of each body, m³ for each crank turn: what the depths must add up to.
+        k_0 ∫ F |v_12| of each body, m³ per crank turn: the sum of the depths.
     sliding_work
         ∫ F |v_12|, J for each crank turn: friction work at a friction coefficient of 1.
     coefficient
@@ -148,7 +148,7 @@ class WearRate:
 
 @dataclass(frozen=True)
 class WearModel:
-    """What stays the same while a drive wears.
+    """The constant data of a wear run.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class WearModel:
     cycle
         Crank turns of one duty cycle.
     sweep
-        The crank angles that stand for all.
+        The crank angles that represent all.
     tooth_arc
         Arc length of one tooth's flanks, root to root, m.
     """
@@ -247,18 +247,18 @@ def _finer(values: Array, axis: int, count: int) -> Array:
 
 
 def worn_surface(model: WearModel, depth: Depth, half_width: float) -> ErrorSurface:
-    """Return the error surface of a worn drive, as its contacts feel it.
+    """Return the error surface of a worn drive, smoothed over the contacts' width.
 
     Parameters
     ----------
     model, depth
-        The wear problem and what was lost.
+        The wear problem and the lost depth.
     half_width
         Hertz's a of the widest contact, m.
 
     Notes
     -----
-    A contact feels a profile over its width: the loss is averaged with the weight (15/16L)(1 - s²/L²)² over L = 1.5 a,
+    A contact extends over its width: the depth is averaged with the weight (15/16L)(1 - s²/L²)² over L = 1.5 a,
     and the curvature is the second derivative of that mean, which is the curvature of the parabola that fits best over
     the same arc. So gap and curvature are those of one smooth profile, and no volume is lost.
     """
@@ -282,7 +282,7 @@ def worn_surface(model: WearModel, depth: Depth, half_width: float) -> ErrorSurf
 
 
 def _felt(depth: Array, axis: int, element: float, half_width: float, beyond: str) -> tuple[Array, Array]:
-    """Mean depth over the arc that a contact feels, and the curvature h'' that it adds, > 0 convex, 1/m.
+    """Mean depth over the arc of a contact, and the added curvature h'', > 0 convex, 1/m.
 
     `depth` holds the elements' means; the weight is integrated over each element.
     """
@@ -297,12 +297,12 @@ def _felt(depth: Array, axis: int, element: float, half_width: float, beyond: st
 
 
 def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> WearRate:
-    """Return how fast the drive wears, on a surface with the elements of the model's.
+    """Return the wear rate of the drive, on a surface with the elements of the model.
 
     Parameters
     ----------
     workers
-        Threads; the result is the same bits whatever their number.
+        Threads; the result is the same bits for any number.
     """
     width = model.unworn.gear.shape[3]
     drive = drive_of(model.pair, surface, width)
@@ -375,7 +375,7 @@ def _part_of_rate(model: WearModel, drive: contact.Problem, load: Load, crank_an
 
 @njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _deposit(rows: Array, row: NDArray[np.int64], middle: Array, reach: Array, amount: Array, around: bool) -> None:
-    """Spread amounts over elements as the ellipse of the Hertz pressure lies on them; all lengths in elements."""
+    """Distribute amounts over elements by the ellipse of the Hertz pressure; all lengths in elements."""
     size = rows.shape[1]
     for i in range(row.size):
         first, last = math.floor(middle[i] - reach[i]), math.floor(middle[i] + reach[i])
@@ -397,11 +397,11 @@ class WearState:
     crank_turns
         Turns since new.
     depth
-        What was lost, m.
+        Lost depth, m.
     whole
-        What is lost when each step is made as one instead of as two halves, from new on, m.
+        Lost depth with whole steps instead of two halves, from new on, m.
     reach
-        How deep the next step may go, m.
+        Largest depth of the next step, m.
     """
 
     crank_turns: float
@@ -411,7 +411,7 @@ class WearState:
 
     @property
     def difference(self) -> float:
-        """Largest difference that halving every step since new makes anywhere, m."""
+        """Largest effect of halving every step since new, m."""
         return (self.depth + self.whole * -1.0).largest
 
 
@@ -419,14 +419,14 @@ def wear_states(model: WearModel, crank_turns: float, workers: int = 1) -> Itera
     """Wear a drive step by step, with gap and curvature of the profile updated.
 
     Every step is made twice: as two halves, each of which wears the deepest element by the law's `largest_step` at
-    most, and as one; where they part by more than a tenth of `largest_step`, the step is shortened. Both histories go
-    on from their own states, so `WearState.difference` is what halving all steps changes in the end. The midpoint rule
-    is of second order.
+    most, and as one; where they differ by more than a tenth of `largest_step`, the step is shortened. Both histories
+    continue from their own states, so `WearState.difference` is the effect of halving all steps. The midpoint rule is
+    of second order.
 
     Parameters
     ----------
     model, crank_turns
-        The wear problem and the turns at which to end; it ends before where `wear_limit` is reached.
+        The wear problem and the turns at which to end; it ends earlier if `wear_limit` is reached.
 
     Yields
     ------
@@ -471,9 +471,9 @@ def wear_states(model: WearModel, crank_turns: float, workers: int = 1) -> Itera
 
 
 def _periods(model: WearModel, new: WearRate) -> list[tuple[float, WearModel]]:
-    """The loads of a duty cycle in their order: for how many crank turns, and the problem at that load.
+    """The loads of a duty cycle in order: their crank turns, and the problem at that load.
 
-    Where a cycle wears less than one step its order can't matter, and its loads wear together.
+    If a cycle wears less than one step its order has no effect, and its loads wear together.
     """
     if len(model.loads) == 1 or model.cycle * new.depth.largest <= model.law.largest_step:
         return [(math.inf, model)]
@@ -508,7 +508,7 @@ def tooth_thickness(pair: Pair) -> float:
 
 
 def wear_limit(model: WearModel) -> float:
-    """Depth at which the drive counts as worn out, m: the law's, or 5 % of the tooth's thickness (the paper's)."""
+    """Depth at which the drive is worn out, m: that of the law, or 5 % of the tooth's thickness (as in the paper)."""
     return model.law.limit if model.law.limit is not None else 0.05 * tooth_thickness(model.pair)
 
 
@@ -523,8 +523,8 @@ def depth_as_printed(model: WearModel, crank_turns: float) -> tuple[LoadedContac
 
     Notes
     -----
-    loaded-contact-wear equations 21 and 22. The paper does not say which pressure p is; with the mean one the gear's
-    largest depth comes nearest to its 60 µm.
+    loaded-contact-wear equations 21 and 22. The paper does not state which pressure p is; with the mean one the gear's
+    largest depth is nearest to its 60 µm.
     """
     drive = drive_of(model.pair, model.surface, model.unworn.gear.shape[3])
     contacts = loaded_contacts(drive, model.sweep.crank_angle, model.heaviest_torque)

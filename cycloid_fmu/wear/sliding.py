@@ -1,8 +1,8 @@
 """Rolling and sliding of gear and pins where they touch: velocities, slip coefficients, sliding distance.
 
-All velocities are for each radian that the pin ring turns against the crank: the paper holds the crank, turns the ring
-at ω_1 and the gear at ω_1 z_p/z_c. They are along the flank, > 0 towards falling profile parameter, which is where the
-contact then moves on the gear.
+All velocities are per radian of the pin ring's rotation against the crank: the paper holds the crank, turns the ring at
+ω_1 and the gear at ω_1 z_p/z_c. They are along the flank, > 0 towards decreasing profile parameter, the direction of
+the contact's motion on the gear.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 class Velocities(NamedTuple):
     """Velocities at contacts, m for each radian of the ring against the crank.
 
-    `pin` and `gear` are how fast the contact moves along the pin and along the flank (the paper's v_1r and v_2r), and
-    `sliding` is their difference v_12 = v_2r - v_1r, how fast the surfaces slide on each other.
+    `pin` and `gear` are the velocities of the contact along the pin and along the flank (the paper's v_1r and v_2r),
+    and `sliding` is their difference v_12 = v_2r - v_1r, the sliding velocity of the surfaces.
     """
 
     pin: Array
@@ -37,7 +37,7 @@ class Velocities(NamedTuple):
 
     @property
     def pin_slip(self) -> Array:
-        """σ_2 = -v_12/v_1r, the slip coefficient of the pin (1); infinite where the contact turns back on the pin."""
+        """σ_2 = -v_12/v_1r, the slip coefficient of the pin (1); infinite where the contact reverses on the pin."""
         with np.errstate(divide="ignore"):
             return -self.sliding / self.pin
 
@@ -48,7 +48,7 @@ def ideal_velocities(pair: Pair, phase: ArrayLike) -> Velocities:
     Parameters
     ----------
     pair
-        The pair; its modification is not counted.
+        The pair; its modification is ignored.
     phase
         φ, the pin's angle from the crank, rad.
 
@@ -66,7 +66,7 @@ def ideal_velocities(pair: Pair, phase: ArrayLike) -> Velocities:
 
 
 def slip_pole(pair: Pair) -> float:
-    """Pin's angle from the crank at which the unmodified pair's contact turns back on the pin, cos φ = K, rad.
+    """Pin's angle from the crank at which the unmodified pair's contact reverses on the pin, cos φ = K, rad.
 
     There the pin's slip coefficient is infinite and the gear's is 1; it is where the moment arm is largest.
     """
@@ -80,7 +80,7 @@ def velocities(drive: contact.Problem, contacts: LoadedContacts) -> Velocities:
     Notes
     -----
     Seen from the gear the pin's axis moves with velocity w. The flank's point nearest to it, of curvature 1/ρ_c, moves
-    along the flank by w·t/(1 + R_rp/ρ_c); what slides is w·t less the pin's own rotation.
+    along the flank by w·t/(1 + R_rp/ρ_c); the sliding is w·t minus the pin's own rotation.
     """
     teeth = drive.teeth
     rate = np.gradient(contacts.deviation, contacts.crank_angle)[contacts.angle]

@@ -57,7 +57,7 @@ class PlcHub:
             self.head = self._read_head()
             if self.head.ring_bytes > size:
                 raise EncoderProtocolError(
-                    f"{self._where}: it has {size} bytes, its head speaks of {self.head.ring_bytes}."
+                    f"{self._where}: it has {size} bytes, its head states {self.head.ring_bytes}."
                 )
         except (pyads.ADSError, OSError, RuntimeError) as problem:
             self.connection.close()
@@ -96,7 +96,7 @@ class PlcHub:
         try:
             return read_head(self._bytes(0, HEAD_BYTES))
         except ValueError as problem:
-            raise EncoderProtocolError(f"{self._where}: its variable is no ring of samples: {problem}.") from None
+            raise EncoderProtocolError(f"{self._where}: its variable is not a ring of samples: {problem}.") from None
 
     def follow(self, blocks: BlockQueue[Block], after: tuple[int, int] | None) -> None:
         """Hand on all samples from now on, or all behind the one with this `started` and number that it still holds."""
@@ -134,7 +134,7 @@ class PlcHub:
         head = self._read_head()
         came = steady_time()
         if (head.columns, head.length) != (self.head.columns, self.head.length):
-            raise EncoderProtocolError(f"{self._where}: its ring is another than it was.")
+            raise EncoderProtocolError(f"{self._where}: its ring has changed.")
         with self._lock:
             if head.started != self.head.started:  # the PLC's program began anew, and so did the numbers
                 self._next, self._arrived = 1, None

@@ -16,18 +16,18 @@ _CLOCKS = {
 
 
 def frame_key(identifier: int, *, extended: bool = False, fd: bool = False) -> int:
-    """Return one number for all that distinguishes frames: 11 or 29 bits, classical or FD; 11-bit classical: itself."""
+    """Return one number that identifies frames, 11 or 29 bits, classical or FD; 11-bit classical: the identifier."""
     return identifier | extended << 29 | fd << 30
 
 
 def frame_name(key: int) -> str:
-    """Return how messages call the frames of this key: "frame 0x182", "FD frame 0x18DA0102 (29 bits)"."""
+    """Return the name of the frames of this key in messages: "frame 0x182", "FD frame 0x18DA0102 (29 bits)"."""
     name = f"frame 0x{key & 0x1FFFFFFF:03X}"
     return f"{'FD ' if key & 1 << 30 else ''}{name}{' (29 bits)' if key & 1 << 29 else ''}"
 
 
 def time_source(config: BusConfig, what: str) -> str:
-    """Return whose clock stamps what, for a recording: 'hardware clock: the CAN interface's stamp of the frame (…)'."""
+    """Return the clock of the stamps for a recording: 'hardware clock: the CAN interface's stamp of the frame (…)'."""
     clock = _CLOCKS.get(config.interface, "host")
     return f"{clock} clock: the CAN interface's stamp of the {what} ({config.place})"
 

@@ -1,7 +1,7 @@
-"""What Linux tells of a socket's frames: when each came, and how many it dropped because nobody took them in time.
+"""Linux's data on a socket's frames: the time of each, and the number dropped because they were not read in time.
 
-The kernel puts its count of dropped frames beside the first frame behind each gap (SO_RXQ_OVFL, as can-utils' candump
-reads it: Documentation/networking/can.rst, socket(7)), which places the loss; SO_MEMINFO tells of those dropped since.
+The kernel adds its count of dropped frames to the first frame after each gap (SO_RXQ_OVFL, as can-utils' candump
+reads it: Documentation/networking/can.rst, socket(7)), which locates the loss; SO_MEMINFO gives those dropped since.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ RECEIVE_BUFFER = 8 << 20  # seconds of frames; the usual one holds 256
 
 
 class SocketDrops:
-    """Stamps and drops of a socket that it has asked for them, and for a buffer that holds seconds of frames.
+    """Stamps and drops of a socket, for which it requests them and a buffer for seconds of frames.
 
     Attributes
     ----------
     known
-        Whether this system tells of drops.
+        Whether this system reports drops.
     total
         Frames dropped before the one that was received last.
     """
@@ -44,7 +44,7 @@ class SocketDrops:
             self.known = True
 
     def stamp(self, ancillary: Sequence[tuple[int, int, bytes]]) -> float | None:
-        """Take what stands beside a frame: return its stamp, s since 1970, where there is one, and count the drops."""
+        """Read the ancillary data of a frame: return its stamp, s since 1970, if there is one, and count the drops."""
         found = None
         for level, kind, data in ancillary:
             if level == socket.SOL_SOCKET and kind == _TIMESTAMP_NS:
@@ -55,7 +55,7 @@ class SocketDrops:
         return found
 
     def since(self) -> int:
-        """Return how many were dropped behind the frame that was received last."""
+        """Return the number dropped after the last received frame."""
         if not self.known:
             return 0
         try:

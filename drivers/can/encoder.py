@@ -1,4 +1,4 @@
-"""What all sensors on a CAN bus share: the bus, opened and given back, and the reader of their frames."""
+"""Common part of all sensors on a CAN bus: opening and release of the bus, and the reader of their frames."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ class CanEncoder(HubEncoder[CanHub]):
         self._lost_before = 0
 
     def start(self) -> None:
-        """Let the hub send SYNC, where the wiring has it do so."""
+        """Let the hub send SYNC, if the wiring requires it."""
         assert self.hub is not None, "start() is for a sensor that is open"
         self.hub.produce_sync()
 
     def leave(self, hub: CanHub) -> None:
-        """Take no more frames."""
+        """Stop reading frames."""
         if hasattr(self, "reader"):
             self.reader.close()
             self._lost_before += self.reader.lost
             self.reader.lost = 0
 
     def drain(self) -> None:
-        """Let the hub take what waits; see `Encoder.drain`."""
+        """Let the hub read waiting frames; see `Encoder.drain`."""
         if self.hub is not None:
             self.hub.drain()
 
@@ -46,14 +46,14 @@ class CanEncoder(HubEncoder[CanHub]):
 
     @property
     def lost(self) -> int:
-        """Frames that are known to be lost."""
+        """Number of lost frames."""
         return self._lost_before + (self.reader.lost if hasattr(self, "reader") else 0)
 
     @property
     def waiting(self) -> int:
-        """Frames that came and are not yet read."""
+        """Received frames that are not yet read."""
         return self.reader.waiting
 
     def events(self) -> list[Event]:
-        """Return gaps, skipped frames and what happened on the bus; see `Encoder.events`."""
+        """Return gaps, skipped frames and events of the bus; see `Encoder.events`."""
         return self.reader.events()

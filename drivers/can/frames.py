@@ -1,4 +1,4 @@
-"""The frames of one identifier, judged: what can be trusted, and what is marked."""
+"""The frames of one identifier, checked: valid and marked ones."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def payload_array(data: list[bytearray], length: int) -> npt.NDArray[np.uint8]:
 
 @dataclasses.dataclass(frozen=True)
 class Judged:
-    """Frames that can be trusted: payloads (n, length), times of host and device, status bits, shape (n,).
+    """Valid frames: payloads (n, length), times of host and device, status bits, shape (n,).
 
     `jumped`: the clock of the stamps jumped there.
     """
@@ -39,7 +39,7 @@ class Judged:
 
 
 class FrameReader:
-    """The frames of one identifier as payloads, stamps and status: what CANopen and DBC channels have in common.
+    """The frames of one identifier as payloads, stamps and status: the common part of CANopen and DBC channels.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ class FrameReader:
     channel
         The channel's name, for events.
     period
-        Seconds between frames that come by a timer, None where that is not known: a longer silence is a gap.
+        Seconds between frames sent by a timer, None if not known: a longer silence is a gap.
 
     Attributes
     ----------
     lost
-        Frames that are known to be lost.
+        Number of lost frames.
     """
 
     def __init__(
@@ -87,12 +87,12 @@ class FrameReader:
         self.lost = 0
 
     def close(self) -> None:
-        """Take no more frames."""
+        """Stop reading frames."""
         self.hub.unsubscribe(self.identifier, self._blocks)
 
     @property
     def waiting(self) -> int:
-        """Frames that came and are not yet read."""
+        """Received frames that are not yet read."""
         return self._blocks.waiting
 
     def say(self, time_host: float, text: str, status: int = 0) -> None:
@@ -106,7 +106,7 @@ class FrameReader:
         return self.hub.events() + drained(self._events)
 
     def finish(self) -> None:
-        """Say what is missing behind the last sample, now that no more is read."""
+        """Note the samples missing after the last one, at the end of reading."""
         self.hub.finish()
         if self.sync_step is not None and self._newest is not None:
             sync, unread = self.hub.handed_on, []
@@ -121,12 +121,12 @@ class FrameReader:
             self.say(time.time(), f"{self._name} may be lost behind the last one")
 
     def read(self, timeout: float) -> Judged | None:
-        """Return the frames that came.
+        """Return the received frames.
 
         Raises
         ------
         EncoderConnectionError
-            If the bus broke, once what came before is read.
+            If the bus failed, once earlier frames are read.
         """
         losses: list[tuple[int, int]] = []
         blocks: list[Frames] = []
@@ -139,7 +139,7 @@ class FrameReader:
         return self._judged(joined_frames(blocks), losses) if blocks else None
 
     def _judged(self, frames: Frames, losses: list[tuple[int, int]]) -> Judged | None:
-        """Leave out frames that can't be trusted and mark what follows them."""
+        """Leave out invalid frames and mark the next ones."""
         n = len(frames.data)
         stamps = frames.time if self.sync_step is None else frames.sync_time
         before = np.zeros(n, np.int64)  # bits for the sample at, or the next kept one after, each place
@@ -204,7 +204,7 @@ class FrameReader:
             same[i] = frames.data[i] == (frames.data[i - 1] if i else last)
         self._last = (0.0, frames.data[-1], 0.0)
         self._say_count(second & same, frames, "skipped: a duplicate of the frame before, or without a SYNC of its own")
-        self._say_count(second & ~same, frames, "skipped: without a SYNC of its own, so its instant is unknown")
+        self._say_count(second & ~same, frames, "skipped: without a SYNC of its own, so its time is unknown")
         before[second] |= np.where(same, DUPLICATE, GAP)[second]
         if self._first is None and len(answered := sync[sync >= 0]):
             self._first = int(answered[0])

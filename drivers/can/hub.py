@@ -1,7 +1,7 @@
 """One reader for each CAN bus: data frames in blocks to the channels, everything else to CANopen's supervision.
 
-A callback a frame costs more than the frame; so one thread takes what the bus has, sorts it by identifier, notes for
-each data frame the SYNC that it answers, and hands it on by the block for NumPy to decode.
+A callback per frame costs more than the frame. So one thread reads the bus, sorts frames by identifier, notes for each
+data frame the SYNC that it answers, and passes blocks on for NumPy to decode.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _PAUSE = 0.25  # s without SYNC that is a gap even where no frame was lost
 class Frames:
     """Data frames of one identifier, in order; arrays of shape (n,).
 
-    `sync` is the running number of the SYNC before, `NO_SYNC` where none came, `BEHIND_GAP` where it may be lost;
+    `sync` is the running number of the previous SYNC, `NO_SYNC` if there was none, `BEHIND_GAP` if it may be lost;
     `gap` counts the gaps of the bus before each; `device` and `sync_device` are stamps of an interface that has a clock
     of its own, None otherwise; `arrived` is when the block was taken, on the host's monotonic clock.
     """
@@ -71,8 +71,8 @@ def joined_frames(blocks: list[Frames]) -> Frames:
 class CanHub:
     """The reader of one bus; see `hubs`.
 
-    A frame is told from others by its `frame_key`. Behind a gap no frame is bound to the SYNC before it, and SYNC is
-    counted on by the time that passed.
+    Frames are distinguished by their `frame_key`. After a gap no frame is assigned to the SYNC before it, and SYNC
+    numbers are continued by the elapsed time.
 
     Attributes
     ----------
@@ -82,8 +82,8 @@ class CanHub:
         Gaps of the bus so far, the running number of the newest SYNC, and of the newest up to which all frames are in
         the queues.
     tells_drops
-        Whether each frame that was not taken in time is known to be so: by the kernel's count, or because the bus
-        keeps all. Where it is not, gaps are told by the stamps alone.
+        Whether every frame that was not read in time is known: by the kernel's count, or because the bus keeps all.
+        Otherwise gaps are detected only by the stamps.
     """
 
     def __init__(self, config: BusConfig) -> None:
@@ -117,7 +117,7 @@ class CanHub:
         self._thread.start()
 
     def subscribe(self, identifier: int) -> BlockQueue[Frames]:
-        """Return a queue into which the frames of this `frame_key` go from now on, block by block."""
+        """Return a queue that receives the frames of this `frame_key` from now on, block by block."""
         blocks: BlockQueue[Frames] = BlockQueue()
         self._queues = {**self._queues, identifier: [*self._queues.get(identifier, []), blocks]}
         self._wanted = frozenset({SYNC_ID, *self._queues})
@@ -133,7 +133,7 @@ class CanHub:
         self._wanted = frozenset({SYNC_ID, *self._queues})
 
     def node(self, number: int, quantity: str) -> Any:
-        """Return the remote node for one of its quantities; `leave_node` gives it back.
+        """Return the remote node for one of its quantities; `leave_node` releases it.
 
         Raises
         ------
@@ -151,23 +151,23 @@ class CanHub:
         return self.network[number]
 
     def leave_node(self, number: int, quantity: str) -> None:
-        """Give a quantity of a node back; the last one forgets the node."""
+        """Release a quantity of a node; the last one removes the node."""
         self._quantities[number].discard(quantity)
         if not self._quantities[number]:
             del self._quantities[number], self.network[number]
 
     def produce_sync(self) -> None:
-        """Send SYNC from now on, where the wiring says so."""
+        """Send SYNC from now on, if the wiring requires it."""
         if self.config.sync_period is not None and self._producer is None:
             self._producer = threading.Thread(target=self._produce, name=f"SYNC {self.config.place}", daemon=True)
             self._producer.start()
 
     def events(self) -> list[Event]:
-        """Return what happened on the bus itself since the last call; `channel` is empty."""
+        """Return the events of the bus itself since the last call; `channel` is empty."""
         return drained(self._events)
 
     def drain(self) -> None:
-        """Wait until all that the bus has by now is in the queues."""
+        """Wait until all present frames of the bus are in the queues."""
         if time.monotonic() - self._drained_at < BLOCK_SECONDS:  # for another channel of this bus, just now
             return
         self._drained.clear()
@@ -178,7 +178,7 @@ class CanHub:
             self._events.append(Event(time.time(), "", f"frames still wait on the CAN bus {self.config.place}"))
 
     def finish(self) -> None:
-        """Say which frames were lost behind the last one, now that no more is read."""
+        """Note the frames lost after the last one, at the end of reading."""
         if self._drops is not None and (lost := self._drops.since()):
             self._say_lost(lost, time.time())
             self.gaps += 1
@@ -219,7 +219,7 @@ class CanHub:
                 blocks.fail(self._failure)
 
     def _produce(self) -> None:
-        """Send SYNC at its times; a time that is missed is left out."""
+        """Send SYNC at its times; missed times are left out."""
         period = self.config.sync_period
         assert period is not None
         message = can.Message(arbitration_id=SYNC_ID, is_extended_id=False)
@@ -269,7 +269,7 @@ class CanHub:
         self._emptied = since is not None and (bool(own_clock) or (bool(block) and block[-1].timestamp > since))
 
     def _serve(self, message: can.Message, key: int, place: int) -> None:
-        """Hand a frame that is no channel's, and stands at this place of the block, to CANopen's services."""
+        """Pass a frame without a channel, at this place of the block, to CANopen's services."""
         if message.is_error_frame:
             self._odd["error frames"] += 1
             if message.arbitration_id & _CONTROLLER and _OVERRUN & sum(message.data[1:2]):
@@ -299,7 +299,7 @@ class CanHub:
                 self._odd[what] = 0
 
     def _plain(self, block: list[can.Message]) -> list[int]:
-        """Return the places of what is no remote frame or echo of an own frame, SYNC being no echo."""
+        """Return the places of frames other than remote frames and echoes of own frames, except SYNC."""
         kept = []
         for place, message in enumerate(block):
             if message.is_remote_frame:
@@ -351,12 +351,12 @@ class CanHub:
         self.handed_on = self.sync
 
     def _state(self) -> tuple[int, float, float, int]:
-        """Return what the next frame is bound to: number, time and own stamp of the SYNC; and the gaps so far."""
+        """Return the SYNC of the next frame: number, time and own stamp; and the gaps so far."""
         bound = BEHIND_GAP if self._in_gap and self.sync >= 0 else self.sync
         return bound, self._sync_time, self._sync_device, self.gaps
 
     def _say_lost(self, lost: int, at: float) -> None:
-        what, why = (f"{lost} frames", "nobody took them in time") if lost else ("frames", "the controller overran")
+        what, why = (f"{lost} frames", "they were not read in time") if lost else ("frames", "the controller overran")
         self._events.append(Event(at, "", f"{what} lost on the CAN bus {self.config.place}: {why}"))
 
     def _on_sync(self, data: bytearray, host: float, stamp: float, arrived: float) -> None:
@@ -390,7 +390,7 @@ class CanHub:
         self._sync_time, self._sync_device = host, stamp
 
     def _counter_step(self, counter: int, expected: float | None) -> int:
-        """Return how many SYNC on a counter stands, which begins again at 1 where its controller has it (0x1019)."""
+        """Return the number of SYNC steps of a counter, which starts again at 1 as set in its controller (0x1019)."""
         modulus = self._counter_max
         step = (counter - self._counter) % modulus or modulus
         if counter > modulus or self._counter > modulus:
@@ -403,7 +403,7 @@ class CanHub:
         return step
 
     def _say_held_up(self, host: float, elapsed: float) -> None:
-        """Say which of its own SYNC this recorder left out before the one that has come: the samples have a gap."""
+        """Note the SYNC frames that this recorder left out before the received one: the samples have a gap."""
         assert self.config.sync_period is not None, "it sends SYNC"
         number, _ = self._produced.popleft()
         while not self._own_clock and self._produced and self._produced[0][1] <= host:  # an echo that was lost

@@ -1,4 +1,4 @@
-"""SocketCAN as python-can opens it, and the kernel's count of dropped frames, which python-can gives no way to."""
+"""SocketCAN of python-can with the kernel's count of dropped frames, which python-can does not provide."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BIT_RATE_SWITCH, _ERROR_STATE = 1, 2
 
 
 class CountingSocketcanBus(SocketcanBus):  # type: ignore[misc]
-    """A SocketCAN interface whose `drops` tell of the frames that nobody took in time."""
+    """A SocketCAN interface whose `drops` count the frames that were not read in time."""
 
     def __init__(self, channel: str, **options: Any) -> None:
         super().__init__(channel, **options)

@@ -22,8 +22,8 @@ def export(
 
     Example: [cyan]cycloid-bench export run.arrows -o run.csv[/]
 
-    .csv is one table: the two angles, paired by the SYNC that latched both, and the torque interpolated to those
-    instants. .nc (netCDF), .parquet and .mf4 (MDF4, ASAM) hold every channel's samples as they came.
+    .csv is one table: the two angles, paired by the SYNC that latched both, and the torque interpolated to these times.
+    .nc (netCDF), .parquet and .mf4 (MDF4, ASAM) hold every channel's samples as they came.
     """
     with bytes_of(recording) as advance:
         done = drivers.export(recording, output, progress=advance)

@@ -23,8 +23,8 @@ def record(
 
     Example: [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/]
 
-    What came is in the file a twentieth of a second later, safe from a kill of the process; every second the disk is
-    told to hold it, safe from a power cut. Buses and ports that fail are opened again.
+    Samples are in the file after a twentieth of a second, safe from a kill of the process; the file is synced to disk
+    every second, safe from a power cut. Buses and ports that fail are opened again.
 
     Exit status: 0 the duration is over, 3 nothing came for the idle time, 130 Ctrl-C, 143 SIGTERM, 129 SIGHUP (a lost
     connection): in each case the file is whole and a summary says what it holds and what was lost.

@@ -29,7 +29,7 @@ def repair(
         kept = drivers.repair(recording, output, progress=advance)
     for problem in kept.problems:
         typer.echo(problem, err=True)
-    typer.echo(f"{recording}: {kept.batches} batches that can be trusted, {kept.events} events")
+    typer.echo(f"{recording}: {kept.batches} intact batches, {kept.events} events")
     for name, channel in kept.channels.items():
         lasts = f", from {channel.first:.6f} s to {channel.last:.6f} s" if channel.samples else ""
         gaps = f", {channel.gaps} of them after a gap" if channel.gaps else ""

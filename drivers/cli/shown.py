@@ -24,7 +24,7 @@ Allowed = Annotated[
     list[str] | None,
     typer.Option(
         "--allow", metavar="KIND",
-        help="Kind of connection that the bench file may open besides devices, socket:// and CAN buses: rfc2217.",
+        help="Kind of connection that the bench file may open besides devices, socket:// and CAN: rfc2217.",
     ),
 ]  # fmt: skip
 
@@ -136,14 +136,14 @@ def _print(done: Recorded) -> None:
     for failure in done.failures:
         typer.echo(str(failure), err=True)
     if not any(done.samples.values()):
-        typer.echo("No sample came: does the bench send?", err=True)
+        typer.echo("No sample came: is the bench sending?", err=True)
 
 
 def report(done: Recorded) -> None:
     """Print what a recording got; exit status 1 where a channel was out at the end or nothing came, 3 after silence."""
     _print(done)
     if done.ended == "idle" and not done.failures:
-        typer.echo("It ended because nothing came any more.", err=True)
+        typer.echo("It ended because no more samples came.", err=True)
         raise typer.Exit(edge.SILENT)
     if done.failures or not any(done.samples.values()):
         raise typer.Exit(edge.FAILED)

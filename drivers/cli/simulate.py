@@ -22,8 +22,8 @@ def simulate(
     ] = None,
     ratio: Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39.")] = None,
     turns: Annotated[int, typer.Option(min=1, help="Crank turns.")] = 39,
-    samples_per_turn: Annotated[int, typer.Option(min=3, help="Samples each crank turn.")] = 96,
-    direction: Annotated[Any, choice_option(("forward", "backward"), "Way the crank turns.")] = "forward",
+    samples_per_turn: Annotated[int, typer.Option(min=3, help="Samples per crank turn.")] = 96,
+    direction: Annotated[Any, choice_option(("forward", "backward"), "Direction of the crank's rotation.")] = "forward",
     speed: Annotated[float, quantity_option("rad/s", "Crank speed.", show_default="60 rpm")] = 6.283185307179586,
     noise: Annotated[float, quantity_option("rad", "Noise of each encoder, rms.")] = 0.0,
     torque_noise: Annotated[float, quantity_option("N*m", "Noise of the torque, rms.")] = 0.0,
@@ -31,7 +31,7 @@ def simulate(
     interface: Annotated[str, typer.Option("--bus", help=_BUS)] = "loopback",
     channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
     trigger: Annotated[
-        Any, choice_option(("controller", "sync", "timer"), "What makes encoders on CAN send.")
+        Any, choice_option(("controller", "sync", "timer"), "What triggers the encoders on CAN.")
     ] = "controller",
     serial: Annotated[
         Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
@@ -53,7 +53,7 @@ def simulate(
         Path | None, typer.Option(metavar="FAULTS.toml", help="Faults to simulate, with their times.")
     ] = None,
     speed_factor: Annotated[
-        float | None, typer.Option(help="1: at the crank's own speed. Default: as fast as the bus permits.")
+        float | None, typer.Option(help="1: in real time. Default: as fast as the bus permits.")
     ] = None,
     write_bench: Annotated[Path, output_option((".toml",), "BENCH.toml", "Wiring to write.", "--write-bench")] = Path(
         "BENCH.toml"

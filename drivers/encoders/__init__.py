@@ -1,1 +1,1 @@
-"""The protocols that this package speaks."""
+"""The protocols of this package."""

@@ -24,11 +24,11 @@ class AdsConfig(AngleConfig):
     Attributes
     ----------
     plc, column
-        The PLC, and which of its ring's values, from 1.
+        The PLC, and the number of the value in its ring, from 1.
     counts_modulus
         Where the value of an angle starts again from 0; absent: it does not.
     torque_per_count
-        What one count of a torque is, such as "1 mN*m"; an angle has `counts_per_turn` instead.
+        Torque of one count, such as "1 mN*m"; an angle has `counts_per_turn` instead.
     """
 
     plc: str
@@ -38,10 +38,11 @@ class AdsConfig(AngleConfig):
 
 
 class AdsEncoder(HubEncoder[PlcHub]):
-    """A column of a PLC's ring. The columns of one sample have one instant, to the last bit.
+    """A column of a PLC's ring. The columns of one sample have exactly the same time.
 
-    What the PLC overwrote before it was read is missing by its number: counted, an event, the next sample marked.
-    While the PLC can't be reached its ring goes on: what it still holds afterwards is recorded then.
+    Samples overwritten by the PLC before they were read are missing by their number: counted, noted as an event, the
+    next sample marked. While the PLC can't be reached its ring continues: samples still in it afterwards are recorded
+    then.
     """
 
     configuration = AdsConfig

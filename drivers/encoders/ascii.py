@@ -56,9 +56,9 @@ class AsciiConfig(AngleConfig):
     request
         What to send for each line; absent: the device sends by itself.
     counts_modulus, sequence_modulus, time_modulus
-        Where the device's numbers start again from 0; absent: they do not (the sequence: 2^32).
+        Values at which the device's numbers start again from 0; absent: they do not (the sequence: 2^32).
     time_unit
-        What one of the device's time is, such as "1 us".
+        Unit of the device's time, such as "1 us".
     unit
         Unit of `{value}`, such as "N*m".
     checksum
@@ -136,7 +136,7 @@ class AsciiCounter(SerialEncoder):
         self._unit = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}.get(name, config.unit or "rad")
         self._scale = 1.0
         if "counts" in self._names and config.counts_per_turn is None:
-            raise edge.InputError("counts_per_turn is missing: lines of counts do not say it.")
+            raise edge.InputError("counts_per_turn is missing: lines of counts do not contain it.")
         if "checksum" in self._names and config.checksum is None:
             raise edge.InputError('checksum is missing: write "xor" or "sum".')
         if "value" in self._names:
@@ -240,7 +240,7 @@ class AsciiCounter(SerialEncoder):
         wrong = there & ~right
         late = right & np.array([line.late and "time" not in self._names for line in lines])
         for which, what in (
-            (~there, "not as described"), (wrong, "wrong checksum"), (late, "it waited, so its instant is unknown")
+            (~there, "not as described"), (wrong, "wrong checksum"), (late, "it waited, so its time is unknown")
         ):  # fmt: skip
             if which.any():
                 first = int(np.flatnonzero(which)[0])

@@ -57,13 +57,13 @@ class CanopenConfig(AngleConfig):
     Attributes
     ----------
     bus, node
-        Where it is.
+        Bus and node.
     quantity, speed_unit
-        "position" is object 0x6004; "speed" is 0x6030, whose unit the wiring must say, such as "1 rpm" a count.
+        "position" is object 0x6004; "speed" is 0x6030, whose unit the wiring must state, such as "1 rpm" per count.
     signed
         A first position in the upper half of the range is one below zero.
     eds
-        File that says what the TPDO map, instead of the node.
+        File with the mapping of the TPDO, instead of the node.
     heartbeat
         Seconds between heartbeats, set in the node; absent: as the node is set, unsupervised where that is 0.
     """
@@ -101,7 +101,7 @@ class CanopenEncoder(CanEncoder):
         """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
         if config.quantity == "speed" and config.speed_unit is None:
             raise edge.InputError(
-                f'{wiring.source}: [channel.{name}] speed_unit is missing: say what one count of 0x6030 is, "1 rpm".'
+                f'{wiring.source}: [channel.{name}] speed_unit is missing: state one count of 0x6030, such as "1 rpm".'
             )
         dictionary = None
         if config.eds is not None:
@@ -114,7 +114,7 @@ class CanopenEncoder(CanEncoder):
         return f"{self.name}: node {self.config.node} on the CAN bus {self.bus.place}"
 
     def set_up(self, hub: CanHub) -> None:
-        """Ask the node what it is; see `HubEncoder.set_up`."""
+        """Query the node; see `HubEncoder.set_up`."""
         self._node = hub.node(self.config.node, self.config.quantity)
         vendor, product = self._object(0x1018, 1, 0), self._object(0x1018, 2, 0)
         serial = self._object(0x1018, 4, 0)
@@ -164,7 +164,7 @@ class CanopenEncoder(CanEncoder):
         return int.from_bytes(data, "little") if data is not None else default or 0
 
     def _said(self, objects: Mapping[tuple[int, int, bool], str]) -> list[str]:
-        """Return what these objects say, those left out that the node does not have."""
+        """Return these objects, without those that the node does not have."""
         said = []
         for (index, subindex, signed), text in objects.items():
             data = self._uploaded(index, subindex, optional=True)
@@ -296,7 +296,7 @@ class CanopenEncoder(CanEncoder):
         )  # fmt: skip
 
     def _check_alive(self, now: float) -> None:
-        """Say that the heartbeat is missing; give the node up where its frames are missing too."""
+        """Note a missing heartbeat; give the node up if its frames are missing too."""
         if not self._heartbeat or not self._started:
             return
         silent = now - self._alive

@@ -108,7 +108,7 @@ class DbcSensor(CanEncoder):
 
     @property
     def measuring_range(self) -> tuple[float, float] | None:
-        """Smallest and largest value, SI, that the file says the signal takes."""
+        """Smallest and largest value of the signal in the file, SI."""
         if self._signal.minimum is None or self._signal.maximum is None:
             return None
         low, high = sorted(self.config.direction * self._si * float(v) for v in (

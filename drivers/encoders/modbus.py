@@ -29,7 +29,7 @@ class ModbusConfig(AngleConfig):
     Attributes
     ----------
     port, device
-        Where it is: the port and the device's address.
+        The port and the device's address.
     register, registers, table
         First register of the position as it goes over the line (from 0), how many it takes, and of which table.
     low_word_first
@@ -78,7 +78,7 @@ class ModbusEncoder(PolledEncoder):
         """See `HubEncoder.set_up`."""
         config = self.config
         if config.counts_per_turn is None:
-            raise EncoderSetupError(f"{self.where}: counts_per_turn is missing: Modbus devices do not say it.")
+            raise EncoderSetupError(f"{self.where}: counts_per_turn is missing: Modbus devices do not report it.")
         answer = hub.exchange(self.question, self.asked).answer
         if len(answer) == 5 and answer[1] & 0x80 and _right(answer):
             raise EncoderProtocolError(

@@ -1,6 +1,6 @@
 """A live page in the browser: transmission error, its spectrum and the bench's health, from the growing recording.
 
-It reads the file that the recorder writes, in a process of its own: nothing it does can cost the recorder a sample.
+It reads the recorder's file in a separate process: it can't cause the recorder to lose samples.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def order_spectrum(input_angle: FloatArray, error: FloatArray) -> tuple[FloatArr
     Returns
     -------
     orders, amplitudes
-        Cycles a crank turn and the amplitude of each, unit of `error`; empty for less than one turn.
+        Cycles per crank turn and the amplitude of each, unit of `error`; empty for less than one turn.
     """
     rising = input_angle if input_angle[-1] >= input_angle[0] else -input_angle
     ordered = np.maximum.accumulate(rising)
@@ -60,7 +60,7 @@ def order_spectrum(input_angle: FloatArray, error: FloatArray) -> tuple[FloatArr
 
 
 class Watcher:
-    """What the page shows, taken from a recording that may still be growing.
+    """Data of the page, from a recording that may still be growing.
 
     Raises
     ------
@@ -77,7 +77,7 @@ class Watcher:
         self._rates: collections.deque[tuple[float, dict[str, int]]] = collections.deque(maxlen=10)
 
     def refresh(self) -> dict[str, Any]:
-        """Read what is new and return the page's data: SI turned into what people read (arcsec, turns)."""
+        """Read new data and return the page's data in field units (arcsec, turns)."""
         fresh: dict[str, list[Samples]] = {name: [] for name in self._held}
         for samples, events in self.reader.batches(growing=True):
             self._events += [dataclasses.asdict(e) for e in events if not e.text.startswith("clock: ")]
@@ -142,7 +142,7 @@ def _tail(blocks: list[Samples]) -> Samples:
 
 
 class _Newest:
-    """The newest data, for any number of clients: one that is slow skips what it missed."""
+    """The newest data, for any number of clients: a slow one skips data."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -164,8 +164,7 @@ class _Newest:
 class WatchServer(PageServer):
     """The page and its data over HTTP; it serves from the beginning, and is a context manager that ends it.
 
-    Port 0 takes a free one. A client must show the `token`; None: only clients that call this machine by a local name
-    are answered.
+    Port 0 takes a free one. A client must send the `token`; None: only clients that use a local name are answered.
     """
 
     def __init__(self, watcher: Watcher, host: str, port: int, token: str | None) -> None:
@@ -191,7 +190,7 @@ def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: i
     recording
         The `.arrows` file, finished or growing.
     host
-        Address to listen on; where it is not this machine's own, a token is asked for, which is in the `url`.
+        Address to listen on; a non-local one requires a token, which is in the `url`.
     port
         0: any that is free.
 
@@ -203,7 +202,7 @@ def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: i
     Raises
     ------
     edge.InputError
-        If the file is no recording or the address can't be listened on.
+        If the file is not a recording or the address can't be listened on.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The `BENCH.toml`: which channels there are, on which buses, ports and PLCs."""
+"""The `BENCH.toml`: channels, and their buses, ports and PLCs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BENCH_FORMAT = "cycloid-bench/1"
 
 
 class Conditions(edge.Config):
-    """What a `[conditions]` holds: load on the output (signed), crank speed, direction, temperature, a free note."""
+    """Content of `[conditions]`: load on the output (signed), crank speed, direction, temperature, a free note."""
 
     load: edge.Torque | None = None
     speed: edge.Speed | None = None
@@ -75,8 +75,8 @@ class Bench:
     pair
         Name of the gear pair.
     conditions
-        SI numbers and text: load N*m, speed rad/s, direction, temperature K, note, and largest_deviation rad, by which
-        the output angle may be off the line of the ratio; absent where not stated.
+        SI numbers and text: load N*m, speed rad/s, direction, temperature K, note, and largest_deviation rad, the
+        largest deviation of the output angle from the line of the ratio; absent if not stated.
     channels
         Class and configuration of each channel's encoder by its name.
     wiring
@@ -103,14 +103,14 @@ class Bench:
 
 
 def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> Bench:
-    """Read a `BENCH.toml` and check all that can be checked without a device.
+    """Read a `BENCH.toml` and check it as far as possible without a device.
 
     Parameters
     ----------
     path
         The file.
     allow
-        What it may open besides serial devices, `socket://` and the buses of `drivers.lines`: schemes of pyserial's
+        Further connections besides serial devices, `socket://` and the buses of `drivers.lines`: schemes of pyserial's
         URLs and interfaces of python-can, such as "rfc2217".
 
     Raises
@@ -150,7 +150,7 @@ def open_encoders(bench: Bench | str | os.PathLike[str]) -> Iterator[list[Encode
     Raises
     ------
     edge.InputError
-        If the file is wrong.
+        If the file is invalid.
     EncoderError
         If a bus, port or device does not answer.
     """

@@ -1,4 +1,4 @@
-"""Whether a bench is driven by another already: a lock between the runs of one machine, and an ear on its buses."""
+"""Detection of a bench in use: a lock between the runs of one machine, and listening on its buses."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _FEWEST = 3  # positions
 
 
 class Claims:
-    """The buses and ports that a run has for itself on this machine; a context manager that gives them back.
+    """The buses and ports reserved by a run on this machine; a context manager that releases them.
 
-    A claim is a lock on a file that the system releases with the last process that holds it, however that ends.
+    A claim is a lock on a file that the system releases when the last process that has it ends.
     """
 
     def __init__(self) -> None:
@@ -84,7 +84,7 @@ def _locked(path: Path, what: str) -> IO[str]:
 
 
 def _lock(file: IO[str]) -> bool:
-    """Lock a file for this process and its children; False where another has it."""
+    """Lock a file for this process and its children; False if another has it."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -101,7 +101,7 @@ def _lock(file: IO[str]) -> bool:
 
 
 def check_at_rest(wiring: Wiring, nodes: dict[str, set[int]]) -> None:
-    """Listen on the CAN buses of a wiring, on which nothing was started yet, for another master.
+    """Listen for another master on the CAN buses of a wiring before anything is started.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def check_at_rest(wiring: Wiring, nodes: dict[str, set[int]]) -> None:
     Raises
     ------
     EncoderSetupError
-        If a node's position moves, or another device sends SYNC where the recorder is to.
+        If a node's position moves, or another device sends SYNC in place of the recorder.
     """
     for name, config in wiring.buses.items():
         identifiers = {base + node: node for node in nodes.get(name, ()) for base in (0x180, 0x280, 0x380, 0x480)}
@@ -143,7 +143,7 @@ def check_at_rest(wiring: Wiring, nodes: dict[str, set[int]]) -> None:
 
 
 def _moves(positions: list[int]) -> bool:
-    """Whether 32-bit positions, which roll over, go one way."""
+    """Whether 32-bit positions, which roll over, move in one direction."""
     steps = [(b - a + (1 << 31)) % (1 << 32) - (1 << 31) for a, b in itertools.pairwise(positions)]
     way = abs(sum(steps))
     return len(positions) >= _FEWEST and way > _MOVED and way >= _STRAIGHT * sum(map(abs, steps))

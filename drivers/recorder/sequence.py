@@ -1,4 +1,4 @@
-"""A guided test sequence: the runs a bench has to make, whether each was what it should be, one recording each."""
+"""A guided test sequence: the runs of a bench, each checked and recorded in a file."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class _Drive(edge.Config):
 
 
 class SequenceFile(edge.Config):
-    """What a `SEQUENCE.toml` says.
+    """Content of a `SEQUENCE.toml`.
 
     Attributes
     ----------
@@ -61,13 +61,13 @@ class SequenceFile(edge.Config):
     turns
         Crank turns of a step.
     load_tolerance, speed_tolerance
-        N*m, rad/s: how far the means may be off.
+        N*m, rad/s: tolerances of the means.
     hysteresis
-        A loop with the input locked: its torque, and how many.
+        Loops with the input locked: torque and number.
     drive
         Commands that drive the bench, `{torque}`, `{speed}`, `{direction}` and `{turns}` filled in; without them the
-        sequence prompts. `stop` brings the drive to rest: it is run where one of them does not end by itself with
-        status 0, also where the sequence itself is killed. `start_time` is how long to wait for the encoders.
+        sequence prompts. `stop` brings the drive to rest: it is run if one of them does not end with status 0, also if
+        the sequence itself is killed. `start_time` is the time to wait for the encoders.
     pair, report
         Pair file and report for `cycloid-fit report`, absent: no report.
     """
@@ -120,7 +120,7 @@ class Step:
         return {"load": self.torque, "speed": self.speed, "direction": self.direction}
 
     def instruction(self) -> str:
-        """Return what a person has to set."""
+        """Return the instruction for the operator."""
         if self.is_hysteresis:
             peak = f"{self.torque:g}"
             return f"Lock the input. Torque 0 → +{peak} → 0 → −{peak} → 0 N*m, {self.turns:g} times."
@@ -130,7 +130,7 @@ class Step:
 
 @dataclasses.dataclass(frozen=True)
 class BenchSequence:
-    """A sequence that can be run: its file, its bench, its steps, its folder and what its bench may open besides."""
+    """A sequence to run: its file, bench, steps, folder, and the further connections of its bench."""
 
     file: SequenceFile
     bench: Bench
@@ -141,7 +141,7 @@ class BenchSequence:
 
 
 def read_sequence(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> BenchSequence:
-    """Read a `SEQUENCE.toml` and its `BENCH.toml` and check all that can be checked without a device.
+    """Read a `SEQUENCE.toml` and its `BENCH.toml` and check them as far as possible without a device.
 
     Parameters
     ----------
@@ -206,12 +206,12 @@ def _check_range(bench: Bench, file: SequenceFile, source: str) -> None:
 
 
 def shortfalls(step: Step, samples: dict[str, Samples], file: SequenceFile) -> list[str]:
-    """Return, one sentence each, in what a recording is not the step that it should be.
+    """Return the deviations of a recording from its step, one sentence each.
 
     Parameters
     ----------
     step
-        What it should be.
+        The step.
     samples
         Samples of the roles "input_angle", "output_angle" and "torque".
     file
@@ -241,7 +241,7 @@ def shortfalls(step: Step, samples: dict[str, Samples], file: SequenceFile) -> l
     if abs(mean - step.torque) > file.load_tolerance:
         said.append(f"the mean torque is {mean:.4g} N*m, not {step.torque:.4g} ± {file.load_tolerance:.3g}")
     if spread > 3 * file.load_tolerance:
-        said.append(f"the torque wanders by {spread:.3g} N*m rms")
+        said.append(f"the torque varies by {spread:.3g} N*m rms")
     lasts = float(angle.time_host[-1] - angle.time_host[0])
     speed = abs(way) / lasts if lasts > 0 else math.inf
     if abs(speed - step.speed) > file.speed_tolerance:
@@ -253,7 +253,7 @@ def shortfalls(step: Step, samples: dict[str, Samples], file: SequenceFile) -> l
 
 
 class _End:
-    """Whether a step has come to its end, from how its recording stands."""
+    """Whether a step is complete, from its recording so far."""
 
     def __init__(self, step: Step) -> None:
         self.step = step
@@ -282,7 +282,7 @@ class _End:
 
 @contextlib.contextmanager
 def _driven(sequence: BenchSequence, step: Step, claims: Claims) -> Iterator[subprocess.Popen[bytes] | None]:
-    """Run the command that drives a step beside it, where there is one and the bench is at rest."""
+    """Run the command that drives a step in parallel, if there is one and the bench is at rest."""
     drive = sequence.file.drive
     if drive is None:
         yield None
@@ -323,7 +323,7 @@ def _nodes(bench: Bench) -> dict[str, set[int]]:
 def _run_step(
     sequence: BenchSequence, step: Step, path: Path, claims: Claims, progress: Callable[[Live], None]
 ) -> list[str]:
-    """Make one step's recording and return in what it falls short.
+    """Make one step's recording and return its shortfalls.
 
     Raises
     ------
@@ -372,16 +372,16 @@ def _opened(sequence: BenchSequence, process: Any) -> tuple[Bench, list[Any], co
 
 @dataclasses.dataclass(frozen=True)
 class SequenceResult:
-    """What became of a sequence.
+    """Result of a sequence.
 
     Attributes
     ----------
     recordings
-        One file a step that was reached, in the sequence's order.
+        One file for each completed step, in the sequence's order.
     shortfalls
-        Of each step that was not: in what its last trial falls short, by the step's name.
+        Shortfalls of the last trial of each other step, by the step's name.
     report_command
-        The `cycloid-fit report` of these recordings; None where the sequence asks for none.
+        The `cycloid-fit report` command for these recordings; None if the sequence has no report.
     """
 
     recordings: tuple[Path, ...]
@@ -397,28 +397,28 @@ def run_sequence(
     again: Callable[[Step, Path, list[str]], bool] | None = None,
     progress: Callable[[Live], None] | None = None,
 ) -> SequenceResult:
-    """Run a test sequence: make each step, check that it was reached, write one recording a step.
+    """Run a test sequence: make each step, check it, and write one recording for each step.
 
-    Recordings are written beside the sequence; steps that are recorded already are left out, so an interrupted sequence
-    goes on where it was. A trial that falls short is kept as `STEP.trial-N.arrows`.
+    Recordings are written next to the sequence; recorded steps are skipped, so an interrupted sequence continues. A
+    trial that falls short is kept as `STEP.trial-N.arrows`.
 
     Parameters
     ----------
     sequence
         The sequence, or its `SEQUENCE.toml`.
     note
-        Called with each step and None when it begins, with its recording when it is there.
+        Called with each step and None at its start, and with its recording at its end.
     ready
-        Called before each trial of a step that no command of the sequence drives; it returns when the bench runs.
+        Called before each trial of a step without a drive command; it returns when the bench runs.
     again
-        Called with a step, its trial and in what that falls short; whether to make it again. Without it: no.
+        Called with a step, its trial and the shortfalls; returns whether to repeat it. Default: no.
     progress
         See `drivers.record`.
 
     Raises
     ------
     edge.InputError, EncoderError, RecordingError, KeyboardInterrupt
-        As `record` does, and where another run or master has the bench; what was recorded before is kept.
+        As `record` does, and if another run or master uses the bench; earlier recordings are kept.
 
     Examples
     --------
@@ -442,7 +442,7 @@ def _run_steps(
     again: Callable[[Step, Path, list[str]], bool] | None,
     progress: Callable[[Live], None] | None,
 ) -> SequenceResult:
-    """Make the steps of a sequence on a bench that is claimed; see `run_sequence`."""
+    """Make the steps of a sequence on a reserved bench; see `run_sequence`."""
     recordings, missed = [], {}
     for step in made.steps:
         path = made.folder / f"{step.name}.arrows"
@@ -467,7 +467,7 @@ def _run_steps(
 
 
 def _report_command(sequence: BenchSequence, recordings: Sequence[Path]) -> tuple[str, ...] | None:
-    """Return the command beside this Python, so that no environment has to be activated."""
+    """Return the command next to this Python, so that no environment has to be activated."""
     file = sequence.file
     if file.report is None or not recordings:
         return None

@@ -35,27 +35,27 @@ _CALENDAR_STEP = 0.1  # s; slower corrections are slewed, and the monotonic cloc
 
 
 class RecordingError(Exception):
-    """A recording can't be written on; the text says what of it is safe."""
+    """A recording can't be continued; the text states the data that are safe."""
 
 
 @dataclasses.dataclass
 class ChannelState:
-    """What one channel has got so far.
+    """State of one channel.
 
     Attributes
     ----------
     samples, marks
-        How many the file holds, and how many of them carry each mark, by name.
+        Number in the file, and number with each mark, by name.
     lost
-        Readings that are known to be lost.
+        Number of lost readings.
     rate, waiting
-        Samples a second over the last second or so; readings that came and are not written yet.
+        Samples per second over about the last second; received readings that are not yet written.
     time, value, first
         Of the newest sample: seconds since the start, SI; value of the first sample; None before the first.
     lowest, highest
         Values of the newest block.
     failure
-        Why it is out just now, None where it is not.
+        Reason of the present failure, or None.
     """
 
     samples: int = 0
@@ -73,7 +73,7 @@ class ChannelState:
 
 @dataclasses.dataclass
 class Live:
-    """A recording in progress, for whoever shows it: state by channel, number of events, bytes left on the disk.
+    """A recording in progress, for display: state by channel, number of events, free bytes on the disk.
 
     `transmission_error` is the newest TE, rad at the output, minus the first one: output angle - input angle / ratio at
     one instant; None where an angle or the ratio is missing.
@@ -92,22 +92,22 @@ class Live:
 
 @dataclasses.dataclass(frozen=True)
 class Recorded:
-    """What a recording got.
+    """Result of a recording.
 
     Attributes
     ----------
     path
         The file.
     samples, events
-        How many it holds, by channel, and of events.
+        Number of samples by channel, and of events.
     marks
-        How many samples carry each mark, by channel and name; marks that none carries are absent.
+        Number of samples with each mark, by channel and name; unused marks are absent.
     lost
-        Readings of each channel that are known to be lost.
+        Number of lost readings of each channel.
     failures
-        Why channels were out at the end.
+        Reasons of channels that failed at the end.
     ended
-        What ended it: "duration", "samples", "idle", "stop", or the name of a signal, such as "SIGINT".
+        Reason of the end: "duration", "samples", "idle", "stop", or the name of a signal, such as "SIGINT".
     """
 
     path: Path
@@ -120,7 +120,7 @@ class Recorded:
 
 
 class RecordingInterrupted(KeyboardInterrupt):
-    """A signal ended a recording, whose file is whole: `recorded` is what it got, `exit_status` 128 plus the signal."""
+    """A recording ended by a signal, with a complete file: `recorded` is its result, `exit_status` 128 + signal."""
 
     def __init__(self, recorded: Recorded) -> None:
         super().__init__(f"Interrupted by {recorded.ended}; {recorded.path} has the data until then.")
@@ -130,9 +130,9 @@ class RecordingInterrupted(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def _interrupts() -> Iterator[list[str]]:
-    """Turn the first SIGINT, SIGTERM or SIGHUP into its name, so that what is at hand is written before it is obeyed.
+    """Catch the first SIGINT, SIGTERM or SIGHUP and store its name, so that waiting data are written first.
 
-    The next is obeyed at once, other than SIGHUP: a terminal that is closed sends several.
+    The next one takes effect at once, except SIGHUP: a closed terminal sends several.
     """
     asked: list[str] = []
     if threading.current_thread() is not threading.main_thread():
@@ -182,7 +182,7 @@ class _Session:
         self._calendar = time.time() - time.monotonic()
 
     def take(self, timeout: float) -> bool:
-        """Write what all channels have, waiting for the first one; return whether there were samples."""
+        """Write the samples of all channels, waiting for the first one; return whether there were any."""
         # Only the first channel is waited for: the others have come meanwhile.
         blocks = [self._read(e, 0.0 if i else timeout) for i, e in enumerate(self.encoders)]
         for encoder, block, events in self._judged(blocks):
@@ -193,7 +193,7 @@ class _Session:
         return any(block is not None and len(block) > 0 for _, block, _ in blocks)
 
     def _read(self, encoder: Supervised, timeout: float) -> tuple[Supervised, Samples | None, list[Event]]:
-        """Return what a channel has, and what happened to it."""
+        """Return the samples and events of a channel."""
         name = encoder.channel.name
         state = self.live.channels[name]
         block = encoder.read(timeout)
@@ -207,7 +207,7 @@ class _Session:
     def _judged(
         self, blocks: Sequence[tuple[Supervised, Samples | None, list[Event]]]
     ) -> Iterator[tuple[Supervised, Samples | None, list[Event]]]:
-        """Yield what came with its implausible samples marked, and what was found of them among the events."""
+        """Yield the samples with implausible ones marked, and the findings among the events."""
         angles = {self._roles[b.channel]: b for _, b, _ in blocks if b is not None and b.channel in self._roles}
         marks, found = self._plausibility.add(angles) if angles else ({}, [])
         for encoder, block, events in blocks:
@@ -224,7 +224,7 @@ class _Session:
         return [dataclasses.replace(e, time=e.time - self.epoch) for e in encoder.events()]
 
     def write(self, block: Samples, events: list[Event]) -> None:
-        """Write a batch; a `RecordingError` says what is kept where the disk takes no more."""
+        """Write a batch; a `RecordingError` states the kept data if the disk is full."""
         try:
             self.writer.write(block, events)
         except OSError as problem:
@@ -232,7 +232,7 @@ class _Session:
         self.live.events += len(events)
 
     def full(self, problem: OSError) -> RecordingError:
-        """Return what to say where the disk takes no more: what the file holds."""
+        """Return the error for a full disk, with the content of the file."""
         kept = ", ".join(f"{n} {name}" for name, n in self.writer.counts.items())
         said = problem.strerror or problem
         return RecordingError(
@@ -240,13 +240,13 @@ class _Session:
         )
 
     def take_all(self) -> bool:
-        """Read what waits on buses and ports by now, and write it; return whether there were samples."""
+        """Read the waiting data of buses and ports, and write it; return whether there were samples."""
         for encoder in self.encoders:
             encoder.drain()
         return self.take(0.0)
 
     def finish(self) -> None:
-        """Write what the end leaves missing, and what is known of the clocks."""
+        """Write the samples missing at the end, and the estimates of the clocks."""
         for encoder in self.encoders:
             encoder.finish()
             name = encoder.channel.name
@@ -256,7 +256,7 @@ class _Session:
                 self.write(Samples.checked(name, [], []), events)
 
     def recorded(self, ended: str) -> Recorded:
-        """Return what there is, once it has ended."""
+        """Return the result after the end."""
         channels = self.live.channels
         marks = {name: {m: n for m, n in state.marks.items() if n} for name, state in channels.items()}
         lost = {name: state.lost for name, state in channels.items()}
@@ -288,7 +288,7 @@ class _Session:
                 self.live.transmission_error = error - self._zero
 
     def _clock(self, block: Samples) -> list[Event]:
-        """Follow the device's clock and say now and then, and when it ends, what is known of it."""
+        """Follow the device's clock and note its estimate from time to time and at the end."""
         if block.time_device is None or not len(block):
             return []
         name = block.channel
@@ -305,7 +305,7 @@ class _Session:
         return said
 
     def clock_event(self, name: str) -> list[Event]:
-        """Return what is known of a channel's clock, as an event."""
+        """Return the estimate of a channel's clock, as an event."""
         clock = self._clocks[name].fit()
         if clock is None:
             return []
@@ -314,7 +314,7 @@ class _Session:
         return [rf.clock_event(now, name, clock, self._restarts[name])]
 
     def _jump(self, name: str) -> list[Event]:
-        """Say that somebody set the host's calendar clock; our own stamps do not follow it, a kernel's do."""
+        """Note that the host's calendar clock was set; our own stamps do not follow it, a kernel's do."""
         calendar = time.time() - time.monotonic()
         step, self._calendar = calendar - self._calendar, calendar
         if abs(step) < _CALENDAR_STEP:
@@ -322,7 +322,7 @@ class _Session:
         return [Event(steady_time() - self.epoch, name, f"the host's calendar clock was set by {step:+.3f} s")]
 
     def refresh(self) -> None:
-        """Work out rates and free space, once a second."""
+        """Compute rates and free space, once a second."""
         then, counted = self._rates
         now = time.monotonic()
         if now - then < 1.0 and self.live.disk_free:
@@ -346,18 +346,18 @@ def record_encoders(
     stop: Callable[[], bool] | None = None,
     progress: Callable[[Live], None] | None = None,
 ) -> Recorded:
-    """Record open, started encoders until one of the ends comes; see `record` for the parameters and errors.
+    """Record open, started encoders until one of the end conditions; see `record` for the parameters and errors.
 
-    A channel that fails is noted, opened again until it answers, and marked; the others go on. At every end what waits
-    on buses and ports is read, and what did not come is noted; so too after SIGINT, SIGTERM and SIGHUP, which then
-    raise `RecordingInterrupted`. Memory does not grow with the recording. What is written is safe from a kill within
+    A failed channel is noted, opened again until it answers, and marked; the others continue. At every end the waiting
+    data of buses and ports are read, and missing samples are noted; also after SIGINT, SIGTERM and SIGHUP, which then
+    raise `RecordingInterrupted`. Memory does not grow with the recording. Data are safe from a kill within
     `hubs.BLOCK_SECONDS` of its arrival and from a power cut within `recording_format.FLUSH_SECONDS`. `ratio`, `pair`
     and `conditions` go into the header, see `Bench`.
 
     Raises
     ------
     EncoderError
-        If every channel was out and none had got a sample; the file is closed.
+        If every channel failed without a sample; the file is closed.
     """
     epoch = steady_time()
     start = datetime.datetime.fromtimestamp(epoch, datetime.UTC).isoformat()
@@ -393,7 +393,7 @@ def _run(
     stop: Callable[[], bool] | None,
     progress: Callable[[Live], None] | None,
 ) -> str:
-    """Record until one of the ends comes, and return which; see `Recorded`."""
+    """Record until one of the end conditions, and return it; see `Recorded`."""
     live, listened = session.live, ListeningTime()
     begun, heard = time.monotonic(), 0.0
     while not interrupted:
@@ -428,7 +428,7 @@ def record(
     progress: Callable[[Live], None] | None = None,
     allow: Collection[str] = (),
 ) -> Recorded:
-    """Record all channels of a bench: until Ctrl-C, or what comes first of the others.
+    """Record all channels of a bench until Ctrl-C or the first of the other end conditions.
 
     What came is in the file a twentieth of a second later, safe from a kill of the process; every second the disk is
     told to hold it, safe from a power cut. Buses and ports that fail are opened again.
@@ -442,10 +442,9 @@ def record(
     duration
         Time after which to stop, s, or text such as "30 s".
     samples
-        Stop when every channel has at least so many.
+        Stop when every channel has at least this many.
     idle
-        Stop when the line brought no sample for so long, s, or text such as "2 s"; a time in which this process itself
-        stood still does not count.
+        Stop after this time without samples, s, or text such as "2 s"; pauses of this process do not count.
     stop, progress
         See `record_encoders`.
     allow
@@ -454,11 +453,11 @@ def record(
     Raises
     ------
     edge.InputError
-        If the wiring is wrong or the file exists.
+        If the wiring is invalid or the file exists.
     EncoderError
         If a bus, port or device does not answer.
     RecordingError
-        If the disk takes no more; the file keeps all that came before.
+        If the disk is full; the file keeps all earlier data.
     RecordingInterrupted
         If interrupted by SIGINT, SIGTERM or SIGHUP, a KeyboardInterrupt; the file is closed and whole.
 

@@ -1,4 +1,4 @@
-"""Encoders that come back: what fails is closed, said, and tried again until it answers."""
+"""Supervised encoders: a failed one is closed, reported, and opened again until it answers."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ class Supervised:
         return self.encoder.waiting
 
     def close(self) -> None:
-        """Try no more; the encoder itself is closed by whoever opened it."""
+        """Stop trying; the encoder itself is closed by its opener."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()
 
     def read(self, timeout: float) -> Samples | None:
-        """Return the samples that came, None while the encoder is out; see `Encoder.read`."""
+        """Return the new samples, None while the encoder has failed; see `Encoder.read`."""
         if self.failure is not None and not self._reopened.wait(timeout):
             return None
         if self.failure is not None:
@@ -80,7 +80,7 @@ class Supervised:
         return self.encoder.lost
 
     def drain(self) -> None:
-        """See `Encoder.drain`; an encoder that is out has nothing."""
+        """See `Encoder.drain`; a failed encoder has nothing."""
         if self.failure is None:
             self.encoder.drain()
 
@@ -90,7 +90,7 @@ class Supervised:
             self.encoder.finish()
 
     def events(self) -> list[Event]:
-        """Return what happened to the encoder and its supervision; see `Encoder.events`."""
+        """Return the events of the encoder and its supervision; see `Encoder.events`."""
         said, self._events = self._events, []
         return said if self.failure is not None else said + self.encoder.events()
 
@@ -98,7 +98,7 @@ class Supervised:
         self._events.append(Event(steady_time(), self.channel.name, text))
 
     def _reopen(self) -> None:
-        """Try until it opens; runs in a thread of its own, because an open may wait for answers."""
+        """Try until it opens; runs in a separate thread, because opening may wait for answers."""
         self.encoder.close()
         last = ""
         while not self._stopping.wait(RETRY_SECONDS):

@@ -1,8 +1,8 @@
-"""A command that does not outlive who started it, however that ends: not even killed does it leave a device turning.
+"""A command that never outlives its starter: even if that is killed, no device is left turning.
 
 A process between the two waits for the end of a pipe that only the starter holds open; the system closes it with the
 starter, on every platform and after every signal. Then the command is ended, the drive's own stop command is run, and
-the devices that were set going on the buses of the wiring are told to rest.
+the devices that were started on the buses of the wiring are stopped.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ def watched(
     quiet: bool = True,
     held: Collection[int] = (),
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a command beside this process; it ends with the `with` block, or with this process.
+    """Run a command in parallel; it ends with the `with` block, or with this process.
 
     Parameters
     ----------
     command, folder
-        What is run, and where.
+        The command and its folder.
     stop
-        Run where the command did not end by itself with status 0.
+        Run if the command did not end with status 0.
     wiring, allow
-        `BENCH.toml` whose devices are told to rest where this process ends without leaving the block, and what it may
-        open beyond the usual, see `recorder.bench.read_bench`.
+        `BENCH.toml` whose devices are stopped if this process ends without leaving the block, and its further
+        connections, see `recorder.bench.read_bench`.
     quiet
-        Whether what it says on standard error is not shown.
+        Whether its standard error is hidden.
     held
         Descriptors, such as locks, that stay open until the command and what it drives have come to rest.
 
@@ -91,7 +91,7 @@ def watched(
 
 
 def _check_program(name: str, folder: Path | None) -> None:
-    """Raise the OSError that starting a program would, where it is not there or may not be run."""
+    """Raise the OSError of starting a program if it is missing or not executable."""
     path = Path(folder or ".") / name if os.path.dirname(name) else shutil.which(name)
     if path is None or not os.path.exists(path):
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), name)
@@ -106,7 +106,7 @@ def _kill_group(number: int) -> None:
 
 
 def main() -> None:
-    """Be the process between: what to run comes as a line of JSON, the starter's end as the end of the input."""
+    """Run as the process between: the command comes as a line of JSON, the starter's end as the end of the input."""
     line = b""
     while not line.endswith(b"\n"):
         more = os.read(_INPUT, 1)
@@ -162,7 +162,7 @@ def _stop(command: list[str] | None, folder: str | None) -> None:
 
 
 def _rest(wiring: str, allow: list[str]) -> None:
-    """Tell the devices of a wiring to rest; one that can't be told keeps none of the others from it."""
+    """Stop the devices of a wiring; a failure of one does not affect the others."""
     from drivers.recorder.bench import read_bench
 
     with contextlib.suppress(Exception):  # nobody is left to be told

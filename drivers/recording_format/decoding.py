@@ -1,4 +1,4 @@
-"""The batches of a recording, decoded by columns and held against their checksums."""
+"""The batches of a recording, decoded by columns and checked against their checksums."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _columns(sound: Sequence[pa.RecordBatch]) -> _Columns:
 def decoded_together(
     batches: Sequence[Batch], names: Sequence[str], sequence: int
 ) -> list[tuple[Samples, tuple[Event, ...]]] | None:
-    """Return the samples of each channel in all batches, as one; None unless all can be trusted and are alike.
+    """Return the samples of each channel in all batches, as one; None unless all are intact and of one kind.
 
     Batch by batch is the way where one is empty or wrong, or lacks a column that others of its channel have.
     """
@@ -103,7 +103,7 @@ def decoded_together(
 def decoded(
     batches: Sequence[Batch], names: Sequence[str]
 ) -> Iterator[tuple[int, Samples, tuple[Event, ...]] | Exception]:
-    """Yield sequence number, samples and events of each batch, or why it can't be trusted.
+    """Yield sequence number, samples and events of each batch, or the reason why it is damaged.
 
     Their columns are taken together: a batch is a twentieth of a second, and to ask Arrow for each one's costs more
     than what is in it.
@@ -144,7 +144,7 @@ def decoded(
 def _checked(
     metadata: Mapping[bytes, bytes], columns: Mapping[str, Any], number: int | None, names: Sequence[str]
 ) -> tuple[int, Samples, tuple[Event, ...]]:
-    """Return sequence number, samples and events of a batch of channel `number`; ValueError says why not."""
+    """Return sequence number, samples and events of a batch of channel `number`; ValueError if it is damaged."""
     try:
         number_said, said, crc = (metadata[key] for key in (b"sequence", b"events", b"crc32"))
     except KeyError:
@@ -152,7 +152,7 @@ def _checked(
     sequence, text = int(number_said), said.decode()
     events = () if text == "[]" else tuple(Event(**e) for e in json.loads(text))
     if number is not None and not 0 <= number < len(names):
-        raise ValueError("its channel is none of the header's")
+        raise ValueError("its channel is not in the header")
     # An empty batch has no row that names its channel: it is the one the CRC-32 fits.
     for name in [names[number]] if number is not None else names:
         samples = Samples(name, **columns)

@@ -40,7 +40,7 @@ class Exported:
 def export(
     recording: str | os.PathLike[str], output: str | os.PathLike[str], *, progress: Progress | None = None
 ) -> Exported:
-    """Write a recording in the format of the file's ending, at constant memory; it appears whole or not at all.
+    """Write a recording in the format of the file's ending, at constant memory; never a partial file.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ def export(
         The `.arrows` file.
     output
         `.csv`: one table of the two angles, paired by the SYNC that latched both, and the torque interpolated to those
-        instants. `.nc` (netCDF), `.parquet`, `.mf4` (MDF4, ASAM): the samples of each channel as they came.
+        instants. `.nc` (netCDF), `.parquet`, `.mf4` (MDF4, ASAM): the samples of each channel as received.
     progress
         Called with the number of bytes read since the call before.
 
     Raises
     ------
     edge.InputError
-        If the ending is another, a library is missing, or the CSV's channels are not there.
+        If the ending is another, a library is missing, or the CSV's channels are missing.
 
     Examples
     --------
@@ -188,8 +188,8 @@ _TABLE = ("input_angle", "output_angle", "torque")
 def _csv(reader: RecordingReader, path: Path, progress: Progress) -> int:
     """Write the table that `cycloid-fit` reads: the angles by equal `time_host`, the torque between its samples.
 
-    Channels latched by one SYNC share it to the last bit. A crank at 1500 rpm turns 33 arcsec in a microsecond, so
-    angles read one after the other are not a pair. The torque is NaN outside of its own times.
+    Channels latched by one SYNC share it to the last bit. A crank at 1500 rpm turns 33 arcsec in a microsecond,
+    so angles read one after the other are not a pair. The torque is NaN outside of its own times.
     """
     names = {c.role: c.name for c in reader.header.channels}
     source = reader.source

@@ -1,4 +1,4 @@
-"""What the encoders of a bench can show, and what is found where they show something else."""
+"""Limits of the encoders of a bench, and findings beyond them."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """What two encoders on one drive can show.
+    """Limits of two encoders on one drive.
 
     Attributes
     ----------
     deviation
-        By how much output angle - input angle / ratio may change, rad: TE, lost motion and windup together.
+        Largest change of output angle - input angle / ratio, rad: TE, lost motion and windup together.
     input_speed, output_speed
-        Largest speeds, rad/s; None: not known. Then a step that is a quarter turn off the motion before and after it is
-        a jump.
+        Largest speeds, rad/s; None: not known. Then a step that differs by a quarter turn from the motion before and
+        after it is a jump.
     input_resolution, output_resolution
-        Step of the encoders, rad; 0: not known, or finer than all else.
+        Step of the encoders, rad; 0: not known, or negligible.
     """
 
     deviation: float = LARGEST_DEVIATION
@@ -42,7 +42,7 @@ class Limits:
 
 
 def limits_of(header: Header) -> Limits:
-    """Return what the encoders of a recording can show, as it states it.
+    """Return the limits of the encoders of a recording, as stated.
 
     The largest speeds and the counts per turn are its channels'; the deviation is its condition `largest_deviation`,
     rad, where it has one.
@@ -64,7 +64,7 @@ def limits_of(header: Header) -> Limits:
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """Something implausible: since when, s, maybe before the block in which it shows, whom it concerns, and what."""
+    """An implausibility: its start, s, maybe before the block in which it is found, the roles, and a text."""
 
     time: float
     roles: tuple[str, ...]

@@ -1,9 +1,9 @@
-"""Whether two angles are what the encoders of one drive can show: stuck encoders, jumps, values off the ratio's line.
+"""Plausibility of two angles of one drive: stuck encoders, jumps, values away from the ratio's line.
 
-What a drive does of itself must pass: transmission error, backlash, lost motion, windup, load steps and reversals all
-keep the output angle within a small deviation of the line input angle / ratio. What an encoder does that fails does
-not. A ratio that is wrong altogether, swapped angles or a wrong unit are no faults of single samples and are not
-marked here: no stretch of such a recording follows the line.
+Effects of the drive must pass: transmission error, backlash, lost motion, windup, load steps and reversals all keep the
+output angle within a small deviation of the line input angle / ratio. Those of a failed encoder do not. A wrong ratio,
+swapped angles or a wrong unit are not faults of single samples and are not marked here: no section of such a recording
+follows the line.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Steps:
     Parameters
     ----------
     role
-        What it is called.
+        Its name.
     largest_speed, resolution
         rad/s or None, and rad; see `Limits`.
     """
@@ -73,7 +73,7 @@ class Steps:
         self._said = False
 
     def add(self, time: FloatArray, value: FloatArray, broken: Mask) -> tuple[Mask, list[Finding]]:
-        """Return which of the next samples are beyond a jump, or part of a spike, and what was found.
+        """Return the mask of the next samples after a jump or in a spike, and the findings.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class Steps:
         return marks[held:], found
 
     def _off(self, t: FloatArray, v: FloatArray, cut: Mask) -> tuple[Mask, FloatArray]:
-        """Return at which samples a step is none that the motion or the largest speed allows, and by how much."""
+        """Return the samples at which a step exceeds the motion or the largest speed, and by how much."""
         way, lasts = np.diff(v, prepend=v[0]), np.diff(t, prepend=t[0])
         judged = ~cut
         judged[0] = False
@@ -171,11 +171,11 @@ class Plausibility:
     ratio
         Signed ratio input/output of the drive between the encoders, or None.
     limits
-        What the encoders can show.
+        Limits of the encoders.
 
     Examples
     --------
-    An input encoder that stands still from the thousandth sample on:
+    An input encoder that is stuck from the thousandth sample on:
 
     >>> import numpy as np
     >>> from drivers.recording_format import Plausibility, Samples
@@ -201,13 +201,13 @@ class Plausibility:
         self._ends = dict.fromkeys(ANGLES, -math.inf)
 
     def add(self, blocks: Mapping[str, Samples]) -> tuple[dict[str, Mask], list[Finding]]:
-        """Return which of the next samples are implausible, and what was found.
+        """Return the mask of implausible samples among the next ones, and the findings.
 
         Parameters
         ----------
         blocks
-            Samples of the roles "input_angle" and "output_angle", or one of them. What is a duplicate or out of order
-            is not judged. Angles that share no instants are compared by interpolation.
+            Samples of the roles "input_angle" and "output_angle", or one of them. Duplicates and samples out of order
+            are not judged. Angles without common times are compared by interpolation.
 
         Returns
         -------
@@ -267,7 +267,7 @@ class Plausibility:
         return marks, found + [f for f in said if not any((f.time, role) in jumps_said for role in f.roles)]
 
     def _paired(self) -> tuple[FloatArray, dict[str, FloatArray], Mask, dict[str, Mask]] | None:
-        """Return the instants at which both angles are known and what they are; what is beyond waits."""
+        """Return the times at which both angles are known, and the angles; later samples wait."""
         turning, driven = (_Judged.joined(self._waiting[role]) for role in ANGLES)
         if turning.time.size == driven.time.size and np.array_equal(turning.time, driven.time):
             self._waiting = {role: [] for role in ANGLES}

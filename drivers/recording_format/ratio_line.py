@@ -1,4 +1,4 @@
-"""Two angles judged by the line of the ratio: input angle / ratio, from which a drive departs but little."""
+"""Two angles judged by the line of the ratio: input angle / ratio, from which a drive deviates only a little."""
 
 from __future__ import annotations
 
@@ -340,7 +340,7 @@ class Line:
             low = high = middle
         by = math.degrees(float(off[at]) - middle)
         self._away = _Away(min(low, high - self._wide), max(high, low + self._wide), ANGLES, middle)
-        text = f"the angles are off the line of the ratio {self._ratio:g} by {by:.3g} deg of the output"
+        text = f"the angles deviate from the line of the ratio {self._ratio:g} by {by:.3g} deg of the output"
         return Finding(float(given.time[at]), ANGLES, text)
 
     def _take(

@@ -1,4 +1,4 @@
-"""A recording being read, however it ended."""
+"""Reading of recordings, complete or damaged."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PIECE_BYTES = 1 << 22  # of a file, decoded at a time
 
 @dataclasses.dataclass(frozen=True)
 class Recording:
-    """A recording that was read.
+    """A recording in memory.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Recording:
     events
         All events in the order of the file, `time` in seconds since the start.
     problems
-        One sentence for each thing wrong with the file; empty where it is whole.
+        One sentence for each problem of the file; empty if it is complete.
 
     Examples
     --------
@@ -66,25 +66,25 @@ class Recording:
     problems: tuple[str, ...]
 
     def clock(self, channel: str) -> Clock | None:
-        """Return the last estimate of a channel's clock; None where it has none."""
+        """Return the last estimate of a channel's clock; None if it has none."""
         clocks = clocks_of(self.events).get(channel, {})
         return clocks[max(clocks)] if clocks else None
 
     def aligned_time(self, channel: str) -> FloatArray:
-        """Return when a channel's samples were taken, s since the start on the host's clock, shape (n,).
+        """Return the times of a channel's samples, s since the start on the host's clock, shape (n,).
 
-        By the channel's own clock where it has one and its offset and drift were estimated: free of the delays on the
-        way to the host, which `time_host` has. Else `time_host`.
+        By the device clock if its offset and drift were estimated: without the delays to the host that `time_host` has.
+        Otherwise `time_host`.
         """
         return Alignment(clocks_of(self.events).get(channel, {})).time(self.samples[channel])
 
 
 def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header, list[str]]:
-    """Return what a recording says about itself, and a sentence where that is damaged."""
+    """Return the header of a recording, and a sentence if it is damaged."""
     try:
         text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
     except UnicodeDecodeError:
-        raise edge.InputError(f"{source}: the recording's header is damaged; it is no text.") from None
+        raise edge.InputError(f"{source}: the recording's header is damaged; it is not text.") from None
     if "format" not in text:
         raise edge.InputError(f"{source}: this is an Arrow stream but not a recording; it names no format.")
     if text["format"] != FORMAT:
@@ -99,17 +99,17 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header
     if not unknown and text.get(HEADER_CRC) in (None, header_checksum(text)):
         return header, []
     return header, [
-        f"{source}: the header is damaged, its CRC-32 is wrong: what it says of channels (units, counts per turn, "
+        f"{source}: the header is damaged, its CRC-32 is wrong: its data on channels (units, counts per turn, "
         "direction, zero), conditions, ratio, pair or start may be wrong; the samples have checksums of their own."
     ]
 
 
 class RecordingReader:
-    """A recording read batch by batch, at constant memory; it may be torn, damaged or still growing.
+    """A recording read batch by batch, at constant memory; it may be cut, damaged or still growing.
 
-    A context manager. A batch whose CRC-32 is wrong is left out. Where bytes are damaged, the next batch whose CRC-32
-    is right is searched for and reading goes on there. The next sample of each channel that may have lost samples so
-    is marked "gap before".
+    A context manager. A batch whose CRC-32 is wrong is left out. After damaged bytes, the next batch with a correct
+    CRC-32 is searched and reading continues there. The next sample of each channel that may have lost samples is marked
+    "gap before".
 
     Parameters
     ----------
@@ -121,14 +121,14 @@ class RecordingReader:
     header
         Channels and conditions.
     problems
-        One sentence for each thing wrong with the file, as far as it was read.
+        One sentence for each problem of the file, as far as it was read.
     complete
         Number of complete batches read.
 
     Raises
     ------
     edge.InputError
-        If the file can't be read, is no recording or has another format.
+        If the file can't be read, is not a recording or has another format.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -170,10 +170,11 @@ class RecordingReader:
         Parameters
         ----------
         growing
-            The end is where the recorder is just now, not a cut: it is no problem, and a later call goes on there.
+            The end is the recorder's present position, not a cut: it is not a problem, and a later call continues
+            there.
         together
-            The batches of a channel in a few megabytes of the file are one, where all are sound: 1.3 times as fast
-            as one by one, and what takes them has fewer to take.
+            The batches of a channel in a few megabytes of the file are joined if all are intact: 1.3 times as fast,
+            with fewer batches for the caller.
         """
         while True:
             batches, ends = self._sound()
@@ -335,12 +336,12 @@ def _preamble(schema: pa.Schema, names: Sequence[str]) -> bytes:
 
 
 def read_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read a whole recording, however it ended; see `RecordingReader`.
+    """Read a whole recording, complete or damaged; see `RecordingReader`.
 
     Raises
     ------
     edge.InputError
-        If the file can't be read, is no recording or has another format.
+        If the file can't be read, is not a recording or has another format.
 
     Examples
     --------
@@ -363,17 +364,16 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
 
 
 def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict[str, dict[int, Clock]]:
-    """Return, for `Alignment`, how the own clocks of channels run: {channel: {after how many restarts: clock}}.
+    """Return the device clocks of channels for `Alignment`: {channel: {number of restarts: clock}}.
 
-    Channels without a clock of their own are not in it, nor those too short to tell. Two channels that one clock
-    stamped, those of one CAN interface or those that one SYNC latches, share the better known of its two estimates:
-    what was one instant stays one. Where no channel has a clock of its own, the file is read only to each one's first
-    samples.
+    Channels without a device clock are not in it, nor those that are too short. Two channels with stamps of one clock,
+    those of one CAN interface or latched by one SYNC, share the better of its two estimates: equal times stay equal. If
+    no channel has a device clock, the file is read only to each one's first samples.
 
     Raises
     ------
     edge.InputError
-        If the file can't be read, is no recording or has another format.
+        If the file can't be read, is not a recording or has another format.
     """
     first: dict[str, Samples] = {}
     events: list[Event] = []
@@ -398,7 +398,7 @@ def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict
 
 
 def _clock_device(time_source: str) -> str | None:
-    """Return the device whose hardware clock stamps a channel; None where it is no such clock."""
+    """Return the device whose hardware clock stamps a channel; None if there is none."""
     return time_source.rpartition(" (")[2] if time_source.startswith("hardware clock") else None
 
 

@@ -1,4 +1,4 @@
-"""What a torn or damaged recording still holds."""
+"""Recovery of cut or damaged recordings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from drivers.recording_format.writer import RecordingWriter, check_new
 
 @dataclasses.dataclass
 class HeldChannel:
-    """What a recording holds of a channel: samples, how many follow a gap, first and last `time_host` in s."""
+    """Recovered content of a channel: samples, how many follow a gap, first and last `time_host` in s."""
 
     samples: int = 0
     gaps: int = 0
@@ -31,10 +31,10 @@ class HeldChannel:
 
 @dataclasses.dataclass(frozen=True)
 class Repaired:
-    """What can be trusted of a recording.
+    """The intact content of a recording.
 
-    It has the header, what is held of each of the channels by name, how many batches and events there are, and one
-    sentence for each of the problems; none where the file is whole.
+    Header, content of each channel by name, numbers of batches and events, and one sentence for each problem; none if
+    the file is complete.
     """
 
     header: Header
@@ -50,14 +50,14 @@ def repair(
     *,
     progress: Progress | None = None,
 ) -> Repaired:
-    """Read all that can be trusted of a torn or damaged recording, and write it as a whole one if asked.
+    """Read the intact content of a cut or damaged recording, and optionally write it as a new one.
 
     Parameters
     ----------
     recording
         The `.arrows` file; it is not changed.
     output
-        New recording, which appears whole or not at all, or None.
+        New recording, never a partial file, or None.
     progress
         Called with the number of bytes read since the call before.
 
@@ -66,7 +66,7 @@ def repair(
     edge.InputError
         If the recording can't be read at all, or the output exists or can't be created.
     OSError
-        If the disk takes no more; it names the file, of which nothing is left.
+        If the disk is full; it names the file, which is removed.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """The bench recording, `cycloid-recording/1`: an Arrow IPC stream that survives a kill at any byte.
 
-No bus library is needed for this module: it is what a recorder writes and an evaluation reads.
+This module needs no bus library: recorders write this format and evaluations read it.
 
 A file is a schema, record batches and an end mark. Every batch holds samples of one channel as they came, in the
 columns `channel` (dictionary of the channels' names), `time_host`, `time_device`, `counts`, `value` and `status`.
@@ -47,32 +47,32 @@ HEADER_CRC = "header_crc32"
 
 @dataclasses.dataclass(frozen=True)
 class Channel:
-    """One measured quantity and where it comes from.
+    """One measured quantity and its source.
 
     Attributes
     ----------
     name
         Unique in the recording: "input_angle", "output_angle", "torque" or another.
     role
-        What an evaluation takes it for: the name where it is one of these three, else "other".
+        Its role in evaluation: the name if it is one of these three, otherwise "other".
     protocol
         Name of the protocol that delivered it.
     unit
         SI unit of the values: "rad", "N*m" or another.
     counts_per_turn
-        Counts of one turn; None where the channel has no counts.
+        Counts of one turn; None if the channel has no counts.
     direction
-        +1 where the counts grow with the angle counter-clockwise, -1 where they fall.
+        +1 if the counts increase with the counter-clockwise angle, -1 if they decrease.
     zero
-        Value, in `unit`, that the sensor shows (with its direction) when the shaft is at zero; already subtracted.
+        Value, in `unit`, of the sensor (with its direction) when the shaft is at zero; already subtracted.
     zero_reference
         "absolute": the zero is the same in every recording; "incremental": each recording has its own.
     identity
-        What the device reports to be; behind a semicolon its state when it was opened.
+        Identity reported by the device; after a semicolon its state when it was opened.
     time_source
-        What event `time_host` marks and whose clock it is: a hardware clock's device is in brackets at the end.
+        The event that `time_host` marks and its clock: the device of a hardware clock is in brackets at the end.
     largest_speed
-        Of an angle, rad/s, where it is stated: what is faster is implausible.
+        Of an angle, rad/s, if stated: faster steps are implausible.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Channel:
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """Something that happened to a channel: `time` in seconds on the host's clock, as the samples' `time_host`."""
+    """An event of a channel: `time` in seconds on the host's clock, as the samples' `time_host`."""
 
     time: float
     channel: str
@@ -106,11 +106,11 @@ class Samples:
     channel
         The channel's name.
     time_host
-        Seconds: in a recording since its `start`, fresh from an encoder since 1970.
+        Seconds: in a recording since its `start`, directly from an encoder since 1970.
     time_device
-        Seconds on the device's own clock, or None where it has none.
+        Seconds on the device's own clock, or None if it has none.
     counts
-        Unwrapped counts as the device sent them, or None where it sends none.
+        Unwrapped counts from the device, or None if it sends none.
     value
         SI value: continuous radians of an angle, newton metres of a torque.
     status
@@ -136,7 +136,7 @@ class Samples:
         counts: npt.ArrayLike | None = None,
         status: npt.ArrayLike | None = None,
     ) -> Samples:
-        """Return samples of these arrays, converted; no `status` means that nothing is wrong.
+        """Return samples of these arrays, converted; without `status` all samples are good.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class Samples:
 
 @dataclasses.dataclass(frozen=True)
 class Header:
-    """What a recording says about itself: channels, conditions (SI), signed ratio, pair's name, start in UTC."""
+    """The header of a recording: channels, conditions (SI), signed ratio, pair's name, start in UTC."""
 
     channels: tuple[Channel, ...]
     conditions: Mapping[str, float | str]
@@ -199,7 +199,7 @@ def bytes_checksum(sequence: int, events: str, channel: str, parts: Iterable[mem
 
 
 def recording_metadata(header: Header) -> dict[str, str]:
-    """Return what a recording says about itself as texts, see the module's."""
+    """Return the header of a recording as texts, see the module."""
     channels = [dataclasses.asdict(c) for c in header.channels]
     for channel in channels:  # unstated it is left out: versions that do not know it read the recording
         if channel["largest_speed"] is None:

@@ -24,7 +24,7 @@ END_OF_STREAM = MESSAGE + b"\x00\x00\x00\x00"
 
 
 def check_new(path: str | os.PathLike[str]) -> None:
-    """Refuse, with an `edge.InputError`, a path at which there is something already, a link that leads nowhere too."""
+    """Raise `edge.InputError` for an existing path, including a dangling link."""
     if edge.writable(path).exists():
         raise edge.InputError(f"{path}: this file exists and recordings are not overwritten; name another.")
 
@@ -32,7 +32,7 @@ def check_new(path: str | os.PathLike[str]) -> None:
 class _Sink(io.RawIOBase):
     """A file that has the header of a stream at once: Arrow's writer gives it only with the first batch.
 
-    Each message is gathered until `flush` and given to the operating system in one piece.
+    Each message is collected until `flush` and passed to the operating system in one piece.
     """
 
     def __init__(self, descriptor: int, schema: pa.Schema) -> None:
@@ -69,20 +69,20 @@ class _Sink(io.RawIOBase):
 class RecordingWriter:
     """A recording being written: every batch is with the operating system when `write` returns.
 
-    A kill loses at most the batch being written, a power cut at most the last `FLUSH_SECONDS`: that often the disk is
-    asked to hold all of it. The file is new: what is recorded is never overwritten.
+    A kill loses at most the batch being written, a power cut at most the last `FLUSH_SECONDS`, the interval of syncs to
+    disk. The file is new: recordings are never overwritten.
 
     Attributes
     ----------
     counts
-        Samples of each channel that the file holds.
+        Number of samples of each channel in the file.
 
     Raises
     ------
     edge.InputError
         If the file exists or can't be created.
     OSError
-        If the disk does not take the header; it names the file, of which nothing is left.
+        If the header can't be written; it names the file, which is removed.
     """
 
     def __init__(self, path: str | os.PathLike[str], header: Header) -> None:
@@ -117,14 +117,14 @@ class RecordingWriter:
         self.close()
 
     def write(self, samples: Samples, events: Sequence[Event] = ()) -> None:
-        """Append samples of one channel and what happened meanwhile; no samples, events only, is a batch too.
+        """Append samples of one channel and the events since the last batch; events without samples are a batch too.
 
         Raises
         ------
         ValueError
             If the header has no such channel.
         OSError
-            If the disk does not take them; the batches before stay readable, what was written of this one is cut off.
+            If they can't be written; earlier batches stay readable, this one is cut off.
         """
         said = json.dumps([dataclasses.asdict(e) for e in events])
         metadata = {
@@ -149,7 +149,7 @@ class RecordingWriter:
             self._flushed = time.monotonic()
 
     def close(self) -> None:
-        """End the stream; after a failed write the end mark is left out, so that the file says it was not closed."""
+        """End the stream; after a failed write without the end mark, so that the file is recognised as not closed."""
         if self._descriptor < 0:
             return
         try:

@@ -1,4 +1,4 @@
-"""What all encoders on serial ports share: a question, put again and again, and its answers."""
+"""Common part of all encoders on serial ports: a repeated request, and its answers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from drivers.serial.port import Exchange, PortHub, ports
 
 
 class SerialEncoder(HubEncoder[PortHub]):
-    """What all encoders on serial ports share: one question, put again and again, and its answers."""
+    """Common part of all encoders on serial ports: one repeated request, and its answers."""
 
     shared = ports
     line = "port"
@@ -40,7 +40,7 @@ class SerialEncoder(HubEncoder[PortHub]):
 
     @abc.abstractmethod
     def question(self, port: Any) -> bytes:
-        """Put the question and return the answer; called by the port's thread, again and again."""
+        """Send the request and return the answer; called repeatedly by the port's thread."""
 
     def __enter__(self) -> Self:
         """Open the port and ask the device once; see `Encoder.__enter__`."""
@@ -59,26 +59,26 @@ class SerialEncoder(HubEncoder[PortHub]):
         self.hub.poll(self.question, self.asked, self._answers)
 
     def leave(self, hub: PortHub) -> None:
-        """Poll it no more."""
+        """Stop polling it."""
         hub.stop_polling(self._answers)
 
     @property
     def waiting(self) -> int:
-        """Answers that came and are not yet read."""
+        """Received answers that are not yet read."""
         return self._answers.waiting
 
     def drain(self) -> None:
-        """Let the port's thread take what waits; see `Encoder.drain`."""
+        """Let the port's thread read waiting data; see `Encoder.drain`."""
         if self.hub is not None:
             self.hub.drain()
 
     @property
     def lost(self) -> int:
-        """Readings that are known to be lost."""
+        """Number of lost readings."""
         return self._lost
 
     def taken(self, timeout: float) -> list[Exchange]:
-        """Return the answers that came; what the recorder was too slow for, or the port lost, is an event."""
+        """Return the received answers; those missed by the recorder or lost by the port are events."""
         exchanges: list[Exchange] = []
         for lost, block in self._answers.take(timeout):
             if lost:
@@ -182,7 +182,7 @@ class PolledEncoder(SerialEncoder):
         for which, what in (
             (~there, "no answer"),
             (wrong, f"wrong {self.checksum_name.replace(' are', '')}"),
-            (late & right, "it took so long that its instant is unknown"),
+            (late & right, "it took so long that its time is unknown"),
         ):
             if which.any():
                 first = int(np.flatnonzero(which)[0])

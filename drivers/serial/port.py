@@ -1,4 +1,4 @@
-"""One thread for each serial port: it puts the channels' questions in turn and hands on the answers by the block."""
+"""One thread for each serial port: it sends the channels' requests in turn and passes the answers on in blocks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _LINE_ERRORS = {6: "framing errors", 7: "overruns", 8: "parity errors", 10: "buf
 
 
 class Exchange(NamedTuple):
-    """A question's answer, or what a device sent by itself: when, in seconds since 1970, and the bytes.
+    """The answer to a request, or data sent by a device on its own: time, in seconds since 1970, and the bytes.
 
     `note` says what happened to the port since the channel's last one: readings may be missing before it. `late`: the
     bytes may have waited, so `time` is not known to be theirs.
@@ -52,7 +52,7 @@ Question = Callable[[Any], bytes]
 
 
 def ask(port: Any, question: bytes, length: int) -> bytes:
-    """Write a question and return the answer: `length` bytes, fewer where they do not come in time."""
+    """Send a request and return the answer: `length` bytes, fewer if they do not come in time."""
     begun = time.monotonic()
     try:
         port.write(question)
@@ -65,7 +65,7 @@ def ask(port: Any, question: bytes, length: int) -> bytes:
 
 
 def line_errors(port: Any) -> dict[str, int]:
-    """Return how many errors the driver of a port has counted since it was loaded, by kind; {} where it does not."""
+    """Return the errors counted by the driver of a port since it was loaded, by kind; {} if it does not count."""
     if sys.platform != "linux":
         return {}
     import fcntl
@@ -110,7 +110,7 @@ class PortHub:
         self._thread.start()
 
     def exchange(self, question: Question, asked: bool) -> Exchange:
-        """Ask once and return when, in seconds since 1970, and the bytes of the answer.
+        """Ask once and return the time, in seconds since 1970, and the bytes of the answer.
 
         The time is the middle of the exchange where the device is `asked`; that of the arrival where it only is waited
         for.
@@ -124,7 +124,7 @@ class PortHub:
     def _exchange(self, question: Question, asked: bool, ended: float | None) -> tuple[Exchange, float, float]:
         """Ask once; return also for how long this thread stood still since the one before `ended`, or 0, and the end.
 
-        An exchange that takes half of `ANSWER_SECONDS` has no instant that is known well enough.
+        The time of an exchange that takes half of `ANSWER_SECONDS` is too uncertain.
         """
         before = steady_time()
         answer = question(self.port) if asked else bytes(self.port.read(1))
@@ -145,19 +145,19 @@ class PortHub:
         return Exchange(after, answer, late=late), stood, after
 
     def _surplus(self) -> bytes:
-        """Take bytes that nobody waits for off the line: they must not be taken for the next answer."""
+        """Discard unexpected bytes on the line: they must not be read as the next answer."""
         waiting = self.port.in_waiting
         return bytes(self.port.read(waiting)) if waiting else b""
 
     def poll(self, question: Question, asked: bool, answers: BlockQueue[list[Exchange]]) -> None:
-        """Put this question again and again from now on; see `exchange`."""
+        """Repeat this request from now on; see `exchange`."""
         self._queues = {**self._queues, answers: (question, asked)}
         if self.broken:
             answers.fail(self._failure)
         self._polling.set()
 
     def stop_polling(self, answers: object) -> None:
-        """Put the question with these answers no more."""
+        """Stop repeating the request with these answers."""
         self._queues = {k: v for k, v in self._queues.items() if k is not answers}
 
     def close(self) -> None:
@@ -174,7 +174,7 @@ class PortHub:
             newest[-1] = newest[-1]._replace(answer=newest[-1].answer + surplus)
 
     def drain(self) -> None:
-        """Wait until all that the port has by now is in the queues."""
+        """Wait until all present data of the port are in the queues."""
         if self._queues and not self.broken:
             self._drained.clear()
             self._drain_from = time.monotonic()

@@ -1,1 +1,1 @@
-"""A test bench that is simulated, in the same frames and bytes as a real one."""
+"""A simulated test bench, with the same frames and bytes as a real one."""

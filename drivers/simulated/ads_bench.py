@@ -37,14 +37,14 @@ _RESPONSE = 1  # of the state flags
 class SimulatedAdsBench(SimulatedBench):
     """A PLC with a ring of samples: both angles and the torque, in the columns 1 to 3.
 
-    It speaks ADS over TCP on its port 48898. The motion begins when the ring is first read; the PLC goes on whether
-    anybody reads or not, and overwrites what was not read in time. It ends when the last samples were read, or with the
-    motion where no client is there any more.
+    It speaks ADS over TCP on its port 48898. The motion begins when the ring is first read; the PLC continues without
+    readers, and overwrites samples that were not read in time. It ends when the last samples were read, or with the
+    motion if there is no client.
 
     Parameters
     ----------
     motion
-        What the sensors see.
+        The motion that the sensors measure.
     host
         Address of this machine to listen on; the net id is that with ".1.1".
     length
@@ -52,7 +52,7 @@ class SimulatedAdsBench(SimulatedBench):
     input_counts_per_turn, output_counts_per_turn
         Resolution of the encoders.
     speed_factor, clock_drift
-        Speed of time; how much faster than the host's the PLC's clock runs, relative.
+        Speed of time; relative drift of the PLC's clock against the host's, > 0 fast.
     faults
         See `faults.Fault`: "pull", "reset" and "corrupt", `sample` counted from 0.
     """

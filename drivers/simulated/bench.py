@@ -1,4 +1,4 @@
-"""What every simulated bench is: a motion that a thread sends, and the wiring that records it."""
+"""Common part of all simulated benches: a motion that a thread sends, and the wiring that records it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from drivers.simulated.motion import Motion
 class SimulatedBench(abc.ABC):
     """A motion that a thread sends; a context manager, whose thread ends with it.
 
-    `ratio` and `pair` are the drive's in the wiring, where `write_wiring` is given none.
+    `ratio` and `pair` are the defaults of `write_wiring`.
     """
 
     ratio: float | None = None
@@ -32,7 +32,7 @@ class SimulatedBench(abc.ABC):
         self._failure: Exception | None = None
 
     def __enter__(self) -> Self:
-        """Be there to be recorded."""
+        """Start the bench."""
         self._open()
         self._thread = threading.Thread(target=self._work, name="bench", daemon=True)
         self._thread.start()
@@ -48,7 +48,7 @@ class SimulatedBench(abc.ABC):
             raise self._failure
 
     def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
-        """Write the `BENCH.toml` that records this bench, and the files it names beside it; return its path."""
+        """Write the `BENCH.toml` that records this bench, and the files it names next to it; return its path."""
         target = edge.output_path(path, "path", (".toml",))
         ratio, run = self.ratio if ratio is None else ratio, self.motion.run
         head = "" if ratio is None else f"ratio = {float(ratio)!r}\n"
@@ -91,7 +91,7 @@ class SimulatedBench(abc.ABC):
         """Return what ends a recording of the whole motion: arguments of `record`."""
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait for the end of the motion and return whether it came; raise what broke the bench, if so."""
+        """Wait for the end of the motion and return whether it was reached; raise the bench's error, if any."""
         ended = self._done.wait(timeout)
         if self._failure is not None:
             raise self._failure

@@ -109,8 +109,8 @@ class _StampedNetwork(canopen.Network):  # type: ignore[misc]
 class SimulatedCanBench(SimulatedBench):
     """A bench on a CAN bus: two CiA 406 nodes, a torque transducer and, by default, a controller that sends SYNC.
 
-    Once both nodes are told to operate, a thread sends the motion; it ends with the motion or when no node operates any
-    more. A node that is not operational sends nothing. On the virtual bus the frames carry the motion's own time.
+    Once both nodes are operational, a thread sends the motion; it ends with the motion or when no node is operational.
+    A node that is not operational sends nothing. On the virtual bus the frames carry the motion's own time.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Scripted faults of the simulated bench: what goes wrong, when and with whom."""
+"""Scripted faults of the simulated bench: kind, time and target."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SERIAL_FAULTS = ("mute", "half", "corrupt", "garbage", "wrong_baud", "pull")
 
 @dataclasses.dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong.
+    """One fault.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Fault:
     sample
         From which sample on (CAN, PLC), or which question or line on (serial), counted from 0.
     count
-        How many samples, questions or lines long.
+        Duration in samples, questions or lines.
     target
         The frame's identifier (0x181, 0x182, 0x2A0, SYNC 0x80), of which the low bits are the node; the address of a
         serial encoder. None where there is only one.
@@ -114,7 +114,7 @@ def faulty_frames(frames: Iterable[list[Frame]], faults: Sequence[Fault]) -> Ite
 
 
 def at_wrong_baud(data: bytes, factor: float = 0.75) -> bytes:
-    """Return what a receiver makes of bytes sent at 1 / `factor` of its baud rate, 8 data bits, no parity.
+    """Return the bytes received when sent at 1 / `factor` of the receiver's baud rate, 8 data bits, no parity.
 
     Start bit 0, data from the lowest bit, stop bit 1; the receiver samples the middle of each of its own bits and drops
     bytes without a stop bit.

@@ -1,4 +1,4 @@
-"""What moves on the simulated bench: a motion that a function or an FMU gives."""
+"""The motion of the simulated bench, from a function or an FMU."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class SimulatedRun:
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """What the sensors see, noise included: time s, angles rad, torque N*m, arrays of shape (n,), and of which run."""
+    """The measured values, noise included: time s, angles rad, torque N*m, arrays of shape (n,), and of which run."""
 
     run: SimulatedRun
     time: FloatArray
@@ -71,7 +71,7 @@ def simulate_motion(output_angle: OutputAngle, run: SimulatedRun) -> Motion:
 
 
 def simulate_hysteresis(output_angle: OutputAngle, run: SimulatedRun) -> Motion:
-    """Lock a drive's input at crank angle 0 and let the torque go round: 0, +T, 0, -T, 0.
+    """Lock a drive's input at crank angle 0 and cycle the torque: 0, +T, 0, -T, 0.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def simulate_hysteresis(output_angle: OutputAngle, run: SimulatedRun) -> Motion:
 
 
 def _measured(output_angle: OutputAngle, run: SimulatedRun, angle: FloatArray, torque: FloatArray) -> Motion:
-    """Return what the sensors show of crank angles, rad, and torques, N*m, both of shape (n,)."""
+    """Return the measured values for crank angles, rad, and torques, N*m, both of shape (n,)."""
     output = np.asarray(output_angle(angle, torque), np.float64)
     if output.shape != angle.shape:
         raise ValueError(f"output_angle returned the shape {output.shape} for angles of shape {angle.shape}")
@@ -102,7 +102,7 @@ def _measured(output_angle: OutputAngle, run: SimulatedRun, angle: FloatArray, t
 
 
 def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> OutputAngle:
-    """Return the output angle that an FMI 2.0 co-simulation FMU of a drive gives, one step of `step` seconds a sample.
+    """Return the output angle of an FMI 2.0 co-simulation FMU of a drive, one step of `step` seconds for each sample.
 
     Raises
     ------

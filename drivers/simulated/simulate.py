@@ -40,7 +40,7 @@ def simulate_bench(
     faults: str | os.PathLike[str] | None = None,
     speed_factor: float | None = None,
 ) -> SimulatedBench:
-    """Return a bench that waits for a recorder and then sends a motion as real encoders and transducers do.
+    """Return a bench that waits for a recorder and then sends a motion like real encoders and transducers.
 
     A context manager: it is on its bus or port from `with` on. `write_wiring` writes the `BENCH.toml` that records it,
     `record` records the whole motion at once.
@@ -55,7 +55,7 @@ def simulate_bench(
     ratio
         Signed ratio input/output, such as -39.
     pair
-        Name or fingerprint of the gear pair, which the wiring and the recording state; the FMU's name where not given.
+        Name or fingerprint of the gear pair for the wiring and the recording; default: the FMU's name.
     turns, samples_per_turn
         Crank turns, and samples in each; with `hysteresis` loops.
     direction, speed
@@ -65,27 +65,27 @@ def simulate_bench(
     seed
         Random seed of the noise.
     hysteresis
-        Lock the input and let the torque go 0, +T, 0, -T, 0.
+        Lock the input and cycle the torque 0, +T, 0, -T, 0.
     interface, channel, trigger
         The CAN bus as python-can names it ("loopback" reaches other processes of this machine, "virtual" this one), and
-        what makes its encoders send, see `SimulatedCanBench`.
+        the trigger of its encoders, see `SimulatedCanBench`.
     serial
         Encoders on a pseudo-terminal instead of CAN; "modbus" needs the extra `modbus`.
     plc
         A Beckhoff PLC on this address of this machine instead of CAN, such as "127.0.0.1"; recording it needs the
         extra `ads`.
     clock_drift
-        How much faster than the host's the clock of the ASCII counter, the virtual or loopback bus or the PLC runs,
-        relative, such as 50e-6.
+        Relative drift of the clock of the ASCII counter, the virtual or loopback bus or the PLC against the host's, > 0
+        fast, such as 50e-6.
     faults
-        Script of what goes wrong and when, `cycloid-faults/1`.
+        Script of faults, `cycloid-faults/1`.
     speed_factor
-        1: at the crank's own speed; None: as fast as the bus carries, 1 on a serial line and of a PLC.
+        1: in real time; None: as fast as the bus permits, 1 on a serial line and for a PLC.
 
     Raises
     ------
     edge.InputError
-        If an argument or a file can't be used.
+        If an argument or a file is invalid.
 
     Examples
     --------

@@ -38,7 +38,7 @@ def compensate(
     stiffness: Annotated[
         float | None,
         commands.quantity_option(
-            "N*m/rad", "Of the whole drive: what this one gives way less is in series.", show_default=False
+            "N*m/rad", "Stiffness of the whole drive; the rest is put in series.", show_default=False
         ),
     ] = None,
     loop: Annotated[
@@ -49,13 +49,13 @@ def compensate(
         str | None,
         typer.Option(
             metavar="TEMPERATURES",
-            help='Between which the drive works, such as "10 degC, 60 degC"; the pair\'s if none.',
+            help='Temperature range of the drive, such as "10 degC, 60 degC". Default: the pair\'s.',
         ),
     ] = None,
     torque_accuracy: Annotated[
         float | None,
         commands.quantity_option(
-            "N*m", "Standard deviation of the torque that the controller knows; 1 % of the rated.", show_default=False
+            "N*m", "Standard deviation of the torque from the controller; 1 % of the rated.", show_default=False
         ),
     ] = None,
     torque_share: Annotated[
@@ -63,12 +63,12 @@ def compensate(
     ] = 0.05,
     largest_torque: Annotated[
         float | None,
-        commands.quantity_option("N*m", "How far the tables reach; 2.5 times rated_torque.", show_default=False),
+        commands.quantity_option("N*m", "Largest torque of the tables; 2.5 times rated_torque.", show_default=False),
     ] = None,
     residual: Annotated[
         float,
         commands.quantity_option(
-            "rad", "Largest error of the tables; the smallest tables within it are made.", show_default="0.5 arcsec"
+            "rad", "Largest error of the tables; the smallest tables within it are used.", show_default="0.5 arcsec"
         ),
     ] = 0.5 / ARCSEC,
     sensor: Annotated[
@@ -78,11 +78,13 @@ def compensate(
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version of an FMU.", "--fmi")] = "2.0",
     platforms: Annotated[
         list[str] | None,
-        typer.Option("--platform", help="Of an FMU: x86_64-linux, aarch64-darwin, ...; all by default. Repeatable."),
+        typer.Option(
+            "--platform", help="Platform of an FMU: x86_64-linux, aarch64-darwin, ...; repeatable. Default: all."
+        ),
     ] = None,
     plot: commands.PlotFile = None,
 ) -> None:
-    """Write a compensator: motor angles at which the output of a known drive stands where it should.
+    """Write a compensator: the motor angles for a desired output angle of a known drive.
 
     Example: [cyan]cycloid-fit compensate drive.toml --surface identified.nc --fit fit.json -o joint.c[/]
     """
@@ -96,7 +98,7 @@ def compensate(
         name for name, value in (("--fit", fit), ("--stiffness", stiffness), ("--loop", loop)) if value is not None
     ]
     if len(given) > 1:
-        raise edge.InputError(f"{given[1]}: {given[0]} says too how much gives way in series; give one of the two.")
+        raise edge.InputError(f"{given[1]}: {given[0]} states the series compliance as well; give one of the two.")
     names: tuple[str, ...] = ()
     if output.suffix == ".fmu":
         from cycloid_fmu.native.build import checked_platforms
@@ -112,7 +114,7 @@ def compensate(
     between = None if temperatures is None else tuple(one.strip() for one in temperatures.split(","))
     if between is not None and len(between) != 2:
         raise edge.ArgumentError(
-            "temperatures", 'give two with a comma between, such as "10 degC, 60 degC"', temperatures
+            "temperatures", 'give two separated by a comma, such as "10 degC, 60 degC"', temperatures
         )
     with commands.Bar("crank angles", None) as bar:
         made = drive.compensator(
@@ -138,11 +140,11 @@ def compensate(
         save(plot_compensator(made, rated), plot)
     found = made.inverse.residual * ARCSEC
     typer.echo(
-        f"{' and '.join(map(str, files))}: tables of {made.size} bytes; largest difference from the model found: "
+        f"{' and '.join(map(str, files))}: tables of {made.size} bytes; largest difference from the model: "
         f"{found:.3g}″; band (standard deviation) at ±{rated:.4g} N·m: {bands[0]:.3g}″ and {bands[1]:.3g}″."
     )
     if made.inverse.residual > residual:
-        typer.echo(f"A finer table does not reach the {residual * ARCSEC:.3g}″ asked for.", err=True)
+        typer.echo(f"A finer table does not reach the {residual * ARCSEC:.3g}″ required.", err=True)
 
 
 def _chain(

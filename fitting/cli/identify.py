@@ -79,7 +79,7 @@ def identify(
             # A surface belongs to one pair, and this one's bearings are other than the file's.
             made = surface.with_suffix(".toml")
             result.drive.write(made)
-            written.append(f"{made}: the pair with its bearings as found, to which {surface} belongs.")
+            written.append(f"{made}: the pair with its identified bearings, to which {surface} belongs.")
     if plot is not None:
         fitting.plot(result, plot)
     if report is not None:
@@ -106,7 +106,7 @@ def _print(result: Identification) -> None:
             held.append([p.name, p.held])
     title = "Identified errors and bearings" if result.bearings else "Identified errors"
     commands.print_table(title, ["error", "identified", "95 % interval", "unit"], rows)
-    commands.print_table("Held, because the data cannot resolve them", ["error", "why"], held)
+    commands.print_table("Held fixed, because the data cannot resolve them", ["error", "why"], held)
     if result.held_out is not None:
         kept = result.held_out
         typer.echo(

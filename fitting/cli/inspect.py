@@ -52,5 +52,5 @@ def inspect(
     commands.print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
     if max(one.values.size for one in found.looks) >= LOOKED_AT:
         typer.echo(f"Looked at the first {LOOKED_AT} samples.")
-    typer.echo("\n# A mapping that may fit; check it and give it as --mapping.\n" + found.text)
+    typer.echo("\n# A proposed mapping; check it and give it as --mapping.\n" + found.text)
     options.print_notes(found.file.problems)

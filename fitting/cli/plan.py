@@ -16,7 +16,7 @@ def plan(
     drive: Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The nominal gear pair.")],
     torque: Annotated[list[float], commands.quantity_option("N*m", "Torque that the bench can apply; repeatable.")],
     turns: Annotated[float, typer.Option(min=0.05, help="Output turns of each run.")] = 2.0,
-    samples: Annotated[int, typer.Option(min=6, help="Samples in a crank turn.")] = 24,
+    samples: Annotated[int, typer.Option(min=6, help="Samples per crank turn.")] = 24,
     noise: Annotated[
         float,
         commands.quantity_option(
@@ -26,7 +26,7 @@ def plan(
     scatter: Annotated[
         float,
         commands.quantity_option(
-            "m", "What single pins and teeth do beyond their low orders, standard deviation.", show_default="0.3 um"
+            "m", "Scatter of single pins and teeth beyond their low orders, standard deviation.", show_default="0.3 um"
         ),
     ] = 0.3e-6,
     form: Annotated[
@@ -70,5 +70,5 @@ def plan(
         typer.echo(f"{label}: {one.runs}; next {one.next_runs[0].run}")
     further = [[n.run, *(f"{error * 1e6:.3f}" for error in n.realised.values())] for n in plans[-1].next_runs]
     each = [f"{name}, each [µm]" for name in plans[-1].realised]
-    commands.print_table("What a further run would make of every pin and tooth", ["run", *each], further)
+    commands.print_table("Effect of a further run on every pin and tooth", ["run", *each], further)
     commands.print_table("Held with all runs", ["error", "why"], [list(item) for item in plans[-1].held.items()])

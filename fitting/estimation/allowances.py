@@ -1,4 +1,4 @@
-"""What a fit allows for beside its own unknowns: errors that are held, and a form that all flanks share."""
+"""Allowances of a fit for held errors, and for a form that all flanks share."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ _TOLD = 0.1  # share of a bearing's variance that the data must take away for it
 
 
 def moved_by_held(pair: Pair, fit: Estimate, names: Sequence[str]) -> Array:
-    """What errors that are held, being as large as is usual, would change of all that is fitted.
+    """Change of the fitted unknowns by held errors of usual size.
 
-    A held error moves the curves as fitted ones do, but what these lack of it is others' to take. Considered in
-    the sense of Schmidt (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 8).
+    A held error moves the curves nearly as fitted ones do; the difference moves other errors. Considered in the sense
+    of Schmidt (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 8).
 
     Parameters
     ----------
     pair, fit
-        The nominal pair and where the fit ended.
+        The nominal pair and the end of the fit.
     names
-        The errors that are held.
+        The held errors.
 
     Returns
     -------
@@ -56,12 +56,12 @@ def moved_by_held(pair: Pair, fit: Estimate, names: Sequence[str]) -> Array:
 
 
 def _inverse(information: Array) -> Array:
-    """Invert information about unknowns that are known to very unlike degrees.
+    """Invert information on unknowns of very different uncertainty.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If it is singular to the last digit.
+        If it is singular.
     """
     size = np.sqrt(np.diag(information))
     scaled = information / np.outer(size, size)
@@ -72,10 +72,10 @@ def _inverse(information: Array) -> Array:
 
 
 def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
-    """How far a form that all flanks share may have moved the fitted errors: standard deviations, m or rad.
+    """Possible effect of a form that all flanks share on the fitted errors: standard deviations, m or rad.
 
-    The orders of the form are taken among the unknowns of the linear model, with what they may be as prior. The errors
-    that are stated are those without form, so how far form moves the best ones is part of it.
+    The orders of the form are added to the unknowns of the linear model, with their sizes as prior. The stated errors
+    are those without form, so the effect of form on the best estimate is included.
     """
     problem, observed, count = Problem(pair, fit.observed, fit.chosen), fit.observed, len(fit.chosen)
     own = problem.columns(observed, fit.linear)
@@ -96,7 +96,7 @@ def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
 
 
 def allowing(one: Parameter, form: float, before: float) -> Parameter:
-    """Return a parameter whose interval allows for what a form of the flanks may have done to it."""
+    """Return a parameter whose interval allows for the effect of a form of the flanks."""
     reach = NORMAL * form
     low, high = (one.value + way * math.hypot(end - one.value, reach)
                  for way, end in zip((-1.0, 1.0), one.interval, strict=True))  # fmt: skip
@@ -106,7 +106,7 @@ def allowing(one: Parameter, form: float, before: float) -> Parameter:
 
 
 def form_note(parameters: Sequence[Parameter], form: float) -> list[str]:
-    """Return what allowing for a form (m) costs, in words; none where it widens no interval by much."""
+    """Return a note on the widened intervals by allowing for a form (m); none if no interval widens much."""
     times = {p.name: p.standard_error / math.sqrt(p.standard_error**2 - p.form**2) for p in parameters if p.form}
     wide = sorted((n for n, v in times.items() if v > _WIDE), key=lambda n: -times[n])
     if not wide:
@@ -122,7 +122,7 @@ def form_note(parameters: Sequence[Parameter], form: float) -> list[str]:
 def bearings_found(
     pair: Pair, observed: Observations, changes: Array, deviations: Sequence[float] | Array
 ) -> list[Parameter]:
-    """Return what is stated of the bearings: a stiffness' interval is that of its logarithm."""
+    """Return the results for the bearings: a stiffness' interval is that of its logarithm."""
     found, names = [], observed.bearing_names
     values = as_stated(pair, changes, observed.first_stage)
     for name, value, sigma, before in zip(names, values, deviations, observed.bearing_prior, strict=True):
@@ -138,9 +138,9 @@ def bearings_found(
 
 
 def clock_lag_found(observed: Observations, linear: Linear, coefficient: float, deviation: float) -> Parameter:
-    """Return by how much time the output angle is late, from the coefficient (rad) of that cause of misfit.
+    """Return the delay of the output angle, from the coefficient (rad) of that cause of misfit.
 
-    The fit has the cause's column from where it began; the time is that of the derivative where it ended.
+    The fit uses the cause's column at its start; the time is from the derivative at its end.
     """
     column = observed.bench[:, observed.bench_names.index(LAG_NAME)]
     late = by_lag(observed, linear)
@@ -149,7 +149,7 @@ def clock_lag_found(observed: Observations, linear: Linear, coefficient: float, 
 
 
 def lag_note(lag: Parameter) -> str:
-    """Return a clock's lag in words."""
+    """Return a note on a clock's lag."""
     angle, size = ("output", lag.value) if lag.value > 0.0 else ("input", -lag.value)
     reach = "" if math.isnan(lag.interval[0]) else f" ± {0.5 * (lag.interval[1] - lag.interval[0]) * 1e6:.2g}"
     return f"The {angle} angle's clock is {size * 1e6:.4g}{reach} µs late (95 %); the fit corrects it."

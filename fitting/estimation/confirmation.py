@@ -1,4 +1,4 @@
-"""The last step of a fit, within what is possible: it confirms the optimum and states its covariance."""
+"""The last step of a fit, within possible values: it confirms the optimum and gives its covariance."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Confirmed:
-    """One unknown where the fit ended, SI; its attributes have the names that lmfit gives them.
+    """One unknown at the end of the fit, SI; its attributes have the names of lmfit.
 
     Attributes
     ----------
     value, min, max
-        Where it ended, and between what bounds it could.
+        Value, and its bounds.
     vary
         Whether it was fitted.
     stderr, correl
@@ -45,7 +45,7 @@ class Confirmed:
 
 @dataclass(frozen=True)
 class _Evaluated:
-    """The model at some values: residual and its slopes by the unknowns in the frame of their triangular factor."""
+    """The model at some values: residual and derivatives by the unknowns in the frame of their triangular factor."""
 
     values: Array
     state: State
@@ -59,7 +59,7 @@ class _Evaluated:
 
 
 def with_covariance(parameters: Mapping[str, Confirmed], covariance: Array) -> dict[str, Confirmed]:
-    """Return the first of the parameters that vary, as many as have a covariance, with what it says of them."""
+    """Return the first varying parameters, as many as have a covariance, with their errors from it."""
     names = [n for n, p in parameters.items() if p.vary][: len(covariance)]
     deviation = np.sqrt(np.diag(covariance))
     correlation = (covariance / np.outer(deviation, deviation)).tolist()
@@ -73,9 +73,9 @@ def with_covariance(parameters: Mapping[str, Confirmed], covariance: Array) -> d
 
 
 def lmfit_states(parameters: Mapping[str, Confirmed]) -> dict[str, Any]:
-    """Return parameters as `lmfit.Parameters.dumps` writes them, without the pickles of its functions.
+    """Return parameters in the form of `lmfit.Parameters.dumps`, without the pickles of its functions.
 
-    lmfit itself is not needed: loading it took 0.8 s of the processor, half as much as six recordings' fit.
+    lmfit itself is not needed: loading it took 0.8 s of processor time, half as much as a fit of six recordings.
     """
     return {
         "unique_symbols": {name: p.value for name, p in parameters.items()},
@@ -87,7 +87,7 @@ def lmfit_states(parameters: Mapping[str, Confirmed]) -> dict[str, Any]:
 
 
 def as_lmfit(parameters: Mapping[str, Confirmed]) -> lmfit.Parameters:
-    """Return parameters as lmfit has them."""
+    """Return lmfit parameters."""
     from lmfit import Parameters
 
     found = Parameters()
@@ -98,7 +98,7 @@ def as_lmfit(parameters: Mapping[str, Confirmed]) -> lmfit.Parameters:
 
 
 def possible(pair: Pair, name: str) -> tuple[float, float]:
-    """Return what an error can be, m or rad: what a pair file may state, and what still makes a gear pair."""
+    """Return the possible range of an error, m or rad: the limits of a pair file, and of a valid gear pair."""
     g = pair
     low, high = stated_range(name)
     if name == "eccentricity":
@@ -112,23 +112,23 @@ def possible(pair: Pair, name: str) -> tuple[float, float]:
 
 
 def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, dict[str, Confirmed], Array]:
-    """Take the last step from where a fit ended, at the noise and the scatter that it found.
+    """Take the last step of a fit, with its noise and scatter.
 
-    It is Gauss and Newton's, undamped, within the bounds: an unknown that stands at one and would go beyond stays
-    there. The residual in units of the noise and its analytic Jacobian are rotated into the frame of the Jacobian's
-    triangular factor: sum of squares, gradient and Gauss-Newton matrix are the same, with as many rows as unknowns.
+    It is an undamped Gauss-Newton step within the bounds: an unknown at a bound that would go beyond stays there. The
+    residual in units of the noise and its analytic Jacobian are rotated into the frame of the Jacobian's triangular
+    factor: sum of squares, gradient and Gauss-Newton matrix are the same, with as many rows as unknowns.
 
     Parameters
     ----------
     pair, estimate
-        The nominal pair and where the fit ended.
+        The nominal pair and the end of the fit.
     gain
-        A step that promises less than this of the sum of squares in units of the noise is not taken.
+        A step with a smaller predicted gain of the sum of squares in units of the noise is not taken.
 
     Returns
     -------
     estimate
-        At the optimum, or as it was where that is no better.
+        At the optimum, or unchanged if that is no better.
     parameters
         Every error, the bench and every pin's and tooth's scatter, SI, with the bounds of `possible`; errors that are
         not fitted do not vary.

@@ -1,4 +1,4 @@
-"""Error surfaces drawn from what a fit leaves open: drives that measurements cannot tell from the identified one."""
+"""Error surfaces drawn from the distribution of a fit: drives that agree with the measurements."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from cycloid_fmu.surfaces.posterior import drawn_surfaces
 
 
 def ensemble(drive: Drive, count: int = 20, seed: int = 0) -> list[Drive]:
-    """Draw drives that measurements cannot tell from an identified one, from the normal distribution of its fit.
+    """Draw drives that agree with the measurements as the identified one, from the normal distribution of its fit.
 
     Parameters
     ----------
     drive
         `Identification.drive`, or another whose surface has the covariance of a fit.
     count, seed
-        How many; the same seed draws the same.
+        Number of drives, and the seed; the same seed draws the same drives.
 
     Returns
     -------
     drives
-        Their surfaces have no covariance; seed and number are in the surfaces' attributes.
+        Drives without covariance; seed and number are in the attributes of their surfaces.
 
     Raises
     ------

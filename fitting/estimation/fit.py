@@ -1,9 +1,10 @@
-"""The fit itself: a drive's errors, its bench, and what every single pin and tooth does beyond them, in one go.
+"""The fit of a drive's errors, its bench, and the scatter of every single pin and tooth, all together.
 
-Gauss-Newton steps on the exact contact model with its analytic derivatives, damped where they do not lead down (where
-pins come into contact the curves have corners). Single pins and teeth are random displacements whose variance is not
-known: with every step it is estimated together with each curve's noise by restricted maximum likelihood, from the same
-normal equations (MacKay, Neural Computation 4 (1992) 415, section 4; Harville, J. Am. Stat. Assoc. 72 (1977) 320).
+Gauss-Newton steps on the exact contact model with its analytic derivatives, damped where they do not decrease the
+misfit (where pins come into contact the curves have corners). Single pins and teeth are random displacements whose
+variance is not known: with every step it is estimated together with each curve's noise by restricted maximum
+likelihood, from the same normal equations (MacKay, Neural Computation 4 (1992) 415, section 4; Harville, J. Am. Stat.
+Assoc. 72 (1977) 320).
 """
 
 from __future__ import annotations
@@ -64,14 +65,14 @@ _SHRINKS, _GROWS = 0.1, 10.0  # by how much a variance may change with one step
 
 @dataclass(frozen=True)
 class Estimate:
-    """Where a fit ended.
+    """The end of a fit.
 
     Attributes
     ----------
     observed
-        The observations, their weights the noise that the fit found, points that lie far off left out.
+        The observations, weighted by the noise of the fit, without outliers.
     chosen
-        The errors that were fitted.
+        The fitted errors.
     state, scatter
         The errors and the bench; standard deviation of each scattered pattern, m, and of the zeros' creep, rad.
     linear
@@ -79,12 +80,12 @@ class Estimate:
     misfit
         Weighted sum of squares with the priors, in units of the noise.
     unlikelihood
-        -2 log of the restricted likelihood but for a constant: what ranks fits of the same points. A scatter
-        that the data do not need makes it larger.
+        -2 log of the restricted likelihood except for a constant; ranks fits of the same points. Unnecessary scatter
+        makes it larger.
     evaluations
-        How often the model was evaluated at all points, with its derivatives.
+        Number of evaluations of the model at all points, with its derivatives.
     disagreeing
-        From how many starts a fit of some of the points ended in as many optima; 0 where two of them agreed.
+        Number of starts from which a fit of some of the points ended in different optima; 0 if two of them agreed.
     """
 
     observed: Observations
@@ -104,7 +105,7 @@ class Estimate:
 
     @property
     def noise(self) -> float:
-        """Noise of a point, the geometric mean over the curves, loops apart, rad."""
+        """Noise of a point, the geometric mean over the curves without loops, rad."""
         return float(np.exp(np.mean(np.log(self.noises[self.observed.running]))))
 
 
@@ -113,7 +114,7 @@ class _Normal:
     """The model at some unknowns, and each curve's normal equations in units of the noise.
 
     `gram` (curves, unknowns, unknowns), `moment` (curves, unknowns), and for each curve the sum of squares and number
-    of the points that count, the robust scale of all points, and how many lie further off than they may.
+    of the used points, the robust scale of all points, and the number of outliers.
     """
 
     linear: Linear
@@ -126,9 +127,9 @@ class _Normal:
 
 
 class Problem:
-    """Everything that a fit may change as one vector: errors, nuisances, scatter, each in units of a usual size.
+    """All unknowns of a fit as one vector: errors, nuisances, scatter, each in units of a usual size.
 
-    What is not fitted is as in `prior`, by default the pair file's errors.
+    Values that are not fitted are those of `prior`, by default the pair file's errors.
     """
 
     def __init__(
@@ -207,20 +208,20 @@ class Problem:
         )
 
     def is_possible(self, unknowns: Array) -> bool:
-        """Whether all errors are such as a surface may have."""
+        """Whether all errors are within the limits of a surface."""
         return all(low < value < high for value, (low, high) in zip(unknowns * self.scale, self.bounds, strict=False))
 
     def precision(self, scatter: Mapping[str, float]) -> Array:
-        """Return how exactly each unknown is known before measuring, 1/variance in its scale."""
+        """Return the prior precision of each unknown, 1/variance in its scale."""
         found: Array = self.known.copy()
         for name, part in self.parts.items():
             found[part] = (self.scale[part.start] / max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER)) ** 2
         return found
 
     def normal(self, unknowns: Array, observed: Observations, limit: Array, known: Linear | None = None) -> _Normal:
-        """Evaluate the model, unless it is known, and its normal equations.
+        """Evaluate the model, unless given, and its normal equations.
 
-        Points further off than `limit` (curves,) do not count.
+        Points beyond `limit` (curves,) are not used.
         """
         state = self.state(unknowns)
         parts = None if known is None else split(known, observed.ends)
@@ -265,20 +266,20 @@ def fit(
     Parameters
     ----------
     pair, observed
-        The nominal pair and the observations; their weights are where the noise starts from.
+        The nominal pair and the observations; their weights are the initial noise.
     chosen
-        The errors to fit; the others stay as the pair file states them.
+        The errors to fit; the others keep the values of the pair file.
     state, scatter
-        Where to start, and the standard deviation of each scattered pattern, m, and of the zeros' creep, rad.
+        Initial state, and the standard deviation of each scattered pattern, m, and of the zeros' creep, rad.
     gain
-        The fit ends where a step promises less than this of the sum of squares in units of the noise, or some in a
-        row bring no more.
+        The fit ends when the predicted gain of a step in the sum of squares, in units of the noise, is smaller, or
+        after several steps without gain.
     around
-        A drive near which the model is taken to first order, a tenth of the work; None for the exact one.
+        A drive about which the model is linearised, a tenth of the work; None for the exact one.
     linear
-        The model at the start, where it was evaluated there already.
+        The model at the start, if already evaluated.
     evaluations
-        How often the model is evaluated at most.
+        Largest number of evaluations.
     estimated
         Whether the noise and the scatter's deviations are estimated as well.
     known
@@ -365,7 +366,7 @@ def _misfit(normal: _Normal, limit: Array) -> float:
 
 
 def _at_noise(observed: Observations, normal: _Normal, variance: Array) -> tuple[Observations, _Normal]:
-    """Express observations and normal equations in units of another noise, given in units of the one so far."""
+    """Express observations and normal equations in units of another noise, given in units of the previous one."""
     factor = np.sqrt(np.maximum(variance, 1e-12))
     weight = observed.weight / _each_point(observed, factor)
     return dataclasses.replace(observed, weight=weight), dataclasses.replace(
@@ -384,9 +385,9 @@ def _variances(
     known: Mapping[str, float],
     little: float,
 ) -> tuple[Observations, _Normal, dict[str, float], bool]:
-    """Take one step of the restricted likelihood's fixed point; also whether it moved by a share less than `little`.
+    """Take one step of the restricted likelihood's fixed point; also return whether it changed by less than `little`.
 
-    `ahead` is a step from the unknowns, at whose end the fixed point is taken as the linear model predicts it.
+    `ahead` is a step of the unknowns, at whose end the fixed point is evaluated with the linear model.
     """
     precision = problem.precision(scatter)
     gram = normal.gram.sum(axis=0) + np.diag(precision)
@@ -423,18 +424,18 @@ def _ahead(
 
 
 def _solved(gram: Array, slope: Array) -> Array:
-    """Solve normal equations whose unknowns are known to very unlike degrees."""
+    """Solve normal equations with unknowns of very different uncertainty."""
     size = np.sqrt(np.diag(gram))
     found: Array = linalg.cho_solve(linalg.cho_factor(gram / np.outer(size, size)), slope / size) / size
     return found
 
 
 def allowed_radius(pair: Pair, estimate: Estimate) -> float:
-    """Return the root mean square of the scatter that single pins' radii may have after measuring, m.
+    """Return the posterior root mean square of the scatter of single pins' radii, m.
 
-    Curves tell it badly from the radial places', so that its most likely value is often zero where it is not. This is
-    the mean over its distribution: the restricted likelihood in the linear model, all other variances as they are,
-    each size as likely beforehand (Gelman, Bayesian Analysis 1 (2006) 515).
+    Curves hardly separate it from that of the radial places, so its most likely value is often wrongly zero. This is
+    the mean over its distribution: the restricted likelihood in the linear model, all other variances unchanged, with a
+    uniform prior (Gelman, Bayesian Analysis 1 (2006) 515).
     """
     problem = Problem(pair, estimate.observed, estimate.chosen)
     columns = problem.columns(estimate.observed, estimate.linear)
@@ -454,33 +455,33 @@ def allowed_radius(pair: Pair, estimate: Estimate) -> float:
 
 
 def stated_range(name: str) -> tuple[float, float]:
-    """What a pair file may state of an error."""
+    """Return the range of an error in a pair file."""
     largest = {"m": LARGEST_DEVIATION, "rad": LARGEST_MISALIGNMENT}[unit_of(name)]
     largest = LARGEST_ELEMENT if name in profile_names(PROFILE_ORDERS) else largest
     return -largest, largest
 
 
 def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection[str]) -> Array:
-    """Degrees of freedom of the fitted errors' standard errors, which rest on estimated variances of the scatter.
+    """Degrees of freedom of the fitted errors' standard errors, which depend on estimated variances of the scatter.
 
-    An error that the scatter blurs is known as well as the scatter's variance is, from as many patterns of it as the
-    data tell: its interval is that of Student's t. With the shares s of its variance that come from each scatter, and γ
-    patterns resolved of each, it has 1/Σ(s²/γ) degrees of freedom (Satterthwaite, Biometrics Bulletin 2 (1946) 110;
-    Giesbrecht and Burns, Biometrics 41 (1985) 477).
+    The standard error of an error affected by scatter depends on the scatter's variance, estimated from the patterns
+    that the data resolve: its interval is that of Student's t. With the shares s of its variance that come from each
+    scatter, and γ patterns resolved of each, it has 1/Σ(s²/γ) degrees of freedom (Satterthwaite, Biometrics Bulletin 2
+    (1946) 110; Giesbrecht and Burns, Biometrics 41 (1985) 477).
 
     Parameters
     ----------
     pair, estimate
-        The nominal pair and where the fit ended.
+        The nominal pair and the end of the fit.
     covariance
         Of all that was fitted, SI, the errors first and the single pins' and teeth's scatter last.
     known
-        Patterns whose deviation is stated, not estimated.
+        Patterns with a stated, not estimated, deviation.
 
     Returns
     -------
     degrees
-        Shape (errors,), > 0, infinite where no scatter blurs an error.
+        Shape (errors,), > 0, infinite for errors not affected by scatter.
     """
     count, size = len(estimate.chosen), spread_of(pair, {}).size
     parts = {n: slice(p.start + len(covariance) - size, p.stop + len(covariance) - size)
@@ -502,26 +503,26 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
 def profile_interval(
     pair: Pair, estimate: Estimate, name: str, standard_error: float, inflation: float, rise: float
 ) -> tuple[float, float]:
-    """Interval of one error by its profile: how far it can go before the best fit with it is worse by `rise`.
+    """Profile interval of one error: its range until the best fit with it is worse by `rise`.
 
-    Unlike the interval by standard error it need not be symmetrical, and it does not take the model for linear
+    Unlike the interval by standard error it need not be symmetrical, and it does not assume a linear model
     (Venzon and Moolgavkar, Applied Statistics 37 (1988) 87).
 
     Parameters
     ----------
     pair, estimate
-        The nominal pair and where the fit ended.
+        The nominal pair and the end of the fit.
     name, standard_error
         The error and its standard error, m or rad, from which the search starts.
     inflation
-        By how much standard errors are larger than white noise would make them.
+        Factor of the standard errors relative to white noise.
     rise
         Of the sum of squares in units of the noise: the square of the quantile of Student's t.
 
     Returns
     -------
     low, high
-        m or rad; infinite where the rise is not reached within sixteen standard errors.
+        m or rad; infinite if the rise is not reached within sixteen standard errors.
     """
 
     def refitted(state: State, pinned: Mapping[str, float]) -> Estimate:
@@ -547,23 +548,23 @@ def profile_interval(
 
 
 def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Array:
-    """Standard errors of the fitted errors from the turns' own scatter: turns are drawn again, with replacement.
+    """Standard errors of the fitted errors from the scatter of turns: bootstrap of the turns.
 
     Every draw is one Gauss-Newton step from the optimum (Shao and Tu, The Jackknife and Bootstrap, 1995, section
-    4.3.4), so the contacts are not solved again. It sees what white noise is not: disturbances that last, or that come
-    in some turns only.
+    4.3.4), so the contacts are not solved again. It includes disturbances that are not white noise: those that last, or
+    that occur in some turns only.
 
     Parameters
     ----------
     estimate, pair
-        Where the fit ended, of curves that keep their turns, and the nominal pair. Loops stay as they are.
+        The end of the fit, of curves that keep their turns, and the nominal pair. Loops are not resampled.
     draws, seed
-        How many; the same seed draws the same turns.
+        Number of draws, and the seed; the same seed draws the same turns.
 
     Returns
     -------
     standard_error, white
-        Shape (2, errors), m or rad: from the turns, and what the fit's white noise makes of the same points.
+        Shape (2, errors), m or rad: from the turns, and from the fit's white noise at the same points.
 
     Raises
     ------

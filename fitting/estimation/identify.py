@@ -1,10 +1,9 @@
-"""From recordings to the drive's errors: the way to the best fit; `fitting.estimation.result` states it.
+"""From recordings to the drive's errors: the search for the best fit; `fitting.estimation.result` reports it.
 
-The structured errors that the data tell apart are fitted with the exact contact model and its analytic Jacobian;
-`confirmation` takes the last step and states the covariance. What every single pin and tooth does
-beyond them is a random scatter of unknown size: it is estimated together with the noise (restricted maximum
-likelihood), and where there is any it is part of the fit, so that it neither bends the structured errors nor lets their
-intervals look smaller than they are.
+The structured errors that the data resolve are fitted with the exact contact model and its analytic Jacobian;
+`confirmation` takes the last step and gives the covariance. The deviations of single pins and teeth beyond them are a
+random scatter of unknown size: it is estimated together with the noise (restricted maximum likelihood) and is part of
+the fit, so it neither biases the structured errors nor makes their intervals too small.
 """
 
 from __future__ import annotations
@@ -98,36 +97,36 @@ def identify(
 ) -> Identification:
     """Identify a drive's errors from recordings at one or more loads, one or both directions.
 
-    Recordings whose input stands still are taken as hysteresis loops: they tell the play apart from friction.
+    Recordings with the input at rest are taken as hysteresis loops: they separate play from friction.
 
     Parameters
     ----------
     recordings
-        What `fitting.read_recordings` gave, `fitting.Run`, or curves that were made of them. One that states the
+        Result of `fitting.read_recordings`, `fitting.Run`, or curves made from them. A recording that states the
         fingerprint of a drive as its `pair` must be of this drive, or of its nominal pair.
     drive
-        The nominal drive; the errors that it states are the prior and start.
+        The nominal drive; its stated errors are the prior and start.
     tolerances
-        The drive's tolerances, their file or a prior: with it the scatter of pins and teeth is known, and
-        the form that all teeth share is fitted as far as the data resolve it.
+        The drive's tolerances, their file or a prior: they give the scatter of pins and teeth, and the form that all
+        teeth share is fitted as far as the data resolve it.
     profiled
         Errors whose intervals are found by their profile rather than by their standard error.
     bootstrap
-        Number of bootstrap resamples of output turns, whose scatter widens the standard errors where it is more than
-        white noise; 0 for none.
+        Number of bootstrap resamples of output turns, whose scatter widens the standard errors if it is more than white
+        noise; 0 for none.
     held_out
         Whether a load or direction is first kept from the fit and predicted.
     form
-        What a form that all flanks share may be, standard deviation of each of its first four half waves, m. It is
-        fitted where the curves show one; elsewhere errors that the curves can't tell from it have intervals that allow
-        for it. 0 where the flanks' form is known; that which tolerances state is always fitted.
+        Expected size of a form that all flanks share, standard deviation of each of its first four half waves, m. It is
+        fitted if the curves show one; otherwise errors that the curves can't separate from it have intervals that allow
+        for it. 0 if the flanks' form is known; a form in the tolerances is always fitted.
     progress
-        Called with what is being done.
+        Called with the name of each stage.
 
     Raises
     ------
     edge.InputError
-        If a recording can't be read, is of another drive or has no load, an argument is wrong, the data resolve no
+        If a recording can't be read, is of another drive or has no load, an argument is invalid, the data resolve no
         error, or there are too few turns to draw from.
 
     Examples
@@ -173,7 +172,7 @@ def identify(
     for name in profiled:
         if name not in (errors := [*errors_of(pair), *prior.profile]):
             near = edge.did_you_mean(name, errors).rstrip("?") or f"one of {', '.join(errors)}"
-            raise edge.ArgumentError("profiled", f"it is no error of this drive; {near}", name)
+            raise edge.ArgumentError("profiled", f"it is not an error of this drive; {near}", name)
     running = [c for c in curves if not c.branch]
     if not running:
         raise edge.InputError(
@@ -198,7 +197,7 @@ def identify(
             predicted = None
             rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
             if kept:
-                progress("fitting without the curves kept back")
+                progress("fitting without the held-out curves")
                 # One to first order is enough, a third of the work: where it predicts badly the whole fit has the say.
                 start, _ = _starting_estimate(pair, _observed(rest, pair, prior), None, False, progress)
                 predicted = _predicted(pair, start, [running[i] for i in kept])
@@ -211,7 +210,7 @@ def identify(
             shape = 0.0 if found.observed.profile else shape
             if predicted is not None and verdict.state == "explained" and _is_mispredicted(predicted):
                 # The first fit may have ended beside its best optimum, which the whole one has found.
-                progress("fitting without the curves kept back, from there")
+                progress("fitting without the held-out curves, from there")
                 predicted = _predicted(pair, _fitted(rest, pair, found, prior, progress), [running[i] for i in kept])
                 verdict = mispredicted(verdict, predicted) if _is_mispredicted(predicted) else verdict
             found, others = _described_otherwise(pair, found, prior, progress)
@@ -221,7 +220,7 @@ def identify(
             )  # fmt: skip
     except np.linalg.LinAlgError:
         raise edge.InputError(
-            "the equations of the fit are singular, as they are where curves have no noise; add some to simulated ones."
+            "the equations of the fit are singular, as for curves without noise; add some to simulated ones."
         ) from None
     single = [name for name in DEVIATIONS if getattr(drive.surface, name) is not None]
     if single:
@@ -232,7 +231,7 @@ def identify(
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
-    """Choose the curves that are kept back to be predicted: a load between others, or a direction of the smallest.
+    """Choose the held-out curves to be predicted: a load between others, or a direction of the smallest.
 
     Empty where fewer than three curves were measured.
     """
@@ -248,7 +247,7 @@ def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
 
 
 def _suspects(pair: Pair, fit: Estimate) -> list[int]:
-    """Places in a scatter vector of the pins at whose points most is left, the worst first."""
+    """Places in a scatter vector of the pins with the largest residuals, the worst first."""
     left = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
     share = fit.linear.scatter[:, : pair.pins] ** 2 + fit.linear.scatter[:, pair.pins : 2 * pair.pins] ** 2
     worst = (left**2 @ share) / np.maximum(share.sum(axis=0), 1e-300)
@@ -258,10 +257,10 @@ def _suspects(pair: Pair, fit: Estimate) -> list[int]:
 def _described_otherwise(
     pair: Pair, found: Estimate, known: Prior, progress: Callable[[str], None]
 ) -> tuple[Estimate, tuple[Estimate, ...]]:
-    """The same drive with each disc as the first: the description to state, and others that the curves do not exclude.
+    """The same drive with each disc as the first: the description to report, and others that the curves do not exclude.
 
-    Descriptions make the same curves; what tells them apart is only how likely errors are beforehand. Stated is the one
-    that is nearest to the errors of the pair file.
+    Descriptions give the same curves; only the prior separates them. The one nearest to the errors of the pair file is
+    reported.
     """
     prior, every = surface_of_pair(pair), [found]
     # On bearings the places of the cranks tell the discs apart.
@@ -290,7 +289,7 @@ def _described_by(pair: Pair, found: Estimate, surface: ErrorSurface) -> State:
 
 
 def _negated(pair: Pair, state: State, order: int, chosen: Sequence[str]) -> State:
-    """A state whose errors of one order round the ring are of the other sign, without scatter."""
+    """A state with the opposite sign of the errors of one order around the ring, without scatter."""
     plain = with_scatter(pair, state.surface, -state.scatter)
     waves = {n: wave_of(n) for n in chosen}
     of_order = [
@@ -314,7 +313,7 @@ def _put_back(pair: Pair, state: State, pin: int, reach: int) -> State:
 
 
 def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
-    """What is left of curves that the fit has not seen; their own zeros and drifts cannot be predicted."""
+    """Residuals of curves that were not fitted; their own zeros and drifts cannot be predicted."""
     observed = observations(curves, pair, first_stage=fit.observed.first_stage)
     known = dict(zip(fit.observed.bench_names, fit.state.bench, strict=True))
     own = np.array(
@@ -354,9 +353,9 @@ def _validated(
     form: float,
     progress: Callable[[str], None],
 ) -> tuple[Estimate, Verdict]:
-    """Fit curves, and where the errors do not explain them fit what most likely does beside them.
+    """Fit curves, and if the errors do not explain them, also the most likely further causes.
 
-    That flanks may have a form in common, each of its orders as large as `form` (m), is one such cause.
+    A common form of the flanks, each of its orders of size `form` (m), is one such cause.
     """
     formed = False
 
@@ -422,7 +421,7 @@ def _observed(curves: Sequence[Curve], pair: Pair, known: Prior) -> Observations
 
 
 def _with_form(known: Prior, form: float) -> Prior:
-    """What is known, with a form of the flanks among the errors: contacts move along a flank as its form has it."""
+    """The prior, with a form of the flanks among the errors: contacts move along a flank according to its form."""
     return dataclasses.replace(known, profile=dict.fromkeys(profile_names(PROFILE_ORDERS), form))
 
 
@@ -435,7 +434,7 @@ def _fitted(
     misfit: tuple[Mapping[str, Array], Array | None, Array | float] | None = None,
     searched: bool = False,
 ) -> Estimate:
-    """Fit from where another fit ended, or around there `searched` for a better minimum, or from the prior."""
+    """Fit from the end of another fit, or `searched` around it for a better minimum, or from the prior."""
     observed = _observed(curves, pair, known)
     if misfit is not None:
         observed = observed.with_misfit(*misfit)
@@ -449,7 +448,7 @@ def _fitted(
 
 
 def _without_scatter(pair: Pair, found: Estimate) -> Estimate:
-    """The same, from where the scatter of pins and teeth grows from nothing once more."""
+    """The same, starting again with zero scatter of pins and teeth."""
     surface = with_scatter(pair, found.state.surface, -found.state.scatter)
     state = dataclasses.replace(found.state, surface=surface, scatter=np.zeros_like(found.state.scatter))
     sizes = {n: v for n, v in found.scatter.items() if n.startswith(MISFIT)}
@@ -464,9 +463,9 @@ def _settled(
     known: Prior,
     progress: Callable[[str], None],
 ) -> Estimate:
-    """Fit from a start, until the errors that are chosen where it ends are those that were fitted.
+    """Fit from a start, until the errors chosen at its end are those that were fitted.
 
-    `linear` is the model at the start, where it is known.
+    `linear` is the model at the start, if known.
     """
     state, scatter, before = start.state, start.scatter, list(start.chosen)
     linear = linearise(pair, observed, state) if linear is None else linear
@@ -486,7 +485,7 @@ def _settled(
 def _carried_over(
     pair: Pair, observed: Observations, linear: Linear, state: State, before: Sequence[str], chosen: Sequence[str]
 ) -> State:
-    """A state in which other errors than before do what those did that are no longer fitted."""
+    """A state in which the effect of errors that are no longer fitted is replaced by others."""
     dropped = [n for n in before if n not in chosen]
     if not dropped:
         return state
@@ -510,21 +509,20 @@ def _chosen(observed: Observations, linear: Linear, pair: Pair) -> list[str]:
     # keep them held, and others that move the curves nearly as these do would take the rest.
     chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, {}))
     if not chosen:
-        raise edge.InputError("the data separate none of the structured errors; record more loads or more turns.")
+        raise edge.InputError("the data resolve none of the structured errors; record more loads or more turns.")
     return chosen
 
 
 def _starting_estimate(
     pair: Pair, observed: Observations, start: Estimate | None, searched: bool, progress: Callable[[str], None]
 ) -> tuple[Estimate, Linear | None]:
-    """A fit near the best one, and the exact model there where it was evaluated.
+    """A fit near the best one, and the exact model there if it was evaluated.
 
-    It is where another fit ended, or the best of several starts on some of the points.
+    It is the end of another fit, or the best of several starts on some of the points.
 
-    The curves' corners make minima beside the best one. From the prior and by way of the largest load alone a fit
-    rarely ends in the same wrong one, so two that agree are enough, all curves explained alike. Otherwise the pins
-    at whose points most is left are put back where they stood before measuring, with their neighbours, for as long as
-    that leads on.
+    The curves' corners cause further minima besides the best one. Fits from the prior and via the largest load alone
+    rarely end in the same wrong one, so two that agree are enough if all curves are explained equally. Otherwise the
+    pins with the largest residuals are reset to their prior, with their neighbours, as long as this improves the fit.
     """
     size = spread_of(pair, {}).size
     prior = surface_of_pair(pair)
@@ -582,7 +580,7 @@ def _starting_estimate(
             return None
 
     def agree() -> bool:
-        """Put the best first; whether the next ended there too."""
+        """Put the best first; return whether the next one ended there too."""
         found.sort(key=lambda e: e.unlikelihood)
         return len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size
 

@@ -1,4 +1,4 @@
-"""A number that a fit states: value, standard error, interval, and why it is held where it is."""
+"""A result of a fit: value, standard error, interval, and the reason if it is held fixed."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ NORMAL = float(stdtrit(np.inf, 0.5 + 0.5 * CONFIDENCE))  # standard errors in ha
 
 @dataclass(frozen=True)
 class Parameter:
-    """One error after the fit: SI value, standard error and 95 % interval, or why it is held.
+    """One error after the fit: SI value, standard error and 95 % interval, or the reason why it is held fixed.
 
-    The interval is NaN where the verdict is that the errors do not explain the curves; the standard error is the fit's
-    alone.
+    The interval is NaN if the verdict is that the errors do not explain the curves; the standard error is then that of
+    the fit alone.
 
-    `form` is how far a form that all flanks share may have moved it: a standard deviation, which the standard error
-    holds.
+    `form` is the possible effect of a form that all flanks share: a standard deviation, included in the standard error.
 
-    `data_share` says how much of what is known of it comes from the data: 1 minus the ratio of its variance after and
-    before measuring.
+    `data_share` is the share of information from the data: 1 minus the ratio of its variance after and before
+    measuring.
     """
 
     name: str
@@ -56,7 +55,7 @@ def parameter(
     before
         Its standard deviation before measuring.
     quantile
-        Standard errors in half an interval.
+        Half the interval in standard errors.
     """
     interval = (value - quantile * standard_error, value + quantile * standard_error)
     share = max(1.0 - (standard_error / before) ** 2, 0.0)
@@ -64,7 +63,7 @@ def parameter(
 
 
 def withheld(one: Parameter) -> Parameter:
-    """The same without an interval, where the curves are not explained."""
+    """The same without an interval, for curves that are not explained."""
     return one if one.held else dataclasses.replace(one, interval=(math.nan, math.nan))
 
 

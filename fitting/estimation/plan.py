@@ -1,4 +1,4 @@
-"""What planned bench runs would identify: which errors, how exactly, and which not."""
+"""Predicted identification by planned bench runs: identified errors with their standard errors, and the others."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 @dataclass(frozen=True)
 class NextRun:
-    """A run that may come next, and what it would make of every pin and tooth: as `Plan.realised`, with it, m."""
+    """A possible next run, and its effect on every pin and tooth: `Plan.realised` with it, m."""
 
     run: str
     realised: dict[str, float]
@@ -60,23 +60,23 @@ class NextRun:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a set of bench runs would identify.
+    """Prediction for a set of bench runs.
 
     Attributes
     ----------
     runs
         The runs in words.
     standard_error
-        {name: m or rad} of the errors that would be identified, the pins' and teeth's scatter and a form of the flanks
-        allowed for.
+        {name: m or rad} of the errors that would be identified, allowing for the scatter of pins and teeth and a form
+        of the flanks.
     held
-        {name: why} of the others.
+        {name: reason} of the others.
     realised
         {pattern: m}: standard error of every pin's radial and tangential place and of every tooth's cumulative pitch,
         rms over the elements, their gauge removed as in `fitting.estimation.realised`.
     next_runs
-        What one run more would make of them, the run that helps most first: of the bench's torques and those between,
-        either way, and a hysteresis loop with the crank locked at pin 0.
+        The same after one further run, the most useful first: at the bench's torques and those in between, in either
+        direction, and a hysteresis loop with the crank locked at pin 0.
 
     Examples
     --------
@@ -110,7 +110,7 @@ def planned_curve(ratio: float, torque: float, direction: int, turns: float, sam
     turns
         Output turns; more than one are averaged.
     samples
-        Samples in a crank turn.
+        Samples per crank turn.
     """
     points = round(samples * abs(ratio) * min(turns, 1.0))
     angle = np.arange(points) * 2.0 * np.pi / samples
@@ -132,10 +132,10 @@ def plan(
     form: float | str = "1 um",
     loop: float | str | None = None,
 ) -> list[Plan]:
-    """Return what ever larger sets of bench runs would identify of a drive, before anything is measured.
+    """Predict the identification of a drive by increasingly large sets of bench runs, before measuring.
 
-    The sets are the largest torque one way, both ways, then with the smallest and those between added. With each set
-    comes which run more would tell most of every pin and tooth.
+    The sets are the largest torque in one direction, in both directions, then with the smallest and those in between
+    added. Each set states the further run that improves every pin and tooth most.
 
     Parameters
     ----------
@@ -144,22 +144,22 @@ def plan(
     torque
         The torques that the bench can hold, N·m; it opposes the motion, so its sign changes with the direction.
     turns, samples
-        Output turns of each run, and samples in a crank turn.
+        Output turns of each run, and samples per crank turn.
     noise
         Standard deviation of a single sample of the transmission error, rad.
     scatter
-        What places of single pins and teeth do beyond the structured errors, standard deviation, m; single pins' radii
-        as much, 0.3 µm at most. The derivatives are those of a ring that is drawn with it.
+        Scatter of the places of single pins and teeth beyond the structured errors, standard deviation, m; the same for
+        single pins' radii, 0.3 µm at most. The derivatives are those of a ring drawn with it.
     form
-        What a form that all flanks share may be, m, as in `fitting.identify`.
+        Expected size of a form that all flanks share, m, as in `fitting.identify`.
     loop
-        Torque up to which a hysteresis loop goes, N·m, the crank locked at pin 0: the first and the last set come with
-        it too.
+        Largest torque of a hysteresis loop, N·m, with the crank locked at pin 0: the first and the last set are also
+        given with it.
 
     Raises
     ------
     edge.InputError
-        If an argument is wrong.
+        If an argument is invalid.
 
     Examples
     --------
@@ -201,7 +201,7 @@ def plan(
 
 
 class _Foretold:
-    """The model's derivatives in every run that may be part of a plan or come next, evaluated once each."""
+    """The model's derivatives in every run of a plan and every possible next run, evaluated once each."""
 
     def __init__(
         self, drive: Drive, torques: Sequence[float], loop: float | None, turns: float, samples: int, noise: float,
@@ -241,7 +241,7 @@ class _Foretold:
         self.before = known_before(*self._some(whole, [0]), self.names, self.spread)
 
     def plan(self, words: str, runs: Sequence[tuple[float, int]], with_loop: bool) -> Plan:
-        """What a set of runs would identify, and which run would come next."""
+        """Prediction for a set of runs, and the possible next runs."""
         loop = list(range(len(self.runs), self.second))
         numbers = [self.runs.index(one) for one in runs] + loop * with_loop
         observed, linear = self._some(self.observed, numbers)
@@ -282,7 +282,7 @@ class _Foretold:
 
 
 def _between(torques: Sequence[float]) -> list[float]:
-    """Torques between those given, in the middle by ratio; of one alone a third and a tenth."""
+    """Torques between the given ones, at their geometric mean; for a single one a third and a tenth."""
     if len(torques) == 1:
         return [float(f"{torques[0] * share:.2g}") for share in (0.3, 0.1)]
     ordered = sorted(torques)

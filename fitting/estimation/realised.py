@@ -1,7 +1,7 @@
-"""Every pin and every tooth of this ring: what the structured errors and the scatter make of each, together.
+"""Every pin and every tooth of this ring: the sum of structured errors and scatter.
 
 A structured order's standard error is that of an average over random rings, σ√(2/n): the scatter has a part in each
-order. What this ring is, the sum of both, the curves know far better. Some of it moves no curve and is removed.
+order. The curves determine the actual ring, the sum of both, far better. The part that moves no curve is removed.
 """
 
 from __future__ import annotations
@@ -41,26 +41,26 @@ _SMALL = 1e-6  # m
 
 @dataclass(frozen=True)
 class Realised:
-    """What this ring's pins and teeth are, their gauge removed: `GAUGE` in words, `gauge` as directions.
+    """Deviations of this ring's pins and teeth without their gauge: `GAUGE` in words, `gauge` as directions.
 
     Attributes
     ----------
     elements
         Radial and tangential place of every pin, cumulative pitch of every tooth of each disc, radius of every pin:
-        `pin_radial_at_0`, … (m). The radial place is that of a pin of the mean radius that does the same. Where a pin
-        or tooth was only bounded by its neighbours, not measured, it is held.
+        `pin_radial_at_0`, … (m). The radial place is that of a pin of the mean radius with the same effect. A pin or
+        tooth that was only bounded by its neighbours, not measured, is held.
     orders
-        Amplitude (m) and phase (rad: where round the circle it is largest, times the order) of this ring's orders 0 to
-        5, where the gauge leaves anything of them: `pin_radial_2_amplitude`, `pin_radial_2_phase`, …, with several
-        discs `tooth_cumulative_pitch_of_disc_1_2_amplitude`.
+        Amplitude (m) and phase (rad: angle of the largest value, times the order) of this ring's orders 0 to 5, except
+        those removed by the gauge: `pin_radial_2_amplitude`, `pin_radial_2_phase`, …, with several discs
+        `tooth_cumulative_pitch_of_disc_1_2_amplitude`.
     covariance
         Of the elements in their order, m².
     circles
-        {name: where its elements stand}: `pin_radial`, `pin_tangential`, `tooth_cumulative_pitch` or, with several
+        {name: places of its elements}: `pin_radial`, `pin_tangential`, `tooth_cumulative_pitch` or, with several
         discs, `tooth_cumulative_pitch_of_disc_1`, …, and `pin_radius_deviation`.
     radius_lever
-        How far in a pin stands that does what one thicker by 1 does: a pin's own radial place is the stated one plus
-        this times its radius.
+        Inward shift of a pin with the same effect as a radius larger by 1: a pin's own radial place is the stated one
+        plus this times its radius deviation.
 
     Examples
     --------
@@ -74,7 +74,7 @@ class Realised:
     radius_lever: float
 
     def withheld(self) -> Realised:
-        """The same without intervals, where the curves are not explained."""
+        """The same without intervals, for curves that are not explained."""
         return dataclasses.replace(
             self,
             elements=tuple(withheld(one) for one in self.elements),
@@ -83,7 +83,7 @@ class Realised:
 
 
 def gauge(pair: Pair) -> Array:
-    """Return displacements of pins and teeth that the structured errors and the bench do too, as unit directions.
+    """Return displacements of pins and teeth that structured errors and the bench cause too, as unit directions.
 
     They are the pins' radial and tangential mean, the mean of all teeth, that of the pins' radii, and a shift of the
     ring along x and y.
@@ -115,14 +115,14 @@ def gauge(pair: Pair) -> Array:
 
 
 def displaced(pair: Pair, surface: ErrorSurface, radius_lever: float = 0.0) -> Array:
-    """Return what a surface's errors displace of each pin and tooth, the gauge removed.
+    """Return the displacements of each pin and tooth by a surface's errors, without the gauge.
 
     Parameters
     ----------
     pair, surface
         The nominal pair and its errors.
     radius_lever
-        Radial places are those of pins of the mean radius: less this times each pin's radius.
+        Radial places are those of pins of the mean radius: minus this times each pin's radius deviation.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array, r
         The structured errors.
     covariance
         Shape (chosen + scatter, chosen + scatter): as `ErrorSurface.covariance` of a fit, or as
-        `fitting.model.identifiability.posterior_covariance` foretells it.
+        `fitting.model.identifiability.posterior_covariance` predicts it.
     radius_lever
         As in `displaced`.
     """
@@ -163,7 +163,7 @@ def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array, r
 
 
 def _of_pins_and_teeth(pair: Pair, displacements: Array) -> Array:
-    """Pick pins' places, teeth's pitch and pins' radii, m, of what `displacement_layout` lays out along axis 0."""
+    """Select pins' places, teeth's pitch and pins' radii, m, along axis 0 of `displacement_layout`."""
     layout = displacement_layout(pair)
     pins = [displacements[layout[name]] for name in ("pin_radial", "pin_tangential")]
     teeth = displacements[layout["tooth_turn"]] * pair.pin_circle_radius
@@ -176,7 +176,7 @@ def _size(pair: Pair) -> int:
 
 
 def _as_thick_as_the_mean(pair: Pair, lever: float) -> Array:
-    """Take each pin's radius times a lever from its radial place, the rest as it is."""
+    """Subtract each pin's radius times a lever from its radial place; the rest is unchanged."""
     parts, found = estimated_parts(pair), np.eye(_size(pair))
     found[parts["pin_radial"], parts[PIN_RADIUS]] = -lever * np.eye(pair.pins)
     return found
@@ -185,7 +185,7 @@ def _as_thick_as_the_mean(pair: Pair, lever: float) -> Array:
 def radius_lever_of(pair: Pair, chosen: Sequence[str], covariance: Array) -> float:
     """Return the lever for which `displaced_covariance` is smallest, from the same.
 
-    Radii that are not known move the radial places by this, whatever they are: it is the slope of one on the other.
+    Unknown radii move the radial places by this factor: it is the regression slope.
     """
     every = displaced_covariance(pair, chosen, covariance)
     parts = estimated_parts(pair)
@@ -200,7 +200,7 @@ def errors_by_pattern(pair: Pair, covariance: Array) -> dict[str, float]:
 
 
 def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covariance: Array, spread: Array) -> Realised:
-    """State every pin and tooth of an identified surface.
+    """Return every pin and tooth of an identified surface.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
     chosen, covariance
         The structured errors that were fitted, and the covariance of these and of the scatter together, SI.
     spread
-        Standard deviation of each scattered displacement before anything is measured, m.
+        Prior standard deviation of each scattered displacement, m.
 
     Examples
     --------
@@ -241,7 +241,7 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
     elements = []
     for at, name in enumerate(scatter_names(pair)[: values.size]):
         bounded = own[at] * (_MEASURED * max(spread[at], _SMALL)) ** 2 < 1.0
-        why = "it hardly carries load in these curves: bounded by its neighbours, not measured" if bounded else None
+        why = "it carries almost no load in these curves: bounded by its neighbours, not measured" if bounded else None
         quantile = of_radius if name.startswith(PIN_RADIUS) else NORMAL
         one = parameter(name, "m", float(values[at]), float(deviation[at]), float(prior[at]), why, quantile)
         elements.append(one)
@@ -255,7 +255,7 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
 
 
 def _own_information(covariance: Array, spread: Array) -> Array:
-    """What data alone tell of each scattered displacement, all else known, 1/m²; infinite where none scatters."""
+    """Information of the data alone on each scattered displacement, all else known, 1/m²; infinite without scatter."""
     size = np.sqrt(np.diag(covariance))
     own = np.full(spread.size, np.inf)
     if (spread > NO_SCATTER).any():
@@ -281,7 +281,7 @@ def _circles(pair: Pair) -> dict[str, slice]:
 
 
 def _orders(name: str, values: Array, covariance: Array, before: Array, discs: int) -> list[Parameter]:
-    """Amplitude and phase of the orders that the gauge leaves, each with its standard error to first order."""
+    """Amplitude and phase of the orders outside the gauge, each with its standard error to first order."""
     found, count = [], values.size
     at = 2.0 * np.pi * np.arange(count) / count
     for order in range(ORDERS_STATED + 1):

@@ -1,7 +1,7 @@
-"""What an identification states: errors with their intervals, what the data cannot tell, and its file.
+"""The result of an identification: errors with their intervals, unresolved errors, and its file.
 
-The intervals hold for noise as coloured as what is left, for the scatter of single pins and teeth, and for as many
-degrees of freedom as the data leave.
+The intervals allow for noise as correlated as the residual, for the scatter of single pins and teeth, and for the
+degrees of freedom of the data.
 """
 
 from __future__ import annotations
@@ -83,25 +83,25 @@ class Identification:
     Attributes
     ----------
     verdict
-        Whether the errors explain the curves, and what most likely does beside them.
+        Whether the errors explain the curves, and the most likely further causes.
     parameters
         All structured errors, fitted and held.
     realised
-        Every pin and tooth of this ring, and its orders: structured errors and scatter together, the gauge removed.
+        Every pin and tooth of this ring, and its orders: structured errors and scatter together, without the gauge.
     bearings
         Of a drive with supports: each bearing's stiffness as a share of what the pair file states (unit "1"), and its
         clearance, m.
     clock_lag
-        By how much the output angle is late (> 0) or the input angle (< 0), s, where the curves show it.
+        Delay of the output angle (> 0) or of the input angle (< 0), s, if the curves show it.
     bench
-        {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
-        the gear pair (rad/(N·m)), friction torque, and that of loops (N·m).
+        {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain in series
+        with the gear pair (rad/(N·m)), friction torque, and that of loops (N·m).
     confirmed
-        All structured errors and the bench's nuisances in SI: values, standard errors, correlations, and what each
-        error can be as bounds. Those that are held do not vary; their standard error is what they may be unmeasured.
+        All structured errors and the bench's nuisances in SI: values, standard errors, correlations, and the possible
+        range as bounds. Held ones do not vary; their standard error is that of the prior.
     surface
-        The identified error surface, the pins' and teeth's own scatter included; without a covariance where the errors
-        do not explain the curves.
+        The identified error surface, including the scatter of pins and teeth; without a covariance if the errors do not
+        explain the curves.
     correlation
         Of the fitted parameters, in the order of `fitted`.
     singular_values, weak_combinations
@@ -110,32 +110,32 @@ class Identification:
     noise, scatter
         Noise of a point (rad) and standard deviation of each scattered pattern (m).
     inflation
-        By how much the standard errors are larger than white noise would make them, because the residual is not white.
+        Factor of the standard errors relative to white noise, because the residual is not white.
     residual
         rms of measured minus fitted transmission error, rad.
     outliers
         {source: points that were left out}.
     held_out
-        What a fit without some of the curves predicts of them, or None where too few were measured.
+        Prediction of held-out curves by a fit of the others, or None with too few curves.
     fitted_curves
         Fitted transmission error of each curve, the bench's nuisances included, rad.
     loops
-        The loops that were given.
+        The given loops.
     checksums
         {source: SHA-256} of the data.
     implausible
-        {source: samples that were left out because its encoders can't have shown them}.
+        {source: number of implausible samples that were left out}.
     other_descriptions
-        {name: value} of the fitted errors with another disc as the first, where the curves do not exclude it: they make
+        {name: value} of the fitted errors with another disc as the first, if the curves do not exclude it: they give
         the same curves, and the standard errors are the same.
     notes
-        What a reader should know of the fit and of the data.
+        Notes on the fit and the data.
     pair
-        The nominal pair, its bearings as they were found.
+        The nominal pair, with the identified bearings.
     first_stage
-        Of a reducer, its play as it was found; else None.
+        Of a reducer, with its identified play; otherwise None.
     curves
-        The curves that were fitted, the loops' branches apart; behind a first stage over the angle of ideal cranks.
+        The fitted curves without the branches of loops; behind a first stage over the angle of ideal cranks.
 
     Examples
     --------
@@ -176,7 +176,7 @@ class Identification:
 
     @cached_property
     def lmfit_parameters(self) -> lmfit.Parameters:
-        """What was `confirmed`, as lmfit has it."""
+        """`confirmed` as lmfit parameters."""
         return as_lmfit(self.confirmed)
 
     @property
@@ -185,19 +185,19 @@ class Identification:
         return Drive(self.pair, self.surface, self.first_stage)
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the identification, `cycloid-identification/1`, whole or not at all."""
+        """Write the identification, `cycloid-identification/1`; never a partial file."""
         with edge.written_whole(path) as temporary:
             temporary.write_text(edge.json_text(as_json(self)), encoding="utf-8")
 
 
 def is_uneven(fit: Estimate) -> bool:
-    """Whether a curve's noise comes out larger than the others', as where a fit ends in a minimum beside the best."""
+    """Whether a curve's noise is larger than that of the others, as in a fit that missed the best minimum."""
     noises = fit.noises[fit.observed.running]
     return bool(noises.max() > _LEFT * np.median(noises))
 
 
 def inflation_of(residuals: Sequence[Array]) -> float:
-    """By how much the standard error of a mean of these residuals exceeds that of white noise of the same size.
+    """Ratio of the standard error of a mean of these residuals to that of white noise of the same size.
 
     The square root of the integrated autocorrelation time, summed to the first lag that noise could make.
     """
@@ -226,21 +226,20 @@ def result_of(
     form: float,
     progress: Callable[[str], None],
 ) -> Identification:
-    """Confirm a fit's optimum and state what it found.
+    """Confirm a fit's optimum and return its result.
 
     Parameters
     ----------
     pair, fit, verdict, predicted
-        The nominal pair, where its fit ended, whether it explains the curves, and what was predicted of curves kept
-        back.
+        The nominal pair, the end of its fit, whether it explains the curves, and the prediction of held-out curves.
     known, profiled, bootstrap, progress
         `scatter` and the others of `fitting.estimation.identify.identify`.
     gain
-        Of a step, below which the fit has ended, as in `fitting.estimation.fit.fit`.
+        Gain of a step at which the fit ends, as in `fitting.estimation.fit.fit`.
     others
         Fits of the same curves with another disc as the first.
     form
-        What each order of a form that all flanks share may be, a standard deviation, m: intervals allow for it.
+        Expected size of each order of a form that all flanks share, standard deviation, m: intervals allow for it.
     """
     if PIN_RADIUS not in known:
         fit = dataclasses.replace(fit, scatter={**fit.scatter, PIN_RADIUS: allowed_radius(pair, fit)})
@@ -385,7 +384,7 @@ def _bounded(parameter: Confirmed) -> bool:
 
 
 def _stated(found: Mapping[str, Confirmed], covariance: Array, profile: Mapping[str, float]) -> dict[str, Confirmed]:
-    """Return the first of the parameters, those of a covariance, and what is held, with what is stated of them."""
+    """Return the results of the first parameters, those of a covariance, and of held ones."""
     held = [n for n, p in found.items() if not p.vary]
     before = tolerances_of(held, profile)
     return with_covariance(found, covariance) | {
@@ -394,7 +393,7 @@ def _stated(found: Mapping[str, Confirmed], covariance: Array, profile: Mapping[
 
 
 def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array) -> tuple[LoopFit, ...]:
-    """Each loop as measured and fitted, and its play with the standard error that the errors leave it."""
+    """Each loop as measured and fitted, and its play with the standard error due to the errors."""
     observed, chosen, found = fit.observed, list(fit.chosen), []
     stage = observed.first_stage
     if stage is not None:
@@ -420,7 +419,7 @@ def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array
 
 
 def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
-    """Say where the best of several minima may not have been found, and how many samples would tell."""
+    """Return notes if the best of several minima may have been missed, and the number of samples that would decide."""
     notes = []
     if fit.disagreeing:
         notes.append(
@@ -431,8 +430,8 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
     if is_uneven(fit):
         noises = fit.noises[fit.observed.running]
         notes.append(
-            f"{curves[int(np.argmax(noises))].source}: its noise comes out as {noises.max() * ARCSEC:.2f}″, the "
-            f"others' as {np.median(noises) * ARCSEC:.2f}″; if the bench has equal noise there, the fit has "
+            f"{curves[int(np.argmax(noises))].source}: its noise is {noises.max() * ARCSEC:.2f}″, the "
+            f"others' {np.median(noises) * ARCSEC:.2f}″; if the bench has equal noise there, the fit has "
             "missed the best optimum and the intervals are too narrow."
         )
     unknown = sum(p.stop - p.start for n, p in scatter_parts(pair).items()
@@ -440,7 +439,7 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
     seen = sum(np.unique(np.rint(c.input_angle / (2.0 * np.pi) * _ANGLES) % _ANGLES).size for c in curves)
     if seen < _TOLD * unknown:
         notes.append(
-            f"The curves see {seen} angles of the crank in all, too few for the {unknown} displacements of single "
+            f"The curves contain {seen} crank angles in total, too few for the {unknown} displacements of single "
             f"pins: the fit may miss the best optimum; record at least "
             f"{math.ceil(_TOLD * unknown / len(curves))} samples a crank turn, not in step with it."
         )
@@ -448,7 +447,7 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
 
 
 def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
-    """Say what the curves lack."""
+    """Return notes on missing curves."""
     notes = []
     running = fit.observed.running
     curves = [fit.observed.curves[i] for i in running]
@@ -476,8 +475,8 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
         notes.append("Is this the drive of the pair file, and are counts per turn and directions right?")
     if pair.supports is None and any(GIVE in (m.cause, *m.alike) for m in verdict.misfits):
         notes.append(
-            "Supports give way or have play: state the drive's bearings in the pair file ([supports]), so that they "
-            "are part of the model and their stiffness and clearance are found."
+            "Supports are compliant or have play: state the drive's bearings in the pair file ([supports]); then they "
+            "are part of the model, and their stiffness and clearance are identified."
         )
     notes += _ambiguity(pair, fit)
     gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()
@@ -485,13 +484,13 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
     once = np.hypot(*(fit.state.bench[names.index(f"output_encoder_eccentricity_{p}")] for p in ("cos", "sin")))
     if once > gear:
         notes.append(
-            f"Once an output turn the angle errs by {once * ARCSEC:.3g}″, more than the gear does in all: "
-            "an encoder sits eccentrically, or the shafts are not aligned."
+            f"Once per output turn the angle has an error of {once * ARCSEC:.3g}″, more than the gear in total: "
+            "an encoder is mounted eccentrically, or the shafts are not aligned."
         )
     for curve, left in zip(fit.observed.curves, np.split(fit.observed.weight == 0.0, fit.observed.ends), strict=True):
         if left.any():
             named = ", ".join(n for n in (curve.source, curve.branch) if n)
-            notes.append(f"{named}: {np.count_nonzero(left)} of {left.size} points lie far off and were left out.")
+            notes.append(f"{named}: {np.count_nonzero(left)} of {left.size} points are outliers and were left out.")
     return tuple(notes)
 
 
@@ -544,7 +543,7 @@ def as_json(result: Identification) -> dict[str, Any]:
 
 
 def _chain_compliance(observed: Observations, bench: Mapping[str, float]) -> float:
-    """What gives way beside the gear pair, rad/(N·m): as a nuisance, and as a cause where it is softer than usual."""
+    """Compliance in series with the gear pair, rad/(N·m): as a nuisance, and as a cause if it is softer than usual."""
     of = [i for i, n in enumerate(observed.bench_names) if n == CHAIN or n.startswith(f"{MISFIT}_compliance_")]
     if len(of) == 1:
         return bench[CHAIN]
@@ -554,32 +553,32 @@ def _chain_compliance(observed: Observations, bench: Mapping[str, float]) -> flo
 
 
 def read_chain(path: str | os.PathLike[str]) -> tuple[float, float]:
-    """Return what an identification file found beside the gear: series compliance (rad/(N·m)) and dry friction (N·m).
+    """Return series compliance (rad/(N·m)) and dry friction (N·m) of an identification file.
 
     Neither is below zero.
 
     Raises
     ------
     edge.InputError
-        If the file is no identification or has none of the two.
+        If the file is not an identification or has neither of the two.
     """
     bench = edge.json_table(path, FORMAT, "identification").get("bench")
     found = []
     for name in (CHAIN, "friction_torque"):
         value = bench.get(name) if isinstance(bench, dict) else None
         if not isinstance(value, int | float) or not math.isfinite(value):
-            raise edge.InputError(f"{path}: bench has no {name}; identify once more.")
+            raise edge.InputError(f"{path}: bench has no {name}; identify again.")
         found.append(max(float(value), 0.0))
     return found[0], found[1]
 
 
 def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
-    """Read the errors and the bench of an identification file as lmfit has them, SI.
+    """Read the errors and the bench of an identification file as lmfit parameters, SI.
 
     Raises
     ------
     edge.InputError
-        If the file is no identification, or its parameters are not lmfit's.
+        If the file is not an identification, or its parameters are not those of lmfit.
     """
     from lmfit import Parameters
 

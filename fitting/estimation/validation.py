@@ -1,8 +1,8 @@
-"""Whether a fit explains its data: tests that can fail, and what most likely makes them fail.
+"""Whether a fit explains its data: tests that can fail, and the most likely causes of failure.
 
-The yardstick is never the noise that was fitted with the model, which swallows what the model does not hold. It is what
-turns and repeats scatter, and where nothing was repeated the floor between the orders of what is left: a drive and its
-bench err at orders, noise does between them.
+The reference is never the noise fitted with the model, which absorbs effects outside the model. It is the scatter of
+turns and repetitions, and without repetitions the floor between the orders of the residual: errors of a drive and its
+bench are at orders, noise is also between them.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ _NAMED = 4  # causes and orders that a sentence names
 
 @dataclass(frozen=True)
 class Misfit:
-    """Something that the model of the pair does not hold.
+    """An effect outside the model of the pair.
 
     Attributes
     ----------
     cause
         As in `fitting.model.discrepancy.SENTENCES`, or "orders".
     size
-        rms of what it adds to the transmission error, rad.
+        rms of its contribution to the transmission error, rad.
     alike
-        Other causes that can't be told from it in these curves.
+        Other causes that these curves can't separate from it.
     orders
-        Of the output, where the cause is not known by more.
+        Orders of the output, if nothing else is known of the cause.
     """
 
     cause: str
@@ -71,15 +71,15 @@ class Verdict:
         "explained"; "explained but for" causes that are part of the fit, so that the intervals allow for them; or "not
         explained", where no interval is stated.
     misfits
-        What the model of the pair does not hold, likeliest first.
+        Effects outside the model of the pair, most likely first.
     noise, residual
-        Of a point by the yardstick, and rms of what is left, rad: geometric means over the curves.
+        Noise of a point by the reference, and rms of the residual, rad: geometric means over the curves.
     failed
-        What fails, in words; none where the curves are explained.
+        Failed tests, in words; none if the curves are explained.
     descriptions
-        How many sets of errors make the curves, each seen from another disc as the first.
+        Number of sets of errors with the same curves, each with another disc as the first.
     disagreeing
-        From how many starts the fit ended in as many optima; 0 where two agreed.
+        Number of starts from which the fit ended in different optima; 0 if two agreed.
     """
 
     state: str
@@ -122,9 +122,9 @@ def _in_words(misfit: Misfit) -> str:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Curves kept from the fit and predicted by the pair's errors: loads in words, rms of what is left, and noise, rad.
+    """Held-out curves, predicted by the pair's errors: loads in words, rms of the residual, and noise, rad.
 
-    The noise is what repeats, or stands between the orders of what is left of these curves.
+    The noise is from repetitions, or from between the orders of the residual of these curves.
     """
 
     loads: str
@@ -133,14 +133,14 @@ class HeldOut:
 
 
 def mispredicted(verdict: Verdict, predicted: HeldOut) -> Verdict:
-    """Return the verdict where curves kept back are not what a fit of the others predicts."""
+    """Return the verdict if a fit of the others does not predict the held-out curves."""
     share = predicted.residual / predicted.noise
-    failed = f"{predicted.loads}, kept from the fit, were predicted to {share:.2g} times their noise"
+    failed = f"{predicted.loads}, held out of the fit, were predicted to {share:.2g} times their noise"
     return dataclasses.replace(verdict, state="not explained", failed=(*verdict.failed, failed))
 
 
 class Residual:
-    """What is left of a fit in units of its noise, and what moving any unknown would change of it.
+    """The residual of a fit in units of its noise, and its derivatives by the unknowns.
 
     `pulls` states of causes that unknowns of the bench stand for the chance that these are so far from zero, and by how
     much it lowers -2 log likelihood to take the cause instead.
@@ -148,7 +148,7 @@ class Residual:
     Parameters
     ----------
     pair, estimate
-        The nominal pair and where the fit ended.
+        The nominal pair and the end of the fit.
     """
 
     def __init__(self, pair: Pair, estimate: Estimate) -> None:
@@ -176,13 +176,13 @@ class Residual:
                 self.pulls[cause] = min(pull, self.pulls.get(cause, pull))
 
     def beyond(self, columns: Array) -> Array:
-        """What the unknowns of the fit can't do of columns, in units of the noise, shape (points, columns)."""
+        """Part of columns outside the span of the fit's unknowns, in units of the noise, shape (points, columns)."""
         own = self.weight[:, None] * columns
         found: Array = own - self.columns @ linalg.cho_solve(self._factor, self.columns.T @ own)
         return found
 
     def score(self, columns: Array) -> tuple[float, Array]:
-        """Chance that noise alone looks as much like these columns, and the part of what is left that they are.
+        """Probability that noise alone resembles these columns as much, and their part of the residual.
 
         A score test (Rao, Proc. Camb. Phil. Soc. 44 (1948) 50): the model is not fitted again.
         """
@@ -198,7 +198,7 @@ class Residual:
         return chance, np.asarray(beyond @ coefficients)
 
     def take(self, columns: Array) -> None:
-        """Take columns among the unknowns of the fit."""
+        """Add columns to the unknowns of the fit."""
         own = self.weight[:, None] * columns
         _, part = self.score(columns)
         size = (own**2).sum(axis=0)
@@ -211,12 +211,12 @@ class Residual:
         self.left = self.left - part
 
     def is_zero(self, numbers: Sequence[int], values: Array) -> bool:
-        """Whether unknowns of the fit, in their scale, may as well be zero (Wald)."""
+        """Whether unknowns of the fit, in their scale, are compatible with zero (Wald)."""
         covariance = linalg.cho_solve(self._factor, np.eye(len(self.information))[:, numbers])[list(numbers)]
         return float(special.chdtrc(values.size, float(values @ np.linalg.solve(covariance, values)))) > _FALSE
 
     def contradicts(self, numbers: Sequence[int]) -> float:
-        """Chance that noise alone makes some curves and the others disagree as much about the fit's unknowns."""
+        """Probability that noise alone makes some curves and the others disagree as much on the fit's unknowns."""
         places = np.split(np.arange(self.left.size), self.observed.ends)
         part = np.concatenate([places[n] for n in numbers])
         columns = self.columns[part]
@@ -231,9 +231,9 @@ class Residual:
 
 
 def _creeps_with_load(estimate: Estimate) -> dict[str, tuple[float, float]]:
-    """Whether recordings' zeros stand on a line over the torque, which is what gives way and no creep.
+    """Whether recordings' zeros are on a line over the torque, which is compliance and not creep.
 
-    The line may step where the torque changes its side: by the play that errors held back do not make.
+    The line may have a step where the torque changes sign: by play that held errors do not account for.
     """
     part = estimate.observed.estimated.get(CREEP)
     if part is None or part.stop - part.start < 5:
@@ -252,7 +252,7 @@ def _creeps_with_load(estimate: Estimate) -> dict[str, tuple[float, float]]:
 
 
 def order_powers(observed: Observations, left: Array) -> tuple[int, list[Array]]:
-    """Return the power of what is left at the orders of the output.
+    """Return the power of the residual at the orders of the output.
 
     Returns
     -------
@@ -277,7 +277,7 @@ def order_powers(observed: Observations, left: Array) -> tuple[int, list[Array]]
 
 
 def yardsticks(observed: Observations, left: Array) -> Array:
-    """Noise of a point of each running curve, in units of the noise of `left`, by what repeats or between orders."""
+    """Noise of a point of each running curve, in units of the noise of `left`, from repetitions or between orders."""
     found = []
     parts = np.split(np.arange(left.size), observed.ends)
     for number, power in zip(observed.running, order_powers(observed, left)[1], strict=True):
@@ -294,7 +294,7 @@ def yardsticks(observed: Observations, left: Array) -> Array:
 
 
 def peak(observed: Observations, left: Array) -> float | None:
-    """Order of the output that stands out of what is left the most, in one curve or in all together; None of none."""
+    """Order of the output with the largest peak in the residual of one curve or all together; None without a peak."""
     turns, powers = order_powers(observed, left)
     least = min(p.size for p in powers)
     looked = least + sum(p.size for p in powers)
@@ -313,7 +313,7 @@ def peak(observed: Observations, left: Array) -> float | None:
 
 
 def groups_of(observed: Observations) -> dict[str, list[int]]:
-    """Curves that a load or a direction has in common, in words, where there are others to hold them against."""
+    """Curves with a common load or direction, in words, if there are others to compare with."""
     running = observed.running
     torque = np.array([observed.curves[i].torque for i in running])
     sizes = np.abs(torque)
@@ -328,7 +328,7 @@ def groups_of(observed: Observations) -> dict[str, list[int]]:
 
 
 def failures(residual: Residual, left: Array) -> tuple[list[str], Array]:
-    """Return what fails of what is left, in words, and the yardsticks."""
+    """Return the failed tests of the residual, in words, and the references."""
     observed = residual.observed
     failed = []
     order = peak(observed, left)
@@ -342,15 +342,15 @@ def failures(residual: Residual, left: Array) -> tuple[list[str], Array]:
     groups = groups_of(observed)
     contradicting = [name for name, one in groups.items() if residual.contradicts(one) * len(groups) < _FALSE]
     if contradicting:
-        failed.append(f"{', '.join(contradicting)} and the others contradict one another")
+        failed.append(f"{', '.join(contradicting)} and the others contradict each other")
     return failed, yardstick
 
 
 @dataclass(frozen=True)
 class Likely:
-    """Causes that what is left looks like: {cause: columns}, what can't be told from each, orders of "orders".
+    """Causes that the residual resembles: {cause: columns}, causes inseparable from each, orders of "orders".
 
-    `formed` says whether a form of the flanks may be among them, which is no column: it joins the errors.
+    `formed` states whether a form of the flanks may be among them, which is not a column but an error.
     """
 
     columns: dict[str, Array]
@@ -360,16 +360,16 @@ class Likely:
 
 
 def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likely | None = None) -> Likely:
-    """Return causes that what is left looks like, the likeliest first, each beside those before it.
+    """Return causes that the residual resembles, the most likely first, each given the previous ones.
 
     Parameters
     ----------
     residual
-        What is left of the fit; it takes the causes among its unknowns.
+        The residual of the fit; the causes are added to its unknowns.
     columns
         As `fitting.model.discrepancy.causes` returns them.
     known
-        Those that are part of the fit already.
+        Those already in the fit.
     """
     found = {name: columns[name] for name in known.columns if name in columns} if known else {}
     pulls, formed = residual.pulls, False
@@ -402,7 +402,7 @@ def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likel
 
 
 def _form_of(pair: Pair, estimate: Estimate, residual: Residual) -> float:
-    """Size of a form that all flanks share, rms of what it adds, rad; 0 where the data need none."""
+    """Size of a form that all flanks share, rms of its contribution, rad; 0 if the data need none."""
     observed = estimate.observed
     surface = with_scatter(pair, estimate.state.surface, -estimate.state.scatter)
     values = np.array([structured_value(pair, surface, name) for name in observed.profile])
@@ -421,9 +421,9 @@ def verdict_of(pair: Pair, estimate: Estimate, likely: Likely, formed: bool = Fa
     pair, estimate
         The nominal pair and where the fit ended, with the causes among its unknowns.
     likely
-        The causes that are.
+        These causes.
     formed
-        Whether the errors have a form of the flanks among them that nobody stated.
+        Whether the errors include a form of the flanks that was not stated.
     """
     observed, residual = estimate.observed, Residual(pair, estimate)
     failed, yardstick = failures(residual, residual.left)

@@ -1,6 +1,6 @@
-"""The uncertainty budget of each figure after GUM (JCGM 100:2008): what the instruments add to the repeatability.
+"""The uncertainty budget of each figure after GUM (JCGM 100:2008): instruments and repeatability.
 
-Sensitivities are found by changing the recording as the instrument's error would and taking the figure anew.
+Sensitivities are found by changing the recording as the instrument's error would, and computing the figure again.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Contribution:
     Attributes
     ----------
     source
-        What it is of.
+        The source of uncertainty.
     kind
-        "A", from the recordings, or "B", from what is stated.
+        "A", from the recordings, or "B", from stated values.
     distribution
         Of the input quantity.
     standard_uncertainty, unit
@@ -115,9 +115,9 @@ def student(degrees: float) -> float:
 
 @dataclass(frozen=True)
 class _Wave:
-    """An encoder's error that repeats so many times a turn; both components have this standard uncertainty, rad.
+    """An encoder's error of an order of the turn; both components have this standard uncertainty, rad.
 
-    A graduation's error has other orders too: `graduation` tells whether the wave stands for all of them.
+    A graduation's error has other orders too: `graduation` states whether the wave represents all of them.
     """
 
     source: str
@@ -147,7 +147,7 @@ def _loop_values(data: Sequence[LoopData]) -> dict[str, float]:
 
 
 def _thinned(data: LoopData, step: int) -> LoopData:
-    """Return every so many samples of a recording: sensitivities need no more of a long one."""
+    """Return a subset of the samples of a long recording, sufficient for sensitivities."""
 
     def part(of: slice) -> slice:
         return slice(-(-of.start // step), -(-of.stop // step))
@@ -162,7 +162,7 @@ def _thinned(data: LoopData, step: int) -> LoopData:
 def _of_loops(
     surveyed: Sequence[Surveyed], instruments: Instruments, ratio: float | None
 ) -> dict[str, list[Contribution]]:
-    """Return what encoders and torque sensor do to the figures of loops, by figure."""
+    """Return the contributions of encoders and torque sensor to the figures of loops, by figure."""
     recorded = []
     for one in surveyed:
         if one.loops is not None:
@@ -184,7 +184,7 @@ def _of_loops(
         changed: Sequence[Sequence[LoopData]],
         step: float,
     ) -> None:
-        """Add a quantity, with the recordings as they are when it, or each of its parts, is off by a step."""
+        """Add a quantity, with the recordings after a step of it or of each of its parts."""
         values = [_loop_values(one) for one in changed]
         for name, value in nominal.items():
             moved = math.hypot(*(one.get(name, value) - value for one in values))
@@ -240,7 +240,7 @@ def _of_orders(
     spectra: Sequence[Spectrum | None],
     instruments: Instruments,
 ) -> list[Contribution]:
-    """Return what the encoders do to an angular transmission error: to that of the run which is the largest."""
+    """Return the contributions of the encoders to an angular transmission error, for the run with the largest one."""
     largest = next(label for label, run in figure.runs.items() if run.value == figure.value)
     labelled = [(run_label(one.source, c), c) for one in surveyed for c in one.curves]
     (curve, orders), *_ = (
@@ -278,7 +278,7 @@ def _of_orders(
 
 
 def _of_start(name: str, figure: Figure, sensor: TorqueSensor | None) -> list[Contribution]:
-    """Return what its torque sensor does to a starting torque, which is a reading of it."""
+    """Return the contributions of the torque sensor to a starting torque, which is its reading."""
     if sensor is None:
         return []
     where = "torque sensor" if name == "back_driving_torque" else "input torque sensor"
@@ -307,7 +307,7 @@ def budgets_of(
     figures, surveyed, spectra
         As in `Figures`.
     instruments
-        What is stated of the bench.
+        The stated instruments of the bench.
     ratio
         Signed ratio; without it the input encoder is in no budget of a loop.
     progress
@@ -316,7 +316,7 @@ def budgets_of(
     Returns
     -------
     budgets
-        By figure; those whose repeatability is not known (one start) have none.
+        By figure; figures of unknown repeatability (one start) have none.
     """
     progress("uncertainty budgets")
     loops = _of_loops(surveyed, instruments, ratio if ratio is not None else surveyed[0].overview.ratio)
@@ -369,7 +369,7 @@ def budget_json(budget: Budget) -> dict[str, Any]:
 
 
 def field_factor(unit: str) -> tuple[float, str]:
-    """Return by what an SI value of a budget is multiplied to be read, and the unit that it then has."""
+    """Return the factor from SI to the field unit of a budget, and that unit."""
     return {
         "rad": (edge.ARCSEC, "arcsec"), "N*m": (1.0, "N·m"), "K": (1.0, "K"),
         "N*m/rad": (1.0 / edge.ARCMIN, "N·m/arcmin"),
@@ -377,7 +377,7 @@ def field_factor(unit: str) -> tuple[float, str]:
 
 
 def budget_rows(budget: Budget) -> list[list[str]]:
-    """Return a budget as people read it: source, type, distribution, u(x), |c| u(x) and degrees, the largest first."""
+    """Return a budget as table rows: source, type, distribution, u(x), |c| u(x) and degrees, the largest first."""
     factor, unit = field_factor(budget.unit)
 
     def degrees(value: float) -> str:

@@ -1,4 +1,4 @@
-"""Which figures moved: before and after, two drives, two temperatures."""
+"""Changes of figures: before and after, two drives, two temperatures."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class Change:
 
     @property
     def moved(self) -> bool | None:
-        """Whether it moved beyond its uncertainty; None where that is unknown."""
+        """Whether it changed by more than its uncertainty; None if that is unknown."""
         return None if math.isnan(self.uncertainty) else abs(self.difference) > self.uncertainty
 
     def in_field_units(self) -> tuple[str, str, str, str, str]:
-        """Return both values, their difference, its uncertainty and the unit of all as people read them."""
+        """Return both values, their difference, its uncertainty and the unit, in field units."""
         larger = dataclasses.replace(self.after, value=max(abs(self.before.value), abs(self.after.value)))
         change = dataclasses.replace(self.before, value=self.difference, uncertainty=self.uncertainty)
         before, after = (in_field_units(one, like=larger)[0] for one in (self.before, self.after))
@@ -59,14 +59,14 @@ class Change:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Figures of two sides, compared.
+    """Compared figures of two sides.
 
     Attributes
     ----------
     changes
         Of the figures that both sides have, taken over the same interval, parts included.
     notes
-        One sentence for each thing left out of either side, and each figure that can't be compared.
+        One sentence for each omission on either side, and for each figure that can't be compared.
     """
 
     changes: tuple[Change, ...]
@@ -82,12 +82,12 @@ def compare(
     rated_torque: float | str | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Comparison:
-    """Return which figures moved beyond their uncertainty: before and after, two drives, two temperatures.
+    """Return the figures that changed by more than their uncertainty: before and after, two drives, two temperatures.
 
     Parameters
     ----------
     before, after
-        Figures, the file in which they were written, or a recording.
+        Figures, their file, or a recording.
     drive, ratio, rated_torque, progress
         As in `fitting.metrics`, for a recording.
 
@@ -168,15 +168,15 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
 
 
 def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:
-    """Read the figures that `cycloid-fit metrics -o` wrote.
+    """Read the figures written by `cycloid-fit metrics -o`.
 
     Raises
     ------
     edge.InputError
-        If the file is no such file.
+        If the file is not of this format.
     """
     data = edge.json_table(path, FORMAT, "figures")
-    with edge.parsed_by_others(path, "a figure lacks something or is no number"):
+    with edge.parsed_by_others(path, "a figure is incomplete or not a number"):
         return {name: _figure(one) for name, one in data.items() if isinstance(one, dict) and name not in _SOURCES}
 
 

@@ -1,4 +1,4 @@
-"""Whether figures keep their limits, by a stated decision rule: what a certificate says of one drive."""
+"""Conformity of figures with limits by a stated decision rule, for the certificate of a drive."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ RULES = {
 
 
 class Device(edge.Config):
-    """The drive that was measured.
+    """The measured drive.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Limit(edge.Config):
     Attributes
     ----------
     min, max
-        Text with a unit, such as "1 arcmin" or "45 N*m/arcmin"; one of the two at least.
+        Text with a unit, such as "1 arcmin" or "45 N*m/arcmin"; at least one of the two.
     """
 
     min: str | None = None
@@ -70,7 +70,7 @@ class Limit(edge.Config):
 
 
 class Certificate(edge.Config):
-    """What a certificate states beside the figures.
+    """Content of a certificate in addition to the figures.
 
     Attributes
     ----------
@@ -79,13 +79,14 @@ class Certificate(edge.Config):
     issued_by
         Laboratory or person.
     device
-        The drive that was measured.
+        The measured drive.
     conditions
-        What it was measured at: {what: text}, such as ambient temperature, lubricant, running in.
+        Conditions of the measurement: {name: text}, such as ambient temperature, lubricant, running in.
     decision_rule
         "guard band" (ISO 14253-1) or "simple acceptance" (both ILAC-G8).
     limits
-        {figure: its limits}: one text, the largest allowed and of the torsional stiffness the smallest, or min and max.
+        {figure: its limits}: one text (the largest allowed value, for the torsional stiffness the smallest), or min and
+        max.
     """
 
     number: str = ""
@@ -98,7 +99,7 @@ class Certificate(edge.Config):
     @pydantic.field_validator("limits", mode="before")
     @classmethod
     def _of_one_side(cls, given: Any) -> Any:
-        """A limit that is one text is on the figure's own side, as in a requirements file."""
+        """Convert a limit of one text to an upper or lower one by its figure, as in a requirements file."""
         if not isinstance(given, Mapping):
             return given
         sides = {True: "min", False: "max"}
@@ -120,12 +121,12 @@ class Certificate(edge.Config):
 
 
 def read_certificate(path: str | os.PathLike[str]) -> Certificate:
-    """Read what a certificate states from a TOML file, `cycloid-certificate/1`.
+    """Read the content of a certificate from a TOML file, `cycloid-certificate/1`.
 
     Raises
     ------
     edge.InputError
-        If the file can't be read or holds what it should not; one sentence a problem.
+        If the file can't be read or is invalid; one sentence for each problem.
     """
     return edge.validated(Certificate, edge.toml_table(edge.read_text(path), FORMAT, str(path)), str(path))
 
@@ -136,12 +137,12 @@ def decide(value: float, expanded: float, low: float, high: float, rule: Rule) -
     Parameters
     ----------
     value, expanded
-        Of the figure, and its expanded uncertainty U (k for 95 %); NaN where U is not known.
+        The figure, and its expanded uncertainty U (k for 95 %); NaN if U is not known.
     low, high
-        Limits, in the same unit; infinite where there is none.
+        Limits, in the same unit; infinite if there is none.
     rule
-        Guard band (ISO 14253-1): conformity is proved where value ± U lies inside, non-conformity where it lies
-        outside; simple acceptance: the value alone decides.
+        Guard band (ISO 14253-1): conformity is proved if value ± U is inside, non-conformity if it is outside; simple
+        acceptance: the value alone decides.
 
     Examples
     --------
@@ -198,6 +199,6 @@ def decisions_of(found: Figures, certificate: Certificate) -> list[Decision]:
 
 
 def verdict_of(decisions: Sequence[Decision]) -> Verdict:
-    """Return the verdict on the drive: fail where one figure fails, undecided where none fails and one is undecided."""
+    """Return the verdict on the drive: fail if one figure fails, undecided if none fails and one is undecided."""
     verdicts = {one.verdict for one in decisions}
     return "fail" if "fail" in verdicts else "pass" if verdicts == {"pass"} else "undecided"

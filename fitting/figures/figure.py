@@ -1,4 +1,4 @@
-"""One standard figure: definition, value and 95 % uncertainty; how several become one, how it is shown and written."""
+"""One standard figure: definition, value and 95 % uncertainty; pooling, display and writing."""
 
 from __future__ import annotations
 
@@ -44,25 +44,25 @@ class Figure:
     Attributes
     ----------
     value, uncertainty
-        The value and half its 95 % interval; NaN where one repetition leaves it unknown.
+        The value and half its 95 % interval; NaN if unknown, as for one repetition.
     unit
         Of both.
     definition
-        How it is defined.
+        Its definition.
     interval
-        Where on the curve it was taken, in `interval_unit`.
+        Interval of the curve used, in `interval_unit`.
     interval_unit
         "N*m" of torque or "rad" of the output.
     count, counted
-        How many loops, turns or starts are behind it, and which of these.
+        Number of loops, turns or starts, and which of these.
     parts
         The same figure of parts of the data: `forward` and `backward`, `positive` and `negative`.
     runs
-        {what was run: the figure} where several runs were made.
+        {run: the figure} if several runs were made.
     segments
         The same figure between torques, {"K1": the figure}; each states its interval.
     degrees
-        Degrees of freedom of the uncertainty: of the scatter of loops or starts where it is from that.
+        Degrees of freedom of the uncertainty: of the scatter of loops or starts if it is from them.
     """
 
     value: float
@@ -125,10 +125,10 @@ _FIELD_UNITS = {
 
 
 def in_field_units(figure: Figure, like: Figure | None = None) -> tuple[str, str, str]:
-    """Return value, uncertainty and unit as people read them: arcmin, or arcsec where it is less than one.
+    """Return value, uncertainty and unit for reports: arcmin, or arcsec below one arcmin.
 
-    The value has as many digits as its uncertainty allows, one more than that is significant. `like` is a figure whose
-    unit is taken, so that several can stand beside each other.
+    The value has one digit more than its uncertainty makes significant. `like` is a figure whose unit is used, so that
+    several can be shown together.
     """
     factor, unit = _FIELD_UNITS[figure.unit]
     if unit == "arcmin" and abs((like or figure).value) * factor < 1.0:

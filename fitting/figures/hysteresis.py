@@ -1,8 +1,8 @@
-"""Hysteresis loops: finding them in a recording, and the figures read off them.
+"""Hysteresis loops: detection in a recording, and the figures from them.
 
-Lost motion, backlash, hysteresis loss and torsional stiffness, each with its definition by name, its 95 % uncertainty
-and the loops behind it. Loops are recorded with the input locked or turning slowly; what counts is the windup, the
-output angle minus its share of the input angle.
+Lost motion, backlash, hysteresis loss and torsional stiffness, each with its definition, 95 % uncertainty and number of
+loops. Loops are recorded with the input locked or turning slowly; they are loops of the windup, the output angle minus
+the input angle over the ratio.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Lobe:
 
 @dataclass(frozen=True)
 class Loop:
-    """One loop: its positive and its negative half, in whichever order they came."""
+    """One loop: its positive and its negative half, in either order."""
 
     positive: Lobe
     negative: Lobe
@@ -69,7 +69,7 @@ def find_lobes(torque: Array, rated_torque: float) -> list[Lobe]:
     Returns
     -------
     lobes
-        Those that go beyond a fifth of the rated torque; begin and end are where the torque is next to zero.
+        Those beyond a fifth of the rated torque; begin and end are where the torque is nearest to zero.
     """
     beyond = np.flatnonzero(np.abs(torque) > _LOBE * rated_torque)
     if not beyond.size:
@@ -129,10 +129,10 @@ class Line:
 
 
 def fit_line(torque: Array, windup: Array) -> Line | None:
-    """Fit windup over torque; None where fewer than three samples or one torque are there.
+    """Fit windup over torque; None with fewer than three samples or one torque.
 
-    The variances are those of the residuals, made larger where neighbours' residuals are alike (a transmission error
-    under a loop recorded in motion).
+    The variances are those of the residuals, increased for correlated neighbours (a transmission error under a loop
+    recorded in motion).
     """
     n = torque.size
     if n < 3 or np.ptp(torque) == 0.0:
@@ -161,10 +161,10 @@ _Value = tuple[float, float]  # and its variance
 
 @dataclass(frozen=True)
 class _LoopValues:
-    """What one loop gives, each with its variance; None where its branches don't hold it.
+    """Values of one loop, each with its variance; None if its branches do not contain it.
 
-    `width` is the mean distance of loading and unloading branch at half the rated torque, `wider` by how much more they
-    are apart at the load of lost motion, on the side that came second.
+    `width` is the mean distance of loading and unloading branch at half the rated torque, `wider` the increase of this
+    distance at the load of lost motion, on the second side.
     """
 
     hysteresis_loss: _Value | None
@@ -221,9 +221,9 @@ def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> _Loo
 
 
 def _behind_the_virgin_branch(torque: Array, windup: Array, loop: Loop, rated: float) -> _Value | None:
-    """Return the lost motion of a loop whose first loading branch is virgin, from the two branches behind it.
+    """Return the lost motion of a loop whose first loading branch is virgin, from the two branches after it.
 
-    Where friction is alike on both sides, a steady loop's loading branches mirror each other: the distance of the
+    With equal friction on both sides, a steady loop's loading branches mirror each other: the distance of the
     first side's unloading branch and the second side's loading branch is its lost motion.
     """
     first, second = sorted((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
@@ -240,7 +240,8 @@ def _behind_the_virgin_branch(torque: Array, windup: Array, loop: Loop, rated: f
 def _mean(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, float, float]:
     """Return mean, half the 95 % interval and its degrees of freedom: from the fits, or from the loops' scatter.
 
-    That is taken of three or more loops where it is larger. `moved` is what the drift's standard uncertainty adds.
+    The scatter of three or more loops is used if it is larger. `moved` is the contribution of the drift's standard
+    uncertainty.
     """
     value = float(np.mean([v for v, _ in values]))
     count = len(values)
@@ -256,9 +257,9 @@ def _mean(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, float, f
 class LoopData:
     """A recording with loops: time (s), torque and windup (rad), its loops, rated torque, source.
 
-    `windup` is as it was measured, less its mean. `late` is the torque as it was later, by half the 95 % interval of
-    what is not known of its clock against the windup's; None where one clock stamped both. `runaway` is how far the
-    windup may run away, rad, for what is not known of the two angles' clocks.
+    `windup` is as measured, minus its mean. `late` is the torque shifted by half the 95 % interval of its clock against
+    the windup's; None for one clock. `runaway` is the possible drift of the windup, rad, by the uncertainty of the two
+    angles' clocks.
     """
 
     time: Array
@@ -273,7 +274,7 @@ class LoopData:
 
     @property
     def steady(self) -> tuple[Loop, ...]:
-        """The loops behind the virgin branch, which is a recording's first: none of a recording with a single loop."""
+        """The loops after the virgin branch, which is a recording's first: none for a single loop."""
         return tuple(find_loops(self.lobes[1:]))
 
 
@@ -281,8 +282,8 @@ class LoopData:
 class Drift:
     """A drift of the windup, linear in time: its rate and the rate's standard uncertainty, rad/s.
 
-    `repeated` tells whether branches that were passed more than once show it; otherwise it is what the two sides of a
-    single loop differ by.
+    `repeated` states whether it is from branches passed more than once; otherwise it is from the difference of the two
+    sides of a single loop.
     """
 
     rate: float
@@ -291,16 +292,16 @@ class Drift:
 
 
 def drift_of(data: LoopData) -> Drift | None:
-    """Return the drift of a recording's windup by the closure of its loops, None where too few samples hold it.
+    """Return the drift of a recording's windup by the closure of its loops, None with too few samples.
 
-    A branch that is passed again must lie where it lay. A single loop passes none twice; there the distance of
-    loading and unloading branch must be alike on both sides but for a constant (dry friction may differ from side to
-    side). Drift opens it on one side and closes it on the other, the more the longer ago the peak was.
+    A branch that is passed again must be at the same place. A single loop passes none twice; there the distance of
+    loading and unloading branch must be equal on both sides except for a constant (dry friction may differ from side to
+    side). Drift opens it on one side and closes it on the other, increasing with the time since the peak.
 
     Parameters
     ----------
     data
-        The recording; of each branch the part between 30 and 80 % of the lowest peak is used.
+        The recording; the part of each branch between 30 and 80 % of the lowest peak is used.
     """
     share = np.abs(data.torque) / data.rated_torque
     peak = min(float(share[lobe.loading.start : lobe.unloading.stop].max()) for lobe in data.lobes)
@@ -351,7 +352,7 @@ def drift_of(data: LoopData) -> Drift | None:
 
 
 def without_drift(data: LoopData, drift: Drift | None, *, more: float = 0.0) -> LoopData:
-    """Return the recording without a drift, or without so many of its standard uncertainties more."""
+    """Return the recording without a drift, shifted by a multiple of its standard uncertainty."""
     if drift is None:
         return data
     rate = drift.rate + more * drift.uncertainty
@@ -359,12 +360,12 @@ def without_drift(data: LoopData, drift: Drift | None, *, more: float = 0.0) -> 
 
 
 def _moved(values: Sequence[_Value], others: Sequence[_Value]) -> float:
-    """Return by how much the mean of values moves to that of others."""
+    """Return the difference of the means of values and others."""
     return abs(float(np.mean([v for v, _ in others]) - np.mean([v for v, _ in values]))) if others else 0.0
 
 
 def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
-    """Return what each loop gives of each figure; `band` tells whether lost motion is taken inside the friction."""
+    """Return each figure's values from each loop; `band` states whether lost motion is taken inside the friction."""
     torque, windup, rated = data.torque, data.windup, data.rated_torque
     found = [_loop_values(torque, windup, loop, rated) for loop in data.loops]
     steady = [_loop_values(torque, windup, loop, rated) for loop in data.steady] or found
@@ -387,7 +388,7 @@ def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
 
 
 def _closed(data: LoopData) -> bool:
-    """Return whether a single loop, freed of its drift, ends where it began: then it was steady from its beginning."""
+    """Return whether a single loop without its drift ends where it began: then it was steady from its beginning."""
     loop, near = data.loops[0], NEAR * data.rated_torque
     first, second = sorted((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
     lines = [branch_line(data.torque, data.windup, part, 0.0, near) for part in (first.loading, second.unloading)]
@@ -399,10 +400,10 @@ def _closed(data: LoopData) -> bool:
 
 
 def _friction_band(values: dict[str, list[_Value]], rated: float) -> tuple[bool, float | None]:
-    """Return whether the load of lost motion lies inside the friction band, and the dry friction (N·m) if known.
+    """Return whether the load of lost motion is inside the friction band, and the dry friction (N·m) if known.
 
-    It does where friction reaches the samples taken for lost motion, or where the branches are further apart there
-    than at half the rated torque: then the loading branch has not yet gone through the play.
+    It is if friction reaches the samples used for lost motion, or if the branches are further apart there than at half
+    the rated torque: then the loading branch has not yet passed the play.
     """
     stiffness = [v for side in ("positive", "negative") for v, _ in values[side]]
     width = values["width"]
@@ -417,17 +418,17 @@ def _friction_band(values: dict[str, list[_Value]], rated: float) -> tuple[bool,
 
 
 def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[float]) -> dict[str, Figure]:
-    """Return the torsional stiffness between torques, as makers state K1, K2, K3: {"K1": the figure with its sides}.
+    """Return the torsional stiffness between torques, as in catalogues K1, K2, K3: {"K1": the figure with its sides}.
 
-    Loading branches, of a recording with three half loops or more without the virgin one. Segments that a branch does
-    not reach to nine tenths, or in which it does not give way, are left out.
+    Loading branches, of a recording with three half loops or more without the virgin one. Segments of which a branch
+    covers less than nine tenths, or without deflection, are left out.
 
     Parameters
     ----------
     data, drift
-        The recording as it was measured, and its drift.
+        The recording as measured, and its drift.
     limits
-        Torques between which a segment lies each, N·m, ascending.
+        Limits of the segments, N·m, ascending.
     """
     freed = (without_drift(data, drift), without_drift(data, drift, more=1.0))
     lobes = data.lobes[1:] if len(data.lobes) > 2 else data.lobes
@@ -471,15 +472,15 @@ def _of_sides(parts: dict[str, Figure]) -> Figure:
 
 
 def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple[dict[str, Figure], list[str]]:
-    """Return the figures that loops give, and why others could not be given.
+    """Return the figures of loops, and the reasons for missing ones.
 
-    The windup is freed of its drift first. Lost motion alone reads a branch that depends on where in the play and in
-    the friction the recording began: where friction reaches its load, it is taken from the loops behind that branch.
+    The drift of the windup is removed first. Only lost motion uses a branch that depends on the start of the recording
+    within play and friction: if friction reaches its load, it is taken from the loops after that branch.
 
     Parameters
     ----------
     data
-        Torque and windup with the loops found in them.
+        Torque and windup with their loops.
     limits
         Of the segments of `torsional_stiffness`, N·m, ascending; None takes 3, 15, 50 and 100 % of the rated torque.
 
@@ -488,8 +489,8 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
     figures
         By name; `torsional_stiffness` also of each side and by segments of the torque.
     notes
-        One sentence for each figure that is missing, for a drift, for a loop that is virgin and for friction that
-        reaches the load of lost motion.
+        One sentence for each missing figure, for a drift, for a virgin loop and for friction that reaches the load of
+        lost motion.
     """
     rated, drift = data.rated_torque, drift_of(data)
     figures: dict[str, Figure] = {}
@@ -556,7 +557,7 @@ def _loop_notes(
     band: bool,
     friction: float | None,
 ) -> list[str]:
-    """Say what drifts, that only a virgin loop is there, and that friction (N·m) reaches the load of lost motion."""
+    """Return notes on drift, on a virgin loop only, and on friction (N·m) that reaches the load of lost motion."""
     notes = []
     if not data.loops or not values["hysteresis_loss"]:
         return []
@@ -600,11 +601,11 @@ def _loop_notes(
 
 
 def loop_marks(data: LoopData) -> dict[str, list[Array]]:
-    """Return where a loop's figures are read off, free of drift: {figure: lines of (torque, windup)}, each (points, 2).
+    """Return the lines of a loop's figures, without drift: {figure: lines of (torque, windup)}, each (points, 2).
 
-    Hysteresis loss: both unloading branches' straight lines down to zero torque and the distance there. Backlash: what
-    remains of it without friction, about the same middle. Lost motion: from the mean at its
-    negative load to that at its positive one, in the first steady loop. Torsional stiffness: the fitted lines.
+    Hysteresis loss: both unloading branches' straight lines down to zero torque and the distance there. Backlash: the
+    rest of it without friction, about the same middle. Lost motion: from the mean at its negative load to that at its
+    positive one, in the first steady loop. Torsional stiffness: the fitted lines.
     """
     data = without_drift(data, drift_of(data))
     torque, windup, rated = data.torque, data.windup, data.rated_torque
@@ -645,7 +646,7 @@ def loop_marks(data: LoopData) -> dict[str, list[Array]]:
 def loops_of(
     recording: Recording, ratio: float | None, rated_torque: float | None
 ) -> tuple[LoopData | None, list[str]]:
-    """Return the loops of a recording, or None where it is a run at a load, and notes on them.
+    """Return the loops of a recording, or None for a run at a load, and notes on them.
 
     Parameters
     ----------

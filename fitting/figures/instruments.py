@@ -1,4 +1,4 @@
-"""What is known of a bench's instruments: the file that states it, and the standard uncertainties that follow."""
+"""The instruments of a bench: their file, and the resulting standard uncertainties."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _Torque = Annotated[edge.Torque, pydantic.Field(ge=0.0)]
 
 
 def standard_uncertainty(limit: float, distribution: Distribution) -> float:
-    """Return the standard uncertainty of what lies within ± a limit (JCGM 100:2008, 4.3), in the limit's unit.
+    """Return the standard uncertainty of a quantity within ± a limit (JCGM 100:2008, 4.3), in the limit's unit.
 
     Rectangular: a/√3; arcsine, a wave of this amplitude at an unknown phase: a/√2; normal: a is the expanded
     uncertainty of a calibration with k = 2.
@@ -33,7 +33,7 @@ def standard_uncertainty(limit: float, distribution: Distribution) -> float:
 
 
 class Instrument(edge.Config):
-    """What a certificate says of an instrument.
+    """Certificate data of an instrument.
 
     Attributes
     ----------
@@ -49,14 +49,14 @@ class Instrument(edge.Config):
 
 
 class Encoder(Instrument):
-    """An angle encoder as it is mounted.
+    """An angle encoder as mounted.
 
     Attributes
     ----------
     name, serial_number, calibrated
         Maker and type, serial number, and date of the calibration, such as 2026-03-01.
     accuracy
-        Largest error of its graduation, ±, over a turn; a wave of the shaft's first order is taken.
+        Largest error of its graduation, ±, over a turn; assumed as a wave of the shaft's first order.
     distribution
         Of the accuracy: "rectangular" for a data sheet's limits, "normal" for a calibration's expanded uncertainty
         with k = 2.
@@ -94,7 +94,7 @@ class TorqueSensor(Instrument):
     range
         Its nominal torque.
     accuracy_class
-        Per cent of the range that it may err by at the rated torque (rectangular), in proportion to the torque.
+        Largest error at the rated torque in per cent of the range (rectangular), in proportion to the torque.
     zero
         Largest error of its zero, ± (rectangular).
     """
@@ -105,14 +105,14 @@ class TorqueSensor(Instrument):
 
 
 class Thermometer(Instrument):
-    """How well the drive's temperature is known, and what it does to the figures.
+    """Uncertainty of the drive's temperature, and its effect on the figures.
 
     Attributes
     ----------
     name, serial_number, calibrated
         Maker and type, serial number, and date of the calibration, such as 2026-03-01.
     limit
-        How far the drive's temperature may be from the stated one, ± (rectangular), such as "1 K".
+        Largest difference of the drive's temperature from the stated one, ± (rectangular), such as "1 K".
     coefficients
         Change of a figure with the temperature, by its name: text such as "0.5 arcsec/K".
     """
@@ -133,12 +133,12 @@ class Thermometer(Instrument):
         return given
 
     def coefficient(self, name: str) -> float:
-        """Return the change of a figure with temperature, SI; 0 where none is stated."""
+        """Return the change of a figure with temperature, SI; 0 if not stated."""
         return edge.parse_quantity(self.coefficients[name], f"{UNITS[name]}/K") if name in self.coefficients else 0.0
 
 
 class Instruments(edge.Config):
-    """The instruments of a bench; what is not stated is not in a budget.
+    """The instruments of a bench; those not stated are not in a budget.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ class Instruments(edge.Config):
 
     @property
     def stated(self) -> dict[str, Instrument]:
-        """The instruments that are stated, by what they measure."""
+        """The stated instruments, by the measured quantity."""
         return {name: one for name in type(self).model_fields if (one := getattr(self, name)) is not None}
 
 
@@ -174,7 +174,7 @@ def read_instruments(path: str | os.PathLike[str]) -> Instruments:
     Raises
     ------
     edge.InputError
-        If the file can't be read or holds what it should not; one sentence a problem.
+        If the file can't be read or is invalid; one sentence for each problem.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Maps of a drive over its conditions: transmission error, its orders, gap between directions and stiffness.
 
-A condition is torque, speed and temperature. Recordings are taken one after the other, and of each only its orders are
-kept: the memory does not grow with their length.
+A condition is torque, speed and temperature. Recordings are processed one after the other, and only the orders of each
+are kept: the memory does not grow with their length.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _WARM = 1.5  # K
 
 @dataclass(frozen=True)
 class _Point:
-    """What one curve gives a map."""
+    """Values of one curve for a map."""
 
     condition: tuple[float, float, float]
     direction: int
@@ -70,19 +70,19 @@ def maps(
     drive
         The drive, or its signed ratio input over output.
     progress
-        Called with what is being read.
+        Called with the name of the recording being read.
 
     Returns
     -------
     xarray.Dataset
-        `cycloid-maps/1`, over (torque N·m, speed rad/s, temperature K, direction), SI; NaN where nothing was recorded:
-        `angular_transmission_error`, largest minus smallest value of the orders that stand out of the noise, and
-        `angular_transmission_error_without_rig`, the same without `RIG_ORDERS`, which a rig's run-out makes;
-        `order_amplitude` of each `order`, with its `order_name`; `mean_transmission_error`; `gap`, mean of forward less
-        that of backward, and `torsional_stiffness` (N·m/rad), the slope of torque over mean transmission error. A gap
-        is known within a table or where the output angle's zero is common to all recordings, a stiffness in the latter
-        case alone. Where the torque's sign always goes with the direction, the axis is its size. `notes` of the
-        attributes say what was left out.
+        `cycloid-maps/1`, over (torque N·m, speed rad/s, temperature K, direction), SI; NaN without a recording:
+        `angular_transmission_error`, largest minus smallest value of the orders above the noise, and
+        `angular_transmission_error_without_rig`, the same without `RIG_ORDERS`, which a rig's run-out causes;
+        `order_amplitude` of each `order`, with its `order_name`; `mean_transmission_error`; `gap`, mean of forward
+        minus that of backward, and `torsional_stiffness` (N·m/rad), the slope of torque over mean transmission error. A
+        gap is known within a table or if the output angle's zero is common to all recordings, a stiffness only in the
+        latter case. If the torque's sign always follows the direction, the axis is its magnitude. The attribute `notes`
+        states omissions.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def maps(
 
 
 def _taken(given: Sequence[Source], ratio: float) -> Iterator[tuple[list[_Point], list[str]]]:
-    """Yield what each recording gives, many files on all processors, each with one recording in memory at a time."""
+    """Yield the values of each recording, many files on all processors, each with one recording in memory at a time."""
     if len(given) < _MANY or not all(isinstance(one, RecordingFile) for one in given):
         yield from (_points(one, ratio) for one in given)
         return
@@ -127,21 +127,21 @@ def _taken(given: Sequence[Source], ratio: float) -> Iterator[tuple[list[_Point]
 
 
 def _points(source: Source, ratio: float) -> tuple[list[_Point], list[str]]:
-    """Return what a recording gives, and its notes."""
+    """Return the values of a recording, and its notes."""
     notes: list[str] = []
     try:
         surveyed = survey(open_source(source, ratio), ratio, None)
         notes += surveyed.notes
         if surveyed.loops is not None:
-            notes.append(f"{surveyed.source}: a loop with the input locked has no place in a map.")
+            notes.append(f"{surveyed.source}: a loop with the input locked is not part of a map.")
         table = str(source.path) if isinstance(source, RecordingFile) else surveyed.source
         return [_point(one, table) for one in surveyed.curves], notes
     except edge.InputError as problem:
-        return [], [*notes, f"{problem} It is in no map."]
+        return [], [*notes, f"{problem} It is not in the maps."]
 
 
 def _told_once(notes: Sequence[str]) -> list[str]:
-    """Say once what was found of many recordings, with the first one's name."""
+    """Merge equal notes on many recordings, with the first one's name."""
     of: dict[str, list[str]] = {}
     for note in dict.fromkeys(notes):
         source, colon, text = note.partition(": ")
@@ -162,7 +162,7 @@ def _point(curve: Curve, table: str) -> _Point:
 
 
 def _gathered(values: Array, apart: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return the values that differ by more than `apart` (each the mean of those alike), and which each one is."""
+    """Return the values that differ by more than `apart` (each the mean of equal ones), and the index of each."""
     known = np.isfinite(values)
     order = np.argsort(np.where(known, values, np.inf), kind="stable")
     step = np.diff(values[order]) > apart
@@ -219,7 +219,7 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
         stiffness = _slope(axes[0], windup)
     elif not common:
         notes.append(
-            "No stiffness is mapped: the output angles' zeros are not the same in all recordings. Where they are, say "
+            "No stiffness is mapped: the output angles' zeros are not the same in all recordings. If they are, state "
             'zero_reference = "absolute" of [output_angle] in the mapping.'
         )
     gap = mean(level)[..., 0] - mean(level)[..., 1] if common else _gaps(points, at, shape[:3])
@@ -260,7 +260,7 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
 
 
 def _slope(torque: Array, windup: Array) -> Array:
-    """Return dT/dTE along the first axis where neighbours were recorded: across both, or the one there is."""
+    """Return dT/dTE along the first axis where neighbours were recorded: across both, or the existing one."""
     found = np.full(windup.shape, np.nan)
     for place in np.ndindex(windup.shape[1:]):
         line = windup[(slice(None), *place)]
@@ -272,7 +272,7 @@ def _slope(torque: Array, windup: Array) -> Array:
 
 
 def _gaps(points: Sequence[_Point], at: tuple[NDArray[np.int64], ...], shape: tuple[int, ...]) -> Array:
-    """Return forward less backward of the tables that hold both, averaged over the tables of a condition."""
+    """Return forward minus backward of the tables with both, averaged over the tables of a condition."""
     pairs: dict[str, dict[int, int]] = {}
     for i, p in enumerate(points):
         pairs.setdefault(p.table, {})[p.direction] = i
@@ -286,5 +286,5 @@ def _gaps(points: Sequence[_Point], at: tuple[NDArray[np.int64], ...], shape: tu
 
 
 def write_maps(found: xr.Dataset, path: str | os.PathLike[str]) -> None:
-    """Write maps to a netCDF file, whole or not at all."""
+    """Write maps to a netCDF file; never a partial file."""
     edge.write_netcdf(found, path)

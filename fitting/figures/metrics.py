@@ -1,4 +1,4 @@
-"""The standard figures of a drive from all its recordings: which of them count, and how they become one figure each."""
+"""The standard figures of a drive from all its recordings: selection and pooling."""
 
 from __future__ import annotations
 
@@ -40,23 +40,23 @@ class Figures:
     Attributes
     ----------
     figures
-        By name; those that the recordings don't tell are not there, and `notes` say why.
+        By name; figures that the recordings do not determine are missing, and `notes` give the reasons.
     surveyed
-        What each recording gave.
+        Survey of each recording.
     spectra
-        Orders of each curve, in the order of the recordings and their curves; None where less than a turn is there.
+        Orders of each curve, in the order of the recordings and their curves; None for less than a turn.
     rated_torque, ratio
         T_N (N·m) and signed ratio, where known.
     notes
-        What was left out and why, one sentence each.
+        Omissions and their reasons, one sentence each.
     pair
         The nominal gear pair, where it is known.
     problems
-        Of the notes, those on recordings that could not be read at all, and on an interrupt.
+        Notes on unreadable recordings, and on an interrupt.
     interrupted
-        Whether an interrupt left recordings out.
+        Whether recordings are missing because of an interrupt.
     budgets, instruments
-        The uncertainty budget of each figure and the instruments that it is made of, where they are stated.
+        The uncertainty budget of each figure and its instruments, if stated.
 
     Examples
     --------
@@ -89,7 +89,7 @@ class Figures:
         return [c for s in self.surveyed for c in s.curves]
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the figures, `cycloid-figures/1`, whole or not at all."""
+        """Write the figures, `cycloid-figures/1`; never a partial file."""
         with edge.written_whole(path) as temporary:
             temporary.write_text(edge.json_text(figures_json(self)), encoding="utf-8")
 
@@ -100,15 +100,14 @@ def figures_of(
     rated_torque: float | None,
     stiffness_limits: Sequence[float] | None = None,
 ) -> Figures:
-    """Return the figures that recordings of one drive give together.
+    """Return the figures of all recordings of one drive.
 
-    Several recordings' loops count together; of transmission errors the largest is the figure, the others are its
-    runs.
+    Loops of several recordings are pooled; the largest transmission error is the figure, the others are its runs.
 
     Parameters
     ----------
     surveyed
-        What each recording gave.
+        Survey of each recording.
     ratio, rated_torque
         As given to `survey`.
     stiffness_limits
@@ -143,7 +142,7 @@ def figures_of(
             if 0.1 * around < varies < around or varies > 0.1 * (rated_torque or math.inf):
                 notes.append(
                     f"{curve.source}: the torque varies by {varies:.3g} N·m around {curve.torque:.4g} "
-                    "N·m; the transmission error holds the windup that this makes."
+                    "N·m; the transmission error contains the resulting windup."
                 )
             label = run_label(one.source, curve)
             ways[way][label] = angular_transmission_error(curve, orders, one.runaway)
@@ -185,30 +184,30 @@ def metrics(
 ) -> Figures:
     """Return the standard figures of a drive: transmission error, lost motion, backlash, stiffness, starting torques.
 
-    A recording that can't be read, or an interrupt, leaves the figures of the others, with a note.
+    If a recording can't be read, or after an interrupt, the figures of the others are returned, with a note.
 
     Parameters
     ----------
     recordings
         What `fitting.read_recordings` gave, `fitting.Run`, or one of them: runs at a load, hysteresis loops, starts.
     drive
-        The nominal drive, which gives ratio and rated torque.
+        The nominal drive, for ratio and rated torque.
     ratio
-        In place of a drive: its signed ratio input over output. Without either the recordings' own.
+        In place of a drive: its signed ratio input over output. Default: the recordings' own.
     rated_torque
-        T_N, N·m or text with a unit; by default the drive's, without one the largest torque of each recording.
+        T_N, N·m or text with a unit. Default: the drive's, or without one the largest torque of each recording.
     stiffness_limits
-        Torques between which torsional stiffness is given as K1, K2 and so on, N·m or text with units, ascending; by
-        default 3, 15, 50 and 100 % of T_N.
+        Limits of the segments of torsional stiffness K1, K2 and so on, N·m or text with units, ascending. Default: 3,
+        15, 50 and 100 % of T_N.
     instruments
-        What is known of the bench's instruments, or the file that states it: each figure gets an uncertainty budget.
+        The bench's instruments, or their file: each figure gets an uncertainty budget.
     progress
-        Called with what is being read.
+        Called with the name of the recording being read.
 
     Raises
     ------
     edge.InputError
-        If an argument is wrong or no recording can be read.
+        If an argument is invalid or no recording can be read.
 
     Examples
     --------

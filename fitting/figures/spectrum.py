@@ -1,4 +1,4 @@
-"""The orders of the output in a transmission error curve, each with the noise around it, and the range they make."""
+"""The orders of the output in a transmission error curve, with the noise around each, and their range."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Spectrum:
     coefficient
         Complex amplitude, rad: order k is Re(c_k exp(ikψ)), ψ the crank angle over |ratio|; order 0 is the mean.
     floor
-        Noise floor, rad: the root of the mean square amplitude that noise alone has at this order and around it.
+        Noise floor, rad: the root mean square amplitude of noise alone at and around this order.
     turns
-        Output turns behind it.
+        Number of output turns.
     """
 
     coefficient: NDArray[np.complex128]
@@ -59,12 +59,12 @@ class Spectrum:
 
     @property
     def significant(self) -> NDArray[np.bool_]:
-        """Orders that noise alone reaches once in a hundred such spectra, the mean excepted."""
+        """Orders that noise alone reaches once in a hundred such spectra, except the mean."""
         return significant(self.coefficient, self.floor, self.floor.size)
 
 
 def significant(coefficient: NDArray[np.complex128], floor: Array, orders: int) -> NDArray[np.bool_]:
-    """Return which of this many orders stand out of the noise: it alone makes one do so once in a hundred times."""
+    """Return the orders above the noise, out of this many: noise alone exceeds the limit once in a hundred times."""
     threshold = floor * np.sqrt(np.log(orders / 0.01))
     found: NDArray[np.bool_] = np.abs(coefficient) > threshold
     found[..., 0] = False
@@ -74,14 +74,14 @@ def significant(coefficient: NDArray[np.complex128], floor: Array, orders: int) 
 def spectrum(curve: Curve) -> Spectrum:
     """Return the orders of a curve over a whole output turn.
 
-    The points are no even grid: each is a mean over its samples' angles. The orders are found such that at these angles
-    they give the measured means (to second order in the angle), by iteration on the even grid. The noise floor of an
-    order is the median around it, so that noise that is not white is found where it is; single orders don't move it.
+    The points are not an even grid: each is a mean over its samples' angles. The orders reproduce the measured means at
+    these angles (to second order in the angle), by iteration on an even grid. The noise floor of an order is the median
+    around it, so it follows noise that is not white; single orders do not affect it.
 
     Raises
     ------
     edge.InputError
-        If the curve has holes: less than a turn was recorded, or gaps lie always at the same angles.
+        If the curve is incomplete: less than a turn was recorded, or gaps are always at the same angles.
     """
     turn = 2.0 * np.pi * abs(curve.ratio)
     points, shift = curve.grid
@@ -129,18 +129,18 @@ def spectrum(curve: Curve) -> Spectrum:
 
 
 def run_label(source: str, curve: Curve) -> str:
-    """Return what a run's figure is called: its recording, load and direction."""
+    """Return the label of a run's figure: its recording, load and direction."""
     return f"{source}, {curve.torque:.4g} N*m, {'forward' if curve.direction > 0 else 'backward'}"
 
 
 def without_orders(orders: Spectrum, left_out: Sequence[int]) -> Spectrum:
-    """Return a spectrum without some of its orders; its noise floor stays."""
+    """Return a spectrum without some of its orders; its noise floor is unchanged."""
     kept = ~np.isin(np.arange(orders.coefficient.size), left_out)
     return dataclasses.replace(orders, coefficient=np.where(kept, orders.coefficient, 0.0))
 
 
 def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:
-    """Return Re Σ c_k exp(ikψ) at `points` even angles from 0; the coefficients lie along the last axis.
+    """Return Re Σ c_k exp(ikψ) at `points` even angles from 0; the coefficients are along the last axis.
 
     Parameters
     ----------
@@ -172,11 +172,11 @@ def _gridded(
 
 
 def order_name(order: int, ratio: float, pair: Pair | None) -> str:
-    """Return what an order of the output comes from, "" where its number does not tell.
+    """Return the source of an order of the output, "" if unknown.
 
-    Errors of pins and ring repeat at multiples of the gear's teeth, those of the teeth at multiples of the pins,
-    whether gear or ring is the output; what both have in common is the mesh. `RIG_ORDERS` are the rig's: coaxiality
-    and couplings. Without the pair only the turns of the input are known.
+    Errors of pins and ring repeat at multiples of the gear's teeth, those of the teeth at multiples of the pins, for
+    gear or ring as output; common multiples are the mesh. `RIG_ORDERS` are those of the rig: coaxiality and couplings.
+    Without the pair only the turns of the input are known.
     """
     if order in RIG_ORDERS:
         return "rig"
@@ -188,10 +188,10 @@ def order_name(order: int, ratio: float, pair: Pair | None) -> str:
 
 
 def range_of_orders(orders: Spectrum) -> float:
-    """Return largest minus smallest value of the curve of the orders that stand out of the noise, rad.
+    """Return largest minus smallest value of the curve of the orders above the noise, rad.
 
-    Unlike `angular_transmission_error`, what noise in these orders adds is not taken off; it takes a thousandth of the
-    time.
+    Unlike in `angular_transmission_error`, the contribution of noise in these orders is not subtracted; it takes a
+    thousandth of the time.
 
     Parameters
     ----------
@@ -208,18 +208,18 @@ def range_of_orders(orders: Spectrum) -> float:
 def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 0.0, *, seed: int = 0) -> Figure:
     """Return the largest minus the smallest transmission error over one output turn of a curve.
 
-    The curve is that of the orders which stand out of the noise: the largest of noisy values is too large. What the
-    noise left in these orders still adds is found by drawing spectra with it, taken off, and is the uncertainty.
+    The curve is that of the orders above the noise: the largest of noisy values is too large. The contribution of the
+    noise in these orders is estimated by drawing spectra with it, subtracted, and used as uncertainty.
 
     Parameters
     ----------
     curve, orders
         A curve over a whole turn and its orders.
     runaway
-        Half the 95 % interval, rad, of what two clocks may make the error run away over the recording; they add their
-        way over one turn, for every turn begins again.
+        Half the 95 % interval, rad, of the error's drift over the recording by two clocks; the part of one turn is
+        added, because every turn starts again.
     seed
-        Of the noise that is drawn.
+        Random seed of the noise.
     """
     rng = np.random.default_rng(seed)
     kept = np.where(orders.significant, orders.coefficient, 0.0)
@@ -251,7 +251,7 @@ def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
     coefficient
         Complex amplitudes from order 0, shape (orders,) or (curves, orders).
     points
-        Even points of a turn among which the largest and the smallest value are looked for.
+        Number of even points of a turn to search for the largest and the smallest value.
     """
     rows = np.atleast_2d(coefficient)
     if rows.shape[1] * _COARSER * 4 > points or points < _MANY:
@@ -288,7 +288,7 @@ def _parabola_top(before: Array, peak: Array, after: Array) -> Array:
 
 
 def _top_near(coefficient: NDArray[np.complex128], coarse: NDArray[np.int64], points: int) -> float:
-    """Return what `_top` gives for one curve whose largest value lies next to some of every eighth of its points."""
+    """Return `_top` of one curve whose largest value is next to one of every eighth of its points."""
     around = np.arange(-_COARSER - 1, _COARSER + 2)
     place = np.unique(_COARSER * coarse[:, None] + around)
     if place.size > points // 512:

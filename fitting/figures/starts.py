@@ -1,4 +1,4 @@
-"""Starts from a standstill, and the starting torques that they show: by the input without load, by the output."""
+"""Starts from a standstill, and their starting torques: by the input without load, by the output."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ class Start:
 
 
 def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
-    """Return the starts of a recording: from a standstill with next to no torque until the crank has turned a degree.
+    """Return the starts of a recording: from a standstill with almost no torque until the crank has turned a degree.
 
-    Counted are starts in which the torque drives: it and the motion that follows have one direction, and it has risen
-    at least tenfold since the standstill began.
+    Only starts in which the torque drives are counted: it has the direction of the following motion, and has risen at
+    least tenfold since the standstill began.
 
     Parameters
     ----------
     crank, torque, driven
-        Crank angle (rad), torque (N·m) and angle (rad) of the shaft on which it is, arrays of shape (samples,).
+        Crank angle (rad), torque (N·m) and angle (rad) of its shaft, arrays of shape (samples,).
     """
     found = []
     begin = 0
@@ -67,15 +67,15 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
 
 
 def starting_torques(recording: Recording, ratio: float | None) -> tuple[list[Start], list[str]]:
-    """Return the starts by a torque on the input with the output unloaded, and why others are none.
+    """Return the starts by a torque on the input with the output unloaded, and the reasons for excluding others.
 
-    A start is without load where the torque on the output, through the ratio, is less than a tenth of that on the
+    A start is without load if the torque on the output, divided by the ratio, is less than a tenth of that on the
     input.
 
     Parameters
     ----------
     recording
-        The recording; without a torque on the input there are no such starts.
+        The recording; without input torque there are no such starts.
     ratio
         Signed ratio.
     """
@@ -83,7 +83,7 @@ def starting_torques(recording: Recording, ratio: float | None) -> tuple[list[St
         return [], []
     starts = starts_of(recording.input_angle, recording.input_torque, recording.input_angle)
     if not starts:
-        return [], [f"{recording.source}: the torque on the input starts the crank nowhere from a standstill."]
+        return [], [f"{recording.source}: the torque on the input never starts the crank from a standstill."]
     if ratio is None:
         return [], [
             f"{recording.source}: no starting_torque: without a ratio it is unknown whether the output is loaded."
@@ -95,12 +95,12 @@ def starting_torques(recording: Recording, ratio: float | None) -> tuple[list[St
 
 
 def back_driving_torques(recording: Recording, ratio: float | None) -> tuple[list[Start], list[str]]:
-    """Return the starts by a torque on the output; where the input's is measured, those that it does not make.
+    """Return the starts by a torque on the output; if the input torque is measured, those not caused by it.
 
     Parameters
     ----------
     recording, ratio
-        As in `starting_torques`, whose rule holds the other way round.
+        As in `starting_torques`, with the reverse rule.
     """
     starts = starts_of(recording.input_angle, recording.torque, recording.output_angle)
     given = recording.input_torque
@@ -111,7 +111,7 @@ def back_driving_torques(recording: Recording, ratio: float | None) -> tuple[lis
 
 
 def start_figure(name: str, torques: Sequence[float]) -> Figure:
-    """Return the mean of starts' torques (N·m) as the figure of this name; one start leaves its uncertainty unknown."""
+    """Return the mean of starts' torques (N·m) as a figure; with one start its uncertainty is unknown."""
     half = math.nan
     if len(torques) > 1:
         quantile = float(stdtrit(len(torques) - 1, 0.975))

@@ -1,4 +1,4 @@
-"""A recording taken once, block by block: its overview, its transmission error curves or its loops, and their notes."""
+"""A recording read once, block by block: its overview, its transmission error curves or its loops, and their notes."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ _OVERVIEW = 1 << 20
 
 @dataclass(frozen=True)
 class Surveyed:
-    """What one recording gave, taken block by block: bounded in size however long the recording.
+    """Result of reading one recording block by block: bounded in size for any length of the recording.
 
     Attributes
     ----------
     source, checksum
         Of the recording.
     samples, duration
-        How many were taken of it, and over which time, s.
+        Number of samples, and their time span, s.
     overview
-        The recording; where it is long each sample is the mean of `averaged` consecutive ones.
+        The recording; if it is long each sample is the mean of `averaged` consecutive ones.
     averaged
-        How many samples one of the overview holds.
+        Number of samples in one of the overview.
     curves
-        Transmission error curves, one a direction; empty for loops and where no ratio is known.
+        Transmission error curves, one for each direction; empty for loops and without a ratio.
     loops
         The loops, or None.
     notes
-        What was left out and why.
+        Omissions and their reasons.
     runaway
-        Half the 95 % interval, rad of the output, of what the two angles' clocks may make the transmission error run
-        away over the whole recording.
+        Half the 95 % interval, rad of the output, of the transmission error's drift over the whole recording by the two
+        angles' clocks.
     implausible
-        Samples that were left out because the encoders can't have shown them.
+        Number of implausible samples that were left out.
     """
 
     source: str
@@ -65,7 +65,7 @@ class Surveyed:
 
 
 class _Overview:
-    """Keeps the whole recording at a resolution that halves whenever it grows beyond twice `_OVERVIEW` samples."""
+    """Keeps the whole recording at a resolution that is halved whenever it exceeds twice `_OVERVIEW` samples."""
 
     names = ("time", "input_angle", "output_angle", "torque", *OPTIONAL)
 
@@ -110,7 +110,7 @@ class _Overview:
             self._held = whole // 2
 
     def table(self) -> dict[str, Array]:
-        """Return the columns; what is left of the last average is an average too."""
+        """Return the columns; the rest of the last average is an average too."""
         if self._rest is not None and self._rest[0].size:
             self._parts.append([np.atleast_1d(c.mean()) for c in self._rest])
             self._rest = None
@@ -124,23 +124,23 @@ def survey(
     rated_torque: float | None,
     progress: Callable[[int], None] = lambda samples: None,
 ) -> Surveyed:
-    """Take a recording once, block by block, and return what figures, report and comparison need of it.
+    """Read a recording once, block by block, and return the data for figures, report and comparison.
 
     Parameters
     ----------
     stream
         The recording, in memory or in its file.
     ratio
-        Signed ratio; None takes the recording's own. Without any the input must be locked.
+        Signed ratio; None for the recording's own. Without any the input must be locked.
     rated_torque
         T_N, N·m; None takes the largest torque of the recording, with a note.
     progress
-        Told how many samples were taken so far.
+        Called with the number of samples read so far.
 
     Raises
     ------
     edge.InputError
-        If the file can't be read. Whatever of its content can't be used is a note.
+        If the file can't be read. Unusable content is noted.
     """
     ratio = stream.ratio if ratio is None else ratio
     overview = _Overview()
@@ -175,7 +175,7 @@ def survey(
 
 
 def _lag_note(recording: Recording, ratio: float) -> list[str]:
-    """Say where the output angle is late beyond its uncertainty, and by a tenth of an arcsecond at full speed."""
+    """Return a note if the output angle is late beyond its uncertainty and 0.1 arcsec at full speed."""
     found = lag_of(recording, ratio)
     if found is None:
         return []
@@ -186,17 +186,17 @@ def _lag_note(recording: Recording, ratio: float) -> list[str]:
         return []
     return [
         f"{recording.source}: where the speed changes the output angle is {'late' if lag > 0.0 else 'early'} by "
-        f"{abs(lag) * 1e3:.3g} ± {uncertainty * 1e3:.1g} ms, {arcsec:.3g}″ at full speed; where that is not windup, "
-        "give it as delay in the mapping."
+        f"{abs(lag) * 1e3:.3g} ± {uncertainty * 1e3:.1g} ms, {arcsec:.3g}″ at full speed; if this is not windup, "
+        "state it as delay in the mapping."
     ]
 
 
 def lag_of(recording: Recording, ratio: float) -> tuple[float, float] | None:
-    """Find by how much later than the input angle the output angle was taken, from changes of speed.
+    """Estimate the delay of the output angle against the input angle from changes of speed.
 
-    An output angle that is late by τ is short by τ times its speed. At one speed that is an offset like any other;
-    where the speed changes it shows, apart from what repeats with the output's or crank's turns and from the lost
-    motion, which has the sign of the speed. A windup that grows with speed (viscous friction) shows alike.
+    An output angle that is late by τ is short by τ times its speed. At one speed that is a constant offset; with
+    changing speed it can be separated from periodic errors of the output's or crank's turns and from the lost motion,
+    which has the sign of the speed. A windup that grows with speed (viscous friction) has the same effect.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def lag_of(recording: Recording, ratio: float) -> tuple[float, float] | None:
     Returns
     -------
     lag, uncertainty
-        s, and half its 95 % interval; None where the speed hardly changes.
+        s, and half its 95 % interval; None if the speed hardly changes.
     """
     step = max(1, recording.time.size // 50000)
     time, angle, output = recording.time[::step], recording.input_angle[::step], recording.output_angle[::step]

@@ -1,1 +1,1 @@
-"""The observation model: what curves and loops measure of a drive, priors, and which errors they resolve."""
+"""The observation model: curves and loops of a drive, priors, and the errors that they resolve."""

@@ -1,4 +1,4 @@
-"""What a fit may change of the bearings that a pair file states: the stiffness and clearance of each."""
+"""Unknowns of the stated bearings in a fit: the stiffness and clearance of each."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PLAY = "first_stage_play"
 
 
 def unknown_bearings(pair: Pair, first_stage: FirstStage | None = None) -> tuple[str, ...]:
-    """Return what is unknown of the bearings: stiffness and clearance of each that gives way, as `LAWS` names them.
+    """Return the unknowns of the bearings: stiffness and clearance of each compliant one, by the names of `LAWS`.
 
     Behind a first stage the free rotation of its cranks comes last.
     """
@@ -43,7 +43,7 @@ def unknown_bearings(pair: Pair, first_stage: FirstStage | None = None) -> tuple
 
 
 def sizes_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
-    """Return the standard deviation of each of `unknown_bearings` before anything is measured."""
+    """Return the prior standard deviation of each of `unknown_bearings`."""
     sizes = {"stiffness": STIFFNESS, "clearance": CLEARANCE, "play": CRANK_PLAY}
     if first_stage is not None:
         sizes["play"] += 0.5 * first_stage.crank_play
@@ -51,12 +51,12 @@ def sizes_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
 
 
 def unit_of_bearing(name: str) -> str:
-    """SI unit of what is stated: "1" of a stiffness' share of the stated one, "m" of a clearance, "rad" of a play."""
+    """SI unit of the stated value: "1" of a stiffness' share of the stated one, "m" of a clearance, "rad" of a play."""
     return {"stiffness": "1", "clearance": "m", "play": "rad"}[name.rpartition("_")[2]]
 
 
 def as_stated(pair: Pair, changes: Array, first_stage: FirstStage | None = None) -> Array:
-    """Return what `unknown_bearings` are after changes: shares of stiffnesses, clearances (m) and the play (rad)."""
+    """Return `unknown_bearings` after changes: shares of stiffnesses, clearances (m) and the play (rad)."""
     found = []
     for name, change in zip(unknown_bearings(pair, first_stage), changes.tolist(), strict=True):
         bearing, _, what = name.rpartition("_")
@@ -70,14 +70,14 @@ def as_stated(pair: Pair, changes: Array, first_stage: FirstStage | None = None)
 
 
 def lowest_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
-    """Return how far each of `unknown_bearings` can change downwards: no clearance or play is below zero."""
+    """Return the largest decrease of each of `unknown_bearings`: no clearance or play is below zero."""
     names = unknown_bearings(pair, first_stage)
     values = as_stated(pair, np.zeros(len(names)), first_stage)
     return np.array([-np.inf if n.endswith("_stiffness") else -v for n, v in zip(names, values, strict=True)])
 
 
 def pair_with(pair: Pair, changes: Array) -> Pair:
-    """Return a pair whose bearings are other than stated.
+    """Return a pair with changed bearings.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What real drives and benches do that the model of rigid supports and quiet encoders does not hold, cause by cause.
+"""Effects of real drives and benches outside the model of rigid supports and ideal encoders, by cause.
 
 A discrepancy in the sense of Kennedy and O'Hagan (J. R. Stat. Soc. B 63 (2001) 425): a function of crank angle, output
 angle and torque beside the model, here of low rank, each cause with a few columns whose size is estimated.
@@ -24,19 +24,19 @@ _SLOW = 6  # degree of what a zero drifts over a recording
 _CRANK = 100.0  # rad of the crank for one of the transmission error
 _STEADY = 1e-3  # of the speed: what changes less shows no lag
 SENTENCES = {
-    GIVE: "supports that give way or have play under load",
-    "compliance": "more that gives way between the encoders than the gear pair",
+    GIVE: "supports that are compliant or have play under load",
+    "compliance": "further compliance between the encoders",
     "friction": "friction that grows with the load",
-    "torque_ripple": "torque that the sensor does not see",
+    "torque_ripple": "torque that the sensor does not measure",
     "run_out": "run-out of a shaft or its encoder",
     FORM: "a form that all flanks share",
     "drift": "a zero that drifts within a recording",
-    LAG: "one angle's clock that is late",
+    LAG: "a delay of one angle's clock",
 }
 
 
 def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | None = None) -> dict[str, Array]:
-    """Return what each cause may add to the transmission error, near a state of the model.
+    """Return the possible contributions of each cause to the transmission error, near a state of the model.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
     -------
     columns
         {cause as in `SENTENCES`: shape (points, columns)}, each near 1, so that its coefficient is rad; of a form, m. A
-        cause that these recordings can't show is left out.
+        cause without effect on these recordings is left out.
     """
     curves = observed.curves
     sizes = [c.input_angle.size for c in curves]
@@ -91,10 +91,10 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
 
 
 def by_lag(observed: Observations, linear: Linear) -> Array:
-    """Return what an output angle that is late adds for each second, shape (points,), rad/s.
+    """Return the effect of a delayed output angle per second of delay, shape (points,), rad/s.
 
-    A late output angle is that of the crank a moment before. At a steady speed that is an offset, as play is: it is
-    zero there, and where no speed is known.
+    A late output angle is that of the crank a moment before. At constant speed that is an offset, as play is: it is
+    zero there, and without a known speed.
     """
     lags = [np.zeros(c.input_angle.size) if c.speed is None else _changing(c.speed) for c in observed.curves]
     found: Array = -np.concatenate(lags) * (1.0 / observed.curves[0].ratio + np.nan_to_num(linear.by_crank))
@@ -102,7 +102,7 @@ def by_lag(observed: Observations, linear: Linear) -> Array:
 
 
 def _give(pair: Pair, observed: Observations, linear: Linear) -> list[Array]:
-    """Shifts of ring and disc that grow with the load or come with its side, each in turn for each way of `_growth`."""
+    """Shifts of ring and disc proportional to the load or to its sign, each in turn for each kind of `_growth`."""
     shifts = [linear.structured[:, observed.errors.index(n)] for n in GIVES]
     # A disc on a crank that gives way leads or lags it, as if the crank stood elsewhere.
     growth = _growth(observed, np.concatenate([c.torque_at_points for c in observed.curves]))
@@ -122,7 +122,7 @@ def _units(pair: Pair) -> Array:
 
 
 def given_way(pair: Pair, observed: Observations, coefficients: Array) -> Array:
-    """Return how far supports have given way in each curve.
+    """Return the displacement of the supports in each curve.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def given_way(pair: Pair, observed: Observations, coefficients: Array) -> Array:
 
 
 def way(curve: Curve) -> Array:
-    """Output turns from where a curve begins to each point, growing with time where that is known."""
+    """Output turns from the start of a curve to each point, increasing with time if that is known."""
     turned = curve.input_angle if curve.travel is None else curve.travel
     found: Array = turned / (2.0 * np.pi * abs(curve.ratio))
     return found

@@ -1,4 +1,4 @@
-"""A drive of several discs has as many descriptions as discs: any of them may be called the first."""
+"""A drive of several discs has as many descriptions as discs: each of them may be the first."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _VECTORS = (("centre_distance_x", "centre_distance_y"), ("misalignment_xz", "mis
 
 
 def other_descriptions(pair: Pair, surface: ErrorSurface) -> tuple[ErrorSurface, ...]:
-    """Return the surfaces that make the same curves at the same crank angles, each with another disc as the first.
+    """Return the surfaces with the same curves at the same crank angles, each with another disc as the first.
 
     Seen from a frame turned by k pitches of the cranks, β = 2πk/discs, disc k stands where the first one did: the
     same crank angle and the same output. The pins' numbers move by z_p k/discs, which must be whole; the teeth's of

@@ -1,4 +1,4 @@
-"""Recordings behind a first stage: the sun's angle is recorded, the cycloid stage is what the model knows.
+"""Recordings behind a first stage: the sun's angle is recorded, the model is that of the cycloid stage.
 
 The cranks stand at θ = θ_ideal + a d + w with θ_ideal where ideal gears have them at the sun's angle, and the output
 deviates by d = s (x(θ, sT) + ½ u sgn T - w/z_c): w is what the first stage lets the cranks turn, half its play against
@@ -40,7 +40,7 @@ def of_cranks(curve: Curve, drive: Drive) -> Curve:
 
 
 def share_of(first_stage: FirstStage | None, pair: Pair) -> float:
-    """Return s, what the output does of what the cycloid stage does; 1 without a first stage."""
+    """Return s, the ratio of the output's deviation to that of the cycloid stage; 1 without a first stage."""
     return 1.0 if first_stage is None else sun_locked_share(first_stage.crank_share, pair.gear_teeth)
 
 

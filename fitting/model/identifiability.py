@@ -1,4 +1,4 @@
-"""Which errors measurements tell apart, and which they do not and why."""
+"""Errors that measurements resolve, and the others with the reason."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ KNOWN = 0.2  # an error counts as known where the data leave less than this shar
 
 
 def choose(information: Array, names: Sequence[str]) -> list[str]:
-    """Choose the errors that the data tell apart.
+    """Choose the errors that the data resolve.
 
     Parameters
     ----------
@@ -59,16 +59,16 @@ def choose(information: Array, names: Sequence[str]) -> list[str]:
 
 
 def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> list[str]:
-    """Choose the errors that observations tell apart, in the order of `names`; orders of the profile are always there.
+    """Choose the errors that observations resolve, in the order of `names`; orders of the profile are always included.
 
-    Their size is known before measuring, as that of the scatter, and as that they blur the others.
+    Like the scatter they have a prior size and add uncertainty to the others.
 
     Parameters
     ----------
     observed, linear, names
         The observations and the model at a state.
     spread
-        Standard deviation of each scattered displacement of a pin or tooth, which blurs the errors, m.
+        Standard deviation of each scattered displacement of a pin or tooth, m.
     """
     information = _information(observed, linear, names, spread)
     free = [n not in observed.profile for n in names]
@@ -84,7 +84,7 @@ def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], 
 
 
 def _information(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
-    """Information matrix of errors, scatter and nuisances, each in units of what it may be before measuring.
+    """Information matrix of errors, scatter and nuisances, each in units of its prior.
 
     Scatter, the profile's orders and the nuisances that have a prior are known by it; the errors and the other
     nuisances by the data alone.
@@ -93,13 +93,12 @@ def _information(observed: Observations, linear: Linear, names: Sequence[str], s
 
 
 def information_of_points(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
-    """Return what the points tell of errors, scatter and nuisances; curves' parts of it add up.
+    """Return the information of the points on errors, scatter and nuisances; those of curves add up.
 
     Returns
     -------
     information
-        Shape (unknowns, unknowns), each in units of what it may be before measuring: errors as `names`, scatter,
-        nuisances.
+        Shape (unknowns, unknowns), each in units of its prior: errors as `names`, scatter, nuisances.
     """
     nuisances, priors = nuisance_columns(observed, linear)
     columns = np.column_stack([
@@ -112,7 +111,7 @@ def information_of_points(observed: Observations, linear: Linear, names: Sequenc
 
 
 def known_before(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
-    """Return what is known of the same before measuring, shape (unknowns, unknowns)."""
+    """Return the prior information on the same, shape (unknowns, unknowns)."""
     _, priors = nuisance_columns(observed, linear)
     stated = np.array([float(n in observed.profile) for n in names])
     return np.diag(np.concatenate([stated, np.ones(spread.size), np.where(np.isfinite(priors), 1.0, UNKNOWN)]))
@@ -121,7 +120,7 @@ def known_before(observed: Observations, linear: Linear, names: Sequence[str], s
 def weakness(
     observed: Observations, linear: Linear, names: Sequence[str], chosen: Sequence[str]
 ) -> tuple[Array, tuple[str, ...], dict[str, str], tuple[str, ...]]:
-    """Say what the data cannot tell.
+    """Return what the data cannot resolve.
 
     Returns
     -------
@@ -131,10 +130,10 @@ def weakness(
         Combinations of errors that stay less known than `KNOWN` of their tolerance, in words: one for each error that
         is not chosen.
     reasons
-        {name: why} of every error that is not chosen.
+        {name: reason} for every error that is not chosen.
     beside
-        Those of them that move the curves otherwise than the chosen ones do, if only a little: held where they are,
-        they may have moved these. Of a set that moves the curves alike the first stands for all.
+        Those of them whose effect on the curves differs from the chosen ones, if only a little: being held, they may
+        bias these. Of a set with equal effect the first represents all.
     """
     weight = observed.weight[:, None]
     nuisances, priors = nuisance_columns(observed, linear)
@@ -186,7 +185,7 @@ def posterior_covariance(
     chosen
         The errors fitted; they have no prior.
     spread
-        Standard deviation of each scattered displacement before anything is measured, m.
+        Prior standard deviation of each scattered displacement, m.
 
     Returns
     -------
@@ -199,7 +198,7 @@ def posterior_covariance(
 def covariance_from(
     information: Array, observed: Observations, names: Sequence[str], chosen: Sequence[str], spread: Array
 ) -> Array:
-    """Return the same covariance as `posterior_covariance` from information that is known already."""
+    """Return the same covariance as `posterior_covariance` from given information."""
     chosen_first = [*(list(names).index(n) for n in chosen), *range(len(names), len(information))]
     scale = np.concatenate([tolerances_of(chosen, observed.profile), spread])
     covariance = linalg.inv(information[np.ix_(chosen_first, chosen_first)])[: scale.size, : scale.size]
@@ -208,7 +207,7 @@ def covariance_from(
 
 
 def _in_words(name: str, alike: Sequence[tuple[float, str]]) -> str:
-    """Say which combination is not known of an error that moves the transmission error as others do."""
+    """Return the unresolved combination of an error with the same effect as others."""
     if len(alike) == 1 and abs(abs(alike[0][0]) - 1.0) < 0.05:
         (share, other), *_ = alike
         way, left = ("alike", "sum") if share > 0 else ("oppositely", "difference")

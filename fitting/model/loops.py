@@ -1,8 +1,9 @@
 """Hysteresis loops as data of the identification: their branches as curves over the torque, and the play in them.
 
-With the input locked at a crank angle a loop is the drive's windup there at every torque: what a transmission error
-curve shows at one torque and every angle. Beyond friction and play each of its four branches is loaded contact, so the
-exact model at that angle predicts it; friction is between loading and unloading, the play between the sides.
+With the input locked at a crank angle a loop is the drive's windup there at every torque, whereas a transmission error
+curve is at one torque and every angle. Beyond friction and play each of its four branches is loaded contact, predicted
+by the exact model at that angle; friction is the distance between loading and unloading, the play that between the
+sides.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class LoopFit:
     torque, measured, fitted
         Of each branch's points: torque (N·m) and windup with the bench's part (rad), lists of arrays by branch.
     play, standard_error
-        The free rotation there as the identified errors have it, rad; it has no friction in it.
+        The free rotation there by the identified errors, rad, without friction.
     """
 
     source: str
@@ -65,7 +66,7 @@ class LoopFit:
 
 
 def is_locked(stream: Recording | RecordingStream, ratio: float) -> bool:
-    """Whether the input stands still in a recording but for what its fixture gives way, as it does in a loop."""
+    """Whether the input of a recording is at rest, except for the compliance of its fixture, as in a loop."""
     low, high = np.inf, -np.inf
     for block in PlausibleBlocks(stream, ratio):
         if block.input_angle.size:
@@ -90,7 +91,7 @@ def _checked_drive(stream: Recording | RecordingStream, drive: Drive) -> Recordi
 def observed_curves(
     recordings: Source | Curve | Iterable[Source | Curve], drive: Drive, *, keep_turns: bool = False
 ) -> list[Curve]:
-    """Return the curves of recordings, and behind them the branches of those whose input stands still, which are loops.
+    """Return the curves of recordings, and after them the branches of those with the input at rest, which are loops.
 
     Raises
     ------
@@ -113,7 +114,7 @@ def observed_curves(
 def branches_of(surveyed: Surveyed, ratio: float) -> list[Curve]:
     """Return the branches of a recorded loop as curves over the torque: loading and unloading on either side.
 
-    Each begins at 3 % of the rated torque, or where friction has left the play behind, and is averaged in `BINS` equal
+    Each begins at 3 % of the rated torque, or beyond play and friction, and is averaged in `BINS` equal
     steps of the torque over all the recording's loops.
 
     Parameters
@@ -149,7 +150,7 @@ def branches_of(surveyed: Surveyed, ratio: float) -> list[Curve]:
 
 
 def _friction(loop: LoopData) -> float:
-    """Dry friction torque that a loop shows between its branches, N·m: half their distance there."""
+    """Dry friction torque of a loop, N·m: half the distance of its branches."""
     widths = []
     low, high = (FRICTION - FRICTION_NEAR) * loop.rated_torque, (FRICTION + FRICTION_NEAR) * loop.rated_torque
 
@@ -209,10 +210,10 @@ def _branch(
 
 
 def on_the_curves_zero(branches: Sequence[Curve], curves: Sequence[Curve]) -> list[Curve]:
-    """Return branches with the crank's turns counted as the curves count them, where the output's zero is common.
+    """Return branches with the crank's turns counted as in the curves, if the output's zero is common.
 
-    An input encoder that knows its angle within one turn does not know which of the output's teeth it stands at; an
-    absolute output encoder does.
+    An input encoder with an angle within one turn does not give the tooth of the output; an absolute output encoder
+    does.
     """
     absolute = [float(np.mean(c.transmission_error)) for c in curves if c.common_zero]
     found = []

@@ -1,7 +1,8 @@
-"""What transmission error curves observe of a drive: the exact model at every point, and its derivatives.
+"""Transmission error curves as observations of a drive: the exact model at every point, and its derivatives.
 
-Beside the errors of the drive the curves see the bench: the zeros of its angles, eccentric encoders, what else gives
-way between the two encoders, and friction. These are nuisances: fitted with the errors, never part of the surface.
+In addition to the errors of the drive the curves contain those of the bench: the zeros of its angles, eccentric
+encoders, further compliance between the two encoders, and friction. These are nuisances: fitted with the errors, never
+part of the surface.
 """
 
 from __future__ import annotations
@@ -74,24 +75,23 @@ class Observations:
     measured, weight
         Shape (points,): transmission error (rad) and 1/noise of each point (1/rad; 0 leaves a point out).
     bench_names, bench, bench_prior
-        Nuisances in which the transmission error is linear: names, columns (points, nuisances) and what each may be
-        before anything is measured, as a standard deviation (infinite: unknown).
+        Nuisances in which the transmission error is linear: names, columns (points, nuisances) and prior standard
+        deviations (infinite: unknown).
     fit_crank
         Whether the crank's zero is unknown too.
     friction_prior
-        Standard deviation of the friction torque before anything is measured, N·m; that of loops is unknown.
+        Prior standard deviation of the friction torque, N·m; that of loops is unknown.
     with_loops
-        Whether there are branches of loops, whose friction is their own.
+        Whether there are branches of loops, which have their own friction.
     errors, profile
-        The structured errors considered, and {order of the profile deviation: what it may be before anything is
-        measured, m} of those that are among them.
+        The structured errors considered, and {order of the profile deviation: prior size, m} of those among them.
     give
-        How far supports have given way in each curve, shape (curves, 4): `GIVES`, m, and the crank, rad.
+        Displacements of the supports in each curve, shape (curves, 4): `GIVES`, m, and the crank, rad.
     bearing_names, bearing_prior, bearing_lowest
-        What is unknown of the drive's own bearings and first stage, how much it may be other than stated, and how far
-        it can go downwards, as in `fitting.model.bearings`.
+        Unknowns of the drive's own bearings and first stage, their prior deviations, and their largest decreases, as in
+        `fitting.model.bearings`.
     first_stage
-        Where the curves are those of a whole reducer.
+        First stage, for curves of a whole reducer.
     """
 
     curves: tuple[Curve, ...]
@@ -123,7 +123,7 @@ class Observations:
 
     @property
     def friction_names(self) -> tuple[str, ...]:
-        """Dry friction at the output while it turns, and, with loops, where it is only wound up."""
+        """Dry friction at the output while it turns and, with loops, while it is only wound up."""
         return ("friction_torque", "loop_friction_torque") if self.with_loops else ("friction_torque",)
 
     @property
@@ -137,7 +137,7 @@ class Observations:
         return groups
 
     def with_sizes(self, sizes: Mapping[str, float]) -> Observations:
-        """The same with the sizes of these groups, rad, as what their nuisances may be."""
+        """The same with the sizes of these groups, rad, as prior of their nuisances."""
         prior = self.bench_prior.copy()
         for group, part in self.estimated.items():
             prior[part] = max(sizes.get(group, 0.0), NO_CREEP)
@@ -146,14 +146,15 @@ class Observations:
     def with_misfit(
         self, columns: Mapping[str, Array], give: Array | None = None, taken: Array | float = 0.0
     ) -> Observations:
-        """The same with what causes of misfit may add.
+        """The same with the contributions of causes of misfit.
 
         Parameters
         ----------
         columns
             {cause: shape (points, columns)}, whose coefficients are rad.
         give, taken
-            As in `Observations`, and what its columns add at that, shape (points,), rad: the model has it already.
+            As in `Observations`, and the contribution of its columns, shape (points,), rad, which is already in the
+            model.
         """
         names = [f"{MISFIT}_{cause}_{i}" for cause, one in columns.items() for i in range(one.shape[1])]
         return dataclasses.replace(
@@ -176,7 +177,7 @@ class Observations:
         return np.cumsum([c.input_angle.size for c in self.curves])[:-1]
 
     def thinned(self, points: int) -> Observations:
-        """About so many points of all curves, evenly over every angle of the crank, and every one of a loop."""
+        """A subset of about this many points of all curves, evenly over the crank angle, and all points of loops."""
         share = points / self.measured.size
         # Multiples of the golden section fall into step with nothing.
         chosen = [bool(c.branch) | (np.mod(np.arange(c.input_angle.size) * _GOLDEN, 1.0) < share) for c in self.curves]
@@ -187,7 +188,7 @@ class Observations:
         )
 
     def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Observations:
-        """Some of the curves by themselves."""
+        """A subset of the curves."""
         places = np.split(np.arange(self.measured.size), self.ends)
         part = np.concatenate([places[n] for n in numbers])
         return dataclasses.replace(
@@ -213,11 +214,11 @@ def observations(
     pair
         The nominal pair.
     noise
-        Noise of a single point of each curve, rad; by default what the curves themselves show.
+        Noise of a single point of each curve, rad; by default that of the curves.
     profile
-        Orders of the profile deviation to consider too, and what each may be, m.
+        Orders of the profile deviation to consider too, with their prior sizes, m.
     first_stage
-        Behind which the curves were taken, over the angle of ideal cranks (`fitting.model.first_stage.of_cranks`).
+        First stage of the curves, which are over the angle of ideal cranks (`fitting.model.first_stage.of_cranks`).
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
     floor = max(float(np.median(shown)), 1e-9)
@@ -289,20 +290,20 @@ def observations(
 
 @dataclass(frozen=True)
 class State:
-    """Where a fit stands.
+    """State of a fit.
 
     Attributes
     ----------
     surface
-        The error surface, the pins' and teeth's own scatter in it.
+        The error surface, including the scatter of pins and teeth.
     scatter
-        That scatter by itself, shape (2 pins + discs x teeth,), m.
+        That scatter alone, shape (2 pins + discs x teeth,), m.
     bench
         The bench's nuisances as in `Observations.bench_names`.
     crank_offset, friction, loop_friction
         The crank's zero (rad) and the friction torques of curves and of loops (N·m).
     bearings
-        By how much each bearing's stiffness and clearance are other than the pair file states, in the order of
+        Deviations of each bearing's stiffness and clearance from the pair file, in the order of
         `Observations.bearing_names`: logarithms of stiffness, m, and rad of a first stage's play; none where nothing
         of them is unknown.
     """
@@ -333,15 +334,15 @@ class Linear:
 
 
 def errors_of(pair: Pair) -> list[str]:
-    """Return the structured errors that every fit of this pair considers."""
+    """Return the structured errors considered in every fit of this pair."""
     return structured_names([k for k in ORDERS if 2 * k < pair.gear_teeth])
 
 
 def scatter_parts(pair: Pair) -> dict[str, slice]:
-    """Return where each pattern of single displacements stands in a scatter vector.
+    """Return the position of each pattern of single displacements in a scatter vector.
 
-    Every pin's place, every tooth's pitch and every pin's radius; of further discs by how much their teeth stand
-    elsewhere than the first one's, `disc_phase`; with supports each hole, crank, roller and eccentric.
+    Every pin's place, every tooth's pitch and every pin's radius; for further discs the offset of their teeth from
+    those of the first one, `disc_phase`; with supports each hole, crank, roller and eccentric.
     """
     g = pair
     sizes = {
@@ -358,7 +359,7 @@ def scatter_parts(pair: Pair) -> dict[str, slice]:
 
 
 def estimated_parts(pair: Pair) -> dict[str, slice]:
-    """Return those patterns of `scatter_parts` whose common size the fit estimates: there are many of a kind."""
+    """Return the patterns of `scatter_parts` whose common size the fit estimates: those with many elements."""
     return {name: part for name, part in scatter_parts(pair).items() if name not in KNOWN_SIZES}
 
 
@@ -370,7 +371,7 @@ def scatter_names(pair: Pair) -> list[str]:
 def spread_of(pair: Pair, deviations: Mapping[str, float]) -> Array:
     """Return the standard deviation of each displacement in a scatter vector from those of the patterns, m or rad.
 
-    Patterns that are not named have what is usual (`KNOWN_SIZES`), or none.
+    Patterns that are not named have the usual size (`KNOWN_SIZES`), or none.
     """
     sizes = {**KNOWN_SIZES, **deviations}
     return np.concatenate([np.full(p.stop - p.start, sizes.get(n, 0.0)) for n, p in scatter_parts(pair).items()])
@@ -389,7 +390,7 @@ def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurf
 
 
 def scatter_between(pair: Pair, surface: ErrorSurface, plain: ErrorSurface) -> Array:
-    """Return the scatter vector that makes one surface of another; a disc's phase is the mean over its teeth."""
+    """Return the scatter vector between two surfaces; a disc's phase is the mean over its teeth."""
     parts, found = scatter_parts(pair), spread_of(pair, {})
     for name, part in parts.items():
         if name in KINDS:
@@ -418,21 +419,21 @@ def scatter_columns(pair: Pair, each: Array) -> Array:
 
 @dataclass(frozen=True)
 class LinearisationPoint:
-    """The contacts of one drive at the points of each curve, from which drives near it are taken to first order.
+    """The contacts of one drive at the points of each curve, about which nearby drives are linearised.
 
-    `errors` are that drive's as of `displacement_vector`, `contacts` has one entry a curve.
+    `errors` are that drive's as of `displacement_vector`, `contacts` has one entry for each curve.
     """
 
     errors: Array
     contacts: tuple[first_order.Contacts, ...]
 
     def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> LinearisationPoint:
-        """Some of the curves by themselves."""
+        """A subset of the curves."""
         return LinearisationPoint(self.errors, tuple(self.contacts[n] for n in numbers))
 
 
 def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> LinearisationPoint:
-    """Solve a drive at every point of every curve, so that drives near it can be taken to first order."""
+    """Solve a drive at every point of every curve, so that nearby drives can be linearised."""
 
     def one(curve: Curve) -> first_order.Contacts:
         return first_order.contacts_of(pair, surface, curve.torque, curve.input_angle, 1, _REACH)
@@ -446,7 +447,7 @@ def linearised_curve(
 ) -> Linear:
     """Evaluate the model and its analytic derivatives by every structured error at every point of one curve.
 
-    The model is the exact one, or near a drive the one to first order, which knows of no crank's zero and no form.
+    The model is the exact one, or near a drive the linearised one, without the crank's zero and form.
     """
     curve = observed.curves[number]
     against = -float(curve.direction) * np.sign(curve.ratio)
@@ -494,7 +495,7 @@ def form_columns(pair: Pair, observed: Observations, state: State, linear: Linea
     """Return derivatives by the `PROFILE_ORDERS` of a form that all flanks share, shape (points, orders), rad/m.
 
     `linear` is the model at the state. On bearings, where contacts open and close with a form and the discs follow,
-    they are differences over ± `size`, m.
+    they are finite differences over ± `size`, m.
     """
     names = profile_names(PROFILE_ORDERS)
     s = share_of(observed.first_stage, pair)

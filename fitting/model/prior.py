@@ -1,4 +1,4 @@
-"""What is known of errors before anything is measured: usual sizes, and those that tolerances allow."""
+"""Priors of errors: usual sizes, and those from tolerances."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _PROFILE_DRAWN = 50  # elements along the profile of each
 
 
 def tolerances_of(names: Sequence[str], stated: Mapping[str, float] | None = None) -> Array:
-    """Return the standard deviation of each error before anything is measured, m or rad, where none is stated."""
+    """Return the default prior standard deviation of each error, m or rad."""
     return np.array([(stated or {}).get(n, TOLERANCE[unit_of(n)]) for n in names])
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of single pins and teeth before anything is measured: {name: standard deviation, m}.
+    """Priors of single pins and teeth: {name: standard deviation, m}.
 
     Attributes
     ----------
     scatter
-        Of a pattern such as `pin_radial`; one that is not named is estimated from the data.
+        Of a pattern such as `pin_radial`; others are estimated from the data.
     profile
         Of the orders of the profile deviation that all teeth share; only those named are fitted.
     first_stage
-        Behind which the pair is measured, as it is drawn.
+        First stage before the pair, as drawn.
     """
 
     scatter: Mapping[str, float] = field(default_factory=dict)
@@ -46,15 +46,15 @@ class Prior:
 
 
 def prior_of(pair: Pair, tolerances: Tolerances) -> Prior:
-    """Return what tolerances allow."""
+    """Return the prior from tolerances."""
     return Prior(scatter_of(pair, tolerances), profile_of(pair, tolerances))
 
 
 def scatter_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
-    """Return what tolerances let single pins and teeth do beyond the structured orders: standard deviations, m.
+    """Return the scatter of single pins and teeth within tolerances beyond structured orders: standard deviations, m.
 
-    They are those of drives that the tolerances allow (`cycloid_fmu.surfaces.sampling.sample_surface`). A pattern of
-    which the tolerances say nothing is left out.
+    They are those of drives within the tolerances (`cycloid_fmu.surfaces.sampling.sample_surface`). A pattern without
+    tolerance is left out.
     """
     drawn = [sample_surface(pair, tolerances, seed, Elements(2, 2, 1)) for seed in range(_DRAWN)]
     found = {}
@@ -69,10 +69,10 @@ def scatter_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
 
 
 def profile_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
-    """Return what tolerances let the low orders of the profile deviation be that all teeth share, m.
+    """Return the sizes within tolerances of the low orders of the profile deviation that all teeth share, m.
 
     Cutter and grinding wheel make one form on every tooth, so it may be as large as one tooth's: standard deviation
-    over the teeth of drives that the tolerances allow. Empty where they say nothing of the flanks' form.
+    over the teeth of drives within the tolerances. Empty without a tolerance of the flanks' form.
     """
     if tolerances.gear_profile is None:
         return {}

@@ -83,7 +83,7 @@ class CanLog(BenchFile):
 
 
 def _binary_log(source: str) -> Any:
-    """Open a BLF log in which python-can meets no object without a size: there it would stand still for ever."""
+    """Open a BLF log without objects of size zero, at which python-can would loop for ever."""
     import can
 
     class Checked(can.BLFReader):  # type: ignore[misc]  # python-can is untyped here

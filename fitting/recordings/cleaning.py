@@ -1,4 +1,4 @@
-"""Recordings cleaned block by block: continuous angles, marked gaps, and what is no sample left out and counted."""
+"""Recordings cleaned block by block: continuous angles, marked gaps, invalid samples left out and counted."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Block:
     time, input_angle, output_angle, torque
         s, rad, rad, N·m of the environment on the output.
     temperature
-        K, or None where none was recorded.
+        K, or None if not recorded.
     status
         Bits of the recording format: 1 a gap before, 32 an angle rolled over, 128 implausible.
     input_torque
-        N·m of the environment on the input, or None where none was recorded.
+        N·m of the environment on the input, or None if not recorded.
     """
 
     time: Array
@@ -45,8 +45,8 @@ class Block:
 class _Angle:
     """Unrolls an angle block by block.
 
-    An angle that has a rollover, or stays within one turn and then jumps by more than half a one, rolls over; one that
-    ran beyond a turn is continuous already.
+    An angle with a rollover, or that stays within one turn and then jumps by more than half a turn, rolls over; one
+    that exceeded a turn is continuous already.
     """
 
     def __init__(self, rollover: float | None, name: str, source: str) -> None:
@@ -56,7 +56,7 @@ class _Angle:
         self.rolls: bool | None = None if rollover is None else True
 
     def add(self, angle: Array) -> tuple[Array, NDArray[np.bool_] | None]:
-        """Return the angle continuous with what came before, and where it rolled over (None: nowhere)."""
+        """Return the angle continuous with the previous blocks, and where it rolled over (None: nowhere)."""
         if np.isnan(self._offset):
             self._offset, self._last = 0.0, angle[0]
             self._low = self._high = angle[0]
@@ -97,7 +97,7 @@ class _Angle:
 
 
 class Cleaning:
-    """Leaves out what is no sample, marks gaps, makes angles continuous; block by block.
+    """Leaves out invalid samples, marks gaps, makes angles continuous; block by block.
 
     With a ratio a measured transmission error becomes the input angle.
     """
@@ -114,7 +114,7 @@ class Cleaning:
         self._mark_next = False
 
     def add(self, table: dict[str, Array], status: Bytes | None) -> Block:
-        """Return what is left of the next samples, SI arrays by role; the block may be empty."""
+        """Return the remaining next samples, SI arrays by role; the block may be empty."""
         time = table["time"]
         bits = np.zeros(time.size, np.uint8) if status is None else status.copy()
         keep = self._finite(table)
@@ -152,7 +152,7 @@ class Cleaning:
         return Block(**{"input_angle": np.zeros(time.size), **table}, status=bits)  # type: ignore[arg-type]
 
     def _finite(self, table: dict[str, Array]) -> NDArray[np.bool_] | None:
-        """Return which samples are finite in all that is needed, or None where all are."""
+        """Return the mask of samples that are finite in all needed channels, or None if all are."""
         keep = None
         for name, value in table.items():
             if name == "temperature" or np.isfinite(value.sum()):
@@ -180,7 +180,7 @@ class Cleaning:
                 self._longest, self._longest_at = largest, float(time[at[np.argmax(steps[wide])]]) - largest
 
     def notes(self) -> list[str]:
-        """Return one sentence for each thing that was left out or marked so far."""
+        """Return one sentence for each kind of sample that was left out or marked so far."""
         notes = []
         for name, (count, first) in self._not_finite.items():
             also = f" and {count - 1} more" if count > 1 else ""

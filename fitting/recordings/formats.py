@@ -1,4 +1,4 @@
-"""What files of test benches hold, piece by piece and as they name it: nothing here knows which channel is what.
+"""Contents of test bench files, piece by piece and under their own names, without the meaning of channels.
 
 Every reader yields pieces of bounded size, so that a file may be larger than memory.
 """
@@ -30,16 +30,16 @@ PIECE = 1 << 17  # samples of a piece: its arrays stay within a processor's cach
 
 @dataclass(frozen=True)
 class RawChannel:
-    """A channel as the file names it.
+    """A channel with its name in the file.
 
     Attributes
     ----------
     name
         Its name, unique in the file.
     unit
-        Its unit as the file writes it, "" where it says none.
+        Its unit as written in the file, "" if there is none.
     zero_reference
-        "absolute" where the file says that the zero is the same in every recording, else "incremental".
+        "absolute" if the file states that the zero is the same in every recording, otherwise "incremental".
     """
 
     name: str
@@ -49,16 +49,16 @@ class RawChannel:
 
 @dataclass(frozen=True)
 class Piece:
-    """Consecutive samples of channels that share their instants: arrays of one length.
+    """Consecutive samples of channels with common times: arrays of one length.
 
     Attributes
     ----------
     time
-        Seconds by the file's own time base, or None where a channel holds the time.
+        Seconds in the file's own time base, or None if a channel has the time.
     values
         {name: values in the file's unit}.
     status
-        Bits of the recording format, or None where the file has none.
+        Bits of the recording format, or None if the file has none.
     """
 
     time: Array | None
@@ -68,26 +68,26 @@ class Piece:
 
 @dataclass
 class BenchFile(abc.ABC):
-    """A file that was opened.
+    """An open file.
 
     Attributes
     ----------
     source
         The file's name.
     channels
-        What it holds.
+        Its channels.
     timed
-        Whether its channels bring their time with them; else one of them is the time.
+        Whether its channels have their own times; otherwise one of them is the time.
     ratio
-        Signed ratio of the drive, where the file says it.
+        Signed ratio of the drive, if the file states it.
     pair
-        Name or fingerprint of the gear pair, where the file states it.
+        Name or fingerprint of the gear pair, if the file states it.
     problems
-        One sentence for each thing found wrong with the file; complete when all pieces were taken.
+        One sentence for each problem of the file; complete when all pieces were read.
     clocks
-        {channel: the clock that stamped it, in the host's time} where a device stamped it with a clock of its own.
+        {channel: the clock of its time stamps, in the host's time} for channels with a device clock.
     limits
-        What its encoders can show, as far as the file states it.
+        Limits of its encoders, as far as the file states them.
     """
 
     source: str
@@ -145,7 +145,7 @@ def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | 
 
 
 def pieces_of(file: BenchFile, names: Sequence[str]) -> Iterator[Piece]:
-    """Yield a file's pieces of these channels; where its library fails on the way, they end and the file says so.
+    """Yield a file's pieces of these channels; if its library fails on the way, they end and the file states it.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def pieces_of(file: BenchFile, names: Sequence[str]) -> Iterator[Piece]:
             for name, values in piece.values.items():
                 if getattr(values, "ndim", 1) != 1:
                     raise edge.InputError(
-                        f"{file.source}: {edge.shown(name)} holds arrays; it must be a number a sample."
+                        f"{file.source}: {edge.shown(name)} holds arrays; it must be one number per sample."
                     )
             taken += max(map(len, piece.values.values()))
             yield piece
@@ -172,7 +172,7 @@ def pieces_of(file: BenchFile, names: Sequence[str]) -> Iterator[Piece]:
 
 
 def numbers_of(column: pa.Array) -> Array:
-    """Return a column of numbers, NaN where there is none.
+    """Return a column of numbers, NaN for missing values.
 
     Arrow's own `to_numpy` loads pandas at its first call: 0.25 s of the processor, a fifth of reading a recording and
     fitting it.
@@ -192,7 +192,7 @@ def name_and_unit(text: str) -> tuple[str, str]:
 
 
 def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:
-    """Give channels of one name a number: what a mapping names must be one channel."""
+    """Number channels of the same name: a name in a mapping must be one channel."""
     seen: dict[str, int] = {}
     found = []
     for c in channels:
@@ -204,7 +204,7 @@ def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:
 
 
 def in_order(streams: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
-    """Take from several streams, each in the order of its time, always the piece that begins first."""
+    """Merge several streams, each in order of time, by the start of their pieces."""
 
     def begins(piece: Piece) -> float:
         return 0.0 if piece.time is None else float(piece.time[0])
@@ -221,7 +221,7 @@ _SPELLINGS = {
 
 
 def unit_text(text: str) -> str:
-    """Return a unit as pint reads it; benches write `°`, `Nm`, `N·m`, `kNm`, `°C`."""
+    """Return a unit in pint's notation; benches write `°`, `Nm`, `N·m`, `kNm`, `°C`."""
     text = text.strip()
     if text == "nm":  # nanometres are what this says
         return text

@@ -55,7 +55,7 @@ class Formula:
     Parameters
     ----------
     text
-        As the file writes it; 300 characters at most.
+        As in the file; 300 characters at most.
 
     Raises
     ------
@@ -74,7 +74,7 @@ class Formula:
         object.__setattr__(self, "_compute", _Reader(self.text).formula())
 
     def __call__(self, x: ArrayLike) -> Array:
-        """Return its values, shape as `x`; not a number where it has none there."""
+        """Return its values, shape as `x`; NaN where it is undefined."""
         given = np.asarray(x, dtype=float)
         compute: Part = self._compute  # type: ignore[attr-defined]
         with np.errstate(all="ignore"):
@@ -82,7 +82,7 @@ class Formula:
 
 
 class _Reader:
-    """Reads a text from the left; each method takes what its name says."""
+    """Parses a text from the left; each method takes the part that it is named after."""
 
     def __init__(self, text: str) -> None:
         if len(text) > LONGEST:
@@ -92,7 +92,7 @@ class _Reader:
         while place < end:
             symbol = _SYMBOL.match(text, place)
             if symbol is None:
-                raise ValueError(f'"{text[place:].strip()[:10]}" belongs to no formula')
+                raise ValueError(f'"{text[place:].strip()[:10]}" is not part of a formula')
             self._left.append((str(symbol.lastgroup), str(symbol[str(symbol.lastgroup)])))
             place = symbol.end()
         self._depth = 0
@@ -100,7 +100,7 @@ class _Reader:
     def formula(self) -> Part:
         found = self._sum()
         if self._left:
-            raise ValueError(f'"{self._left[0][1]}" is where nothing should follow')
+            raise ValueError(f'"{self._left[0][1]}" is unexpected')
         return found
 
     def _sign(self, *wanted: str) -> str:
@@ -159,7 +159,7 @@ class _Reader:
             if len(parts) != count:
                 raise ValueError(f"{text} takes {count} value{'s' * (count > 1)}, not {len(parts)}")
             return lambda x: function(*(part(x) for part in parts))
-        raise ValueError(f'"{text}" is not known here' if text else "it ends too early")
+        raise ValueError(f'"{text}" is unknown' if text else "it ends too early")
 
 
 def _joined(sign: str, left: Part, right: Part) -> Part:

@@ -1,4 +1,4 @@
-"""What is in a bench file, and a mapping that may fit it: proposed for a person to check, never used unseen."""
+"""The content of a bench file, and a proposed mapping for a person to check; it is never used automatically."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ _KINDS = {"time": "s", "angle": "rad", "torque": "N*m", "temperature": "K", "spe
 
 @dataclass(frozen=True)
 class Look:
-    """What a channel holds, as far as it was looked at: arrays of shape (samples,) in the file's unit.
+    """The first samples of a channel: arrays of shape (samples,) in the file's unit.
 
     Attributes
     ----------
     channel
         Name and unit.
     time
-        Seconds, or None where a channel holds the time.
+        Seconds, or None if a channel has the time.
     values
         As stored.
     """
@@ -54,13 +54,13 @@ class Look:
 
     @property
     def travel(self) -> float:
-        """How far the values go, steps beyond half their range (a rollover) left out."""
+        """Range of the values, without steps beyond half of it (a rollover)."""
         steps = np.abs(np.diff(self.values[np.isfinite(self.values)]))
         return float(steps[steps < 0.5 * np.ptp(self.values)].sum()) if steps.size else 0.0
 
 
 def look(file: BenchFile) -> list[Look]:
-    """Take the first samples of every channel of a file."""
+    """Read the first samples of every channel of a file."""
     names = [c.name for c in file.channels]
     if not names:
         return []
@@ -109,20 +109,20 @@ def _named(looks: Sequence[Look], role: str) -> list[Look]:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What is in a bench file, and a mapping that may fit it.
+    """The content of a bench file, and a proposed mapping.
 
     Attributes
     ----------
     file
         The file, opened.
     looks
-        What its channels hold.
+        The first samples of its channels.
     roles
         {role: the channel proposed for it}.
     dbc
-        The DBC with which it was opened.
+        The DBC used to open it.
     runs
-        Where it is a table of output angles and transmission errors: the runs that it seems to hold.
+        For a table of output angles and transmission errors: the runs that it seems to contain.
     """
 
     file: BenchFile
@@ -133,11 +133,11 @@ class Inspection:
 
     @property
     def text(self) -> str:
-        """The proposed mapping file, with a comment wherever something was concluded from the values, or is missing."""
+        """The proposed mapping file, with a comment wherever a value was inferred or is missing."""
         return _mapping_text(self.roles, self.runs, self.file, None if self.dbc is None else str(self.dbc.resolve()))
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the proposed mapping file, in which the DBC is named relative to it, whole or not at all."""
+        """Write the proposed mapping file, with the DBC relative to it; never a partial file."""
         folder = Path(path).resolve().parent
         dbc = None if self.dbc is None else os.path.relpath(self.dbc.resolve(), folder)
         with edge.written_whole(path) as temporary:
@@ -145,19 +145,19 @@ class Inspection:
 
 
 def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = None) -> Inspection:
-    """Return what is in a bench file and propose which channel is what, for a person to check.
+    """Return the content of a bench file and propose the roles of its channels, for a person to check.
 
     Parameters
     ----------
     path
-        A file of any kind that is read.
+        A file of any supported format.
     dbc
         The DBC of a CAN log.
 
     Raises
     ------
     edge.InputError
-        If the file can't be read or holds no samples.
+        If the file can't be read or has no samples.
 
     Examples
     --------
@@ -184,7 +184,7 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
 
 
 def inspection_json(found: Inspection) -> dict[str, Any]:
-    """Return what is in a file for scripts."""
+    """Return the content of a file for scripts."""
     channels = {
         o.channel.name: {
             "unit": o.channel.unit, "samples": o.values.size, "min": float(np.nanmin(o.values)),
@@ -203,7 +203,7 @@ def inspection_json(found: Inspection) -> dict[str, Any]:
 
 
 def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
-    """Propose which channel is what: by names and units, and of two angles the input is the one that goes further."""
+    """Propose the roles of channels: by names and units; of two angles the input is the one with the larger range."""
     left = [one for one in looks if np.isfinite(one.values).any()]
     roles: dict[str, Look] = {}
 
@@ -277,12 +277,12 @@ def _mapping_text(roles: dict[str, Look], runs: Sequence[ErrorRun], file: BenchF
         lines += ["", "[[runs]]", f"name = {_quoted(run.name)}"]
         if run.last_row_first:
             lines.append(
-                "last_row_first = true      # its angles grow as forward's do, so its rows go against its motion"
+                "last_row_first = true      # its angles grow as forward's do, so its rows are in reverse order"
             )
         for role, one in (("output_angle", run.output_angle), ("transmission_error", run.transmission_error)):
             lines += [f"[runs.{role}]", *_channel_lines(one, role)]
     if len(runs) > 1 and "torque" not in roles:
-        lines.append("# Where the load turns with the motion, give a run its own [runs.torque] with direction = -1.")
+        lines.append("# If the load's sign follows the motion, give a run its own [runs.torque] with direction = -1.")
     return "\n".join(lines) + "\n"
 
 
@@ -310,5 +310,5 @@ def _channel_lines(one: Look, role: str) -> list[str]:
             counts = 1 << int(np.ceil(np.log2(high - low + 1.0)))
             return [*lines, f"counts_per_turn = {counts}     # whole numbers that roll over within {counts}"]
         if whole:
-            return [*lines, "counts_per_turn = 0         # whole numbers: how many are a turn? (or their unit)"]
-    return [*lines, 'unit = ""                   # the file does not say']
+            return [*lines, "counts_per_turn = 0         # integers: how many per turn? (or their unit)"]
+    return [*lines, 'unit = ""                   # not stated in the file']

@@ -18,7 +18,7 @@ from fitting.recordings.formulas import Formula
 
 
 def _drop(problem: BaseException | None) -> None:
-    """Free what a failed constructor left behind, without its destructor's complaints about what it lacks."""
+    """Free the remains of a failed constructor, without errors of its destructor."""
     hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
     try:
         while problem is not None:
@@ -66,7 +66,7 @@ class MdfFile(BenchFile):
         self.problems += refused
 
     def _time_of(self, index: int, master: Any) -> str:
-        """Take a formula off a group's time; return why the group can't be read, "" where it can."""
+        """Remove a formula from a group's time; return the reason if the group can't be read, or ""."""
         conversion = master.conversion
         try:
             _check_within(master, self._mdf.groups[index].channel_group)
@@ -118,7 +118,7 @@ class MdfFile(BenchFile):
 
 
 def _check_within(channel: Any, group: Any) -> None:
-    """Refuse a channel that lies outside of its group's records: asammdf's C code would read beyond them."""
+    """Refuse a channel outside of its group's records: asammdf's C code would read beyond them."""
     first = 8 * channel.byte_offset + channel.bit_offset if hasattr(channel, "byte_offset") else channel.start_offset
     first += 8 * getattr(channel, "additional_byte_offset", 0)
     marked = getattr(channel, "flags", 0) & _MAY_BE_INVALID
@@ -128,7 +128,7 @@ def _check_within(channel: Any, group: Any) -> None:
 
 
 def _records_held(group: Any, size: int) -> int:
-    """Return how many records the blocks of a group hold in a file of this size: asammdf makes up what is not there."""
+    """Return the number of records in the blocks of a group in a file of this size: asammdf invents missing ones."""
     blocks = list(group.get_data_blocks())
     held = sum(
         min(b.original_size, max(0, size - b.address)) if b.block_type == b.location == 0 else b.original_size
@@ -151,7 +151,7 @@ def _is_v4(conversion: Any) -> bool:
 
 
 def _formula_text(conversion: Any) -> str:
-    """Return the formula of a conversion, "" where it is none."""
+    """Return the formula of a conversion, "" if it has none."""
     formula = _V4_FORMULA if _is_v4(conversion) else _V3_FORMULA
     return (str(conversion.formula) or "nothing") if conversion.conversion_type == formula else ""
 
@@ -164,15 +164,15 @@ def _formula(text: str) -> Formula:
 
 
 def _nests_formula(conversion: Any, depth: int = 0) -> bool:
-    """Return whether a conversion's table refers to a formula, or deeper than anybody writes."""
+    """Return whether a conversion's table refers to a formula, or is nested too deeply."""
     below = [c for c in (getattr(conversion, "referenced_blocks", None) or {}).values() if hasattr(c, "convert")]
     return depth > 4 or any(_formula_text(c) or _nests_formula(c, depth + 1) for c in below)
 
 
 def _conversion(channel: Any) -> Callable[[Any], Any]:
-    """Return what makes physical values of a channel's raw ones; asammdf would hand formulas to Python's `eval`.
+    """Return the conversion of a channel's raw values to physical ones; asammdf would pass formulas to Python's `eval`.
 
-    A text in place of a number is not a number where the channel has a unit.
+    A text in place of a number is NaN if the channel has a unit.
 
     Raises
     ------
@@ -208,7 +208,7 @@ _MOST_SCALES = 100
 
 
 def _unknown_scale(*properties: Mapping[str, Any]) -> str:
-    """Return the first scale of a TDMS channel, its group or file that nobody can compute, "" where there is none."""
+    """Return the first unsupported scale of a TDMS channel, its group or file, "" if there is none."""
     for stated in properties:
         if stated.get("NI_Scaling_Status") == "scaled":
             continue

@@ -1,4 +1,4 @@
-"""Which channel of a bench file is what: the mapping file, and the mapping of a file whose channels bear our names."""
+"""Roles of the channels of a bench file: the mapping file, and the mapping of a file whose channels have our names."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ _TURN = 2.0 * np.pi
 
 
 class ChannelMapping(edge.Config):
-    """`[input_angle]` and its like: which channel of the file it is and what its numbers mean.
+    """`[input_angle]` and other roles: the channel of the file and the meaning of its numbers.
 
     Attributes
     ----------
     column
         The channel's name in the file.
     file_name
-        In place of a column, for `FROM_NAMES`: how the file's name states it, one number for the whole recording that
-        stands where the pattern has {}, such as "_{}Nm".
+        In place of a column, for `FROM_NAMES`: the pattern of the file's name, with one number for the whole recording
+        at {}, such as "_{}Nm".
     unit
-        Unit of its numbers; needed where the file says none, and it overrules the file's.
+        Unit of its numbers; needed if the file states none, and it overrides the file's.
     counts_per_turn
         In place of a unit: the numbers are counts of an angle.
     direction
-        -1 where the numbers fall while the quantity grows.
+        -1 if the numbers decrease while the quantity increases.
     rollover
-        Where an angle starts again, such as "360 deg"; without it one that stays within a turn and jumps back is taken
-        to roll over at one turn.
+        Value at which an angle rolls over, such as "360 deg"; by default an angle that stays within a turn and jumps
+        back is assumed to roll over at one turn.
     zero_reference
-        "absolute" where the zero is the same in every recording, the crank's being at pin 0.
+        "absolute" if the zero is the same in every recording, and that of the crank is at pin 0.
     delay
-        By how much later than the event its time is, such as "1.2 ms" of a filter or another clock.
+        Delay of its time after the event, such as "1.2 ms" of a filter or another clock.
     drift
-        By how much faster, relative, the clock runs that stamped it, counted from its first sample: 100e-6 is 100 ppm.
+        Relative drift of the clock of its time stamps from its first sample, > 0 fast: 100e-6 is 100 ppm.
     """
 
     column: str | None = None
@@ -63,7 +63,7 @@ class ChannelMapping(edge.Config):
 
 
 class TimeMapping(edge.Config):
-    """`[time]`: the channel that holds the time, or the rate at which samples were taken evenly."""
+    """`[time]`: the channel with the time, or the constant sampling rate."""
 
     column: str | None = None
     unit: str | None = None
@@ -71,7 +71,7 @@ class TimeMapping(edge.Config):
 
 
 class _OneRun(edge.Config):
-    """What a table holds of one run."""
+    """The channels of one run in a table."""
 
     input_angle: ChannelMapping | None = None
     output_angle: ChannelMapping | None = None
@@ -84,14 +84,14 @@ class _OneRun(edge.Config):
 
 
 class RunMapping(_OneRun):
-    """`[[runs]]`: one of several runs that stand side by side in a table; its channels go before those of the file.
+    """`[[runs]]`: one of several runs side by side in a table; its channels override those of the file.
 
     Attributes
     ----------
     name
-        What messages and reports call it, such as "forward".
+        Its name in messages and reports, such as "forward".
     last_row_first
-        Whether the run's last sample stands in the first row, as where forward and backward share a column of angles.
+        Whether the run's last sample is in the first row, as if forward and backward share a column of angles.
     input_angle, output_angle, transmission_error, torque, speed, temperature, input_torque
         As in `FileMapping`.
     """
@@ -109,20 +109,20 @@ class FileMapping(_OneRun):
     dbc
         The DBC of a CAN log, relative to the mapping file.
     time
-        Not needed where the file's channels bring their time with them.
+        Not needed if the file's channels have their own times.
     input_angle
-        Left out where the input was locked and nothing measured it.
+        Left out if the input was locked and not measured.
     output_angle, torque
         The channels.
     transmission_error
         In place of the input angle, which is then (output angle - transmission error) times the ratio: its zero is
-        where these two are equal, wherever the file has their zeros.
+        where these two are equal.
     speed
-        Not needed: the speed at which the run was made, of whichever shaft the bench names.
+        Optional: the speed of the run, of the shaft that the bench names.
     temperature, input_torque
-        Not needed. The torque on the input gives the no-load starting torque.
+        Optional. The torque on the input gives the no-load starting torque.
     runs
-        Several runs in one table, each a recording by itself.
+        Several runs in one table, each a separate recording.
     last_row_first
         As in `RunMapping`.
     """
@@ -133,7 +133,7 @@ class FileMapping(_OneRun):
     runs: tuple[RunMapping, ...] = ()
 
     def each(self) -> Iterator[tuple[str, FileMapping]]:
-        """Yield name and mapping of every run in a table; one without a name where the table is one run."""
+        """Yield name and mapping of every run in a table; one without a name if the table is one run."""
         if not self.runs:
             yield "", self
         for run in self.runs:
@@ -142,12 +142,12 @@ class FileMapping(_OneRun):
 
 
 def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
-    """Read a mapping file; its DBC is taken relative to it.
+    """Read a mapping file; its DBC is relative to it.
 
     Raises
     ------
     edge.InputError
-        With one sentence for each thing wrong in it.
+        With one sentence for each problem.
 
     Examples
     --------
@@ -182,7 +182,7 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
 
 
 def _check_channels(mapping: FileMapping, source: str) -> None:
-    """Refuse what one run's channels can't be."""
+    """Refuse invalid channels of one run."""
     for name in ("output_angle", "torque"):
         if getattr(mapping, name) is None:
             raise edge.InputError(f"{source}: {name} is missing; a recording needs it.")
@@ -210,7 +210,7 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
                     'name that states it with {} for the number, such as "_{}Nm"; a - before {} is no sign.'
                 )
             if not channel.unit:
-                raise edge.InputError(f"{source}: [{name}] unit: say in which unit the file's name states it.")
+                raise edge.InputError(f"{source}: [{name}] unit: state the unit of the number in the file's name.")
         if channel.counts_per_turn is not None and name not in ANGLES:
             raise edge.InputError(f"{source}: [{name}] counts_per_turn: only an angle has it; give the unit.")
         if channel.counts_per_turn is not None and (channel.unit is not None or channel.counts_per_turn < 1):
@@ -218,7 +218,7 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
 
 
 def own_names(file: BenchFile) -> FileMapping:
-    """Return the mapping of a file whose channels bear our names.
+    """Return the mapping of a file whose channels have our names.
 
     Raises
     ------
@@ -250,7 +250,7 @@ def own_names(file: BenchFile) -> FileMapping:
 
 
 def _refuse_left_out(file: BenchFile, channel: str) -> None:
-    """Say why the file's reader left a channel out, where it did."""
+    """Raise the reason why the file's reader left a channel out, if it did."""
     for problem in file.problems:
         if f'"{channel}" is left out' in problem:
             raise edge.InputError(problem)
@@ -314,9 +314,9 @@ _NUMBER = r"([+\-−]?(?:\d+(?:[.,]\d+)?|[.,]\d+))(?![\d])"
 
 
 def stated_in_name(path: str | os.PathLike[str], mapping: FileMapping) -> dict[str, float]:
-    """Return what a file's name states by the patterns of a mapping: {role: value, SI}.
+    """Return the values in a file's name by the patterns of a mapping: {role: value, SI}.
 
-    A number may have a sign, also a typographic minus, and a decimal comma.
+    A number may have a sign, including a typographic minus, and a decimal comma.
 
     Parameters
     ----------
@@ -328,7 +328,7 @@ def stated_in_name(path: str | os.PathLike[str], mapping: FileMapping) -> dict[s
     Raises
     ------
     edge.InputError
-        If the name fits a pattern nowhere, or at numbers that differ.
+        If the name does not match a pattern, or matches with different numbers.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Channels that come in pieces of their own, put on one clock."""
+"""Channels in separate pieces, put on one clock."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Table = dict[str, Array]
 
 
 class OneClock:
-    """Puts channels that come in pieces of their own on one clock: the input angle's, or the output's without one.
+    """Puts channels in separate pieces on one clock: the input angle's, or the output's without one.
 
-    Where the angles share most of their instants only these are kept. Otherwise the others are interpolated between
+    If the angles share most of their times only these are kept. Otherwise the others are interpolated between
     neighbours, but never over a gap: samples there are left out, and the next one is marked.
     """
 
@@ -49,7 +49,7 @@ class OneClock:
         self._mark_next = False
 
     def add(self, piece: Piece) -> Iterator[tuple[Table, Bytes | None]]:
-        """Take the next piece and yield what is complete: {role: values, SI} with the time, and the status bits."""
+        """Take the next piece and yield complete samples: {role: values, SI} with the time, and the status bits."""
         columns = {r: c for r, (c, _, _) in self._scales.items()}
         here = [r for r in self._scales if columns[r] in piece.values]
         values = {}
@@ -76,7 +76,7 @@ class OneClock:
             yield from self._flush(min(parts[-1][0][-1] for parts in self._waiting.values()), last=False)
 
     def _corrected(self, role: str, time: Array) -> Array:
-        """Return when samples were taken: without their delay, and by a clock that drifts no more."""
+        """Return the times of samples, corrected for delay and clock drift."""
         delay, drift = self._clocks[role]
         if (delay, drift) == (0.0, 0.0) or not time.size:
             return time
@@ -84,7 +84,7 @@ class OneClock:
         return begun - delay + (time - begun) / (1.0 + drift)
 
     def finish(self) -> Iterator[tuple[Table, Bytes | None]]:
-        """Yield what is left when all pieces were taken."""
+        """Yield the remaining samples when all pieces were taken."""
         if any(self._waiting.values()) and all(self._waiting.values()):
             ends = [parts[-1][0][-1] for parts in self._waiting.values()]
             master = self._waiting[self._master][-1][0]
@@ -157,7 +157,7 @@ class OneClock:
         return self._usual[role]
 
     def _keep(self, joined: Mapping[str, tuple[Array, Array, Bytes]], until: float) -> None:
-        """Let what lies behind `until` wait for the next samples."""
+        """Keep samples after `until` for the next pieces."""
         for role, (times, values, statuses) in joined.items():
             # Of the others one sample before stays: the next of the master's lies behind it.
             first = int(np.searchsorted(times, until, "right"))
@@ -167,9 +167,9 @@ class OneClock:
     def _at_the_same_instants(
         self, joined: Mapping[str, tuple[Array, Array, Bytes]], until: float
     ) -> tuple[Table, Bytes] | None:
-        """Return the samples up to `until` where all channels have the same instants there, else None.
+        """Return the samples up to `until` if all channels have the same times there, otherwise None.
 
-        Nothing is looked up or interpolated then, which is 4 times as fast.
+        Nothing is searched or interpolated then, which is 4 times as fast.
         """
         time, value, status = joined[self._master]
         if not time.size or (np.diff(time) <= 0.0).any():

@@ -1,4 +1,4 @@
-"""Recordings without their implausible samples: what no two encoders on one drive can show is left out and counted."""
+"""Recordings without implausible samples: values that two encoders on one drive can't show are left out and counted."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _SAID = 3  # findings that a note names
 
 
 class PlausibleBlocks:
-    """The blocks of a recording, judged as the recorder does while it records, whoever recorded them.
+    """The blocks of a recording from any source, judged as the recorder does while it records.
 
-    Samples that are marked already, and those found implausible, are left out; the next is behind a gap. Each block
-    waits for the next one, in which a fault may show that began in it.
+    Marked samples and those found implausible are left out; the next one is behind a gap. Each block waits for the next
+    one, which may show a fault that began in it.
 
     Parameters
     ----------
     stream
         The recording.
     ratio
-        Signed ratio of the drive; None: the angles are judged by their steps alone.
+        Signed ratio of the drive; None: the angles are judged only by their steps.
 
     Attributes
     ----------
     count, samples
-        How many were left out so far, of how many.
+        Number left out so far, and number of all.
     """
 
     def __init__(self, stream: Recording | RecordingStream, ratio: float | None) -> None:
@@ -45,12 +45,12 @@ class PlausibleBlocks:
         self.count = self.samples = 0
 
     def __iter__(self) -> Iterator[Block]:
-        """Yield what is left of each block.
+        """Yield the remainder of each block.
 
         Raises
         ------
         edge.InputError
-            As the recording's `blocks`, and where fewer than two samples are left.
+            As the recording's `blocks`, and if fewer than two samples are left.
         """
         judge: Plausibility | None = None
         before: tuple[Block, NDArray[np.bool_]] | None = None
@@ -73,7 +73,7 @@ class PlausibleBlocks:
         if before is not None:
             yield from self._left(*before)
         if self.count and self.samples - self.count < 2:
-            raise edge.InputError(" ".join([*self._stream.notes, *self.notes(), "No two samples are left."]))
+            raise edge.InputError(" ".join([*self._stream.notes, *self.notes(), "Fewer than two samples are left."]))
 
     def _left(self, block: Block, implausible: NDArray[np.bool_]) -> Iterator[Block]:
         self.samples += block.time.size
@@ -96,7 +96,7 @@ class PlausibleBlocks:
             yield Block(**left)  # type: ignore[arg-type]
 
     def notes(self) -> list[str]:
-        """Return one sentence that says what was left out, where anything was."""
+        """Return one sentence on the samples left out, if any."""
         if not self.count:
             return []
         said = [f"{one.text} (from {one.time:.6g} s)" for one in self._found]
@@ -111,7 +111,7 @@ class PlausibleBlocks:
 
 
 def _pieces(block: Block) -> Iterator[Block]:
-    """Yield a block piece by piece, each small enough for a processor's cache."""
+    """Yield a block in pieces that fit a processor's cache."""
     if block.time.size <= PIECE:
         yield block
         return
@@ -122,7 +122,7 @@ def _pieces(block: Block) -> Iterator[Block]:
 
 
 def _with_resolution(limits: Limits, block: Block) -> Limits:
-    """Return limits with the encoders' steps, where nothing states them and values that repeat show them."""
+    """Return limits with the encoders' steps, if they are not stated and repeated values show them."""
     shown = {}
     for role in ANGLES:
         name = f"{role.removesuffix('_angle')}_resolution"

@@ -1,7 +1,7 @@
-"""What tables of transmission errors and names of files seem to state: proposed for a person to check.
+"""Interpretation of tables of transmission errors and of file names: proposed for a person to check.
 
-Published recordings of rigs are tables of output angle and transmission error, forward and backward side by side, whose
-torque, speed and temperature stand in the files' names.
+Published recordings of rigs are tables of output angle and transmission error, forward and backward side by side, with
+torque, speed and temperature in the files' names.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _MOST = {"deg": 5.0, "arcmin": 300.0, "arcsec": 18000.0, "mrad": 90.0, "rad": 0.
 
 @dataclass(frozen=True)
 class ErrorRun:
-    """One run of a table of transmission errors: its name, its two channels and which way its rows go."""
+    """One run of a table of transmission errors: its name, its two channels and the direction of its rows."""
 
     name: str
     output_angle: Look
@@ -40,7 +40,7 @@ class ErrorRun:
 
 
 def stated_unit(one: Look) -> str:
-    """Return a channel's unit as the file says it, or as its name does: `TE_arcsec`, `TE (arcsec) CW`."""
+    """Return a channel's unit as stated by the file or by its name: `TE_arcsec`, `TE (arcsec) CW`."""
     if one.channel.unit:
         return unit_text(one.channel.unit)
     name = one.channel.name.strip()
@@ -69,10 +69,10 @@ def _way(name: str) -> str:
 
 
 def error_runs(looks: Sequence[Look]) -> list[ErrorRun]:
-    """Return the runs that a table of output angles and transmission errors seems to hold; none where it is no such.
+    """Return the runs that a table of output angles and transmission errors seems to contain; none for other tables.
 
-    Each error goes with the angle of its way (forward or backward) or number, else with the only angle, else with the
-    one before it.
+    Each error belongs to the angle of its direction (forward or backward) or number, otherwise to the only angle,
+    otherwise to the one before it.
     """
     free = [one for one in looks if np.isfinite(one.values).sum() > 1]
     errors = [one for one in free if _is_error(one, free)]
@@ -117,7 +117,7 @@ def _is_error(one: Look, all_of_them: Sequence[Look]) -> bool:
 
 
 def _grows(one: Look) -> bool:
-    """Whether an angle grows from row to row, leaving out where it rolls over."""
+    """Whether an angle increases from row to row, except at rollovers."""
     steps = np.diff(one.values[np.isfinite(one.values)])
     return bool(np.median(np.sign(steps[steps != 0.0])) > 0.0) if steps.any() else True
 
@@ -136,9 +136,9 @@ _BEFORE = {  # the quantity's name before it
 
 
 def name_patterns(path: str | Path) -> dict[str, tuple[str, str, str]]:
-    """Return what a file's name seems to state: {role: (pattern with {} for the number, unit, a comment)}.
+    """Return the values that a file's name seems to state: {role: (pattern with {} for the number, unit, a comment)}.
 
-    The pattern is empty where the name can be read in two ways; the comment says in which.
+    The pattern is empty if the name is ambiguous; the comment states the readings.
 
     Examples
     --------
@@ -162,7 +162,7 @@ def name_patterns(path: str | Path) -> dict[str, tuple[str, str, str]]:
             matches = list(re.finditer(rf"(?<![^\W_])({_BEFORE[role]})([ _=:]*)({_NUMBER})", name, re.IGNORECASE))
         if len(matches) == 1:
             before = matches[0][1] + matches[0][2]
-            found[role] = (f"{before}{{}}", unit, "the name does not say the unit; check")
+            found[role] = (f"{before}{{}}", unit, "the name does not state the unit; check")
     if found.get("torque", ("",))[0] in ("T={}", "T{}", "T_{}") and "temperature" not in found:
         found["torque"] = ("", "", 'is T the torque or the temperature? Write "T={}" here or in [temperature]')
     return found

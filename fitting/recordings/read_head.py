@@ -1,8 +1,8 @@
 """The angle error of a single read head whose shaft is displaced by the load, and a recording without it.
 
-Torque bends and tilts a bench's shafts (Liu et al., 2022, section 2). A disc that is displaced by Y on a radius R_d
-turns by nothing, yet one head reads Y/R_d of angle for the part of Y along its own direction of reading; two opposite
-heads would cancel it. The displacement over torque is measured or computed once and taken as a straight line.
+Torque bends and tilts a bench's shafts (Liu et al., 2022, section 2). A disc displaced by Y does not rotate, but one
+head at the radius R_d reads the angle Y/R_d for the part of Y along its own direction of reading; two opposite heads
+would cancel it. The displacement over torque is measured or computed once and used as a straight line.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class ReadHead:
     Attributes
     ----------
     radius, radius_uncertainty
-        R_d, on which it reads, and its standard uncertainty, m.
+        Radius of reading R_d and its standard uncertainty, m.
     direction
         Angle from the head's place on the disc to the direction of the displacement, counter-clockwise, rad: at +90°
         the displacement moves the disc under the head as a counter-clockwise rotation would.
@@ -100,9 +100,9 @@ def fit_displacement(torque: ArrayLike, displacement: ArrayLike) -> Displacement
 
 
 def angle_error(head: ReadHead, torque: ArrayLike) -> tuple[Array, Array]:
-    """Return how much a head reads too much, and its standard uncertainty, both rad, of the torque's shape.
+    """Return the error of a head's reading, and its standard uncertainty, both rad, of the torque's shape.
 
-    The uncertainty holds the line's, the scatter about it and the radius's (GUM, first order).
+    The uncertainty includes that of the line, the scatter about it and that of the radius (GUM, first order).
     """
     t, d = np.asarray(torque, dtype=float), head.displacement
     share = math.sin(head.direction) / head.radius
@@ -113,7 +113,7 @@ def angle_error(head: ReadHead, torque: ArrayLike) -> tuple[Array, Array]:
 
 
 def without_coaxiality_error(recording: Recording, head: ReadHead) -> Recording:
-    """Return a recording whose output angle is freed of its head's coaxiality error; a note says by how much."""
+    """Return a recording corrected for its read head's coaxiality error; a note states the correction."""
     error, uncertainty = angle_error(head, recording.torque)
     d = head.displacement
     notes = [
@@ -130,12 +130,12 @@ def without_coaxiality_error(recording: Recording, head: ReadHead) -> Recording:
 
 
 def read_read_head(path: str | os.PathLike[str]) -> ReadHead:
-    """Return the read head of a TOML file; its table of displacements (CSV) lies beside it.
+    """Return the read head of a TOML file; its table of displacements (CSV) is next to it.
 
     Raises
     ------
     edge.InputError
-        If one of the files is wrong; one sentence that names file, field and value.
+        If one of the files is invalid; one sentence that names file, field and value.
     """
     table = edge.toml_table(edge.read_text(path), FORMAT, str(path))
     head = edge.validated(_File, table, str(path)).read_head

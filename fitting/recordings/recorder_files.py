@@ -12,7 +12,7 @@ _GATHERED = 1 << 13  # samples of a channel
 
 
 class RecorderFile(BenchFile):
-    """A recording of `cycloid-bench record`, in its channels' own clocks put on the host's."""
+    """A recording of `cycloid-bench record`, with its channels' clocks converted to the host's."""
 
     def __init__(self, source: str, dbc: object = None) -> None:
         with RecordingReader(source) as reader:

@@ -1,7 +1,7 @@
-"""The bench recording as evaluation sees it: one clock, one table, SI, validated.
+"""The bench recording for evaluation: one clock, one table, SI, validated.
 
-Recordings come block by block, so that they may be larger than memory: times run on, angles are continuous, and what
-is missing or was left out is marked and counted, never filled in silence.
+Recordings are read block by block and may be larger than memory: times are continuous, angles too, and samples that are
+missing or left out are marked and counted, never filled in without notice.
 """
 
 from __future__ import annotations
@@ -43,31 +43,31 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True, kw_only=True)
 class Recording(Block):
-    """What a bench recorded: a block that holds all of it, and where it comes from.
+    """A recording: a block with all samples, and its source.
 
     Attributes
     ----------
     source, checksum
         The file's name and its SHA-256.
     ratio
-        Signed ratio of the drive, where the recording states it.
+        Signed ratio of the drive, if the recording states it.
     pair
-        Name or fingerprint of the gear pair, where the recording states it.
+        Name or fingerprint of the gear pair, if the recording states it.
     common_zero
         Whether the output encoder's zero is the same in every recording of the bench (an absolute encoder).
     known_index
         Whether crank angle 0 is the crank at pin 0 (an absolute or indexed input encoder).
     notes
-        One sentence for each thing that a reader should know: what was left out, what was interpolated.
+        One sentence for each note: samples left out or interpolated.
     alignment, torque_alignment
-        Half the 95 % interval, s, of how far the two angles' clocks, and those of output angle and torque, may be apart
-        at the recording's ends; 0 where one clock stamped both, or none is known to be another.
+        Half the 95 % interval, s, of the time difference at the recording's ends between the clocks of the two angles,
+        and of output angle and torque; 0 for one clock, or if none is known to differ.
     limits
-        What the encoders can show, as far as it is stated.
+        Limits of the encoders, as far as stated.
     speed
-        At which it was made, rad/s of the shaft that the bench names, where that is stated.
+        Speed of the run, rad/s of the shaft that the bench names, if stated.
     timed
-        Whether its times are seconds; else they count samples.
+        Whether its times are seconds; otherwise they count samples.
     """
 
     source: str
@@ -93,25 +93,25 @@ class Recording(Block):
 
 
 class RecordingStream:
-    """A recording in a file, taken block by block.
+    """A recording in a file, read block by block.
 
     Parameters
     ----------
     path
         The file; see `fitting.recordings.formats.open_bench_file` for the kinds.
     mapping
-        Which channel is what; None where the channels bear our names: time, input_angle, output_angle, torque.
+        Roles of the channels; None if the channels have our names: time, input_angle, output_angle, torque.
     ratio
         Signed ratio of the drive; by default the mapping's or the file's. A transmission error needs one.
     run
-        Which of a table's runs the mapping is of.
+        The run of a table that the mapping is for.
 
     Attributes
     ----------
     source, ratio, pair, common_zero, known_index, limits, timed
-        As in `Recording`; the source is the file's name, and behind a comma the run's.
+        As in `Recording`; the source is the file's name, and after a comma the run's.
     notes, alignment, torque_alignment, speed
-        As in `Recording`; complete when all blocks were taken.
+        As in `Recording`; complete when all blocks were read.
 
     Raises
     ------
@@ -133,13 +133,13 @@ class RecordingStream:
         self._scales = scales_of(self._file, self._mapping)
         self.timed = self._file.timed or self._mapping.time is not None
         if self._file.timed and self._mapping.last_row_first:
-            raise edge.InputError(f"{self.source}: last_row_first: the file's own times say which sample came first.")
+            raise edge.InputError(f"{self.source}: last_row_first: the file's own times determine the first sample.")
         self._stated = stated_in_name(path, self._mapping)
         own = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
         self.ratio = own if ratio is None else ratio
         if self.ratio is None and self._mapping.transmission_error is not None:
             raise edge.InputError(
-                f"{self.source}: it holds a transmission error; its input angle follows by the drive's ratio only. "
+                f"{self.source}: it contains a transmission error; its input angle follows only by the drive's ratio. "
                 "Give the drive, or its ratio."
             )
         self.pair = self._file.pair
@@ -153,7 +153,7 @@ class RecordingStream:
         self._digesting: threading.Thread | None = None
 
     def _limits(self) -> Limits:
-        """Return what the encoders can show; counts per turn of the mapping overrule the file's."""
+        """Return the limits of the encoders; counts per turn of the mapping override the file's."""
         shown = {
             f"{role.removesuffix('_angle')}_resolution": 2.0 * math.pi / channel.counts_per_turn
             for role in ANGLES
@@ -168,7 +168,7 @@ class RecordingStream:
         return self._digest[0]
 
     def _start_digest(self) -> threading.Thread:
-        """Work the checksum out beside what reads the blocks: hours at kilohertz are gigabytes."""
+        """Compute the checksum in parallel to reading the blocks: hours at kilohertz are gigabytes."""
         if self._digesting is None:
             # An interrupt or a refused file does not wait for it.
             file = Path(self._path).open("rb")  # noqa: SIM115
@@ -194,7 +194,7 @@ class RecordingStream:
         Raises
         ------
         edge.InputError
-            If a value of the file is no number, or it ends before a sample came.
+            If a value of the file is not a number, or it ends before the first sample.
         """
         self._start_digest()
         clocks = {n: (m.delay, m.drift) for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
@@ -241,7 +241,7 @@ class RecordingStream:
         return self.recording({n: np.concatenate([getattr(b, n) for b in blocks]) for n in names})
 
     def recording(self, columns: Mapping[str, NDArray[Any]]) -> Recording:
-        """Return columns of a block as a recording from this file, when all its blocks were taken."""
+        """Return columns of a block as a recording from this file, when all its blocks were read."""
         return Recording(
             **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
             common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
@@ -250,7 +250,7 @@ class RecordingStream:
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:
-        """Say which channels were put on the host's clock, and keep how well those of a pair are known to agree."""
+        """Note the channels converted to the host's clock, and keep the uncertainty between those of a pair."""
         clocks = {role: c for role, (name, _, _) in self._scales.items() if (c := self._file.clocks.get(name))}
 
         def apart(roles: tuple[str, ...]) -> float:
@@ -266,7 +266,7 @@ class RecordingStream:
 
 
 def _backwards(pieces: Iterator[Piece]) -> Iterator[Piece]:
-    """Yield a table's rows from its last to its first, as one piece; their times begin anew from the other end."""
+    """Yield a table's rows from its last to its first, as one piece; their times start again from the other end."""
     held = list(pieces)
     if held:
         values = {n: np.concatenate([p.values[n] for p in held])[::-1] for n in held[0].values}

@@ -1,10 +1,10 @@
 """Text exports of TwinCAT Scope.
 
-The form is that of "Export to csv" in Beckhoff's documentation of TE13xx and of the exports that people publish: lines
+The format is that of "Export to csv" in Beckhoff's documentation of TE13xx and of published exports: lines
 "Name", "File", "Starttime of export" and "Endtime of export"; a header whose rows each state one thing ("Name", "Unit",
-"Data-Type", …) of all channels; then the numbers. Channels of one sample time stand in a group behind a column of their
+"Data-Type", …) of all channels; then the numbers. Channels of one sample time form a group after a column of their
 time, ms since the export's first sample, over which the header has the rows' own names. Groups end at different rows:
-what is missing is blank, or the row is shorter.
+missing cells are blank, or the row is shorter.
 """
 
 from __future__ import annotations
@@ -94,11 +94,11 @@ class ScopeFile(BenchFile):
         return line.rstrip("\r\n").split(self._delimiter)
 
     def _unit(self, units: Sequence[str], column: int) -> str:
-        """Return the symbol of a unit, which stands before its quantity: "dV (Voltage)", "(None)"."""
+        """Return the symbol of a unit, which is written before its quantity: "dV (Voltage)", "(None)"."""
         return "" if column >= len(units) else units[column].partition("(")[0].strip()
 
     def _scale_of(self, header: dict[str, list[str]], column: int) -> bool:
-        """Return whether Scope has a factor or offset for a channel; the file says not if it is applied."""
+        """Return whether Scope has a factor or offset for a channel; the file does not state whether it is applied."""
         for row, neutral in _SCALES.items():
             cells = header.get(row, [])
             if len(cells) == self._width:
@@ -144,7 +144,7 @@ class ScopeFile(BenchFile):
                     yield Piece(table[time][there] * 1e-3, values)
 
     def _numbers(self, rows: list[str], number: int, wanted: Sequence[int]) -> dict[int, Any]:
-        """Return the columns that are wanted of some rows, NaN where a cell is blank."""
+        """Return the wanted columns of some rows, NaN for blank cells."""
         import pyarrow as pa
         from pyarrow import csv as arrow_csv
 

@@ -1,4 +1,4 @@
-"""Where recordings come from: files by name or pattern, or arrays of somebody else's bench."""
+"""Sources of recordings: files by name or pattern, or arrays of another bench."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class RecordingFile:
     run: str = ""
 
     def open(self, ratio: float | None = None) -> Recording | RecordingStream:
-        """Open the file; with a read head, its whole recording free of the head's coaxiality error.
+        """Open the file; with a read head, its whole recording corrected for the head's coaxiality error.
 
         Parameters
         ----------
         ratio
-            Signed ratio of the drive, which overrules what mapping and file state.
+            Signed ratio of the drive, which overrides those of mapping and file.
 
         Raises
         ------
@@ -47,7 +47,7 @@ class RecordingFile:
 
 @dataclass(frozen=True)
 class Run:
-    """A recording as arrays of shape (samples,), whatever bench they come from; a number stands for all samples.
+    """A recording as arrays of shape (samples,), from any bench; a number is used for all samples.
 
     Attributes
     ----------
@@ -56,17 +56,17 @@ class Run:
     torque
         N·m of the environment on the output.
     time
-        s; None where the samples were taken evenly in an unknown time, so that speeds are unknown.
+        s; None for evenly spaced samples at an unknown rate, so that speeds are unknown.
     temperature, input_torque
-        K, and N·m of the environment on the input, where they were measured.
+        K, and N·m of the environment on the input, if measured.
     name
-        What messages and reports call it.
+        Its name in messages and reports.
     common_zero
         Whether the output angle's zero is the same in every run of the bench (an absolute encoder).
     known_index
         Whether input angle 0 is the crank at pin 0.
     speed
-        At which it was made, rad/s of the shaft that the bench names, where that is known.
+        Speed of the run, rad/s of the shaft that the bench names, if known.
 
     Examples
     --------
@@ -89,7 +89,7 @@ class Run:
     speed: float | None = None
 
     def open(self) -> Recording:
-        """Return the arrays as a recording: what is no sample is left out, with a note.
+        """Return the arrays as a recording; invalid samples are left out, with a note.
 
         Raises
         ------
@@ -123,7 +123,7 @@ Source = RecordingFile | Run | Recording | RecordingStream
 
 
 def open_source(source: Source, ratio: float | None = None) -> Recording | RecordingStream:
-    """Return a recording that can be taken block by block; a drive's ratio turns measured errors to angles."""
+    """Return a recording that can be read block by block; a drive's ratio converts measured errors to angles."""
     if isinstance(source, RecordingFile):
         return source.open(ratio)
     return source.open() if isinstance(source, Run) else source
@@ -134,26 +134,26 @@ def read_recordings(
     mapping: FileMapping | str | os.PathLike[str] | None = None,
     read_head: ReadHead | str | os.PathLike[str] | None = None,
 ) -> list[RecordingFile]:
-    """Give recordings in files, in the order of their names: CSV, TwinCAT Scope, Parquet, MDF 4, TDMS, CAN, `.arrows`.
+    """Return recordings in files, in order of their names: CSV, TwinCAT Scope, Parquet, MDF 4, TDMS, CAN, `.arrows`.
 
-    A table that holds several runs side by side is as many recordings, by the `runs` of its mapping. A file is opened
-    when it is used, and again whenever it is, so that it may be larger than memory: `metrics` leaves one out that can't
-    be read, with a note; `curves` and `identify` refuse it by name.
+    A table with several runs side by side gives several recordings, by the `runs` of its mapping. A file is opened
+    whenever it is used, so it may be larger than memory. `metrics` leaves out an unreadable one, with a note; `curves`
+    and `identify` refuse it by name.
 
     Parameters
     ----------
     paths
         A path, a pattern such as `*.arrows`, or several of either.
     mapping
-        Which channel is what, or its file; None where the channels bear our names: time, input_angle, output_angle,
+        Roles of the channels, or their file; None if the channels have our names: time, input_angle, output_angle,
         torque.
     read_head
-        The output's single read head, or its file, whose coaxiality error is taken off.
+        The output's single read head, or its file, to correct its coaxiality error.
 
     Raises
     ------
     edge.InputError
-        If a pattern fits no file, or the mapping or the read head can't be read.
+        If a pattern matches no file, or the mapping or the read head can't be read.
 
     Examples
     --------

@@ -21,7 +21,7 @@ _NOT_A_NUMBER = {"", "nan", "inf", "-inf", "n/a", "na", "null"}
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a table is written.
+    """The format of a table.
 
     Attributes
     ----------
@@ -30,9 +30,9 @@ class Dialect:
     delimiter, decimal
         Between cells, and in numbers.
     header
-        The header's cells; made up where there is none.
+        The header's cells; generated if there is none.
     units
-        Units of the columns, "" where none is given.
+        Units of the columns, "" if not given.
     skip
         Lines before the first row of numbers.
     """
@@ -69,7 +69,7 @@ def _is_number(cell: str) -> bool:
 
 
 def find_dialect(data: bytes, source: str) -> Dialect:
-    """Find how a table is written from its first bytes.
+    """Determine the format of a table from its first bytes.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def find_dialect(data: bytes, source: str) -> Dialect:
     Raises
     ------
     edge.InputError
-        If it is empty or no table of numbers.
+        If it is empty or not a table of numbers.
     """
     encoding, text = decoded_start(data, source)
     lines = text.splitlines()
@@ -234,8 +234,8 @@ class ParquetFile(BenchFile):
     def _row_groups(self) -> Iterator[list[int]]:
         """Yield neighbouring row groups, a few pieces together.
 
-        Arrow keeps what it read of a file until the last of the row groups that it was asked for: of two hours at 4 kHz
-        half the memory of the process.
+        Arrow keeps the data of a file until the last requested row group: for two hours at 4 kHz half the memory of the
+        process.
         """
         groups, rows = [], 0
         for number in range(self._file.num_row_groups):

@@ -36,12 +36,12 @@ _PAGE = """<p id="verdict"><strong>Verdict: {{ verdict }}</strong></p>
 
 
 def write_certificate(found: Figures, certificate: Certificate, path: str | os.PathLike[str]) -> None:
-    """Write the certificate of one drive as an HTML page that loads nothing from anywhere, whole or not at all.
+    """Write the certificate of one drive as a self-contained HTML page; never a partial file.
 
     Raises
     ------
     edge.InputError
-        If no instruments are stated, whose uncertainties the decisions need, or the name has another ending.
+        If no instruments are stated, which the decisions need, or the name has another ending.
     """
     target = edge.output_path(path, "path", FORMATS)
     if found.instruments is None:
@@ -72,7 +72,7 @@ def write_certificate(found: Figures, certificate: Certificate, path: str | os.P
 
 
 def _loads(found: Figures) -> list[tuple[str, str]]:
-    """What the recordings tell of the conditions."""
+    """Conditions of the recordings."""
     warm = [t for one in found.surveyed if (t := one.overview.temperature) is not None]
     rows = [("Ratio", "" if found.ratio is None else f"{found.ratio:g}"),
             ("Rated torque", "" if found.rated_torque is None else f"{found.rated_torque:.5g} N·m")]  # fmt: skip
@@ -116,7 +116,7 @@ def _results(found: Figures, decisions: list[Decision]) -> list[list[str]]:
 
 
 def _limit_panels(decisions: list[Decision]) -> list[Panel]:
-    """Each decided figure with ± U as a share of its upper limit, or of its lower one where it has no other."""
+    """Each decided figure with ± U as a share of its upper limit, or of its lower one if it has no upper one."""
     traces = []
     shown = [one for one in decisions if math.isfinite(one.value)]
     for row, one in enumerate(shown):
@@ -134,6 +134,6 @@ def _limit_panels(decisions: list[Decision]) -> list[Panel]:
                 traces.append(Trace(label, at, np.array([-row - 0.35, -row + 0.35]), "thick", 1))
     if not shown:
         return []
-    caption = "Per cent of the largest value that is allowed, or of the smallest where there is no largest."
+    caption = "Per cent of the upper limit, or of the lower one if there is no upper limit."
     names = tuple(title_of(one.figure) for one in shown)
     return [Panel("Figures and their limits", "share of the limit [%]", "", tuple(traces), caption, y_names=names)]

@@ -1,4 +1,4 @@
-"""Picture of a compensator: what it corrects, of what that consists, and how sure it is."""
+"""Plot of a compensator: its correction, the parts of it, and the band."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ANGLES, _TORQUES, _TURNS = 2000, 400, 2.0  # crank turns that are shown at most
 
 
 def plot_compensator(c: Compensator, torque: float) -> Figure:
-    """Draw what a compensator takes off at the output, in the middle of its temperatures.
+    """Draw the correction of a compensator at the output, in the middle of its temperatures.
 
     Over the crank angle at plus and minus a torque (N·m): all of it with two standard deviations to both sides, and the
     ripple alone; over the torque: mean deviation and wind-up, and the band, a standard deviation.
@@ -60,7 +60,7 @@ def plot_compensator(c: Compensator, torque: float) -> Figure:
 
 
 def _variance(c: Compensator, torque: np.ndarray, temperature: float) -> np.ndarray:
-    """Variance at torques before anything is measured, rad²."""
+    """Variance at torques before any measurement, rad²."""
     rows = [np.interp(torque, c.inverse.torque, row) for row in c.variance]
     over = np.array(rows)
     return np.array([np.interp(temperature, c.inverse.temperature, column) for column in over.T])

@@ -1,4 +1,4 @@
-"""The report that a person reads and hands on: one HTML file that needs nothing else, or the same as PDF."""
+"""The report of figures: one self-contained HTML file, or the same as PDF."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def title_of(name: str) -> str:
 
 
 def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
-    """Write the report of figures as HTML or PDF by the name's ending, whole or not at all."""
+    """Write the report of figures as HTML or PDF by the name's ending; never a partial file."""
     target = edge.output_path(path, "path", FORMATS)
     panels = panels_of(found)
     with edge.written_whole(target) as temporary:
@@ -38,7 +38,7 @@ def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
 
 
 def figure_rows(found: Figures) -> list[dict[str, str]]:
-    """Return the figures' table, one row a figure and one, with `part`, for each of its parts and runs."""
+    """Return the figures' table, one row for each figure and one, with `part`, for each of its parts and runs."""
     rows = []
     for name, figure in found.figures.items():
         rows.append(_row(title_of(name), figure, definition=figure.definition))
@@ -109,9 +109,9 @@ _FIGURES = (
 """
     + BUDGETS
 )
-SOURCES = """<h2>What was left out, and what to know</h2>
+SOURCES = """<h2>Excluded data and notes</h2>
 {% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
-<p id="notes">Nothing was left out.</p>{% endif %}
+<p id="notes">No data were excluded.</p>{% endif %}
 <h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>Kind</th><th>Samples</th><th>Time</th>
 <th>Temperature</th><th>SHA-256</th></tr></thead><tbody>
 {% for s in sources %}<tr><td>{{ s.name }}</td><td>{{ s.kind }}</td><td class="number">{{ s.samples }}</td>
@@ -121,7 +121,7 @@ SOURCES = """<h2>What was left out, and what to know</h2>
 
 
 def html_report(found: Figures, panels: Sequence[Panel]) -> str:
-    """Return the report as one HTML page that loads nothing from anywhere."""
+    """Return the report as one self-contained HTML page."""
     return html_page(
         "Test bench report", _facts(found), _FIGURES, panels, SOURCES, rows=figure_rows(found), notes=found.notes,
         sources=sources_of(found), budgets=budget_tables(found), budget_head=BUDGET_HEAD,

@@ -1,4 +1,4 @@
-"""The report of a fit: measured against fitted, what is left, errors with intervals, and what is not known."""
+"""The report of a fit: measured and fitted curves, residuals, errors with intervals, and unresolved errors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stat
 
 
 def fit_panels(result: Identification) -> list[Panel]:
-    """Return the panels of a fit: measured and fitted curves, what is left, its orders, and the errors' intervals."""
+    """Return the panels of a fit: measured and fitted curves, residuals, their orders, and the errors' intervals."""
     fitted, left, rest = [], [], []
     for number, (curve, model) in enumerate(zip(result.curves, result.fitted_curves, strict=True)):
         turns = curve.input_angle / (2.0 * np.pi)
@@ -42,7 +42,7 @@ def fit_panels(result: Identification) -> list[Panel]:
         Panel("Measured and fitted", "crank turns", "transmission error [arcsec]", tuple(fitted),
               "Points are measured, lines are the fit with the bench's own errors; the first turns of the crank."),
         Panel("Residual", "crank turns", "measured minus fitted [arcsec]", tuple(left),
-              f"{result.residual / _ARC:.3f}″ rms are left; the noise of a point is {result.noise / _ARC:.3f}″. "
+              f"{result.residual / _ARC:.3f}″ rms residual; the noise of a point is {result.noise / _ARC:.3f}″. "
               "A click on a curve's name hides it, a double click all others."),
     ]  # fmt: skip
     orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of the residual")
@@ -52,7 +52,7 @@ def fit_panels(result: Identification) -> list[Panel]:
 
 
 def _loop_panels(loop: LoopFit) -> list[Panel]:
-    """A loop as measured and fitted, and what is left of it, each branch by itself."""
+    """A loop as measured and fitted, and its residual, each branch separately."""
     name, torque = f"Hysteresis loop: {Path(loop.source).name}", "torque on the output [N·m]"
     middle = float(np.mean(list(loop.measured.values())))
     both, left = [], []
@@ -64,8 +64,8 @@ def _loop_panels(loop: LoopFit) -> list[Panel]:
     return [
         Panel(name, torque, "windup [arcmin]", tuple(both),
               f"Input locked at {np.degrees(loop.crank_angle):.1f}° of the crank. Points are means over the torque, "
-              "lines the fit, from where friction has left the play behind."),
-        Panel(f"{name}: residual", torque, "measured minus fitted [arcsec]", tuple(left), "Each branch by itself."),
+              "lines the fit, beyond play and friction."),
+        Panel(f"{name}: residual", torque, "measured minus fitted [arcsec]", tuple(left), "Each branch separately."),
     ]  # fmt: skip
 
 
@@ -116,7 +116,7 @@ other.</p>
 <td class="number">{{ value }}</td></tr>
 {% endfor %}</tbody></table>
 <h2>What to know</h2>{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
-<p id="notes">Nothing was left out.</p>{% endif %}
+<p id="notes">No data were excluded.</p>{% endif %}
 <h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>SHA-256</th></tr></thead><tbody>
 {% for name, checksum in sources %}<tr><td>{{ name }}</td><td><code>{{ checksum }}</code></td></tr>
 {% endfor %}</tbody></table>
@@ -132,7 +132,7 @@ def _row(one: Parameter) -> dict[str, str]:
 
 
 def _with_interval(one: Parameter) -> str:
-    """A displacement in µm, or a phase in degrees, with half its interval; in brackets where it was not measured."""
+    """A displacement in µm, or a phase in degrees, with half its interval; in brackets if not measured."""
     factor = 1e6 if one.unit == "m" else math.degrees(1.0)
     told = (
         ""
@@ -178,24 +178,24 @@ def _correlation(result: Identification) -> list[dict[str, Any]]:
 
 def _trust(result: Identification) -> list[str]:
     trust = [
-        f"{result.residual / _ARC:.3f}″ rms are left of the curves; the noise of a point is {result.noise / _ARC:.3f}″."
+        f"{result.residual / _ARC:.3f}″ rms residual of the curves; the noise of a point is {result.noise / _ARC:.3f}″."
     ]
     if result.held_out is not None:
         kept = result.held_out
         trust.append(
-            f"{kept.loads} were kept from a first fit and predicted by it: {kept.residual / _ARC:.3f}″ rms are left, "
+            f"{kept.loads} were held out of a first fit and predicted by it: {kept.residual / _ARC:.3f}″ rms are left, "
             f"{kept.residual / kept.noise:.2f} times the noise."
         )
     else:
-        trust.append("Nothing could be kept back to be predicted: that takes three curves.")
+        trust.append("No curve was held out for prediction: this needs three curves.")
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
-    trust.append(f"Beyond the errors of the table single pins and teeth scatter: {scatter} (standard deviations).")
+    trust.append(f"Scatter of single pins and teeth beyond the errors of the table: {scatter} (standard deviations).")
     for one in result.loops:
         left = np.concatenate([one.measured[n] - one.fitted[n] for n in one.fitted])
         trust.append(
             f"{Path(one.source).name}: the play at {np.degrees(one.crank_angle):.1f}° of the crank is "
             f"{one.play / _ARC:.2f} ± {1.96 * one.standard_error / _ARC:.2f}″ by the identified errors; "
-            f"{np.sqrt(np.mean(left**2)) / _ARC:.3f}″ rms are left of the loop's points."
+            f"{np.sqrt(np.mean(left**2)) / _ARC:.3f}″ rms residual of the loop's points."
         )
     if result.inflation > 1.0:
         trust.append(f"The residual is not white: the intervals are {result.inflation:.2f} times those of white noise.")
@@ -203,7 +203,7 @@ def _trust(result: Identification) -> list[str]:
 
 
 def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> None:
-    """Write the report of a fit as one HTML file that needs nothing else, whole or not at all."""
+    """Write the report of a fit as one self-contained HTML file; never a partial file."""
     target, pair = edge.output_path(path, "path", FORMATS), result.pair
     text = html_page(
         "Identified drive", f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 _RPM = 30.0 / math.pi
 _ABOVE = """<p>{{ curves }} curves. {{ axis }}</p>
 """
-_BELOW = """<h2>What was left out, and what to know</h2>
+_BELOW = """<h2>Excluded data and notes</h2>
 {% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
-<p id="notes">Nothing was left out.</p>{% endif %}
+<p id="notes">No data were excluded.</p>{% endif %}
 """
 
 
@@ -55,7 +55,7 @@ def map_panels(found: xr.Dataset) -> list[Panel]:
 
 
 def _panel(title: str, unit: str, found: xr.Dataset, values: xr.DataArray) -> list[Panel]:
-    """A map for each temperature; where torque or speed is one alone, lines over the other."""
+    """A map for each temperature; for a single torque or speed, lines over the other."""
     if not np.isfinite(values).any():
         return []
     names = tuple(
@@ -85,13 +85,13 @@ def _panel(title: str, unit: str, found: xr.Dataset, values: xr.DataArray) -> li
 
 
 def write_maps_report(found: xr.Dataset, path: str | os.PathLike[str]) -> None:
-    """Write the page of maps (HTML), whole or not at all."""
+    """Write the page of maps (HTML); never a partial file."""
     target = edge.output_path(path, "path", (".html",))
     signs = {
-        "size": "Torque is the load's size: its sign goes with the direction.",
+        "size": "Torque is the load's magnitude: its sign follows the direction.",
         "signed": "Torque is signed, of the environment on the output.",
     }
-    axis = f"{signs[found.attrs['torque_is']]} Forward: the crank's angle grows. The gap is forward minus backward."
+    axis = f"{signs[found.attrs['torque_is']]} Forward: the crank angle increases. The gap is forward minus backward."
     text = html_page(
         "Maps of a drive", f"ratio {found.attrs['ratio']:g}, {made_now()}", _ABOVE, map_panels(found), _BELOW,
         curves=found.attrs["curves"], axis=axis, notes=[n for n in found.attrs["notes"].split("\n") if n],

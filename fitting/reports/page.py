@@ -1,4 +1,4 @@
-"""A page of a report: HTML that loads nothing from anywhere, with panels to zoom and hover in."""
+"""A page of a report: self-contained HTML with panels to zoom and hover in."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GREY = "#777777"
 
 
 def made_now() -> str:
-    """Say when and with which version a report is made."""
+    """Return date and version of a report."""
     now = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
     return f"made {now} with cycloid-fmu {__version__}"
 
@@ -63,7 +63,7 @@ window.addEventListener("beforeprint", fit);
 
 
 def html_page(title: str, facts: str, above: str, panels: Sequence[Panel], below: str, **values: Any) -> str:
-    """Return one HTML page that loads nothing from anywhere: what stands above the panels, the panels, what is below.
+    """Return one self-contained HTML page: content above the panels, the panels, content below.
 
     `above` and `below` are jinja2 templates of `values`, which are escaped.
     """
@@ -92,7 +92,7 @@ def script() -> str:
 
 
 def _packed(values: Any) -> dict[str, str]:
-    """Pack numbers as plotly reads them without a digit too many: 32 bit, base 64."""
+    """Pack numbers for plotly with no more digits than needed: 32 bit, base 64."""
     return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode()}
 
 

@@ -1,4 +1,4 @@
-"""What a report draws, as data: panels of lines and points in field units, for paper and for the browser alike."""
+"""The diagrams of a report as data: panels of lines and points in field units, for paper and browser."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Trace:
     label
         In the legend; "" for none.
     x, y
-        Where.
+        Coordinates.
     style
         "line", "thin", "dashed", "thick", "points", "dots" in the colour, or "words" alone. NaN interrupts a line.
     colour
@@ -56,7 +56,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class HeatMap:
-    """Values over two axes: `z` of shape (y, x) at x and y, which are drawn evenly; NaN is left empty."""
+    """Values over two axes: `z` of shape (y, x) at x and y, drawn with even spacing; NaN is left empty."""
 
     name: str
     x: Array
@@ -66,11 +66,11 @@ class HeatMap:
 
 @dataclass(frozen=True)
 class Panel:
-    """One diagram with its title, axes, and a sentence that says what is seen.
+    """One diagram with its title, axes, and a caption.
 
-    `y_names` stand beside the y axis in place of numbers, at 0, -1, -2 and so on; what is `round` has no axes, and a
-    circle is one. `heat` are maps side by side, in place of traces, with one scale of colours. With `log_x` names of
-    points stand in a row above them, each with a line to its point.
+    `y_names` replace the numbers of the y axis, at 0, -1, -2 and so on; a `round` panel has no axes and equal scales.
+    `heat` are maps side by side, in place of traces, with one scale of colours. With `log_x` names of points are in a
+    row above them, each with a line to its point.
     """
 
     title: str
@@ -88,7 +88,7 @@ class Panel:
 def names_above(panel: Panel) -> list[tuple[float, float, float, str]]:
     """Return x and y of each named point of a panel, the place of its name and the name.
 
-    Places are shares of the x axis, so far apart that upright names do not overlap.
+    Places are shares of the x axis, far enough apart that upright names do not overlap.
     """
     from scipy.optimize import isotonic_regression
 
@@ -121,7 +121,7 @@ def panels_of(found: Figures) -> list[Panel]:
     Parameters
     ----------
     found
-        The figures and what they were taken from.
+        The figures and their data.
     """
     panels = []
     if found.curves:
@@ -137,7 +137,7 @@ def panels_of(found: Figures) -> list[Panel]:
 
 
 def _lightened(panel: Panel) -> Panel:
-    """Return a panel whose lines have `_DRAWN` points at most together: the smallest and largest of each stretch."""
+    """Return a panel whose lines have `_DRAWN` points at most together: the smallest and largest of each section."""
     total = sum(t.x.size for t in panel.traces)
     if total <= _DRAWN:
         return panel
@@ -201,7 +201,7 @@ def spectra_panel(
 
 
 def _well_spaced(amplitude: Array) -> list[int]:
-    """Return the orders that bear names: the largest, without those beside one that is nearly as large."""
+    """Return the labelled orders: the largest, without those next to one that is nearly as large."""
     chosen: list[int] = []
     for order in np.argsort(-amplitude)[: np.count_nonzero(amplitude)]:
         beside = [k for k in chosen if abs(k - order) < 0.06 * order]
@@ -219,7 +219,7 @@ _MARKS = {
 
 
 def _loop_panels(loop: LoopData) -> list[Panel]:
-    """The whole loop, and the middle of it, where play and friction show."""
+    """The whole loop, and its middle with play and friction."""
     step, marks = max(1, loop.torque.size // 20000), loop_marks(loop)
     loop = without_drift(loop, drift_of(loop))
     traces = [Trace("measured", loop.torque[::step], loop.windup[::step] * ARCMIN, "thin", -1)]
@@ -320,4 +320,4 @@ def _torque_panel(found: Figures) -> Panel:
         time, torque = one.overview.time, one.overview.torque
         step = max(1, time.size // 5000)
         traces.append(Trace(Path(one.source).name, time[::step] - time[0], torque[::step], "thin", number))
-    return Panel("Torque over time", "time [s]", "torque [N·m]", tuple(traces), "Each recording from its beginning.")
+    return Panel("Torque over time", "time [s]", "torque [N·m]", tuple(traces), "Each recording from its start.")

@@ -47,13 +47,13 @@ _WIDTHS = {"line": 1.2, "thin": 0.8, "dashed": 1.0, "thick": 2.5}
 
 
 def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw a result, and write the picture where a path is given.
+    """Draw a result, and write the picture if a path is given.
 
     Parameters
     ----------
     result
-        What `fitting.curves`, `metrics`, `maps`, `compare`, `identify`, `plan`, `inspect`, a forecast or
-        `fitting.recalibration` returned, or what an identification says of every pin and tooth, `result.realised`.
+        Result of `fitting.curves`, `metrics`, `maps`, `compare`, `identify`, `plan`, `inspect`, a forecast or
+        `fitting.recalibration`, or every pin and tooth of an identification, `result.realised`.
     path
         `.png` or `.pdf`.
 
@@ -169,7 +169,7 @@ def plot_maps(found: xr.Dataset) -> Figure:
 
 
 def plot_changes(changes: Sequence[Change]) -> Figure:
-    """Each figure's change in per cent of what it was, with its 95 % interval; those that moved are filled."""
+    """Each figure's change in per cent of its old value, with its 95 % interval; significant changes are filled."""
     figure, axes = new_figure(max(1, round(0.25 * len(changes) + 0.5)))
     for axis in axes[1:]:
         figure.delaxes(axis)
@@ -200,12 +200,12 @@ def plot_curves(curves: Sequence[Curve]) -> Figure:
 
 
 def _plain(name: str) -> str:
-    """Return a name of a file as matplotlib draws it as it stands, not as a formula."""
+    """Return a file name escaped for matplotlib, not as a formula."""
     return name.replace("$", r"\$")
 
 
 def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
-    """Every channel of a bench file over its time, those that a role is proposed for first."""
+    """Every channel of a bench file over its time, those with a proposed role first."""
     role_of = {one.channel.name: role for role, one in roles.items()}
     clock = roles.get("time")
     shown = sorted((o for o in looks if o is not clock), key=lambda o: o.channel.name not in role_of)[:8]
@@ -224,7 +224,7 @@ def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
 def plot_comparison(
     curves: Sequence[Curve], simulated: Sequence[Array], label: str, *, crank_turns: float = 3.0
 ) -> Figure:
-    """Measured and simulated transmission error on one axis, what is left between them below.
+    """Measured and simulated transmission error on one axis, their differences below.
 
     Parameters
     ----------
@@ -233,9 +233,9 @@ def plot_comparison(
     simulated
         Simulated transmission error at the same angles, with the bench's zeros, rad.
     label
-        What the simulation is called in the legend.
+        Name of the simulation in the legend.
     crank_turns
-        How much of the upper axis is shown; the residuals below, one row a curve, show the whole output turn.
+        Range of the upper axis; the residuals below, one row for each curve, cover the whole output turn.
 
     Examples
     --------
@@ -279,7 +279,7 @@ def plot_identification(result: Identification) -> Figure:
 
 
 def plot_ring(ring: Realised) -> Figure:
-    """Every pin and tooth round their circles, displacements enlarged, with 95 % intervals."""
+    """Every pin and tooth around their circles, displacements enlarged, with 95 % intervals."""
     figure, (axis,) = new_figure(1)
     figure.set_figheight(1.0 + 9.0 / len(ring.circles))
     draw_panel(axis, ring_panel(ring))
@@ -287,7 +287,7 @@ def plot_ring(ring: Realised) -> Figure:
 
 
 def _readable(name: str) -> str:
-    """Write the name of a structured error for people: `pin_radial_2_cos` is "pin radial, order 2, cos"."""
+    """Return a readable name of a structured error: `pin_radial_2_cos` is "pin radial, order 2, cos"."""
     wave = re.fullmatch(r"(.+)_(\d+)_(cos|sin)", name)
     return (f"{wave[1]}, order {wave[2]}, {wave[3]}" if wave else name).replace("_", " ")
 
@@ -308,18 +308,18 @@ def plot_plans(plans: Sequence[Plan]) -> Figure:
         share = [found.get(n, np.nan) / TOLERANCE["m" if n in each else unit_of(n)] for n in names]
         beside = 0.5 * (number - 0.5 * (len(plans) - 1)) / len(plans)  # equal values are all seen
         axis.plot(share, np.arange(len(names)) + beside, "o", ms=4.5, color=f"C{number}", label=plan.runs)
-    axis.set(xscale="log", xlabel="standard error as a share of its prior; left is better")
+    axis.set(xscale="log", xlabel="standard error as a share of its prior (smaller is better)")
     axis.set_yticks(np.arange(len(names)), [_readable(n) for n in names], fontsize=8)
     axis.set_ylim(len(names) - 0.4, -0.6)
     if unknown:
-        held = textwrap.fill(f"not resolved by any of them: {'; '.join(_readable(n) for n in unknown)}", 100)
+        held = textwrap.fill(f"not resolved by any set: {'; '.join(_readable(n) for n in unknown)}", 100)
         axis.set_title(held, fontsize=8, loc="left", color="0.3")
     figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     return figure
 
 
 def plot_band(drive: Drive, drawn: Sequence[Drive], torque: float, path: str | os.PathLike[str]) -> None:
-    """Write a picture of the identified drive's transmission error at a torque (N·m), and of 95 % of the drawn ones."""
+    """Plot the identified drive's transmission error at a torque (N·m), and that of 95 % of the drawn ones."""
 
     def error(one: Drive) -> Array:
         found: Array = solve(one.pair, one.surface, torque, angle, with_play=False).transmission_error[0] * ARCSEC

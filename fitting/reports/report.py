@@ -1,4 +1,4 @@
-"""The report that a person reads and hands on, of figures or of a fit."""
+"""The report of figures or of a fit."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ def report(
     *,
     certificate: Certificate | str | os.PathLike[str] | None = None,
 ) -> None:
-    """Write the report of figures, of maps or of a fit, whole or not at all.
+    """Write the report of figures, of maps or of a fit; never a partial file.
 
     Parameters
     ----------
     result
-        What `fitting.metrics`, `fitting.maps` or `fitting.identify` returned.
+        Result of `fitting.metrics`, `fitting.maps` or `fitting.identify`.
     path
-        `.html`: one file with all that it needs, to zoom and hover in; `.pdf`, of figures only: the same on pages.
+        `.html`: one self-contained file to zoom and hover in; `.pdf`, of figures only: the same on pages.
     certificate
-        Device, limits and decision rule, or the file that states them: the page (`.html`) is the certificate of this
-        drive. It needs figures with their budgets (`fitting.metrics(…, instruments=…)`).
+        Device, limits and decision rule, or their file: the page (`.html`) is the certificate of this drive. It needs
+        figures with their budgets (`fitting.metrics(…, instruments=…)`).
 
     Raises
     ------

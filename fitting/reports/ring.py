@@ -1,4 +1,4 @@
-"""The ring as it is: every pin's place and every tooth's pitch round their circles, with intervals."""
+"""The actual ring: every pin's place and every tooth's pitch around their circles, with intervals."""
 
 from __future__ import annotations
 

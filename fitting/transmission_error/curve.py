@@ -30,14 +30,14 @@ class Curve:
         Crank angle of each point, rad, from 0 to one output turn: the mean of the samples in it, so nothing is
         interpolated.
     transmission_error, standard_error
-        φ_b - φ_a/ratio (rad), averaged over turns, and the standard error of its mean from the turns' scatter, NaN
-        where one turn was recorded.
+        φ_b - φ_a/ratio (rad), averaged over turns, and the standard error of its mean from the turns' scatter, NaN for
+        a single turn.
     sample_count
         Samples in each point.
     torque, torque_deviation
         Mean and standard deviation of the torque over the recording, N·m.
     direction
-        +1 where the crank angle grows.
+        +1 if the crank angle increases.
     ratio
         Signed ratio.
     common_zero, known_index
@@ -45,30 +45,30 @@ class Curve:
     source, checksum
         Of the recording.
     notes
-        What a reader should know of the data.
+        Notes on the data.
     turns
         Output turns recorded in this direction.
     grid
-        As many even points over a whole turn as samples were taken in one, and the crank angle (rad) at which the first
-        begins; (0, 0) where the points are these.
+        Number of even points over a whole turn, that of the samples in one, and the crank angle (rad) at which the
+        first begins; (0, 0) if the points are these.
     angle_variance
-        Variance of the crank angles within each point, rad², or None where a point is one angle.
+        Variance of the crank angles within each point, rad², or None if a point is one angle.
     torque_each
-        Mean torque of the samples in each point, N·m, or None where it is not known how it varies.
+        Mean torque of the samples in each point, N·m, or None if its variation is unknown.
     speed, travel
-        Mean speed of the crank in each point (rad/s, or rad a sample where no times are known), and the mean of how far
-        it had turned since the recording began (rad, > 0); None where not known.
+        Mean speed of the crank in each point (rad/s, or rad per sample without times), and its mean rotation since the
+        recording began (rad, > 0); None if not known.
     each_turn
-        Transmission error of every turn by itself, shape (turns, points), rad, NaN where a turn has no sample; None
-        where the turns were not kept.
+        Transmission error of every single turn, shape (turns, points), rad, NaN where a turn has no sample; None if the
+        turns were not kept.
     branch
-        "" of a curve over the turn. Of a loop with the input locked: which of its branches; the points then lie over
-        the torque, and the direction is that of a crank which would carry the output the way the torque takes it.
+        "" for a curve over the turn. For a loop with the input locked its branch; the points are then over the torque,
+        and the direction is that of a crank that would move the output as the torque does.
     implausible
-        Samples of the recording that were left out because its encoders can't have shown them.
+        Number of implausible samples of the recording that were left out.
     temperature, running_speed
-        Mean temperature of the recording, K, and the speed at which it was run, rad/s: as stated of the shaft that the
-        bench names, else the output's mean; None where not known.
+        Mean temperature of the recording, K, and the speed of the run, rad/s: as stated for the shaft that the bench
+        names, otherwise the output's mean; None if not known.
 
     Examples
     --------
@@ -113,7 +113,7 @@ class Curve:
         return np.full(self.input_angle.size, self.torque) if self.torque_each is None else self.torque_each
 
     def points(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Curve:
-        """Some of the points; those of a grid no more."""
+        """A curve of some of the points, without the grid."""
         each = ("input_angle", "transmission_error", "standard_error", "sample_count", "angle_variance", "torque_each",
                 "speed", "travel", "each_turn")  # fmt: skip
         there = {name: values for name in each if (values := getattr(self, name)) is not None}
@@ -121,10 +121,10 @@ class Curve:
 
 
 def noise_of(curve: Curve) -> float:
-    """Noise of one point of a curve, rad: from the turns' scatter, or, after one turn, from neighbours' differences.
+    """Noise of one point of a curve, rad: from the turns' scatter or, for one turn, from differences of neighbours.
 
     The sixth differences of smooth values vanish and those of noise have √924 times its deviation; the median is not
-    moved by the corners where pins come into contact.
+    affected by the corners where pins come into contact.
     """
     repeated = np.isfinite(curve.standard_error)
     if np.count_nonzero(repeated) > 20:
@@ -175,7 +175,7 @@ def curves_json(curves: Sequence[Curve]) -> dict[str, Any]:
 
 
 def write_curves(curves: Sequence[Curve], path: str | os.PathLike[str]) -> None:
-    """Write curves to a netCDF file, whole or not at all.
+    """Write curves to a netCDF file; never a partial file.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""From a recording to its transmission error curves: over one output turn, averaged over turns, one direction each.
+"""From a recording to its transmission error curves: over one output turn, averaged over turns, one for each direction.
 
-The samples are taken block by block and folded as they come, so that hours at kilohertz need no more memory than one
-output turn. Turns share a point only where their angles are as good as the same: where sampling is not in step with the
-crank their samples lie up to a sample's spacing apart, and there pins come into contact and leave it.
+The samples are read block by block and folded, so hours at kilohertz need no more memory than one output turn. Turns
+share a point only if their angles are practically equal: if sampling is not in step with the crank, their samples are
+up to a sample's spacing apart, and pins come into and out of contact in between.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; 
 class _Fold:
     """Folds the motion in one direction to one output turn.
 
-    A point's mean is that of its turns' means, so that a standstill or a slow stretch weighs no more than it should.
+    A point's mean is that of its turns' means, so a standstill or a slow section has no more weight.
     """
 
     def __init__(self, ratio: float, direction: int, *, keep_turns: bool, evenly: bool) -> None:
@@ -165,13 +165,13 @@ class _Fold:
         return float((n * xy - x * y) / spread) if n > 2 and spread > 0.0 else 0.0
 
     def amplitude(self) -> float:
-        """Return half of what the transmission error, averaged over turns, goes up and down."""
+        """Return half of the range of the transmission error, averaged over turns."""
         filled = self.repeats > 0
         mean = self._sums[0][filled] / self.repeats[filled]
         return 0.5 * float(np.ptp(mean))
 
     def finish(self) -> None:
-        """Close the turn under way: what comes then is another one."""
+        """Close the current turn and start another one."""
         if not self.points:
             self._begin()
         if self.points:
@@ -184,7 +184,7 @@ class _Fold:
         self, *, common_zero: bool, known_index: bool, source: str, checksum: str, notes: tuple[str, ...],
         implausible: int,
     ) -> Curve:  # fmt: skip
-        """Return what was folded."""
+        """Return the folded curve."""
         filled = np.flatnonzero(self.repeats)
         n = self.repeats[filled]
         error, squares, inside, inside2, each, speed, travel = self._sums[:, filled] / n
@@ -226,11 +226,10 @@ class _Fold:
 
 
 class Folding:
-    """Takes a recording's blocks and folds each direction of the crank by itself.
+    """Takes a recording's blocks and folds each direction of the crank separately.
 
-    Left out are stretches in which the crank stands, and after a reversal the first two degrees of the crank, in which
-    the lost motion is passed through. Behind a gap the crank's turns that rolled over unseen are counted by the output
-    angle.
+    Sections in which the crank is at rest are left out, and after a reversal the first two degrees of the crank, in
+    which the lost motion is passed. After a gap the crank's unseen rollovers are counted by the output angle.
 
     Parameters
     ----------
@@ -239,10 +238,10 @@ class Folding:
     source
         The recording's name, for messages.
     keep_turns
-        Whether the curves keep every turn by itself too.
+        Whether the curves keep every single turn too.
     evenly
-        Whether a turn has as many points as samples were taken in one, which orders need; else samples of different
-        turns share a point only where their angles are as good as the same.
+        Whether a turn has as many points as samples, which orders need; otherwise samples of different turns share a
+        point only if their angles are practically equal.
     """
 
     def __init__(self, ratio: float, source: str, *, keep_turns: bool = False, evenly: bool = False) -> None:
@@ -292,7 +291,7 @@ class Folding:
             begin = self._stretch(angle, error, beside, begin)
 
     def _recount(self, angle: Array, output: Array, gaps: NDArray[np.int64]) -> Array:
-        """Add the turns of the crank that the output shows to have passed in a gap."""
+        """Add the turns of the crank in a gap, by the output angle."""
         if not gaps.size:
             return angle if self._correction == 0.0 else angle + self._correction
         angle = angle + self._correction
@@ -361,14 +360,14 @@ class Folding:
         self._restarted &= not angle.size
 
     def curves(self, stream: Recording | RecordingStream, blocks: PlausibleBlocks) -> list[Curve]:
-        """Return the curve of each direction in which the crank turned, the one that it turned further first.
+        """Return the curve of each direction in which the crank turned, the longer one first.
 
-        A direction in which it turned less than a hundredth of the way is left out, with a note.
+        A direction with less than a hundredth of the rotation is left out, with a note.
 
         Parameters
         ----------
         stream, blocks
-            The recording whose blocks were taken, and these.
+            The recording, and its blocks.
 
         Raises
         ------
@@ -418,14 +417,14 @@ class Folding:
 
 
 def _speed_of(curve: Curve, stream: Recording | RecordingStream) -> float | None:
-    """Return the speed at which a curve was run: as its recording states it, else the output's."""
+    """Return the speed of a curve's run: as its recording states it, otherwise the output's."""
     if stream.speed is not None or not stream.timed or curve.speed is None:
         return stream.speed
     return float(np.abs(np.mean(curve.speed)) / abs(curve.ratio))
 
 
 def _check_ratio(fold: _Fold, source: str) -> None:
-    """Refuse angles that do not belong to the ratio; say what they look like."""
+    """Refuse angles that do not fit the ratio, with a probable cause."""
     ratio, drift, way = fold.ratio, fold.drift(), fold.way
     # Below a thousandth it is no other ratio: clocks that drift apart, which `_ramp_note` says.
     if abs(drift * ratio) <= 1e-3 or (abs(drift * ratio) <= 0.02 and abs(drift * way) <= np.radians(1.0)):
@@ -447,7 +446,7 @@ def _check_ratio(fold: _Fold, source: str) -> None:
 
 
 def _ramp_note(fold: _Fold, source: str) -> list[str]:
-    """Say where the transmission error runs away turn by turn, which no gear does.
+    """Return a note if the transmission error drifts from turn to turn, which no gear causes.
 
     A wave of amplitude A over N turns shows a slope of at most 12A/(2πN) over all of them (least squares against a
     sine of one period a turn); only more than three times that gets a note.
@@ -458,33 +457,33 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
     if turns < 2.0 or abs(ramp) < 3.0 * wave or abs(ramp) * turns < _RAMP:
         return []
     return [
-        f"{source}: the transmission error runs away by {abs(ramp) * edge.ARCSEC:.3g}″ a turn of the output, as it "
+        f"{source}: the transmission error drifts by {abs(ramp) * edge.ARCSEC:.3g}″ a turn of the output, as it "
         f"does where the output angle's clock runs {-fold.drift() * fold.ratio * 1e6:+.3g} ppm fast, or the rig warms "
-        "up; the curve holds it. Give a clock's as drift in the mapping."
+        "up; the curve contains it. State the drift of a clock in the mapping."
     ]
 
 
 def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
-    """Return the transmission error curves of recordings: of each direction, the one it turned further first.
+    """Return the transmission error curves of recordings, one for each direction, the longer one first.
 
-    The crank angle is folded to one output turn. Where all turns were sampled at the same angles they are averaged
-    there; else every sample is a point of its own. Of more than `POINTS` samples those are averaged that lie within a
-    twentieth of the crank's way from one pin to the next, or a `POINTS`-th of the turn where that is more: within each
-    turn and then over turns, angle and error alike.
+    The crank angle is folded to one output turn. If all turns were sampled at the same angles they are averaged there;
+    otherwise every sample is a separate point. Of more than `POINTS` samples those within a twentieth of the crank's
+    rotation from one pin to the next, or a `POINTS`-th of the turn if that is more, are averaged: within each turn and
+    then over turns, angles and errors.
 
     Parameters
     ----------
     recordings
-        What `fitting.read_recordings` gave, `fitting.Run`, or one of them.
+        Result of `fitting.read_recordings`, `fitting.Run`, or one of them.
     drive
         The drive, or its signed ratio input over output.
     keep_turns
-        Whether the curves keep every turn by itself too.
+        Whether the curves keep every single turn too.
 
     Raises
     ------
     edge.InputError
-        If a recording can't be read, its crank hardly turns, or its angles do not belong to the ratio.
+        If a recording can't be read, its crank hardly turns, or its angles do not fit the ratio.
 
     Examples
     --------

@@ -353,8 +353,8 @@ def test_the_command_writes_all_and_draws(command, tmp_path):
     ("words", "said"),
     [
         (["-o", "d.png"], "--output = d.png: the name must end in .dxf or .svg or .csv or .step or .stp."),
-        (["-o", "d.dxf", "--disc", "2"], "--disc = 2: it must lie between 0 and 1."),
-        (["-o", "d.svg", "--chord-error", "0 um"], '--chord-error = "0 um": it must lie between 0.001 um and 100 um.'),
+        (["-o", "d.dxf", "--disc", "2"], "--disc = 2: it must be between 0 and 1."),
+        (["-o", "d.svg", "--chord-error", "0 um"], '--chord-error = "0 um": it must be between 0.001 um and 100 um.'),
         (["-o", "d.svg", "--chord-error", "5"], '--chord-error = "5": write one number with a decimal point'),
     ],
 )

@@ -117,7 +117,7 @@ def test_every_fmu_says_how_stiff_it_is(tmp_path):
     number = f"{own_stiffness(PAIR, SURFACE) / edge.ARCMIN:.4g} N.m/arcmin"
     build_fmu(PAIR, tmp_path / "2.fmu")
     build_fmu(PAIR, tmp_path / "3.fmu", fmi_version="3.0", interface=Interface("compliant", stiffness=1e5))
-    for name, more in (("2", ""), ("3", ", 29.09 with the series_compliance that it starts with")):
+    for name, more in (("2", ""), ("3", ", 29.09 with the start value of series_compliance")):
         description = fmpy.read_model_description(str(tmp_path / f"{name}.fmu"))
         text = f"mesh alone, rigid bodies: {number}{more}"
         assert told(tmp_path / f"{name}.fmu").endswith(text)

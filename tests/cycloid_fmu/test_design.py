@@ -217,5 +217,5 @@ def test_a_task_that_cannot_be_is_refused_in_a_sentence(tmp_path, change, said):
 
 def test_ranges_without_a_gear_are_refused_in_a_sentence(pair):
     asked = task(goals=["backlash"], vary={"eccentricity": ("2 mm", "3 mm")})
-    with pytest.raises(edge.InputError, match=r"nowhere within these ranges was a gear found .* it must stay below 1"):
+    with pytest.raises(edge.InputError, match=r"no gear was found within these ranges .* it must stay below 1"):
         search(pair, asked, starts=1)

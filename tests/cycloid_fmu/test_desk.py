@@ -104,7 +104,7 @@ def test_a_wrong_error_of_the_file_has_no_field(tmp_path):
     desk = open_desk(path)
     problems = look(desk, {**desk.values, "pair.gear_teeth": "47", "pair.eccentricity": "1 mm"}).problems
     assert list(problems) == [""]
-    assert "pin_radial has 40 values; it needs one a pin, 48" in problems[""]
+    assert "pin_radial has 40 values; it needs one for each pin, 48" in problems[""]
 
 
 def test_every_wrong_value_is_told(desk):

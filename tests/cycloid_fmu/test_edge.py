@@ -131,13 +131,13 @@ def test_a_file_states_the_unit(value):
 @pytest.mark.parametrize(
     ("data", "sentence"),
     [
-        ({"pin": 3}, "a.toml: pin is not a key known here; did you mean pins?"),
-        ({"part": {"lenght": "3 mm"}}, "a.toml: [part] lenght is not a key known here; did you mean length?"),
+        ({"pin": 3}, "a.toml: pin is not a known key; did you mean pins?"),
+        ({"part": {"lenght": "3 mm"}}, "a.toml: [part] lenght is not a known key; did you mean length?"),
         (
             {"parts": [{"torqe": "3 Nm"}]},
-            "a.toml: parts[0].torqe is not a key known here; did you mean torque?",
+            "a.toml: parts[0].torqe is not a known key; did you mean torque?",
         ),
-        ({"colour": 1}, "a.toml: colour is not a key known here; check its spelling or remove it."),
+        ({"colour": 1}, "a.toml: colour is not a known key; check its spelling or remove it."),
     ],
 )
 def test_an_unknown_key_is_named_with_the_nearest_known_one(data, sentence):

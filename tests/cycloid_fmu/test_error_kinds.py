@@ -35,7 +35,7 @@ def test_an_unknown_kind_is_refused_and_a_known_one_not(new_kind):
     assert parse_pair(stated, "p").errors.ring_distortion == pytest.approx(3e-6)
     kinds.remove_error_kind(new_kind)
     try:
-        with pytest.raises(edge.InputError, match="ring_distortion is not a key known here"):
+        with pytest.raises(edge.InputError, match="ring_distortion is not a known key"):
             parse_pair(stated, "p")
     finally:
         kinds.register_error_kind(RING_DISTORTION)

@@ -210,7 +210,7 @@ def test_allocation_on_bearings_widens_what_hardly_matters():
     [
         ('[limits]\nbacklash = "1 arcsec"\n', 0.9, "t.toml: [limits] backlash: the error-free drive itself takes"),
         ("", 0.9, "t.toml: [limits] is missing"),
-        ('[limits]\nbacklash = "99 arcsec"\n', 1.0, "target = 1: the yield to reach must lie between 0 and 1"),
+        ('[limits]\nbacklash = "99 arcsec"\n', 1.0, "target = 1: the yield to reach must be between 0 and 1"),
     ],
 )
 def test_yields_that_can_t_be_met_are_one_sentence(limits, target, said):

@@ -159,7 +159,5 @@ def test_modifications_are_limited_by_the_size(size, offset, allowed):
     if allowed:
         assert pair.replace(offset=offset).modification.offset == offset
     else:
-        with pytest.raises(
-            edge.InputError, match=rf"^offset = .*: it must lie between -{size:g} mm and {size:g} mm in"
-        ):
+        with pytest.raises(edge.InputError, match=rf"^offset = .*: it must be between -{size:g} mm and {size:g} mm in"):
             pair.replace(offset=offset)

@@ -111,7 +111,7 @@ def test_smallest_curvature_radius_is_that_of_circles_through_three_points(modif
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ('[limits]\nbacklsh = "1 arcmin"', "[limits] backlsh is not a key known here; did you mean backlash?"),
+        ('[limits]\nbacklsh = "1 arcmin"', "[limits] backlsh is not a known key; did you mean backlash?"),
         ('[limits]\nbearing_life = "6000"', '[limits] bearing_life = "6000": write one number'),
         ("[limits]\nstatic_safety = -1", "[limits] static_safety = -1: it should be greater than 0."),
         ('[limits]\nbacklash = "-1 arcmin"', '[limits] backlash = "-1 arcmin": a limit is the largest size allowed'),

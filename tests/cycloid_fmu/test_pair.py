@@ -12,17 +12,17 @@ BAD = {
     "product": ('"64 mm"', '"2*32 mm"', "2*32 mm"),
     "wrong kind": ('"64 mm"', '"64 kg"', "kg"),
     "negative radius": ('"3 mm"', '"-3 mm"', "pin_radius"),
-    "metres": ('"64 mm"', '"64 m"', r'pin_circle_radius = "64 m": it must lie between 1 mm and 5 m'),
-    "micrometres": ('"10 mm"', '"10 um"', r'face_width = "10 um": it must lie between 0.1 mm and 2 m'),
+    "metres": ('"64 mm"', '"64 m"', r'pin_circle_radius = "64 m": it must be between 1 mm and 5 m'),
+    "micrometres": ('"10 mm"', '"10 um"', r'face_width = "10 um": it must be between 0.1 mm and 2 m'),
     "supports' metres": (
         "[pair]", '[supports]\nkind = "cranks"\ncount = 3\ncircle_radius = "36 m"\n[pair]',
-        r'\[supports\] circle_radius = "36 m": it must lie between 1 mm and 5 m',
+        r'\[supports\] circle_radius = "36 m": it must be between 1 mm and 5 m',
     ),
     "roller's metres": (
         "[pair]",
         '[supports]\nkind = "cranks"\ncount = 3\ncircle_radius = "36 mm"\n'
         'main = { rollers = 30, roller_length = "9 m" }\n[pair]',
-        r'\[supports.main\] roller_length = "9 m": it must lie between 0.1 mm and 2 m',
+        r'\[supports.main\] roller_length = "9 m": it must be between 0.1 mm and 2 m',
     ),
     "pins": ("pins = 40", "pins = 42", "41|40"),
     "fractional teeth": ("gear_teeth = 39", "gear_teeth = 39.5", "gear_teeth"),

@@ -254,7 +254,7 @@ def test_contradicting_numbers_are_named_with_the_one_that_is_used():
         ('runout = "15 um"', 'runout = "15 mm"', ("gear_runout", "between -1 mm and 1 mm")),
         ("sun_teeth = 12", "sun_teeth = 2", ("[involute] sun_teeth = 2", "6")),
         ("shortening = 0.72", "shortening = 1.2", ("[stated] shortening = 1.2", "less than 1")),
-        ("[stated]", "[stated]\ncolour = 3", ("[stated] colour", "not a key")),
+        ("[stated]", "[stated]\ncolour = 3", ("[stated] colour", "not a known key")),
         ("pins = 40", "pins = 42", ("pins = 42", "40")),
         ("discs = 1", 'output = "ring"\ndiscs = 1', ("output", "fixed")),
         ("reducer/1", "reducer/7", ("format", "cycloid-reducer/1")),

@@ -220,4 +220,4 @@ def test_a_reducer_from_the_command_line(command, tmp_path):
     assert json.loads(study.attrs["first_stage"])["sun_teeth"] == 12
     run = command("cycloid-fmu", "tolerance", "rv.toml", "--tolerances", "t.toml", "--samples", 3, "--screen", 0.5)
     assert run.returncode == 2
-    assert "to first order no first stage is known" in run.stderr
+    assert "first order does not include a first stage" in run.stderr

@@ -220,7 +220,7 @@ def test_discs_and_sizes_are_the_pair_s_and_the_caller_s():
         ('[isometric]\ntolerance = "nan um"', ("isometric", "a space and a unit")),
         ('[isometric]\ntolerance = "1 um"\ndistribution = "laplace"', ("distribution", "'normal' or 'uniform'")),
         ('[offset]\ndistribution = "normal"', ("offset", "tolerance is missing")),
-        ('[pin_weight]\ntolerance = "1 um"', ("pin_weight", "not a key")),
+        ('[pin_weight]\ntolerance = "1 um"', ("pin_weight", "not a known key")),
         ('[misalignment_xz]\ntolerance = "1 um"', ("misalignment_xz", "measures something else")),
     ],
 )

@@ -179,19 +179,19 @@ def test_every_number_of_a_pair_file_can_be_varied():
 @pytest.mark.parametrize(
     ("vary", "said"),
     [
-        ("pin_radus=2:3:4 mm", '--vary = "pin_radus": no number of a pair file; did you mean pin_radius'),
+        ("pin_radus=2:3:4 mm", '--vary = "pin_radus": not a number of a pair file; did you mean pin_radius'),
         ("pins=40,41", '--vary = "pins": pins are one more than gear_teeth; vary these.'),
         ("pin_radius", '--vary = "pin_radius": write NAME=VALUES'),
         ("pin_radius=2:3 mm", '--vary = "pin_radius=2:3 mm": write a range with its number of values'),
         ("pin_radius=2:3:4", '--vary = "pin_radius=2:3:4": write a range with its number of values'),
         ("pin_radius=2:3:1 mm", '--vary = "pin_radius=2:3:1 mm": a range has between 2 and 100000 values.'),
         ("pin_radius=2:3:4 deg", '--vary = "pin_radius=2:3:4 deg": the unit "deg" measures something else'),
-        ("pin_radius=3,3 mm", '--vary = "pin_radius=3 mm, 3 mm": each value must be another one.'),
+        ("pin_radius=3,3 mm", '--vary = "pin_radius=3 mm, 3 mm": the values must be different.'),
         ("gear_teeth=20:30:4", '--vary = "gear_teeth=20:30:4": this takes whole numbers.'),
         ("gear_teeth=20,30 mm", '--vary = "gear_teeth=20,30 mm": this is a number without a unit.'),
-        ("eccentricity=1.7,1.8 mm", '--vary = "eccentricity 1.7 mm … 1.8 mm": none of these values makes a drive; the '
-         'first one: [pair] eccentricity = "1.7 mm"'),
-        ("supports.count=3,4", '--vary = "supports.count 3 … 4": none of these values makes a drive; the first one: '
+        ("eccentricity=1.7,1.8 mm", '--vary = "eccentricity 1.7 mm … 1.8 mm": none of these values is a valid drive; '
+         'the first one: [pair] eccentricity = "1.7 mm"'),
+        ("supports.count=3,4", '--vary = "supports.count 3 … 4": none of these values is a valid drive; the first one: '
          "[supports] kind is missing."),
     ],
 )  # fmt: skip
@@ -217,7 +217,7 @@ def test_other_bad_input_is_one_sentence(command):
     with pytest.raises(edge.InputError, match="torque is missing; give it, or state the pair's rated torque"):
         cy.Drive(make_pair()).sweep({"pin_radius": ["3 mm"]})
     listed = cy.Drive(make_pair()).replace(errors={"pin_radial": [1e-6] * 40})
-    with pytest.raises(edge.InputError, match="the drive states pin_radial one by one, not by its orders"):
+    with pytest.raises(edge.InputError, match="the drive states single values of pin_radial, not its orders"):
         listed.sweep({"errors.pin_radial.order_2": ["1 um"]}, 100)
 
 

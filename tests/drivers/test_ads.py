@@ -171,7 +171,7 @@ def test_a_variable_that_is_no_ring_is_said(tmp_path, host, monkeypatch):
     monkeypatch.setattr(ring.Head, "pack", lambda self: bytes(32))
     with (
         SimulatedAdsBench(motion(100), host=host) as bench,
-        pytest.raises(EncoderError, match=r"no ring of samples: it begins with 16#00000000"),
+        pytest.raises(EncoderError, match=r"not a ring of samples: it begins with 16#00000000"),
     ):
         drivers.record(bench.write_wiring(tmp_path / "BENCH.toml"), tmp_path / "run.arrows", samples=1)
 
@@ -181,7 +181,7 @@ def test_a_variable_that_is_no_ring_is_said(tmp_path, host, monkeypatch):
     [
         (lambda head: replace(head, newest=head.newest - 1), r"its newest number went back from \d+ to \d+"),
         (lambda head: ring.read_head(replace(head, newest=1 << 63).pack()), "no task comes that far"),
-        (lambda head: replace(head, columns=2), "its ring is another than it was"),
+        (lambda head: replace(head, columns=2), "its ring has changed"),
     ],
 )
 def test_a_ring_that_becomes_another_is_opened_again(host, change, said):

@@ -101,7 +101,7 @@ def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
     code, out, err = run(tmp_path, "record", "BENCH.toml", "-o", "run.arrows", "--idle", "3 s")
     simulation.communicate(timeout=60)
     assert code == edge.SILENT, err
-    assert "It ended because nothing came any more." in err
+    assert "It ended because no more samples came." in err
     assert simulation.returncode == 0
     assert "1920 input_angle, 1920 output_angle, 1920 torque; 0 events" in out
     samples = read_recording(tmp_path / "run.arrows").samples
@@ -185,7 +185,7 @@ def wiring(tmp_path, bus_name):
         ('"cycloid-bench/1"', '"cycloid-bench/2"', r'format = "cycloid-bench/2": this version reads "cycloid-bench/1"'),
         ('format = "cycloid-bench/1"\n', "", "format is missing"),
         ("ratio = -39.0", "ratio = 0", "ratio = 0: write the signed ratio"),
-        ("ratio = -39.0", "ration = -39.0", "ration is not a key known here"),
+        ("ratio = -39.0", "ration = -39.0", "ration is not a known key"),
         ('load = "20 N*m"', 'load = "20 parsec"', r'\[conditions\] load = "20 parsec": the unit "parsec" measures'),
         ('load = "20 N*m"', "load = 20", r"\[conditions\] load = 20: write one number"),
         ('protocol = "canopen"', 'protocol = "carrier pigeon"', r'protocol = "carrier pigeon": no such protocol is'),
@@ -193,7 +193,7 @@ def wiring(tmp_path, bus_name):
         ('bus = "can0"\nnode = 1', 'bus = "can7"\nnode = 1', r'\[channel.input_angle\] bus = "can7": there is no'),
         ("node = 1", "node = 128", r"\[channel.input_angle\]: node = 128: it should be less than or equal to 127"),
         ("node = 1", "nodes = 1", r"\[channel.input_angle\]: node is missing"),
-        ("node = 1", "node = 1\ncolour = 3", r"\[channel.input_angle\]: colour is not a key known here"),
+        ("node = 1", "node = 1\ncolour = 3", r"\[channel.input_angle\]: colour is not a known key"),
         ("node = 1", 'node = 1\nzero = "3 mm"', r'\[channel.input_angle\]: zero = "3 mm": the unit "mm" measures'),
         ("node = 1", "node = 1\ndirection = 0", r"\[channel.input_angle\]: direction = 0: it should be 1 or -1"),
         ('signal = "torque"', 'signal = "force"', r'\[channel.torque\] signal = "force": .* it has torque'),

@@ -173,5 +173,5 @@ def test_the_commands(command, recording):
     done = command("cycloid-bench", "repair", recording, "-o", "whole.arrows")
     assert done.returncode == 1
     assert "is cut or damaged after 59 complete batches" in done.stderr
-    assert "59 batches that can be trusted, 19 events" in done.stdout
+    assert "59 intact batches, 19 events" in done.stdout
     assert "input_angle: 1000 samples, from 0.000000 s to 9.990000 s, 1 of them after a gap" in done.stdout

@@ -319,7 +319,7 @@ def test_an_answer_that_took_too_long_has_no_instant():
     assert encoder.lost == 1
     texts = [event.text for event in encoder.events()]
     assert note in texts
-    assert any("its instant is unknown" in text for text in texts)
+    assert any("its time is unknown" in text for text in texts)
 
 
 def test_a_line_that_waited_has_an_instant_only_by_its_device_s_clock():

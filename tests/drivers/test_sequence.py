@@ -170,7 +170,7 @@ def step_and_samples(tmp_path, wiring, step_number=0, motion=None, **run_options
         ({"direction": "backward"}, "the crank turns the other way, not forward"),
         ({"turns": 2}, r"the crank makes 1.99 turns, not 3"),
         ({"speed": 5 * math.pi}, r"the mean speed is 150 rpm, not 300 ± 30"),
-        ({"torque_noise": 10.0}, "the torque wanders by"),
+        ({"torque_noise": 10.0}, "the torque varies by"),
     ],
 )
 def test_a_step_that_is_not_reached_says_why(tmp_path, wiring, options, said):
@@ -202,7 +202,7 @@ def test_a_loop_that_is_not_reached_says_why(tmp_path, wiring):
             r"loads: 300000 N\*m is beyond the torque sensor, which measures -2",
         ),
         ("turns = 3", "turns = 0", "turns = 0: it should be greater than 0"),
-        ("turns = 3", "twists = 3", "twists is not a key known here"),
+        ("turns = 3", "twists = 3", "twists is not a known key"),
         ('["300 rpm"]', "[]", "loads and speeds belong together"),
         ("BENCH.toml", "none.toml", "none.toml: No such file"),
     ],

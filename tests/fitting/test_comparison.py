@@ -58,7 +58,7 @@ def test_compare_from_the_command_line(command, tmp_path):
     assert found["torsional_stiffness"]["moved"] is False
     assert (tmp_path / "moved.png").stat().st_size > 10000
     (tmp_path / "b.json").write_text('{"format": "cycloid-figures/1", "backlash": {"value": "x"}}')
-    for other, said in (("b.json", "lacks something"), ("missing.json", "No such file")):
+    for other, said in (("b.json", "is incomplete"), ("missing.json", "No such file")):
         run = command("cycloid-fit", "compare", "a.json", other)
         assert run.returncode == 2
         assert said in run.stderr

@@ -187,7 +187,7 @@ def test_a_transmission_error_that_runs_away_is_said_and_no_other_is(ppm, forwar
     seen = angle / (1 + ppm * 1e-6)  # at the time stamped the output was where it is shown a little earlier
     made = recorded(angle, error(seen) - (seen - angle) / 39)
     curve = fitting.curves(made, -39.0)[0]
-    said = [note for note in curve.notes if "runs away" in note]
+    said = [note for note in curve.notes if "drifts by" in note]
     ramp = ppm * 1e-6 * 2 * np.pi
     wave = 12 / (2 * np.pi * turns**2)  # slope of a wave of amplitude 1 a turn; the ramp's own sawtooth is one, too
     if abs(ramp) > 2 * 3 * wave * (2e-4 + abs(ramp) / 2):

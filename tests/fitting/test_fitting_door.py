@@ -76,5 +76,5 @@ def test_simulated_runs_without_noise_are_refused_in_a_sentence():
         fitting.Run(input_angle=angle, output_angle=one - angle / 9, torque=load, common_zero=True, known_index=True)
         for load, one in zip(error.torque.values, error.transmission_error.values, strict=True)
     ]
-    with pytest.raises(edge.InputError, match="have no noise"):
+    with pytest.raises(edge.InputError, match="curves without noise"):
         fitting.identify(runs, drive, held_out=False)

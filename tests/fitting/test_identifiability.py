@@ -111,9 +111,9 @@ def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said)
         curves.append(dataclasses.replace(one, transmission_error=noisy, source=f"{load:g}"))
     found = identify(curves, Drive(pair), held_out=False)
     # Those of which the fit finds some: radial and tangential ones, or one of both.
-    few = rf"The curves see {4 * each} angles of the crank in all, too few for the [24]0 displacements"
+    few = rf"The curves contain {4 * each} crank angles in total, too few for the [24]0 displacements"
     assert any(re.match(few, n) and re.search("at least (8|15) samples a crank turn", n) for n in found.notes) == said
-    assert said or not any("angles of the crank" in n for n in found.notes)
+    assert said or not any("crank angles in total" in n for n in found.notes)
 
 
 def test_a_curve_with_more_noise_than_the_others_is_named(measured, nominal):
@@ -121,7 +121,7 @@ def test_a_curve_with_more_noise_than_the_others_is_named(measured, nominal):
     louder = np.random.default_rng(0).normal(0.0, 1.0 * ARCSEC, curves[1].input_angle.size)
     curves[1] = dataclasses.replace(curves[1], transmission_error=curves[1].transmission_error + louder)
     found = identify(curves, Drive(nominal), held_out=False)
-    assert [n.split(":")[0] for n in found.notes if "its noise comes out" in n] == ["-20 N·m"]
+    assert [n.split(":")[0] for n in found.notes if "its noise is" in n] == ["-20 N·m"]
 
 
 @pytest.mark.slow(22)

@@ -575,7 +575,7 @@ def test_what_keeps_a_start_from_being_one_is_said():
     made = dataclasses.replace(made, input_torque=given)
     assert "without a ratio it is unknown whether the output is loaded" in starting_torques(made, None)[1][0]
     still = dataclasses.replace(made, input_angle=0.0 * angle)
-    assert "starts the crank nowhere from a standstill" in starting_torques(still, -39.0)[1][0]
+    assert "never starts the crank from a standstill" in starting_torques(still, -39.0)[1][0]
     assert starting_torques(recording(made.time, angle, angle / -39, 0.0), -39.0) == ([], [])
 
 

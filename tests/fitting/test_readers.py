@@ -362,14 +362,14 @@ def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
         mdf.append([asammdf.Signal(-crank / 39 + 1e-4 * np.cos(crank), late, unit="rad", name="output_angle")])
         mdf.save(tmp_path / "a.mf4")
     runs_away = fitting.curves(RecordingStream(tmp_path / "a.mf4").read(), -39.0)[0]
-    (note,) = (n for n in runs_away.notes if "runs away" in n)
+    (note,) = (n for n in runs_away.notes if "drifts by" in n)
     assert "clock runs +100 ppm fast" in note
     assert f"by {100e-6 * 2 * np.pi * 206264.8:.3g}″ a turn" in note
     columns = "".join(f'[{n}]\ncolumn = "{n}"\n' for n in ("input_angle", "torque", "output_angle"))
     found = RecordingStream(tmp_path / "a.mf4", mapping(tmp_path, f"{columns}drift = 100e-6\n")).read()
     # What is left is the error of interpolating a wave over steps of 0.6 rad.
     assert found.output_angle + found.input_angle / 39 == pytest.approx(1e-4 * np.cos(found.input_angle), abs=6e-6)
-    assert not any("runs away" in n for n in fitting.curves(found, -39.0)[0].notes)
+    assert not any("drifts by" in n for n in fitting.curves(found, -39.0)[0].notes)
     with pytest.raises(edge.InputError, match=r"\[output_angle\] drift = 0.5: it should be less than 0.01"):
         mapping(tmp_path, f"{columns}drift = 0.5\n")
 

@@ -526,7 +526,7 @@ def test_the_command_writes_what_the_library_does(command, tmp_path, fit):
     [
         (["-o", "1st.c"], '--output = "1st.c": its name also names what is in it: it must begin with a letter'),
         (["-o", "joint.m"], "the name must end in"),
-        (["-o", "joint.c", "--temperatures", "20 degC"], "give two with a comma between"),
+        (["-o", "joint.c", "--temperatures", "20 degC"], "give two separated by a comma"),
         (["-o", "joint.c", "--temperatures", "20 degC, 5 mm"], "use one such as degC"),
         (["-o", "joint.c", "--fit", "fit.json", "--stiffness", "1 N*m/rad"], "--stiffness: --fit says too"),
         (["-o", "joint.c", "--fit", "{drive}"], "this is not JSON"),

@@ -18,10 +18,10 @@ _TYPES = {np.dtype(np.int8): ("int8_t", "small"), np.dtype(np.int16): ("int16_t"
 
 
 def c_source(c: Compensator, name: str) -> tuple[str, str]:
-    """Return source and header of a compensator in C99, with a name that all it offers begins with.
+    """Return source and header of a compensator in C99; all its names begin with the given name.
 
-    The header is the same for all drives but for that name; the tables are in the source. Numbers are written so that a
-    compiler reads the same bits.
+    The header is the same for all drives except for that name; the tables are in the source. Numbers are written so
+    that a compiler reads the same bits.
     """
     banner = f"/* {textwrap.fill(f'{about(c)} Made by cycloid-fmu {__version__}.', 112, subsequent_indent='   ')} */\n"
     header, source = ((SOURCES / f"compensator{ending}").read_text(encoding="utf-8") for ending in (".h", ".c"))

@@ -63,12 +63,12 @@ def build_compensator_fmu(
     platforms: Sequence[str] = (),
     compiled: Callable[[str], None] = lambda name: None,
 ) -> None:
-    """Write a compensator's FMU, which needs no Python and reads no file, whole or not at all.
+    """Write a compensator's FMU, which needs no Python and reads no file; never a partial file.
 
     Parameters
     ----------
     compensator, path
-        What is written, and where to.
+        The compensator, and the file.
     fmi_version, platforms, compiled
         As of `cycloid_fmu.native.build.build_native`.
 

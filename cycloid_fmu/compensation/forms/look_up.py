@@ -1,6 +1,6 @@
-"""A look-up table of a compensator: for controllers that add to the motor angle what a table says, and do no more.
+"""A look-up table of a compensator, for controllers that only add a tabulated correction to the motor angle.
 
-No memory of reversals and nothing learned: the torque is that through the teeth, the load without friction.
+It has no memory of reversals and does not learn; the torque is that through the teeth, the load minus friction.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ _BETWEEN = 8  # places between two crank angles or torques at which that is foun
 
 @dataclass(frozen=True)
 class LookUp:
-    """What is added to the motor angle of an ideal drive.
+    """The correction to the motor angle of an ideal drive.
 
     Attributes
     ----------
     crank_angle
         Ideal crank angles, those of the desired output angle times the ratio, over one period, its end included, rad.
     torque
-        Of the teeth, N·m.
+        Torque of the teeth, N·m.
     correction
-        Shape (torques, crank angles), rad of the motor; between the nodes it runs straight.
+        Shape (torques, crank angles), rad of the motor; linear between the nodes.
     period
         rad of the crank.
     temperature
         K.
     residual
-        Largest difference from the model at the output, rad: what the compensator's table had, and what straight lines
-        add to it.
+        Largest difference from the model at the output, rad: that of the compensator's table plus that of linear
+        interpolation.
     """
 
     crank_angle: Array

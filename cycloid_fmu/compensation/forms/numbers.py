@@ -1,4 +1,4 @@
-"""The numbers of a compensator under the names that its forms in other languages have for them."""
+"""The numbers of a compensator under the names of its forms in other languages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LIMITS = {
 
 
 def counts(c: Compensator) -> dict[str, int]:
-    """Return how many there are of what."""
+    """Return the sizes of the tables."""
     t = c.inverse
     return {
         "FRICTION_ELEMENTS": FRICTION_ELEMENTS, "FUNCTIONS": len(t.scale), "TORQUES": len(t.torque),
@@ -34,7 +34,7 @@ def counts(c: Compensator) -> dict[str, int]:
 
 
 def scalars(c: Compensator) -> dict[str, float]:
-    """Return numbers of the drive and those that all drives have."""
+    """Return the numbers of the drive and those common to all drives."""
     own = {
         "RATIO": c.ratio, "CRANK_RATIO": c.crank_ratio, "PERIOD": c.inverse.period, "COMPLIANCE": c.compliance,
         "COULOMB": c.coulomb, "LOAD_SHARE": c.load_share, "STRIBECK": c.stribeck, "VISCOUS": c.viscous,
@@ -56,12 +56,12 @@ def arrays(c: Compensator) -> dict[str, Array]:
 
 
 def name_of(path: Path, argument: str = "path") -> str:
-    """Return the name that a form's functions begin with: that of its file.
+    """Return the prefix of a form's names: the name of its file.
 
     Raises
     ------
     edge.InputError
-        If it is none that programming languages allow.
+        If it is not a valid identifier.
     """
     name = re.sub(r"[\s.-]+", "_", path.stem)
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", name) or keyword.iskeyword(name.lower()):

@@ -25,7 +25,7 @@ _NODES = {
 def structured_text(c: Compensator, name: str) -> str:
     """Return a compensator in Structured Text (IEC 61131-3, also its second edition): a function block of a name.
 
-    Constants begin with ``C_``, tables with ``T_``; a block that it calls has the same name with a part behind it.
+    Constants begin with ``C_``, tables with ``T_``; blocks that it calls have the same name with a suffix.
     """
     text = (SOURCES / "compensator.st").read_text(encoding="utf-8")
     tables = arrays(c)

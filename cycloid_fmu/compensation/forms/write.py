@@ -1,4 +1,4 @@
-"""A compensator in the form that a file's ending names."""
+"""Writes a compensator in the form given by the ending of a file name."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def write_compensator(
     platforms: Sequence[str] = (),
     compiled: Callable[[str], None] = lambda name: None,
 ) -> tuple[Path, ...]:
-    """Write a compensator, each file whole or not at all; returns which.
+    """Write a compensator, never partial files, and return the files.
 
     Parameters
     ----------
     compensator
         The drive's.
     path
-        Its ending says what is written: `.c` or `.h` both C99 files, `.st` IEC 61131-3 Structured Text, `.csv` a
+        Its ending selects the form: `.c` or `.h` both C99 files, `.st` IEC 61131-3 Structured Text, `.csv` a
         look-up table, `.fmu` an FMU. The name of source also names what is in it.
     temperature
         Of the look-up table, K; the middle of the compensator's temperatures where None.
