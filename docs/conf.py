@@ -34,17 +34,10 @@ html_theme = "pydata_sphinx_theme"
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
-    "header_links_before_dropdown": 2,
-    "secondary_sidebar_items": {"**": ["page-toc"], "generated/variables": [], "measured": []},
+    "header_links_before_dropdown": 6,
+    "secondary_sidebar_items": {"**": ["page-toc"], "generated/variables": [], "development/benchmarks": []},
 }
-ALONE = [
-    *(page.stem for page in HERE.glob("*.md")),
-    "tutorials/*",
-    "development/*",
-    "generated/*",
-    "reference/commands",
-]
-html_sidebars = {page: [] for page in ALONE}  # pages that are their whole section
+html_sidebars = {"index": []}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_title = "cycloid-fmu"
