@@ -20,7 +20,6 @@ from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.description import model_variables
 from cycloid_fmu.fmu.variables import from_tables
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.native.build import this_platform
 
 ROOT = EXAMPLES.parent
 FOLDERS = (ROOT / "docs", ROOT / "docs" / "tutorials", ROOT / "docs" / "development")
@@ -49,76 +48,21 @@ rm loop.arrows
 """
 CMM = """
 from pathlib import Path; from cmm import measure, write_csv; from cycloid_fmu.geometry.pair import read_pair;
-from cycloid_fmu.surfaces.surface import surface_of_pair; pair = read_pair('examples/drive-39-40-as-made.toml');
+from cycloid_fmu.surfaces.surface import surface_of_pair; pair = read_pair('made.toml');
 write_csv(Path('cmm.csv'), measure(pair, surface_of_pair(pair), 2e-7, 1))
 """.strip().replace("\n", " ")
-TDMS = """
-import csv; from nptdms import ChannelObject, TdmsWriter; rows = list(csv.reader(open('run.csv')));
-writer = TdmsWriter('run.tdms'); writer.open();
-writer.write_segment([ChannelObject('run', name.split(' [')[0], [float(cell) for cell in column],
-{'unit_string': name.split('[')[1].rstrip(']')}) for name, *column in zip(*rows)]); writer.close()
-""".strip().replace("\n", " ")
-FITTED = """
-import cycloid_fmu as cy, numpy as np; drive = cy.read_drive('drive.toml');
-cy.Drive(drive.pair, drive.surface.replace(covariance=np.array([[1e-12]]),
-covariance_of=('eccentricity',))).write('identified.nc')
-""".strip().replace("\n", " ")
 # Pages that go on in the folder of another.
-CONTINUES = {"controller": ("test_bench_engineer",)}
+CONTINUES = dict.fromkeys(("controller", "compensation", "fmu", "identify", "recalibrate"), "test_bench_engineer")
 # What a page takes as given: your files, and your bench.
 GIVEN = {
     "README": f"""{RUNS}{LOOP}
         {SIMULATE} --torque '-20 N*m' --channel 239.74.163.78 --write-bench bench.toml &
     """,
-    "ageing": "cp examples/drive-39-40.toml pair.toml",
-    "bench_figures": f"""{RUNS}{LOOP}
-        cp examples/instruments.toml examples/certificate.toml .
-        cycloid-bench export 200Nm-forward.arrows -o run.csv
-        python -c "{TDMS}"
-        cycloid-fit metrics run.csv --pair drive.toml -o new.json
-        cycloid-fit metrics 200Nm-backward.arrows --pair drive.toml -o worn.json
-    """,
-    "compensation": f"""
-        cp examples/drive-39-40.toml drive.toml
-        cp examples/friction.toml .
-        python -c "{FITTED}"
-    """,
-    "design": """
-        cp examples/drive-39-40.toml pair.toml
-        cycloid-fmu surface sampled pair.toml --tolerances examples/tolerances.toml --seed 1 -o worn.nc
-    """,
-    "fmu": f"""{RUNS}
-        python -c "{FITTED}"
-        cycloid-fmu build drive.toml -o drive.fmu
-        cycloid-fmu build drive.toml -o exact.fmu
-        cycloid-fmu build drive.toml --native --platform {this_platform()} -o native.fmu
-        cycloid-fmu simulate exact.fmu --torque '50 N*m' --turns 1 -o motion.csv
-        cycloid-bench export 200Nm-forward.arrows -o recording.csv
-    """,
-    "identify": f"{RUNS}{LOOP}",
-    "limits": """
-        cp examples/drive-39-40-bearings.toml pair.toml
-        cp examples/drive-39-40.toml examples/rv-20e.toml .
-        sed '/^\\[gear_profile/,/^\\[gear_pitch/{/^\\[gear_pitch/!d}' examples/tolerances.toml > drawn.toml
-        sed '/^\\[limits/,/^\\[costs/{/^\\[costs/!d}' drawn.toml > tolerances.toml
-    """,
-    "native": "cp examples/drive-39-40.toml drive.toml\ncycloid-fmu surface nominal drive.toml -o identified.nc",
-    "recalibrate": f"""{RUNS}
-        cycloid-fit identify 20Nm-*.arrows 200Nm-*.arrows --pair drive.toml --surface identified.nc
-        sed '/^.errors./,$ s/^pin_radius = .*/pin_radius = "-2 um"/' examples/drive-39-40-as-made.toml > worn.toml
-        cycloid-fmu build worn.toml -o as-made.fmu
-        {SIMULATE} --torque '20 N*m' --direction backward --bus virtual -o visit-20-backward.arrows
-        {SIMULATE} --torque '-20 N*m' --bus virtual -o visit-20-forward.arrows
-        {SIMULATE} --torque '200 N*m' --direction backward --bus virtual -o visit-200-backward.arrows
-        {SIMULATE} --torque '-200 N*m' --bus virtual -o visit-200-forward.arrows
-    """,
     "tolerances": f"""
-        cp examples/drive-39-40.toml pair.toml
-        cp examples/rv-20e.toml rv.toml
+        cycloid-fmu example drive-39-40-as-made.toml -o made.toml
         PYTHONPATH={ROOT}/tests/cycloid_fmu:{ROOT} python -c "{CMM}"
-        sed '/^\\[gear_profile/,/^\\[gear_pitch/{{/^\\[gear_pitch/!d}}' examples/tolerances.toml > tolerances.toml
+        rm made.toml
     """,
-    "wear": "cp examples/wear-39-40.toml pair.toml\ncp examples/wear.toml wear.toml",
 }
 
 
@@ -196,6 +140,14 @@ def test_an_output_on_a_page_is_compared():
     assert missing_in("pins 3–5\n", output)
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "tutorials").glob("*.md")), ids=lambda p: p.stem)
+def test_pictures_of_a_tutorial_are_made_by_its_commands(page):
+    text = page.read_text(encoding="utf-8")
+    for name in re.findall(r"\(\.\./_static/tutorials/([\w.]+)\)", text):
+        assert f"--plot {name}" in text
+        assert (ROOT / "docs" / "_static" / "tutorials" / name).exists(), "draw it: python docs/pictures.py"
+
+
 @pytest.fixture
 def shell(command, tmp_path):
     """Run a line of a block in the page's folder: our own commands in this process, the others by bash."""
@@ -244,13 +196,18 @@ def install(folder):
 
 @pytest.mark.slow(60)
 @pytest.mark.parametrize("page", [p for p in PAGES if "```sh" in p.read_text(encoding="utf-8")], ids=lambda p: p.stem)
-def test_a_page_s_commands_do_what_it_says(page, tmp_path, shell, monkeypatch):
-    """A tutorial from nothing, the others from what they take as given: the commands in order, in one empty folder."""
-    shutil.copytree(EXAMPLES, tmp_path / "examples", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+def test_a_page_s_commands_do_what_it_says(page, tmp_path, tmp_path_factory, shell, monkeypatch):
+    """From an empty folder, or from that of the page it continues: the commands in order."""
+    if page.stem == "README":  # whose folder is the repository
+        shutil.copytree(EXAMPLES, tmp_path / "examples", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
     for line in lines_of(GIVEN.get(page.stem, "")):
         shell(line)
-    for before in CONTINUES.get(page.stem, ()):
-        run_page(page.with_stem(before), tmp_path, shell, monkeypatch)
+    if before := CONTINUES.get(page.stem):
+        finished = tmp_path_factory.getbasetemp() / before
+        if not finished.exists():
+            run_page(ROOT / "docs" / "tutorials" / f"{before}.md", tmp_path, shell, monkeypatch)
+            shutil.copytree(tmp_path, finished)
+        shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     run_page(page, tmp_path, shell, monkeypatch)
 
 
@@ -299,6 +256,22 @@ def test_each_measured_number_of_the_readme_is_one_of_the_measured_figures():
         for number in filter(None, (low, high)):
             digits = len(number.partition(".")[2])
             assert any(round(float(n), digits) == float(number) for n, of in measured if of == unit), (number, unit)
+
+
+def test_the_measured_figures_by_question_are_those_of_the_record(monkeypatch):
+    """The page has no number of its own, and each command on it names a test that is there."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    import questions
+
+    record = questions.RECORD.read_text(encoding="utf-8")
+    page = questions.PAGE.read_text(encoding="utf-8")
+    assert page == questions.page(record), "write it again: python docs/questions.py"
+    for figure in itertools.chain(*questions.QUESTIONS.values()):
+        assert questions.reproduced_by(figure)
+        assert all(value in record for value in questions.values(figure, record))
+    fewer = re.sub(r"^.*test_step_in_the_c_host.*\n", "", record, flags=re.MULTILINE)
+    assert "in a C program" in page
+    assert "in a C program" not in questions.page(fewer), "what was not measured is left out"
 
 
 def test_the_api_reference_has_every_public_name_and_every_room():
