@@ -187,8 +187,8 @@ def page(text: str) -> str:
         "# Accuracy and speed",
         "The figures that were measured, by question. "
         + next(line for line in text.splitlines() if line.startswith("By `python docs/measure.py"))
-        + " All figures and how each was taken: [benchmarks](development/benchmarks.md). The command of a line measures "
-        "it again in a copy of the source with `pip install -e '.[test]'`; for the figures add "
+        + " All figures and how each was taken: [benchmarks](development/benchmarks.md). A line's command measures it "
+        "again in a copy of the source with `pip install -e '.[test]'`; for the figures add "
         "`--benchmark-json=figures.json` to those of `benchmarks`, `--junitxml=figures.xml` to those of `tests`.",
     ]
     for question, figures in QUESTIONS.items():
