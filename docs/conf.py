@@ -1,16 +1,12 @@
 """The documentation site: `python -m sphinx -W docs docs/_build`; its pictures are drawn by the examples meanwhile."""
 
 import builtins
-import re
 import shutil
 import sys
 from importlib import metadata
 from pathlib import Path
 
-from docutils import nodes
-from latex2mathml.converter import convert
 from sphinx.application import Sphinx
-from sphinx.writers.html5 import HTML5Translator
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
@@ -26,6 +22,7 @@ templates_path = ["_templates"]
 extensions = [
     "myst_parser",
     "numpydoc",
+    "sphinx-mathjax-offline",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx_gallery.gen_gallery",
@@ -45,8 +42,6 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_title = "cycloid-fmu"
 html_show_sourcelink = False
-
-html_math_renderer = "mathml"
 
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
@@ -121,18 +116,6 @@ def without_substitutions(app: object, what: str, name: str, thing: object, opti
     lines[:] = [line.replace("|", "\\|") for line in lines]
 
 
-def formula(self: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
-    """Write a formula as MathML, which browsers set by themselves: no script, no network."""
-    display = "block" if isinstance(node, nodes.math_block) else "inline"
-    text = node.astext().replace(r"\arg", r"\operatorname{arg}")  # unknown to latex2mathml
-    written = convert(text, display=display)
-    if unknown := re.findall(r"\\[a-zA-Z]+", written):
-        raise ValueError(f"not written as MathML: {', '.join(unknown)} in {text}")
-    self.body.append(f'<div class="math">{written}</div>' if display == "block" else written)
-    raise nodes.SkipNode
-
-
 def setup(app: Sphinx) -> None:
     """Connect what this site adds."""
     app.connect("autodoc-process-docstring", without_substitutions)
-    app.add_html_math_renderer("mathml", (formula, None), (formula, None))

@@ -177,7 +177,7 @@ def reproduced_by(figure: Figure) -> str:
             test = figure.test.partition("[")[0]
             if f"def {test}(" in path.read_text(encoding="utf-8"):
                 all_of_it = '-m "" ' if folder == "tests" else ""
-                return f"`pytest {all_of_it}{path.relative_to(HERE.parent).as_posix()}::{test}`"
+                return f"pytest {all_of_it}{path.relative_to(HERE.parent).as_posix()}::{test}"
     raise LookupError(f"{figure.file}: no test is named {figure.test}")
 
 
@@ -187,19 +187,18 @@ def page(text: str) -> str:
         "# Accuracy and speed",
         "The figures that were measured, by question. "
         + next(line for line in text.splitlines() if line.startswith("By `python docs/measure.py"))
-        + " All figures and how each was taken: [benchmarks](development/benchmarks.md). A line's command measures it "
-        "again in a copy of the source with `pip install -e '.[test]'`; for the figures add "
-        "`--benchmark-json=figures.json` to those of `benchmarks`, `--junitxml=figures.xml` to those of `tests`.",
+        + " All figures and how each was taken: [benchmarks](development/benchmarks.md). The commands below a table "
+        "measure it again, in the order of its lines, in a copy of the source with `pip install -e '.[test]'`; for "
+        "figures add `--benchmark-json=figures.json` to `benchmarks`, `--junitxml=figures.xml` to `tests`.",
     ]
     for question, figures in QUESTIONS.items():
-        rows = []
-        for figure in figures:
-            if found := values(figure, text):
-                shown = _joined(figure.shown, found)
-                rows.append(f"| {figure.asked} | {shown} | {reproduced_by(figure)} |")
-        if rows:
+        answered = {figure: found for figure in figures if (found := values(figure, text))}
+        if answered:
+            rows = [f"| {figure.asked} | {_joined(figure.shown, found)} |" for figure, found in answered.items()]
+            commands = dict.fromkeys(reproduced_by(figure) for figure in answered)
             parts.append(f"## {question}")
-            parts.append("\n".join(["| quantity | measured | reproduce with |", "| --- | --- | --- |", *rows]))
+            parts.append("\n".join(["| quantity | measured |", "| --- | --- |", *rows]))
+            parts.append("\n".join(["```text", *commands, "```"]))
     return "\n\n".join(parts) + "\n"
 
 
