@@ -23,7 +23,8 @@ from cycloid_fmu.geometry.pair import Pair
 
 ROOT = EXAMPLES.parent
 FOLDERS = (ROOT / "docs", ROOT / "docs" / "tutorials", ROOT / "docs" / "development")
-PAGES = sorted([ROOT / "README.md", *(page for folder in FOLDERS for page in folder.glob("*.md"))])
+API = ROOT / "docs" / "reference" / "api.md"
+PAGES = sorted([ROOT / "README.md", API, *(page for folder in FOLDERS for page in folder.glob("*.md"))])
 BLOCK = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
 # A study as long as a page has it is for users: here it is so short that it still goes through all that it does.
 SHORTER = (
