@@ -57,8 +57,8 @@ INTRODUCTION = """# Files
 
 Signs of errors, angles and torques are those of [one drawing](theory-frames). Quantities are text with a unit
 (`"64 mm"`), angles too; a key that is not listed is refused. The first line of every file is its format. What the
-commands write is described by the units and names inside: netCDF for analyses, surfaces, curves, studies and wear, Arrow
-for recordings, JSON for identifications and figures.
+commands write is described by the units and names inside: netCDF for analyses, surfaces, curves, studies and wear,
+Arrow for recordings, JSON for identifications and figures.
 
 """
 
