@@ -22,9 +22,9 @@ templates_path = ["_templates"]
 extensions = [
     "myst_parser",
     "numpydoc",
+    "sphinx-mathjax-offline",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.mathjax",
     "sphinx_gallery.gen_gallery",
     "sphinxcontrib.typer",
 ]
@@ -34,17 +34,10 @@ html_theme = "pydata_sphinx_theme"
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
-    "header_links_before_dropdown": 2,
-    "secondary_sidebar_items": {"**": ["page-toc"], "generated/variables": [], "measured": []},
+    "header_links_before_dropdown": 6,
+    "secondary_sidebar_items": {"**": ["page-toc"], "generated/variables": [], "development/benchmarks": []},
 }
-ALONE = [
-    *(page.stem for page in HERE.glob("*.md")),
-    "tutorials/*",
-    "development/*",
-    "generated/*",
-    "reference/commands",
-]
-html_sidebars = {page: [] for page in ALONE}  # pages that are their whole section
+html_sidebars = {"index": []}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_title = "cycloid-fmu"
@@ -110,6 +103,7 @@ sphinx_gallery_conf = {
     "capture_repr": (),
     "remove_config_comments": True,
     "show_memory": False,
+    "write_computation_times": False,  # its page loads scripts from the network
     "min_reported_time": 1e9,
     "abort_on_example_error": True,
     "line_numbers": False,

@@ -55,9 +55,10 @@ QUANTITIES = {
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification], [material] and [supports] are those of a pair file
 INTRODUCTION = """# Files
 
-Quantities are text with a unit (`"64 mm"`), angles too; a key that is not listed is refused. The first line of every
-file is its format. What the commands write is described by the units and names inside: netCDF for analyses, surfaces,
-curves, studies and wear, Arrow for recordings, JSON for identifications and figures.
+Signs of errors, angles and torques are those of [one drawing](theory-frames). Quantities are text with a unit
+(`"64 mm"`), angles too; a key that is not listed is refused. The first line of every file is its format. What the
+commands write is described by the units and names inside: netCDF for analyses, surfaces, curves, studies and wear,
+Arrow for recordings, JSON for identifications and figures.
 
 """
 

@@ -1,9 +1,10 @@
-"""Measure anew what docs/measured.md states: `python docs/measure.py` (hours; --quick: a tenth of each study).
+"""Measure again all that docs/measured.md states: `python docs/measure.py` (hours; --quick: a tenth of each study).
 
 Speed comes from the benchmarks; accuracy, coverage of intervals and the fault table from what the tests themselves
 record; how much of the code the tests run through from coverage.py. Every part is kept in `docs/generated` as it ends,
 so the same command goes on after an interruption, which writes the page of the parts that are there; a change of code,
-tests or benchmarks begins anew.
+tests or benchmarks begins anew. All figures are in `docs/development/benchmarks.md`; `questions.py` beside this file
+states which of them answer a reader's question in `docs/measured.md`.
 """
 
 import argparse
@@ -20,8 +21,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
+import questions
+
 ROOT = Path(__file__).parent.parent
-PAGE = Path(__file__).parent / "measured.md"
+RECORD = questions.RECORD
 PACKAGES = ("cycloid_fmu", "fitting", "drivers")
 QUICK = {
     "CYCLOID_SEEDS": "10", "CYCLOID_KILLS": "30", "CYCLOID_STOPS": "10", "CYCLOID_MUTATIONS": "1e5",
@@ -146,7 +149,7 @@ def page(folder: Path, quick: bool) -> str:
     rows = [row for report in tests for row in recorded(report)]
     return "\n\n".join(
         [
-            "# Measured figures",
+            "# Benchmarks",
             *([f"Not measured yet: {', '.join(missing)}; the same command goes on."] if missing else []),
             f"By `python docs/measure.py{' --quick' if quick else ''}` on "
             f"{machine['cpu'].get('brand_raw', machine['machine'])}, {os.cpu_count()} cores, {platform.system()}, "
@@ -178,7 +181,7 @@ def main() -> None:
     for top in (*PACKAGES, "tests", "benchmarks"):
         for path in sorted(p for ending in ("py", "c", "h") for p in (ROOT / top).rglob(f"*.{ending}")):
             digest.update(path.read_bytes())
-    folder = PAGE.parent / "generated" / f"measured-{digest.hexdigest()[:12]}"
+    folder = ROOT / "docs" / "generated" / f"measured-{digest.hexdigest()[:12]}"
     folder.mkdir(parents=True, exist_ok=True)
     environment = {**os.environ, **(QUICK if quick else {})}
     interrupted = False
@@ -188,7 +191,8 @@ def main() -> None:
     except KeyboardInterrupt:
         print("Interrupted: the parts that ended are kept; the same command goes on.", file=sys.stderr)
         interrupted = True
-    PAGE.write_text(page(folder, quick) + "\n", encoding="utf-8")
+    RECORD.write_text(page(folder, quick) + "\n", encoding="utf-8")
+    questions.PAGE.write_text(questions.page(RECORD.read_text(encoding="utf-8")), encoding="utf-8")
     raise SystemExit(130 if interrupted else 0)
 
 

@@ -1,11 +1,14 @@
 """Draws the pictures of README and site: `python docs/pictures.py`."""
 
 import contextlib
+import os
+import re
 import shutil
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
@@ -14,23 +17,49 @@ from cycloid_fmu.desk.server import DeskServer
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "docs" / "_static"
+BLOCK = re.compile(r"^```(?:{code-block} )?(?P<kind>\w+)\n(?::caption: (?P<file>.*)\n)?(?P<body>.*?)^```$", re.M | re.S)
+# In this order: the last one goes on in the folder of the one before.
+TUTORIALS = ("system_modeller", "gear_designer", "test_bench_engineer", "controller")
 
-made = cy.read_drive(ROOT / "examples" / "drive-39-40-as-made.toml")
-cy.plot(made.motion("181 N*m", "30 deg"), OUT / "drive.svg")
 
-drawn = cy.read_drive(ROOT / "examples" / "drive-39-40.toml")
-cy.plot(drawn.analyze(np.array([-181.0, 181.0]))).savefig(OUT / "analyze.png", dpi=75)
+def tutorials() -> None:
+    """Run each tutorial as it is written, and keep the pictures that it shows."""
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    with tempfile.TemporaryDirectory() as folder:
+        for name in TUTORIALS:
+            text = (ROOT / "docs" / "tutorials" / f"{name}.md").read_text(encoding="utf-8")
+            for block in BLOCK.finditer(text):
+                if block["file"]:
+                    Path(folder, block["file"]).write_text(block["body"], encoding="utf-8")
+                elif block["kind"] == "sh" and "pip install" not in block["body"]:
+                    script = ["bash", "-c", block["body"]]  # a limit that is not met has its own exit status
+                    subprocess.run(script, cwd=folder, env={**os.environ, "PATH": path}, check=False)
+            for shown in re.findall(r"_static/tutorials/([\w.]+)\)", text):
+                with Image.open(Path(folder, shown)) as picture:
+                    picture.thumbnail((900, 900))
+                    picture.convert("RGB").quantize(48).save(OUT / "tutorials" / shown, optimize=True)
 
-with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), sync_playwright() as playwright:
-    for example, name in (("drive-39-40-bearings.toml", "drive.toml"), ("requirements.toml", "requirements.toml")):
-        shutil.copy(ROOT / "examples" / example, name)
-    browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-    with DeskServer("drive.toml", "requirements.toml") as server:
-        page = browser.new_page(viewport={"width": 1340, "height": 1000})
-        page.goto(server.url)
-        page.wait_for_selector("#disc-0")
-        page.locator("#crank_angle").fill("30 deg")
-        page.wait_for_selector("#time:not(:empty)")
-        page.screenshot(path="desk.png", full_page=True)
-    Image.open("desk.png").quantize(96).save(OUT / "desk.png", optimize=True)
-    browser.close()
+
+def pages() -> None:
+    """Draw the pictures of home page, README and how-tos."""
+    made = cy.read_drive(ROOT / "examples" / "drive-39-40-as-made.toml")
+    cy.plot(made.motion("181 N*m", "30 deg"), OUT / "drive.svg")
+
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), sync_playwright() as playwright:
+        for example, name in (("drive-39-40-bearings.toml", "drive.toml"), ("requirements.toml", "requirements.toml")):
+            shutil.copy(ROOT / "examples" / example, name)
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        with DeskServer("drive.toml", "requirements.toml") as server:
+            page = browser.new_page(viewport={"width": 1340, "height": 1000})
+            page.goto(server.url)
+            page.wait_for_selector("#disc-0")
+            page.locator("#crank_angle").fill("30 deg")
+            page.wait_for_selector("#time:not(:empty)")
+            page.screenshot(path="desk.png", full_page=True)
+        Image.open("desk.png").quantize(96).save(OUT / "desk.png", optimize=True)
+        browser.close()
+
+
+if __name__ == "__main__":
+    pages()
+    tutorials()

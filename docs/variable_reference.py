@@ -61,7 +61,8 @@ interface lacks it. *Inertia inside* is the compliant interface with `--output-i
 *constant* there: it can be read but not set.
 
 Values are in the first unit, those in brackets are display units. Ranges and starts are those of `examples/{EXAMPLE}`,
-and of a drive worn for 10⁶ crank turns; the model description in every FMU has its own.
+and of a drive worn for 10⁶ crank turns; the model description in every FMU has its own. Signs of angles, torques and
+errors are those of [one drawing](theory-frames).
 
 """
 

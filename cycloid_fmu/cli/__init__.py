@@ -21,6 +21,7 @@ app = commands.command_line(
         "design",
         "desk",
         "profile",
+        "example",
     ),
 )  # fmt: skip
 
