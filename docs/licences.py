@@ -27,9 +27,9 @@ ALLOWED = {
 }  # fmt: skip
 HEAD = """# Licences
 
-cycloid-fmu is under the MIT licence. What it and its extras for users install beside it, on Linux, and under which
-licence each package says that it is ([SPDX](https://spdx.org/licenses/)); `python docs/licences.py` writes this page
-from what is installed.
+cycloid-fmu is under the MIT licence. These are the packages that it and its extras for users install on Linux, with the
+licence that each package states ([SPDX](https://spdx.org/licenses/)); `python docs/licences.py` writes this page
+from the installed packages.
 
 `constraints.txt` has the versions that are tested together: `pip install -c constraints.txt cycloid-fmu`. A bill of
 materials of an environment ([CycloneDX](https://cyclonedx.org), JSON), with the extra `test`:
