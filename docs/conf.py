@@ -1,12 +1,14 @@
 """The documentation site: `python -m sphinx -W docs docs/_build`; its pictures are drawn by the examples meanwhile."""
 
 import builtins
+import re
 import shutil
 import sys
 from importlib import metadata
 from pathlib import Path
 
 from sphinx.application import Sphinx
+from sphinx.util import logging
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
@@ -116,6 +118,15 @@ def without_substitutions(app: object, what: str, name: str, thing: object, opti
     lines[:] = [line.replace("|", "\\|") for line in lines]
 
 
+def without_network(app: Sphinx, problem: Exception | None) -> None:
+    """Warn of a page that loads a script, style or picture from the network: the site is read offline too."""
+    loads = re.compile(r"""<(?:script|img|iframe|link[^>]+stylesheet)[^>]+(?:src|href)=["'](?:https?:)?//""")
+    for page in [] if problem else Path(app.outdir).rglob("*.html"):
+        if loads.search(page.read_text(encoding="utf-8")):
+            logging.getLogger(__name__).warning("%s loads something from the network", page)
+
+
 def setup(app: Sphinx) -> None:
     """Connect what this site adds."""
     app.connect("autodoc-process-docstring", without_substitutions)
+    app.connect("build-finished", without_network)
