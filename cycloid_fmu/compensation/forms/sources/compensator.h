@@ -21,7 +21,7 @@ struct compensator_memory {
     double output;      /* last output angle that was measured, or COMPENSATOR_NONE */
     double settled;     /* way of the crank since the flank was not sure, rad */
     double applied[4];  /* offset (rad), further play (rad), gains of wind-up and of ripple, as the command has them */
-    double learned[4];  /* the same as measurements have it */
+    double learned[4];  /* the same as measurements have it, over what was known before */
     double moments[10]; /* sums over measurements, which fade */
     double products[4];
     double count, left; /* measurements that count, and the sum of squares that they leave, rad² */
