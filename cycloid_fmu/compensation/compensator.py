@@ -327,8 +327,9 @@ def _state(c: Compensator, torque: float, temperature: float) -> _State:
     j, v = _between(c.inverse.torque, t.torque_rate, torque)
     low, high = t.node[i], t.node[min(i + 1, len(t.node) - 1)]
     p, q, r, s = (1.0 - u) * (1.0 - v), (1.0 - u) * v, u * (1.0 - v), u * v
-    found = (p * low[j] + q * low[j + 1] + r * high[j] + s * high[j + 1]).tolist()
-    return _State(torque, c.compliance * torque, *found[:COLUMNS], found[COLUMNS:])
+    found = p * low[j] + q * low[j + 1] + r * high[j] + s * high[j + 1]
+    mean, flank, variance, ripple, *shares = found.tolist()
+    return _State(torque, c.compliance * torque, mean, flank, variance, ripple, shares)
 
 
 def _ripple(c: Compensator, state: _State, crank: float) -> tuple[float, float]:
