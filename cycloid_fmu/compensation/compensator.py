@@ -113,9 +113,17 @@ class Compensator:
             _rates(t.torque), _rates(t.temperature), _rates(self.stribeck_speed), _rates(self.warmth_temperature),
         )  # fmt: skip
 
-    def start(self, index: float = 0.0) -> Memory:
-        """Return a memory that has seen nothing, with the crank angle (rad) at which the output angle is 0, or NaN."""
-        return Memory(index)
+    def start(self, index: float = math.nan, probability: float = 1.0) -> Memory:
+        """Return a memory that has seen nothing.
+
+        Parameters
+        ----------
+        index
+            Crank angle of this drive's model where the output angle is 0, rad.
+        probability
+            That the index is right and the drive is this one, as `find_index` says it; 0 where no index is stated.
+        """
+        return Memory(index, probability)
 
     def step(
         self, memory: Memory, desired_angle: float, desired_speed: float, load_torque: float, temperature: float,
@@ -170,8 +178,10 @@ class Memory:
     Attributes
     ----------
     index
-        Crank angle of the model where the desired output angle is 0, rad; NaN where it is unknown: then what depends
-        on the crank angle is left alone.
+        Crank angle of the model where the desired output angle is 0, rad; 0 in place of what is no number.
+    probability
+        That it is right, 0 to 1; 0 where the index is no number. What depends on the crank angle is compensated to this
+        part until measurements say more.
     angle
         Desired output angle of the last step, rad; NaN before the first.
     strains
@@ -193,16 +203,31 @@ class Memory:
     """
 
     index: float = 0.0
+    probability: float = 1.0
     angle: float = math.nan
     strains: list[float] = field(default_factory=lambda: [0.0] * FRICTION_ELEMENTS)
     output: float = math.nan
     settled: float = SETTLED
-    applied: list[float] = field(default_factory=lambda: list(EXPECTED))
+    applied: list[float] = field(init=False)
     learned: list[float] = field(default_factory=lambda: list(PRIOR))
     moments: list[float] = field(default_factory=lambda: [0.0] * 10)
     products: list[float] = field(default_factory=lambda: [0.0] * 4)
     count: float = 0.0
     left: float = 0.0
+
+    def __post_init__(self) -> None:
+        known = _given(self.index) and self.probability > 0.0
+        self.index = self.index if _given(self.index) else 0.0
+        self.probability = min(self.probability, 1.0) if known else 0.0
+        self.applied = [*EXPECTED[:3], self.probability]
+
+    @property
+    def doubt(self) -> float:
+        """Share of the ripple's variance that an index of this probability leaves.
+
+        Where it is right 1 - probability of the ripple is left, else all of it and as much of another.
+        """
+        return 1.0 - self.probability * self.probability
 
 
 class Command(NamedTuple):
@@ -215,7 +240,7 @@ class Command(NamedTuple):
     band
         Standard deviation of the output angle from the desired one, rad; `LARGEST` where an input is missing.
     gain
-        Of what the crank angle makes of the deviation, 0 to 2; 0 where the index is unknown.
+        Of what the crank angle makes of the deviation, 0 to 2; it begins at the probability of the index.
     holds
         Whether the model holds: the inputs are numbers within the table, and measurements leave no more than expected.
     """
@@ -267,12 +292,10 @@ def step(
     plausible = True
     if inside and _given(motor_angle) and _given(output_angle):
         plausible = _learn(c, m, state, motor_angle, output_angle)
-    known = _given(m.index)
     offset, play, wound, gain = m.applied
-    gain = gain if known else 0.0
     angle = desired_angle - offset - wound * state.wound
-    ripple, slope = _ripple(c, state, angle * c.crank_ratio + m.index) if known else (0.0, 0.0)
-    expected = state.variance + (0.0 if known else state.ripple)
+    ripple, slope = _ripple(c, state, angle * c.crank_ratio + m.index)
+    expected = state.variance + m.doubt * state.ripple
     variance = (FIRST * expected + m.left) / (FIRST + m.count)
     holds = plausible and inside and not (
         m.count > ENOUGH and variance > ALARM * ALARM * (expected + c.tables.noise)
@@ -355,15 +378,14 @@ def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_
     measured = output_angle - motor_angle * t.per_ratio
     if abs(measured) > LARGEST_TRANSMISSION_ERROR:
         return False
-    known = _given(m.index)
     crank = (output_angle - m.applied[0] - m.applied[2] * state.wound) * c.crank_ratio
-    ripple = _ripple(c, state, crank + m.index)[0] if known else 0.0
+    ripple = _ripple(c, state, crank + m.index)[0]
     rows = (KNOWN[0], KNOWN[1] * state.flank, KNOWN[2] * (state.wound + state.mean), KNOWN[3] * ripple)
     first = not _given(m.output)
     way = 0.0 if first else abs(c.crank_ratio * (output_angle - m.output))
     m.output = output_angle
     kept = max(0.0, 1.0 - way * (1.0 / MEMORY))
-    expected = state.variance + t.noise + (0.0 if known else state.ripple)
+    expected = state.variance + t.noise + m.doubt * state.ripple
     variance = (FIRST * expected + kept * m.left) / (FIRST + kept * m.count)
     a, b, d, e = m.learned
     off = measured - (a * rows[0] + b * rows[1] + d * rows[2] + e * rows[3])

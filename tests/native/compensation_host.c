@@ -23,7 +23,7 @@ static void bits(double value) {
 int main(void) {
     struct joint_memory memory;
     int i;
-    joint_start(&memory, INDEX);
+    joint_start(&memory, INDEX, PROBABILITY);
 #if defined(TIMED)
     {
         static double spent[ROWS + 1];
@@ -33,7 +33,7 @@ int main(void) {
             spent[i] = 1e9;
         }
         for (round = 0; round < TIMED; round++) { /* the same way each time; the least of each is without interruptions */
-            joint_start(&memory, INDEX);
+            joint_start(&memory, INDEX, PROBABILITY);
             for (i = 0; i <= ROWS; i++) {
                 struct timespec from, to;
                 double taken;

@@ -188,7 +188,7 @@ static int learn(struct compensator_memory *m, const struct state *state, double
     double measured = output_angle - motor_angle * PER_RATIO;
     double rows[4], targets[4], crank, way, kept, expected, variance, off, weight, most, sure, g;
     const double *node = state->node;
-    int known = given(m->index), first = !given(m->output), i, j, n = 0;
+    int first = !given(m->output), i, j, n = 0;
     if (size_of(measured) > LARGEST_TRANSMISSION_ERROR) {
         return 0;
     }
@@ -196,11 +196,11 @@ static int learn(struct compensator_memory *m, const struct state *state, double
     rows[0] = KNOWN[0];
     rows[1] = KNOWN[1] * node[FLANK];
     rows[2] = KNOWN[2] * (state->wound + node[MEAN]);
-    rows[3] = KNOWN[3] * (known ? ripple_of(state, crank + m->index, 0) : 0.0);
+    rows[3] = KNOWN[3] * ripple_of(state, crank + m->index, 0);
     way = first ? 0.0 : size_of(CRANK_RATIO * (output_angle - m->output));
     m->output = output_angle;
     kept = larger(0.0, 1.0 - way * PER_MEMORY);
-    expected = node[VARIANCE] + NOISE + (known ? 0.0 : node[RIPPLE]);
+    expected = node[VARIANCE] + NOISE + m->doubt * node[RIPPLE];
     variance = (FIRST * expected + kept * m->left) / (FIRST + kept * m->count);
     off = measured - (m->learned[0] * rows[0] + m->learned[1] * rows[1] + m->learned[2] * rows[2]
                       + m->learned[3] * rows[3]);
@@ -234,16 +234,19 @@ static int learn(struct compensator_memory *m, const struct state *state, double
     return 1;
 }
 
-void compensator_start(struct compensator_memory *memory, double index) {
+void compensator_start(struct compensator_memory *memory, double index, double probability) {
     struct compensator_memory fresh = {0};
     int i;
-    fresh.index = given(index) ? index : COMPENSATOR_NONE;
+    fresh.index = given(index) ? index : 0.0;
+    probability = given(index) && probability > 0.0 ? smaller(probability, 1.0) : 0.0;
+    fresh.doubt = 1.0 - probability * probability;
     fresh.angle = fresh.output = COMPENSATOR_NONE;
     fresh.settled = SETTLED;
     for (i = 0; i < 4; i++) {
         fresh.applied[i] = EXPECTED[i];
         fresh.learned[i] = PRIOR[i];
     }
+    fresh.applied[3] = probability;
     *memory = fresh;
 }
 
@@ -253,8 +256,8 @@ struct compensator_command compensator_step(struct compensator_memory *memory, d
     struct compensator_memory *m = memory;
     struct compensator_command found;
     struct state state;
-    double ripple = 0.0, slope = 0.0, wound, gain, angle, expected, variance;
-    int inside, plausible = 1, known = given(m->index);
+    double ripple, slope, wound, gain, angle, expected, variance;
+    int inside, plausible = 1;
     if (!given(desired_angle) || !given(desired_speed) || !given(load_torque) || !given(temperature)) {
         found.motor_angle = RATIO * (given(desired_angle) ? desired_angle : given(m->angle) ? m->angle : 0.0);
         found.motor_speed = found.gain = 0.0;
@@ -268,12 +271,10 @@ struct compensator_command compensator_step(struct compensator_memory *memory, d
         plausible = learn(m, &state, motor_angle, output_angle);
     }
     wound = m->applied[2];
-    gain = known ? m->applied[3] : 0.0;
+    gain = m->applied[3];
     angle = desired_angle - m->applied[0] - wound * state.wound;
-    if (known) {
-        ripple = ripple_of(&state, angle * CRANK_RATIO + m->index, &slope);
-    }
-    expected = state.node[VARIANCE] + (known ? 0.0 : state.node[RIPPLE]);
+    ripple = ripple_of(&state, angle * CRANK_RATIO + m->index, &slope);
+    expected = state.node[VARIANCE] + m->doubt * state.node[RIPPLE];
     variance = (FIRST * expected + m->left) / (FIRST + m->count);
     found.motor_angle = RATIO * (angle - m->applied[1] * state.node[FLANK] - wound * state.node[MEAN] - gain * ripple);
     found.motor_speed = RATIO * desired_speed * (1.0 - gain * CRANK_RATIO * slope);
