@@ -34,6 +34,7 @@ OUTLIER = 5.0  # standard deviations from which on a measurement counts as one s
 SURE_FLANK = 0.99  # mean direction of the torque: with less of it the output may be on its way through the play
 SETTLED = 0.5  # rad of the crank after that before measurements count again: the output comes late to the other flank
 ALARM = 3.0  # times the stated band: of more than that left the model does not hold
+LEAST_GAIN = 0.7  # of the probability of the index: with a ripple that is surely smaller the model does not hold
 ENOUGH = 3.0  # measurements before that is judged
 COLUMNS = 4  # of `Tables.node` before the functions of the crank angle
 SUPPORT = 4  # coefficients of a spline that count at a place
@@ -195,6 +196,8 @@ class Memory:
         of mean deviation and wind-up, gain of what the crank angle makes of the deviation.
     learned
         The same as measurements have it, over `KNOWN`.
+    sure
+        Variance of the last of them as a gain.
     moments, products
         Sums over measurements, which fade: of the four regressors' products, each times `KNOWN`, row by row up to the
         diagonal, and of theirs with what was measured.
@@ -210,6 +213,7 @@ class Memory:
     settled: float = SETTLED
     applied: list[float] = field(init=False)
     learned: list[float] = field(default_factory=lambda: list(PRIOR))
+    sure: float = KNOWN[3] * KNOWN[3]
     moments: list[float] = field(default_factory=lambda: [0.0] * 10)
     products: list[float] = field(default_factory=lambda: [0.0] * 4)
     count: float = 0.0
@@ -242,7 +246,8 @@ class Command(NamedTuple):
     gain
         Of what the crank angle makes of the deviation, 0 to 2; it begins at the probability of the index.
     holds
-        Whether the model holds: the inputs are numbers within the table, and measurements leave no more than expected.
+        Whether the model holds: the inputs are numbers within the table, and measurements leave no more than expected
+        and have its ripple.
     """
 
     motor_angle: float
@@ -297,9 +302,10 @@ def step(
     ripple, slope = _ripple(c, state, angle * c.crank_ratio + m.index)
     expected = state.variance + m.doubt * state.ripple
     variance = (FIRST * expected + m.left) / (FIRST + m.count)
-    holds = plausible and inside and not (
-        m.count > ENOUGH and variance > ALARM * ALARM * (expected + c.tables.noise)
-    )  # fmt: skip
+    small = LEAST_GAIN * m.probability - KNOWN[3] * m.learned[3]
+    more = variance > ALARM * ALARM * (expected + c.tables.noise)
+    another = small > 0.0 and small * small > ALARM * ALARM * m.sure
+    holds = plausible and inside and not (m.count > ENOUGH and (more or another))
     return Command(
         c.ratio * (angle - play * state.flank - wound * state.mean - gain * ripple),
         c.ratio * desired_speed * (1.0 - gain * c.crank_ratio * slope), math.sqrt(variance), gain, holds,
@@ -404,10 +410,10 @@ def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_
             m.moments[n] = kept * m.moments[n] + weighted * rows[j]
             n += 1
         m.products[i] = kept * m.products[i] + weighted * measured
-    sure = _solve(m, variance)
+    m.sure = _solve(m, variance)
     # The mean square that is left is least where a gain that is not sure is taken for less.
     g = KNOWN[3] * m.learned[3]
-    ripple = g * g * g / (g * g + sure) if g > 0.0 else 0.0
+    ripple = g * g * g / (g * g + m.sure) if g > 0.0 else 0.0
     targets = (
         KNOWN[0] * m.learned[0], KNOWN[1] * m.learned[1], min(max(KNOWN[2] * m.learned[2], 0.0), LARGEST_GAIN),
         min(ripple, LARGEST_GAIN),

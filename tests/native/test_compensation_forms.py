@@ -140,7 +140,8 @@ def host(c, rows, index, folder, compiler, *flags, suffix=""):
     bits = ",\n".join("{" + ", ".join(f"{NONE if abs(v) == math.inf or v != v else v!r}" for v in row) + "}"
                       for row in rows.tolist())  # fmt: skip
     (folder / "sequence.h").write_text(
-        f"#define ROWS {len(rows)}\n#define INDEX {index!r}\n#define PROBABILITY 1.0\nstatic const double SEQUENCE[ROWS][6] = {{\n{bits}\n}};\n"
+        f"#define ROWS {len(rows)}\n#define INDEX {index!r}\n#define PROBABILITY 1.0\n"
+        f"static const double SEQUENCE[ROWS][6] = {{\n{bits}\n}};\n"
     )
     program = folder / f"host{suffix}"
     subprocess.run(

@@ -19,7 +19,7 @@ LIMITS = {
     name: getattr(core, name)
     for name in (
         "LARGEST", "FIRST", "LARGEST_GAIN", "GAIN_RATE", "ANGLE_RATE", "OUTLIER", "ALARM",
-        "ENOUGH", "SURE_FLANK", "SETTLED",
+        "LEAST_GAIN", "ENOUGH", "SURE_FLANK", "SETTLED",
     )
 } | {
     "LARGEST_TRANSMISSION_ERROR": LARGEST_TRANSMISSION_ERROR, "PER_MEMORY": 1.0 / core.MEMORY,

@@ -183,10 +183,15 @@ static inline double solve(struct compensator_memory *m, double v) {
     return KNOWN[3] * KNOWN[3] * v * d3;
 }
 
+/* Share of the ripple's variance that an index of its probability leaves. */
+static double doubt(const struct compensator_memory *m) {
+    return 1.0 - m->probability * m->probability;
+}
+
 /* Take a measurement in; returns whether it can be one of this drive. */
 static int learn(struct compensator_memory *m, const struct state *state, double motor_angle, double output_angle) {
     double measured = output_angle - motor_angle * PER_RATIO;
-    double rows[4], targets[4], crank, way, kept, expected, variance, off, weight, most, sure, g;
+    double rows[4], targets[4], crank, way, kept, expected, variance, off, weight, most, g;
     const double *node = state->node;
     int first = !given(m->output), i, j, n = 0;
     if (size_of(measured) > LARGEST_TRANSMISSION_ERROR) {
@@ -200,7 +205,7 @@ static int learn(struct compensator_memory *m, const struct state *state, double
     way = first ? 0.0 : size_of(CRANK_RATIO * (output_angle - m->output));
     m->output = output_angle;
     kept = larger(0.0, 1.0 - way * PER_MEMORY);
-    expected = node[VARIANCE] + NOISE + m->doubt * node[RIPPLE];
+    expected = node[VARIANCE] + NOISE + doubt(m) * node[RIPPLE];
     variance = (FIRST * expected + kept * m->left) / (FIRST + kept * m->count);
     off = measured - (m->learned[0] * rows[0] + m->learned[1] * rows[1] + m->learned[2] * rows[2]
                       + m->learned[3] * rows[3]);
@@ -221,12 +226,12 @@ static int learn(struct compensator_memory *m, const struct state *state, double
         }
         m->products[i] = kept * m->products[i] + weighted * measured;
     }
-    sure = solve(m, variance);
+    m->sure = solve(m, variance);
     g = KNOWN[3] * m->learned[3];
     targets[0] = KNOWN[0] * m->learned[0];
     targets[1] = KNOWN[1] * m->learned[1];
     targets[2] = smaller(larger(KNOWN[2] * m->learned[2], 0.0), LARGEST_GAIN);
-    targets[3] = smaller(g > 0.0 ? g * g * g / (g * g + sure) : 0.0, LARGEST_GAIN);
+    targets[3] = smaller(g > 0.0 ? g * g * g / (g * g + m->sure) : 0.0, LARGEST_GAIN);
     for (i = 0; i < 4; i++) {
         most = way * (i < 2 ? ANGLE_RATE : GAIN_RATE);
         m->applied[i] += smaller(larger(targets[i] - m->applied[i], -most), most);
@@ -238,15 +243,15 @@ void compensator_start(struct compensator_memory *memory, double index, double p
     struct compensator_memory fresh = {0};
     int i;
     fresh.index = given(index) ? index : 0.0;
-    probability = given(index) && probability > 0.0 ? smaller(probability, 1.0) : 0.0;
-    fresh.doubt = 1.0 - probability * probability;
+    fresh.probability = given(index) && probability > 0.0 ? smaller(probability, 1.0) : 0.0;
     fresh.angle = fresh.output = COMPENSATOR_NONE;
     fresh.settled = SETTLED;
     for (i = 0; i < 4; i++) {
         fresh.applied[i] = EXPECTED[i];
         fresh.learned[i] = PRIOR[i];
     }
-    fresh.applied[3] = probability;
+    fresh.applied[3] = fresh.probability;
+    fresh.sure = KNOWN[3] * KNOWN[3];
     *memory = fresh;
 }
 
@@ -256,8 +261,8 @@ struct compensator_command compensator_step(struct compensator_memory *memory, d
     struct compensator_memory *m = memory;
     struct compensator_command found;
     struct state state;
-    double ripple, slope, wound, gain, angle, expected, variance;
-    int inside, plausible = 1;
+    double ripple, slope, wound, gain, angle, expected, variance, small;
+    int inside, plausible = 1, more, another;
     if (!given(desired_angle) || !given(desired_speed) || !given(load_torque) || !given(temperature)) {
         found.motor_angle = RATIO * (given(desired_angle) ? desired_angle : given(m->angle) ? m->angle : 0.0);
         found.motor_speed = found.gain = 0.0;
@@ -274,12 +279,15 @@ struct compensator_command compensator_step(struct compensator_memory *memory, d
     gain = m->applied[3];
     angle = desired_angle - m->applied[0] - wound * state.wound;
     ripple = ripple_of(&state, angle * CRANK_RATIO + m->index, &slope);
-    expected = state.node[VARIANCE] + m->doubt * state.node[RIPPLE];
+    expected = state.node[VARIANCE] + doubt(m) * state.node[RIPPLE];
     variance = (FIRST * expected + m->left) / (FIRST + m->count);
     found.motor_angle = RATIO * (angle - m->applied[1] * state.node[FLANK] - wound * state.node[MEAN] - gain * ripple);
     found.motor_speed = RATIO * desired_speed * (1.0 - gain * CRANK_RATIO * slope);
     found.band = sqrt(variance);
     found.gain = gain;
-    found.holds = plausible && inside && !(m->count > ENOUGH && variance > ALARM * ALARM * (expected + NOISE));
+    small = LEAST_GAIN * m->probability - KNOWN[3] * m->learned[3];
+    more = variance > ALARM * ALARM * (expected + NOISE);
+    another = small > 0.0 && small * small > ALARM * ALARM * m->sure;
+    found.holds = plausible && inside && !(m->count > ENOUGH && (more || another));
     return found;
 }
