@@ -16,7 +16,7 @@ from compensators import NONE
 from test_compensation_forms import host
 
 ROUNDS = 300
-ALLOWED = 500.0  # ns
+ALLOWED = 500.0  # ns, what the clock takes itself included
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,9 @@ def test_worst_step(compensator, tmp_path, compiler, measured, record_property):
     timed = (*compiler, f"-DTIMED={ROUNDS}", "-D_POSIX_C_SOURCE=199309L")
     program = host(compensator, motion(compensator, measured=measured), 0.0, tmp_path, timed, "-lm")
     done = subprocess.run([program], capture_output=True, text=True, check=True)
-    spent = np.array(done.stdout.split(), dtype=float)
-    record_property("worst call, with the clock's own time", f"{spent.max():.0f} ns")
-    print(f"{compiler[-1]}, encoder {measured}: median {np.median(spent):.0f} ns, worst {spent.max():.0f} ns")
-    assert spent.max() < ALLOWED + 30.0  # the clock takes 20 to 30 ns itself
+    clock, *spent = map(float, done.stdout.split())
+    record_property("worst call, with the clock's own time", f"{max(spent):.0f} ns")
+    record_property("the clock's own time", f"{clock:.0f} ns")
+    print(f"{compiler[-1]}, encoder {measured}: median {np.median(spent):.0f} ns, worst {max(spent):.0f} ns, "
+          f"of which {clock:.0f} ns are the clock's")  # fmt: skip
+    assert max(spent) < ALLOWED

@@ -811,6 +811,7 @@ class Drive:
         largest_torque: float | str | None = None,
         residual: float | str = "0.5 arcsec",
         sensor: float | str = "1 arcsec",
+        tolerances: Tolerances | str | os.PathLike[str] | None = None,
         workers: int | None = None,
         total: Callable[[int], None] = lambda angles: None,
         progress: Callable[[int], None] = lambda angles: None,
@@ -836,6 +837,9 @@ class Drive:
             Largest error of the table, rad; the smallest table within it is used.
         sensor
             Standard deviation of an output encoder, rad.
+        tolerances
+            Where any drive of this kind may be moved, their tolerances or the file: how far the drives that they allow
+            are from this one goes into the band. Else the band is this drive's, with what its fit leaves open.
         workers, total, progress
             Threads; called with the total number of solutions, and with the number just finished.
 
@@ -858,7 +862,7 @@ class Drive:
         ... )
         >>> drive = cy.Drive(pair).replace(offset="-20 um", errors={"eccentricity": "5 um"})
         >>> compensator = drive.compensator()
-        >>> memory = compensator.start()
+        >>> memory = compensator.start(0.0)
         >>> command = compensator.step(memory, 0.1, 0.0, load_torque=100.0, temperature=293.15)
         >>> found = drive.analyze(100.0, crank_angle=[command.motor_angle])
         >>> output = command.motor_angle / drive.ratio + float(found.transmission_error[0, 0])
@@ -877,8 +881,8 @@ class Drive:
         return drive_compensator(
             self.pair, self.surface, self.first_stage, self.ratio, friction=friction, temperatures=between,
             series_compliance=series_compliance, torque_share=torque_share, workers=workers or os.cpu_count() or 1,
-            total=total,
-            progress=progress, **values,
+            tolerances=None if tolerances is None else _tolerances(tolerances), total=total, progress=progress,
+            **values,
         )  # fmt: skip
 
     def profile(self, *, disc: int = 0, chord_error: float | str = 1e-7) -> Profile:

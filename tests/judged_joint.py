@@ -428,8 +428,8 @@ def exact_model(found, profiles, told):
 class Remembering:
     """The product's compensator with a memory that is new; it keeps what it said of itself."""
 
-    def __init__(self, compensator, zero=0.0):
-        self.compensator, self.zero, self.memory, self.said = compensator, zero, Memory(), []
+    def __init__(self, compensator, zero=0.0, probability=1.0):
+        self.compensator, self.zero, self.memory, self.said = compensator, zero, Memory(0.0, probability), []
 
     def __call__(self, angle, speed, load, kelvin, motor, output):
         command = step(self.compensator, self.memory, angle - self.zero, speed, load, kelvin, motor, output - self.zero)
@@ -442,7 +442,12 @@ def compensator(found, profiles, told):
     return lambda: Remembering(found.compensator, found.zero)
 
 
-CONTROLLERS = {"exact model": exact_model, "compensator": compensator}
+def without_index(found, profiles, told):
+    """The same, that is told that nothing says that the index is right."""
+    return lambda: Remembering(found.compensator, found.zero, 0.0)
+
+
+CONTROLLERS = {"exact model": exact_model, "compensator": compensator, "no index stated": without_index}
 
 
 def drive_of(size, seed, **how):

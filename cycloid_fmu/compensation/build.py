@@ -22,10 +22,11 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.temperature import BODIES, Temperatures
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.posterior import drawn_surfaces
+from cycloid_fmu.surfaces.sampling import Tolerances, sample_surface
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
-DRAWS = 40  # of the fit, for the band
+DRAWS = 40  # of the fit, or of the tolerances, for the band
 _BAND_ANGLES = 60
 _SPEEDS = 3.5 * np.linspace(0.0, 1.0, 25)  # of the Stribeck speed: beyond, 5e-6 of its extra are left
 _UNLIMITED = (253.15, 373.15)  # K: friction's temperatures where none are stated
@@ -37,7 +38,8 @@ _TEMPERATURES = 3  # at which the table knows the drive
 def drive_compensator(
     pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None, ratio: float, *, friction: Friction | None,
     stiffness: float | None, series_compliance: float, temperatures: Sequence[float] | None,
-    torque_accuracy: float | None, largest_torque: float | None, workers: int, **options: Any,
+    torque_accuracy: float | None, largest_torque: float | None, tolerances: Tolerances | None, workers: int,
+    **options: Any,
 ) -> Compensator:  # fmt: skip
     """Return the compensator of a drive; parameters are those of `Drive.compensator` and `compensator_of`."""
     for name, value in (("torque_accuracy", torque_accuracy), ("largest_torque", largest_torque)):
@@ -58,8 +60,13 @@ def drive_compensator(
         for at in np.linspace(low, high, _TEMPERATURES):
             warm = pair.replace(temperature=Temperatures(**dict.fromkeys(BODIES, float(at))))
             models.append(Model(float(at), warm, surface.replace(pair=warm), rigid, workers))
+    others: Sequence[ErrorSurface] = ()
+    if tolerances is not None:
+        others = [sample_surface(models[0].pair, tolerances, seed) for seed in range(DRAWS)]
+    elif models[0].surface.covariance is not None:
+        others = drawn_surfaces(models[0].pair, models[0].surface, DRAWS, 0)
     return compensator_of(
-        models, (friction or Friction()).law(1), compliance, ratio,
+        models, (friction or Friction()).law(1), compliance, ratio, others=others,
         largest_torque=LARGEST_LOAD * rated if largest_torque is None else largest_torque,
         torque_accuracy=_TORQUE_ACCURACY * rated if torque_accuracy is None else torque_accuracy, **options,
     )  # fmt: skip
@@ -71,6 +78,7 @@ def compensator_of(
     compliance: float,
     ratio: float,
     *,
+    others: Sequence[ErrorSurface],
     largest_torque: float,
     torque_accuracy: float,
     torque_share: float,
@@ -84,13 +92,15 @@ def compensator_of(
     Parameters
     ----------
     models
-        The drive at each temperature, ascending; the first one's surface may have the covariance of a fit.
+        The drive at each temperature, ascending.
     law
         Friction at the output.
     compliance
         In series with the drive, rad/(N·m).
     ratio
         Of the motor's rotation to the output's.
+    others
+        What may have been made instead of the first one's surface: their spread around it goes into the band.
     largest_torque, torque_accuracy, residual, total, progress
         As of `inverse_of`.
     torque_share
@@ -124,24 +134,23 @@ def compensator_of(
         load_share=law.load_share, stribeck=law.stribeck, viscous=law.viscous, presliding_angle=law.presliding_angle,
         stribeck_speed=law.stribeck_speed * _SPEEDS, stribeck_share=np.exp(-(_SPEEDS**2)), warmth_temperature=warmth,
         warmth=np.array([factor(law, t) for t in warmth]) if law.temperature_coefficient else np.ones(1),
-        variance=inverse.spread + stated + _fit_variance(models[0], inverse) + table,
+        variance=inverse.spread + stated + _spread(models[0], inverse, others) + table,
         ripple_variance=inverse.ripple_variance, sensor=sensor,
     )  # fmt: skip
 
 
-def _fit_variance(model: Model, inverse: Inverse) -> Array:
-    """Return the fit's variance of the deviation at each torque, mean over the crank angle; 0 without a fit, rad².
+def _spread(model: Model, inverse: Inverse, others: Sequence[ErrorSurface]) -> Array:
+    """Return the mean square deviation of others from a drive at each torque, over the crank angle; 0 without others, rad².
 
     The ends of the play represent zero torque.
     """
-    if model.surface.covariance is None:
+    if not others:
         return np.zeros(inverse.torque.size)
-    crank = np.sort(np.random.default_rng(3).uniform(0.0, inverse.period, _BAND_ANGLES))
+    # Whatever they are, all repeat after as many crank turns as there are teeth.
+    crank = np.sort(np.random.default_rng(3).uniform(0.0, 2.0 * math.pi * model.pair.gear_teeth, _BAND_ANGLES))
     torque = inverse.torque
     some = np.unique(np.round(np.linspace(0, torque.size - 1, 9)).astype(int))
     some = some[torque[some] != 0.0]
-    found = np.zeros(some.size)
     best = model.solved(torque[some], crank)
-    for drawn in drawn_surfaces(model.pair, model.surface, DRAWS, 0):
-        found += np.mean((model._replace(surface=drawn).solved(torque[some], crank) - best) ** 2, axis=1)
-    return np.asarray(np.interp(torque, torque[some], found / DRAWS))
+    off = [model._replace(surface=other).solved(torque[some], crank) - best for other in others]
+    return np.asarray(np.interp(torque, torque[some], np.mean(np.square(off), axis=(0, 2))))

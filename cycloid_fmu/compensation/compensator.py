@@ -1,14 +1,14 @@
 """A compensator: the data of a drive for a controller, and the step that uses them.
 
 Every step takes a fixed number of operations, sums, products, quotients and square roots alone, so that all forms give
-the same numbers. Theory: docs/theory/compensation.md.
+the same numbers. What depends on the drive alone is divided beforehand. Theory: docs/theory/compensation.md.
 """
 
 from __future__ import annotations
 
 import bisect
+import functools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -26,6 +26,7 @@ MEMORY = 40.0 * math.pi  # rad of the crank after which what was learned counts 
 FIRST = 2.0  # measurements that the stated band counts against what is left
 EXPECTED = (0.0, 0.0, 1.0, 1.0)  # offset (rad), further play (rad), gains of wind-up and ripple before measurements
 KNOWN = (5e-4, 1e-4, 0.3, 1.0)  # their standard deviations then
+PRIOR = tuple(value / known for value, known in zip(EXPECTED, KNOWN, strict=True))
 LARGEST_GAIN = 2.0
 GAIN_RATE = 0.25  # most that a gain changes over 1 rad of the crank
 ANGLE_RATE = 1e-4  # rad of the output, likewise of offset and play
@@ -33,7 +34,10 @@ OUTLIER = 5.0  # standard deviations from which on a measurement counts as one s
 SURE_FLANK = 0.99  # mean direction of the torque: with less of it the output may be on its way through the play
 SETTLED = 0.5  # rad of the crank after that before measurements count again: the output comes late to the other flank
 ALARM = 3.0  # times the stated band: of more than that left the model does not hold
+LEAST_GAIN = 0.7  # of the probability of the index: with a ripple that is surely smaller the model does not hold
 ENOUGH = 3.0  # measurements before that is judged
+COLUMNS = 4  # of `Tables.node` before the functions of the crank angle
+SUPPORT = 4  # coefficients of a spline that count at a place
 
 
 @dataclass(frozen=True)
@@ -88,14 +92,39 @@ class Compensator:
     @property
     def size(self) -> int:
         """Bytes of all tables."""
-        t = self.inverse
-        numbers = (t.scale, t.torque, t.temperature, t.mean, t.share, self.variance, self.ripple_variance)
+        t = self.tables
         friction = (self.stribeck_speed, self.stribeck_share, self.warmth_temperature, self.warmth)
-        return sum(one.nbytes for one in (*t.steps, *numbers, *friction))
+        return sum(one.nbytes for one in (*t.steps, t.node, self.inverse.torque, self.inverse.temperature, *friction))
 
-    def start(self, index: float = 0.0) -> Memory:
-        """Return an empty memory with the crank angle (rad) at which the output angle is 0, or NaN."""
-        return Memory(index)
+    @functools.cached_property
+    def tables(self) -> Tables:
+        """The numbers that `step` uses, with all divisions made."""
+        t = self.inverse
+        flank = np.broadcast_to(t.flank, t.mean.shape)
+        node = np.stack([t.mean, flank, self.variance, self.ripple_variance], axis=-1)
+        # Six times a spline's value is a sum of whole numbers.
+        node = np.concatenate([node, t.share * t.scale / 6.0], axis=-1)
+        steps = tuple(np.take(one, np.arange(-1, len(one) + SUPPORT - 1), mode="wrap") for one in t.steps)
+        # Without friction there is no element.
+        strain = self.presliding_angle / FRICTION_ELEMENTS
+        stiffness = 2.0 / (self.presliding_angle * (FRICTION_ELEMENTS + 1))
+        noise = self.sensor * self.sensor
+        return Tables(
+            1.0 / self.ratio, 1.0 / t.period, strain, stiffness, noise, self.least_variance + noise, node, steps,
+            _rates(t.torque), _rates(t.temperature), _rates(self.stribeck_speed), _rates(self.warmth_temperature),
+        )  # fmt: skip
+
+    def start(self, index: float = math.nan, probability: float = 1.0) -> Memory:
+        """Return an empty memory.
+
+        Parameters
+        ----------
+        index
+            Crank angle of this drive's model where the output angle is 0, rad.
+        probability
+            That the index is right and the drive is this one, as `find_index` returns it; 0 where no index is stated.
+        """
+        return Memory(index, probability)
 
     def step(
         self, memory: Memory, desired_angle: float, desired_speed: float, load_torque: float, temperature: float,
@@ -105,6 +134,44 @@ class Compensator:
         return step(self, memory, desired_angle, desired_speed, load_torque, temperature, motor_angle, output_angle)
 
 
+class Tables(NamedTuple):
+    """Numbers of a compensator as `step` takes them, in Python and in all other forms.
+
+    Attributes
+    ----------
+    per_ratio, per_period
+        One over the ratio, and over the period.
+    strain, stiffness
+        Of friction: what each element may strain for each part of its torque (rad), and stiffness over torque (1/rad).
+    noise, least
+        Variance of the output encoder, and with it the least variance of the deviation, rad².
+    node
+        Shape (temperatures, torques, `COLUMNS` + functions): mean deviation (rad), direction of the torque, variance
+        (rad²), that of the ripple (rad²), and what each function of the crank angle counts, a sixth of rad.
+    steps
+        Coefficients of each spline from the one before the first, `SUPPORT` more than it has knots.
+    torque_rate, temperature_rate, stribeck_rate, warmth_rate
+        One over the distance of the nodes, 0 behind the last.
+    """
+
+    per_ratio: float
+    per_period: float
+    strain: float
+    stiffness: float
+    noise: float
+    least: float
+    node: Array
+    steps: tuple[NDArray[np.int8 | np.int16], ...]
+    torque_rate: Array
+    temperature_rate: Array
+    stribeck_rate: Array
+    warmth_rate: Array
+
+
+def _rates(nodes: Array) -> Array:
+    return np.append(1.0 / np.diff(nodes), 0.0)
+
+
 @dataclass
 class Memory:
     """Memory of a compensator from step to step; a new one is empty.
@@ -112,8 +179,10 @@ class Memory:
     Attributes
     ----------
     index
-        Crank angle of the model where the desired output angle is 0, rad; NaN if unknown: then the part that depends on
-        the crank angle is not compensated.
+        Crank angle of the model where the desired output angle is 0, rad; 0 in place of NaN.
+    probability
+        That it is right, 0 to 1; 0 where the index is NaN. The part that depends on the crank angle is compensated in this
+        proportion until there are measurements.
     angle
         Desired output angle of the last step, rad; NaN before the first.
     strains
@@ -126,25 +195,43 @@ class Memory:
         Learned values in the command: difference of the encoders' zeros (rad), half of the added play (rad), gain of
         mean deviation and wind-up, gain of the part that depends on the crank angle.
     learned
-        The same, as estimated from measurements.
+        The same as measurements have it, over `KNOWN`.
+    sure
+        Variance of the last of them as a gain.
     moments, products
-        Fading sums over measurements: of the four regressors' products, row by row up to the diagonal, and of their
-        products with the measured deviation.
+        Sums over measurements, which fade: of the four regressors' products, each times `KNOWN`, row by row up to the
+        diagonal, and of theirs with what was measured.
     count, left
         Effective number of measurements, and their residual sum of squares, rad².
     """
 
     index: float = 0.0
+    probability: float = 1.0
     angle: float = math.nan
     strains: list[float] = field(default_factory=lambda: [0.0] * FRICTION_ELEMENTS)
     output: float = math.nan
     settled: float = SETTLED
-    applied: list[float] = field(default_factory=lambda: list(EXPECTED))
-    learned: list[float] = field(default_factory=lambda: list(EXPECTED))
+    applied: list[float] = field(init=False)
+    learned: list[float] = field(default_factory=lambda: list(PRIOR))
+    sure: float = KNOWN[3] * KNOWN[3]
     moments: list[float] = field(default_factory=lambda: [0.0] * 10)
     products: list[float] = field(default_factory=lambda: [0.0] * 4)
     count: float = 0.0
     left: float = 0.0
+
+    def __post_init__(self) -> None:
+        known = _given(self.index) and self.probability > 0.0
+        self.index = self.index if _given(self.index) else 0.0
+        self.probability = min(self.probability, 1.0) if known else 0.0
+        self.applied = [*EXPECTED[:3], self.probability]
+
+    @property
+    def doubt(self) -> float:
+        """Share of the ripple's variance that an index of this probability leaves.
+
+        Where it is right 1 - probability of the ripple is left, else all of it and as much of another.
+        """
+        return 1.0 - self.probability * self.probability
 
 
 class Command(NamedTuple):
@@ -157,9 +244,10 @@ class Command(NamedTuple):
     band
         Standard deviation of the output angle from the desired one, rad; `LARGEST` where an input is missing.
     gain
-        Gain of the part that depends on the crank angle, 0 to 2; 0 if the index is unknown.
+        Of what the crank angle makes of the deviation, 0 to 2; it begins at the probability of the index.
     holds
-        Whether the model holds: the inputs are finite and within the table, and the residual is as expected.
+        Whether the model holds: the inputs are numbers within the table, and measurements leave no more than expected
+        and have its ripple.
     """
 
     motor_angle: float
@@ -176,9 +264,9 @@ class _State(NamedTuple):
     wound: float
     mean: float
     flank: float
-    shares: Sequence[float]
     variance: float
     ripple: float
+    shares: list[float]
 
 
 def step(
@@ -209,16 +297,15 @@ def step(
     plausible = True
     if inside and _given(motor_angle) and _given(output_angle):
         plausible = _learn(c, m, state, motor_angle, output_angle)
-    known = _given(m.index)
     offset, play, wound, gain = m.applied
-    gain = gain if known else 0.0
     angle = desired_angle - offset - wound * state.wound
-    ripple, slope = _ripple(c, state, angle * c.crank_ratio + m.index) if known else (0.0, 0.0)
-    expected = state.variance + (0.0 if known else state.ripple)
+    ripple, slope = _ripple(c, state, angle * c.crank_ratio + m.index)
+    expected = state.variance + m.doubt * state.ripple
     variance = (FIRST * expected + m.left) / (FIRST + m.count)
-    holds = plausible and inside and not (
-        m.count > ENOUGH and variance > ALARM * ALARM * (expected + c.sensor * c.sensor)
-    )  # fmt: skip
+    small = LEAST_GAIN * m.probability - KNOWN[3] * m.learned[3]
+    more = variance > ALARM * ALARM * (expected + c.tables.noise)
+    another = small > 0.0 and small * small > ALARM * ALARM * m.sure
+    holds = plausible and inside and not (m.count > ENOUGH and (more or another))
     return Command(
         c.ratio * (angle - play * state.flank - wound * state.mean - gain * ripple),
         c.ratio * desired_speed * (1.0 - gain * c.crank_ratio * slope), math.sqrt(variance), gain, holds,
@@ -229,138 +316,135 @@ def _given(value: float) -> bool:
     return abs(value) < LARGEST  # not so for NaN
 
 
-def _between(nodes: Array, at: float) -> tuple[int, float]:
-    """Return the cell between nodes in which a value is and its share of the cell; constant beyond the ends."""
+def _between(nodes: Array, rates: Array, at: float) -> tuple[int, float]:
+    """Return a cell between nodes and the share of it at which a value lies; the ends hold beyond."""
     if len(nodes) == 1:
         return 0, 0.0
     cell = min(max(bisect.bisect_right(nodes, at) - 1, 0), len(nodes) - 2)
-    share = (at - nodes[cell]) / (nodes[cell + 1] - nodes[cell])
-    return cell, float(min(max(share, 0.0), 1.0))
+    share = (at - float(nodes[cell])) * float(rates[cell])
+    return cell, min(max(share, 0.0), 1.0)
 
 
-def _on_line(nodes: Array, values: Array, at: float) -> float:
-    cell, share = _between(nodes, at)
+def _on_line(nodes: Array, rates: Array, values: Array, at: float) -> float:
+    cell, share = _between(nodes, rates, at)
     return float((1.0 - share) * values[cell] + share * values[cell + 1] if share > 0.0 else values[cell])
 
 
 def torque_of_teeth(c: Compensator, m: Memory, angle: float, speed: float, load: float, temperature: float) -> float:
-    """Return the torque of the teeth, the load minus friction; the friction elements move."""
+    """Return the torque that the teeth carry: the load without what friction holds; its elements move on."""
+    t = c.tables
     way = angle - m.angle if _given(m.angle) else 0.0
     m.angle = angle
     dry = c.coulomb + c.load_share * abs(load)
     rest = dry + c.stribeck
     if rest <= 0.0:
         return load - c.viscous * speed
-    sliding = dry + c.stribeck * _on_line(c.stribeck_speed, c.stribeck_share, abs(speed))
-    warmth = _on_line(c.warmth_temperature, c.warmth, temperature)
-    bound = c.presliding_angle * warmth * sliding / (rest * FRICTION_ELEMENTS)
+    sliding = dry + c.stribeck * _on_line(c.stribeck_speed, t.stribeck_rate, c.stribeck_share, abs(speed))
+    warmth = _on_line(c.warmth_temperature, t.warmth_rate, c.warmth, temperature)
+    bound = t.strain * warmth * sliding / rest
     total = 0.0
     for i in range(FRICTION_ELEMENTS):
         most = bound * (i + 1)
         m.strains[i] = min(max(m.strains[i] + way, -most), most)
         total += m.strains[i]
-    stiffness = 2.0 * rest / (c.presliding_angle * (FRICTION_ELEMENTS + 1))
-    return load - stiffness * total - c.viscous * speed
+    return load - t.stiffness * rest * total - c.viscous * speed
 
 
 def _state(c: Compensator, torque: float, temperature: float) -> _State:
-    t = c.inverse
-    i, u = _between(t.temperature, temperature)
-    j, v = _between(t.torque, torque)
-    k = min(i + 1, len(t.temperature) - 1)
+    t = c.tables
+    i, u = _between(c.inverse.temperature, t.temperature_rate, temperature)
+    j, v = _between(c.inverse.torque, t.torque_rate, torque)
+    low, high = t.node[i], t.node[min(i + 1, len(t.node) - 1)]
     p, q, r, s = (1.0 - u) * (1.0 - v), (1.0 - u) * v, u * (1.0 - v), u * v
-
-    def at(values: Array) -> float:
-        return float(p * values[i, j] + q * values[i, j + 1] + r * values[k, j] + s * values[k, j + 1])
-
-    flank = float((1.0 - v) * t.flank[j] + v * t.flank[j + 1])
-    shares = [at(t.share[..., n]) * float(t.scale[n]) for n in range(len(t.scale))]
-    return _State(torque, c.compliance * torque, at(t.mean), flank, shares, at(c.variance), at(c.ripple_variance))
+    found = p * low[j] + q * low[j + 1] + r * high[j] + s * high[j + 1]
+    mean, flank, variance, ripple, *shares = found.tolist()
+    return _State(torque, c.compliance * torque, mean, flank, variance, ripple, shares)
 
 
 def _ripple(c: Compensator, state: _State, crank: float) -> tuple[float, float]:
-    """Return the part of the deviation that depends on the ideal crank angle (rad), and its derivative."""
-    turn = crank / c.inverse.period
+    """Return what the ideal crank angle makes of the deviation (rad), and its derivative."""
+    turn = crank * c.tables.per_period
     turn -= math.floor(turn)
     value = slope = 0.0
-    for share, steps in zip(state.shares, c.inverse.steps, strict=True):
-        knots = len(steps)
+    for share, steps in zip(state.shares, c.tables.steps, strict=True):
+        knots = len(steps) - SUPPORT
         place = turn * knots
-        knot = min(int(place), knots - 1)
+        knot = int(place)
         s = place - knot
-        a, b, d, e = (int(steps[(knot + n) % knots]) for n in (-1, 0, 1, 2))
+        a, b, d, e = steps[knot : knot + SUPPORT].tolist()
         third, second, first = e - a + 3 * (b - d), 3 * (a + d - 2 * b), 3 * (d - a)
         value += share * (((third * s + second) * s + first) * s + (a + 4 * b + d))
         slope += share * knots * ((3 * third * s + 2 * second) * s + first)
-    return value / 6.0, slope / (6.0 * c.inverse.period)
+    return value, slope * c.tables.per_period
 
 
 def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_angle: float) -> bool:
-    """Learn from a measurement; return whether it is possible for this drive."""
-    measured = output_angle - motor_angle / c.ratio
+    """Take a measurement in; return whether it can be one of this drive."""
+    t = c.tables
+    measured = output_angle - motor_angle * t.per_ratio
     if abs(measured) > LARGEST_TRANSMISSION_ERROR:
         return False
-    known = _given(m.index)
     crank = (output_angle - m.applied[0] - m.applied[2] * state.wound) * c.crank_ratio
-    ripple = _ripple(c, state, crank + m.index)[0] if known else 0.0
-    rows = (1.0, state.flank, state.wound + state.mean, ripple)
+    ripple = _ripple(c, state, crank + m.index)[0]
+    rows = (KNOWN[0], KNOWN[1] * state.flank, KNOWN[2] * (state.wound + state.mean), KNOWN[3] * ripple)
     first = not _given(m.output)
     way = 0.0 if first else abs(c.crank_ratio * (output_angle - m.output))
     m.output = output_angle
-    kept = max(0.0, 1.0 - way / MEMORY)
-    expected = state.variance + c.sensor * c.sensor + (0.0 if known else state.ripple)
+    kept = max(0.0, 1.0 - way * (1.0 / MEMORY))
+    expected = state.variance + t.noise + m.doubt * state.ripple
     variance = (FIRST * expected + kept * m.left) / (FIRST + kept * m.count)
     a, b, d, e = m.learned
     off = measured - (a * rows[0] + b * rows[1] + d * rows[2] + e * rows[3])
     m.settled = m.settled + way if abs(state.flank) >= SURE_FLANK else 0.0
-    weight = 0.0 if m.settled < SETTLED else 1.0 if first else min(1.0, way / CORRELATION)
-    weight *= min(1.0, (c.least_variance + c.sensor * c.sensor) / (state.variance + c.sensor * c.sensor))
-    far = abs(off) / (OUTLIER * math.sqrt(variance))
-    if far > 1.0:
-        weight /= far
+    weight = 0.0 if m.settled < SETTLED else 1.0 if first else min(1.0, way * (1.0 / CORRELATION))
+    weight *= min(1.0, t.least / (state.variance + t.noise))
+    most = OUTLIER * OUTLIER * variance
+    if off * off > most:
+        weight *= math.sqrt(most / (off * off))
     m.count = kept * m.count + weight
     m.left = kept * m.left + weight * off * off
     n = 0
     for i in range(4):
+        weighted = weight * rows[i]
         for j in range(i + 1):
-            m.moments[n] = kept * m.moments[n] + weight * rows[i] * rows[j]
+            m.moments[n] = kept * m.moments[n] + weighted * rows[j]
             n += 1
-        m.products[i] = kept * m.products[i] + weight * rows[i] * measured
-    sure = _solve(m, variance)
+        m.products[i] = kept * m.products[i] + weighted * measured
+    m.sure = _solve(m, variance)
     # The mean square that is left is least where a gain that is not sure is taken for less.
-    g = m.learned[3]
-    ripple = g * g * g / (g * g + sure) if g > 0.0 else 0.0
-    targets = (m.learned[0], m.learned[1], min(max(m.learned[2], 0.0), LARGEST_GAIN), min(ripple, LARGEST_GAIN))
+    g = KNOWN[3] * m.learned[3]
+    ripple = g * g * g / (g * g + m.sure) if g > 0.0 else 0.0
+    targets = (
+        KNOWN[0] * m.learned[0], KNOWN[1] * m.learned[1], min(max(KNOWN[2] * m.learned[2], 0.0), LARGEST_GAIN),
+        min(ripple, LARGEST_GAIN),
+    )  # fmt: skip
     for i in range(4):
         most = way * (ANGLE_RATE if i < 2 else GAIN_RATE)
         m.applied[i] += min(max(targets[i] - m.applied[i], -most), most)
     return True
 
 
-def _solve(m: Memory, variance: float) -> float:
-    """Estimate the learned values from measurements and prior; return the last gain's variance.
+def _solve(m: Memory, v: float) -> float:
+    """Find what measurements of a variance and what was known before say together; return the last gain's variance.
 
-    Normal equations, scaled by the prior, by Cholesky's decomposition: no pivot is below 1.
+    Normal equations, scaled by what was known before, with the variance on their diagonal, by L D Lᵀ: no pivot is below
+    the variance. Of D the inverse is kept.
     """
-    lower = [0.0] * 10  # on the diagonal its inverse
-    right = [0.0] * 4
-    weight = 1.0 / variance
-    for i in range(4):
-        row = i * (i + 1) // 2
-        right[i] = KNOWN[i] * m.products[i] * weight + EXPECTED[i] / KNOWN[i]
-        for j in range(i + 1):
-            column = j * (j + 1) // 2
-            total = KNOWN[i] * KNOWN[j] * m.moments[row + j] * weight + (1.0 if i == j else 0.0)
-            for k in range(j):
-                total -= lower[row + k] * lower[column + k]
-            lower[row + j] = 1.0 / math.sqrt(max(total, 1.0)) if i == j else total * lower[column + j]
-        for k in range(i):
-            right[i] -= lower[row + k] * right[k]
-        right[i] *= lower[row + i]
-    for i in (3, 2, 1, 0):
-        for k in range(i + 1, 4):
-            right[i] -= lower[k * (k + 1) // 2 + i] * right[k]
-        right[i] *= lower[i * (i + 1) // 2 + i]
-    for i in range(4):
-        m.learned[i] = KNOWN[i] * right[i]
-    return KNOWN[3] * KNOWN[3] * lower[9] * lower[9]
+    a00, a10, a11, a20, a21, a22, a30, a31, a32, a33 = m.moments
+    d0 = 1.0 / max(a00 + v, v)
+    l10, l20, l30 = a10 * d0, a20 * d0, a30 * d0
+    d1 = 1.0 / max(a11 + v - a10 * l10, v)
+    c21, c31 = a21 - a20 * l10, a31 - a30 * l10
+    l21, l31 = c21 * d1, c31 * d1
+    d2 = 1.0 / max(a22 + v - a20 * l20 - c21 * l21, v)
+    c32 = a32 - a30 * l20 - c31 * l21
+    l32 = c32 * d2
+    d3 = 1.0 / max(a33 + v - a30 * l30 - c31 * l31 - c32 * l32, v)
+    y0 = m.products[0] + v * PRIOR[0]
+    y1 = m.products[1] + v * PRIOR[1] - l10 * y0
+    y2 = m.products[2] + v * PRIOR[2] - l20 * y0 - l21 * y1
+    z3 = (m.products[3] + v * PRIOR[3] - l30 * y0 - l31 * y1 - l32 * y2) * d3
+    z2 = y2 * d2 - l32 * z3
+    z1 = y1 * d1 - l21 * z2 - l31 * z3
+    m.learned[:] = y0 * d0 - l10 * z1 - l20 * z2 - l30 * z3, z1, z2, z3
+    return KNOWN[3] * KNOWN[3] * v * d3

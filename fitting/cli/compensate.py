@@ -75,6 +75,12 @@ def compensate(
         float,
         commands.quantity_option("rad", "Standard deviation of an output encoder.", show_default="1 arcsec"),
     ] = 1.0 / ARCSEC,
+    tolerances_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--tolerances", metavar="T.toml", help="Any drive that these allow may be moved: the band has their spread."
+        ),
+    ] = None,
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version of an FMU.", "--fmi")] = "2.0",
     platforms: Annotated[
         list[str] | None,
@@ -122,6 +128,7 @@ def compensate(
             temperatures=None if between is None else (between[0], between[1]), torque_accuracy=torque_accuracy,
             torque_share=torque_share,
             largest_torque=largest_torque, residual=residual, sensor=sensor,
+            tolerances=tolerances_file,
             total=lambda count: bar.update(completed=0, total=count), progress=bar.advance,
         )  # fmt: skip
         if names:
@@ -132,7 +139,7 @@ def compensate(
         )  # fmt: skip
     rated = drive.pair.rated_torque or float(made.inverse.torque[-1]) / LARGEST_LOAD
     warm = 0.5 * float(made.inverse.temperature[0] + made.inverse.temperature[-1])
-    bands = [step(made, Memory(), 0.0, 0.0, sign * rated, warm).band * ARCSEC for sign in (1.0, -1.0)]
+    bands = [step(made, Memory(0.0, one), 0.0, 0.0, rated, warm).band * ARCSEC for one in (1.0, 0.0)]
     if plot is not None:
         from cycloid_fmu.draw.figure import save
         from fitting.reports.compensation_plot import plot_compensator
@@ -141,7 +148,8 @@ def compensate(
     found = made.inverse.residual * ARCSEC
     typer.echo(
         f"{' and '.join(map(str, files))}: tables of {made.size} bytes; largest difference from the model: "
-        f"{found:.3g}″; band (standard deviation) at ±{rated:.4g} N·m: {bands[0]:.3g}″ and {bands[1]:.3g}″."
+        f"{found:.3g}″; band (standard deviation) at {rated:.4g} N·m: {bands[0]:.3g}″, {bands[1]:.3g}″ where no index "
+        "is stated."
     )
     if made.inverse.residual > residual:
         typer.echo(f"A finer table does not reach the {residual * ARCSEC:.3g}″ required.", err=True)

@@ -1,5 +1,6 @@
 """The compensator: it inverts the exact model, remembers as friction does, and learns what the drive really does."""
 
+import dataclasses
 import itertools
 import math
 from pathlib import Path
@@ -144,13 +145,17 @@ def test_wind_up_is_that_of_the_whole_drive(drive):
         assert command.motor_angle == pytest.approx(same.motor_angle, abs=1e-9 * abs(drive.ratio))
 
 
-def followed(made, plant, memory, *, scatter=0.3 * ARCSEC, turns=8.0, points=600):
-    """Errors of the output, with the compensator and without, while the motor obeys and an encoder looks on."""
+def followed(made, plant, memory, *, scatter=0.3 * ARCSEC, turns=8.0, points=600, every=1):
+    """Errors of the output, with the compensator and without, while the motor obeys.
+
+    An encoder looks on, every so many samples.
+    """
     random, motor = np.random.default_rng(5), math.nan
     angle = math.pi / 3.0 * turns / 8.0 * (1.0 - np.cos(np.linspace(0.0, turns, points)))
     torque = np.where(np.diff(angle, append=angle[-1]) < 0.0, -1.0, 1.0) * RATED * (0.5 + 0.4 * np.cos(3.0 * angle))
     errors, plain, shown = [], [], math.nan
-    for wanted, load in zip(angle, torque, strict=True):
+    for number, (wanted, load) in enumerate(zip(angle, torque, strict=True)):
+        shown = shown if number % every == 0 else math.nan
         command = step(made, memory, wanted, 0.0, load, AMBIENT, motor, shown)
         motor = command.motor_angle
         real, ideal = output(plant, [motor, plant.ratio * wanted], load)
@@ -180,6 +185,49 @@ def test_a_wrong_index_fades_out_what_hangs_on_it(drive, compensator):
     assert last.gain < 0.2
     assert not last.holds
     assert rms(errors[half:]) < 2.0 * last.band
+
+
+@pytest.mark.slow(10)
+@pytest.mark.parametrize(("scatter", "every"), [(6.0 * ARCSEC, 1), (0.5 * ARCSEC, 10)])
+def test_a_coarse_or_rare_measurement_shows_a_wrong_index(drive, compensator, scatter, every):
+    made = dataclasses.replace(compensator, sensor=scatter)
+    errors, plain, last = followed(made, drive, made.start(2.4), scatter=scatter, every=every, points=300)
+    assert not last.holds
+    assert last.gain < 0.2
+    assert rms(errors) < rms(plain)
+
+
+def left_of(made, plant, index, probability, load=0.6 * RATED):
+    """What a plant whose crank stands at 0 is off at some angles, with the compensator and without, and the band."""
+    wanted = np.random.default_rng(4).uniform(-7.0, 7.0, 40)
+    found = [step(made, made.start(index, probability), one, 0.0, load, AMBIENT) for one in wanted]
+    motor = np.append([one.motor_angle for one in found], plant.ratio * wanted)
+    errors, plain = np.split(output(plant, motor, load) - np.tile(wanted, 2), 2)
+    return errors, plain, found[0].band
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.5, 0.9])
+def test_the_band_is_what_an_index_of_this_probability_leaves(drive, compensator, probability):
+    """The index is right with this probability, else anywhere."""
+    anywhere = np.random.default_rng(8).uniform(0.0, 2.0 * math.pi, 8)
+    wrong = np.mean([left_of(compensator, drive, index, probability)[0] ** 2 for index in anywhere])
+    right, _, band = left_of(compensator, drive, 0.0, probability)
+    expected = probability * np.mean(right**2) + (1.0 - probability) * wrong
+    assert band == pytest.approx(math.sqrt(expected), rel=0.3)
+
+
+@pytest.mark.slow(8)
+def test_the_band_of_a_kind_is_the_spread_of_its_drives():
+    """Drives that the tolerances allow, none of which the compensator knows."""
+    tolerances = cy.Tolerances(
+        eccentricity={"tolerance": "6 um"}, pin_radius={"tolerance": "4 um"},
+        pin_pitch={"single": "4 um", "cumulative": "12 um"},
+    )  # fmt: skip
+    nominal = small(eccentricity="0 um")
+    made = nominal.compensator(residual="4 arcsec", torque_accuracy=0.2, tolerances=tolerances)
+    every = [left_of(made, nominal.sample(tolerances, seed), math.nan, 1.0) for seed in range(1000, 1012)]
+    assert rms([errors for errors, _, _ in every]) == pytest.approx(every[0][2], rel=0.35)
+    assert all(np.abs(errors).max() < np.abs(plain).max() for errors, plain, _ in every)
 
 
 def test_another_drive_is_learned_where_it_can_be(compensator):

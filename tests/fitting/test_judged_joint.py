@@ -118,7 +118,10 @@ def test_the_inverse_of_the_joint_leaves_nothing(joint):
 
 
 def test_a_recorded_drive_is_moved_by_what_was_identified(record_property):
-    """As recorded 97 % of the rms error goes without an output encoder; with a wrong index none is added."""
+    """As recorded 97 % of the rms error goes without an output encoder; with a wrong index none is added.
+
+    Where no index is stated, no largest error is added either, and the band says what is left.
+    """
     pair, made, _, generator = drive_of(SMALL, 0)
     found = found_of(pair, made, generator, loads=(20.0, 150.0), turns=1, loops=1)
     made_of_it = found.drive.compensator(
@@ -134,13 +137,25 @@ def test_a_recorded_drive_is_moved_by_what_was_identified(record_property):
         assert one.rms < one.plain_rms
         if name == "as recorded" and not encoder:
             assert one.rms < 0.03 * one.plain_rms
+    one = judged(joint, profile, Remembering(made_of_it, found.zero, 0.0))
+    record_property("no index stated", str(one))
+    assert one.rms < 0.3 * one.plain_rms
+    assert one.peak < one.plain_peak
+    assert one.band > 0.8
 
 
 @pytest.mark.slow(600)
 def test_several_drives_in_every_case():
-    """Whatever is wrong with what is known of a drive, no controller makes the joint worse."""
+    """Whatever is wrong with what is known of a drive, no controller makes the joint worse.
+
+    Where no index is stated, not even for a moment; a wrong index and another drive are then within the band.
+    """
     for seed in range(2):
         for motion, case, controller, encoder, one in outcomes(SMALL, seed, profiles=("robot",)):
             assert one.rms < one.plain_rms, (motion, case, controller, encoder)
+            if controller == "no index stated":
+                assert one.peak < one.plain_peak, (motion, case, controller, encoder)
+                if "index" in case or "another" in case:
+                    assert one.band > 0.85, (motion, case, controller, encoder)
             if case == "as recorded" and not encoder:
                 assert one.rms < 0.03 * one.plain_rms

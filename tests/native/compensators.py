@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from cycloid_fmu.compensation.compensator import LARGEST, Compensator, Memory, step
+from cycloid_fmu.compensation.compensator import Compensator, Memory, step
 from cycloid_fmu.compensation.inverse import Inverse
 
 REACH = 90.0  # N·m
@@ -58,9 +58,9 @@ def way(c, seed, count=300, *, index=0.4, measured=0.8, odd=0.02):
     return np.array(rows, dtype=float)
 
 
-def commands(c, rows, index):
+def commands(c, rows, index, probability=1.0):
     """What Python gives, holds as a number."""
-    memory = Memory(index if abs(index) < LARGEST else math.nan)
+    memory = Memory(index, probability)
     return np.array([[*step(c, memory, *row)] for row in rows.tolist()], dtype=float)
 
 

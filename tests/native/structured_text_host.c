@@ -10,10 +10,10 @@ BOOL __DEBUG;
 
 static JOINT block;
 
-void start(double index, int known) {
+void start(double index, double probability) {
     JOINT_init__(&block, 0);
     __SET_VAR(block., INDEX, , index);
-    __SET_VAR(block., INDEX_KNOWN, , known);
+    __SET_VAR(block., INDEX_PROBABILITY, , probability);
 }
 
 void step(const double row[6], int measured, double found[5]) {

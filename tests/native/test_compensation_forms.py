@@ -23,7 +23,7 @@ from structured_text import blocks
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
-from cycloid_fmu.compensation.compensator import LARGEST, Memory, step
+from cycloid_fmu.compensation.compensator import Memory, step
 from cycloid_fmu.compensation.forms.look_up import look_up
 from cycloid_fmu.compensation.forms.write import write_compensator
 from cycloid_fmu.fmu.run import open_fmu
@@ -58,11 +58,11 @@ class InC:
         self._library = ctypes.CDLL(str(library))
         self._library.joint_step.restype = _Command
         self._library.joint_step.argtypes = [ctypes.c_void_p, *[ctypes.c_double] * 6]
-        self._library.joint_start.argtypes = [ctypes.c_void_p, ctypes.c_double]
+        self._library.joint_start.argtypes = [ctypes.c_void_p, *[ctypes.c_double] * 2]
 
-    def commands(self, rows, index):
+    def commands(self, rows, index, probability=1.0):
         memory = ctypes.create_string_buffer(64 * 8)
-        self._library.joint_start(memory, index)
+        self._library.joint_start(memory, index, probability)
         found = (self._library.joint_step(memory, *row) for row in rows.tolist())
         return np.array([[f.motor_angle, f.motor_speed, f.band, f.gain, f.holds] for f in found])
 
@@ -92,18 +92,20 @@ def test_the_ways_take_every_branch(drive):
 @given(
     seed=st.integers(0, 2**31), index=st.sampled_from([0.4, -17.3, 0.0, NONE, math.nan]),
     measured=st.sampled_from([0.0, 0.5, 1.0]), odd=st.sampled_from([0.0, 0.05, 0.5]),
+    probability=st.sampled_from([0.0, 0.7, 1.0, -0.0, 3.0, math.nan]),
 )  # fmt: skip
-def test_c_gives_the_bits_of_python_on_any_way(drive, in_c, seed, index, measured, odd):
+def test_c_gives_the_bits_of_python_on_any_way(drive, in_c, seed, index, measured, odd, probability):
     rows = way(drive, seed, 80, index=index, measured=measured, odd=odd)
-    assert np.array_equal(in_c.commands(rows, index), commands(drive, rows, index))
+    assert np.array_equal(in_c.commands(rows, index, probability), commands(drive, rows, index, probability))
 
 
 @settings(max_examples=100, deadline=None)
-@given(rows=st.lists(st.lists(st.floats(), min_size=6, max_size=6), min_size=1, max_size=6), index=st.floats())
-def test_whatever_is_handed_over_gives_a_number_and_the_same_in_c(drive, in_c, rows, index):
-    found = commands(drive, np.array(rows), index)
+@given(rows=st.lists(st.lists(st.floats(), min_size=6, max_size=6), min_size=1, max_size=6), index=st.floats(),
+       probability=st.floats())  # fmt: skip
+def test_whatever_is_handed_over_gives_a_number_and_the_same_in_c(drive, in_c, rows, index, probability):
+    found = commands(drive, np.array(rows), index, probability)
     assert np.isfinite(found).all()
-    assert np.array_equal(in_c.commands(np.array(rows), index), found)
+    assert np.array_equal(in_c.commands(np.array(rows), index, probability), found)
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
@@ -138,7 +140,8 @@ def host(c, rows, index, folder, compiler, *flags, suffix=""):
     bits = ",\n".join("{" + ", ".join(f"{NONE if abs(v) == math.inf or v != v else v!r}" for v in row) + "}"
                       for row in rows.tolist())  # fmt: skip
     (folder / "sequence.h").write_text(
-        f"#define ROWS {len(rows)}\n#define INDEX {index!r}\nstatic const double SEQUENCE[ROWS][6] = {{\n{bits}\n}};\n"
+        f"#define ROWS {len(rows)}\n#define INDEX {index!r}\n#define PROBABILITY 1.0\n"
+        f"static const double SEQUENCE[ROWS][6] = {{\n{bits}\n}};\n"
     )
     program = folder / f"host{suffix}"
     subprocess.run(
@@ -190,9 +193,9 @@ class InterpretedText:
         (path,) = write_compensator(c, folder / "joint.st")
         self._blocks = blocks(path.read_text(encoding="utf-8"), rounded)
 
-    def commands(self, rows, index):
+    def commands(self, rows, index, probability=1.0):
         block, found = self._blocks["joint"](), []
-        block.index, block.index_known = index, abs(index) < LARGEST
+        block.index, block.index_probability = index, probability
         for row in rows.tolist():
             names = ("desired_angle", "desired_speed", "load_torque", "temperature", "motor_angle_measured",
                      "output_angle_measured")  # fmt: skip
@@ -214,10 +217,10 @@ class CompiledText:
              library / "C", HERE / "structured_text_host.c", "-o", folder / "joint.so", "-lm"], check=True,
         )  # fmt: skip
         self._library = ctypes.CDLL(str(folder / "joint.so"))
-        self._library.start.argtypes = [ctypes.c_double, ctypes.c_int]
+        self._library.start.argtypes = [ctypes.c_double] * 2
 
-    def commands(self, rows, index):
-        self._library.start(index, abs(index) < LARGEST)
+    def commands(self, rows, index, probability=1.0):
+        self._library.start(index, probability)
         found = []
         for row in rows:
             out = (ctypes.c_double * 5)()
@@ -235,9 +238,9 @@ needs_matiec = pytest.mark.skipif(
 @pytest.mark.parametrize("rounded", [round, math.floor, math.ceil, math.trunc])
 def test_structured_text_gives_the_bits_of_python_however_a_plc_rounds(drive, tmp_path, rounded):
     text = InterpretedText(drive, tmp_path, rounded)
-    for seed, index in ((1, 0.4), (2, -17.3), (3, NONE)):
+    for seed, index, probability in ((1, 0.4, 1.0), (2, -17.3, 0.7), (3, NONE, 1.0), (4, 0.4, 0.0), (5, 0.4, 3.0)):
         rows = way(drive, seed, 120, index=index, odd=0.05)
-        assert np.array_equal(text.commands(rows, index), commands(drive, rows, index))
+        assert np.array_equal(text.commands(rows, index, probability), commands(drive, rows, index, probability))
 
 
 @pytest.mark.parametrize(
@@ -313,7 +316,7 @@ def shown(row):
 
 def by_fmpy(path, rows, index):
     with open_fmu(path, INPUTS, OUTPUTS) as fmu:
-        fmu.initialize({"index": index})
+        fmu.initialize({"index": index, "index_probability": 1.0})
         write, read, found = fmu.writer(INPUTS), fmu.reader(OUTPUTS), []
         for i, row in enumerate(rows):
             numbers, measured = shown(row)
@@ -331,7 +334,7 @@ def by_fmuloader(path, rows, index):
     host = Fmi3Slave(str(path), model_identifier=description.coSimulation.modelIdentifier)
     host.instantiate_co_simulation("joint", instantiation_token=description.instantiationToken)
     host.enter_initialization_mode(start_time=0.0)
-    host.set_float64([8], [index])
+    host.set_float64([7, 8], [index, 1.0])
     host.exit_initialization_mode()
     found = []
     for i, row in enumerate(rows):
@@ -356,7 +359,8 @@ def by_libcosimpy(path, rows, index):
     given, seen = CosimManipulator.create_override(), CosimObserver.create_last_value()
     execution.add_manipulator(manipulator=given)
     execution.add_observer(observer=seen)
-    execution.real_initial_value(slave, 8, index)
+    execution.real_initial_value(slave, 7, index)
+    execution.real_initial_value(slave, 8, 1.0)
     found = []
     for row in rows:
         numbers, measured = shown(row)
@@ -384,7 +388,7 @@ def test_validation_finds_nothing(fmus, version):
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_states_bring_back_what_was_and_damaged_ones_are_refused(drive, fmus, version):
     rows = way(drive, 22, 60, odd=0.0)
-    expected = commands(drive, rows, 0.0)[:, 0]
+    expected = commands(drive, rows, 0.0, 0.0)[:, 0]
     with open_fmu(fmus[version], INPUTS, OUTPUTS) as fmu:
         write, read, slave = fmu.writer(INPUTS), fmu.reader(["motor_angle"]), fmu.slave
         get, put, pack, unpack, free = (
@@ -469,7 +473,7 @@ def test_a_state_of_another_compensator_is_refused(fmus):
 def test_what_is_no_input_is_refused_and_the_index_is_fixed(fmus):
     with open_fmu(fmus["2.0"], INPUTS, OUTPUTS) as fmu:
         fmu.initialize({"index": 0.3, "desired_angle": 0.1})
-        for name in ("motor_angle", "index"):
+        for name in ("motor_angle", "index", "index_probability"):
             with pytest.raises(FMICallException):
                 fmu.set({name: 1.0})
         with pytest.raises(edge.InputError, match="must be finite"):
@@ -477,10 +481,11 @@ def test_what_is_no_input_is_refused_and_the_index_is_fixed(fmus):
 
 
 def test_outputs_are_there_before_the_first_step_and_without_an_index(drive, fmus):
-    for known in (True, False):
+    for probability in (1.0, 0.6, 0.0):
+        stated = {"index": 0.3, "index_probability": probability} if probability else {}
         with open_fmu(fmus["3.0"], INPUTS, OUTPUTS) as fmu:
-            fmu.initialize({"index": 0.3, "desired_angle": 0.1, "load_torque": 20.0, "index_known": known})
-            memory = Memory(0.3 if known else math.nan)
+            fmu.initialize({"desired_angle": 0.1, "load_torque": 20.0, **stated})
+            memory = Memory(0.3, probability) if stated else Memory(math.nan)
             command = step(drive, memory, 0.1, 0.0, 20.0, 293.15)
             assert fmu.reader(OUTPUTS)() == list(command[:4])
 

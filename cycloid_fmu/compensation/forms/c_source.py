@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu import __version__
-from cycloid_fmu.compensation.compensator import Compensator
+from cycloid_fmu.compensation.compensator import SUPPORT, Compensator
 from cycloid_fmu.compensation.forms.numbers import about, arrays, counts, scalars
 
 SOURCES = Path(__file__).with_name("sources")
@@ -45,15 +45,14 @@ def tables_text(c: Compensator) -> str:
             lines.append(f"static const double {name}[{max(1, values.size)}] = {_list(map(_number, values))};")
         else:
             rows = ",\n".join(_list(map(_number, row)) for row in values)
-            width = max(1, values.shape[1])
-            lines.append(f"static const double {name}[{len(values)}][{width}] = {{\n{rows}\n}};")
+            lines.append(f"static const double {name}[{len(values)}][{values.shape[1]}] = {{\n{rows}\n}};")
     splines = []
-    for k, steps in enumerate(c.inverse.steps):
+    for k, steps in enumerate(c.tables.steps):
         kind, member = _TYPES[steps.dtype]
         lines.append(f"static const {kind} STEPS_{k}[{len(steps)}] = {_list(map(str, steps.tolist()))};")
         places = f"STEPS_{k}, 0" if member == "small" else f"0, STEPS_{k}"
-        splines.append(f"    {{{places}, {len(steps)}}}")
-    body = ",\n".join(splines) or "    {0, 0, 1}"
+        splines.append(f"    {{{places}, {len(steps) - SUPPORT}.0}}")
+    body = ",\n".join(splines) or "    {0, 0, 1.0}"
     lines.append(f"static const struct spline SPLINE[{max(1, len(splines))}] = {{\n{body}\n}};")
     return "\n".join(lines) + "\n"
 

@@ -30,12 +30,12 @@ _INPUTS = (
     Variable("output_angle_measured", "what the output's encoder shows", "input", unit="rad", display="deg", start=0.0),
     Variable("output_measured", "whether both encoders show something now", "input", "discrete", start=0.0,
              kind="boolean"),
-    Variable("index_known", "else what depends on the crank angle is left alone", "input", "discrete", start=1.0,
-             kind="boolean"),
 )  # fmt: skip
-_INDEX = Variable(
-    "index", "crank angle of the model where the desired output angle is 0", "parameter", "fixed", unit="rad",
-    display="deg", start=0.0,
+_INDEX = (
+    Variable("index", "crank angle of the model where the desired output angle is 0", "parameter", "fixed", unit="rad",
+             display="deg", start=0.0),
+    Variable("index_probability", "that it is right and the drive is this one, 0 to 1", "parameter", "fixed", unit="1",
+             start=0.0),
 )  # fmt: skip
 _OUTPUTS = (
     ("motor_angle", "at which the output stands where it should", "rad", "deg"),
@@ -48,11 +48,11 @@ _OUTPUTS = (
 def variables(version: Version) -> tuple[Variable, ...]:
     """Return the FMU's variables, in the order of `sources/instance.h`; the place is the value reference."""
     time = () if version == "2.0" else (Variable("time", "time", "independent", unit="s"),)
-    known = {"depends": tuple(v.name for v in _INPUTS), "initially": ("index",)}
+    known = {"depends": tuple(v.name for v in _INPUTS), "initially": tuple(v.name for v in _INDEX)}
     outputs = [Variable(name, text, "output", unit=unit, display=display, **known)  # type: ignore[arg-type]
                for name, text, unit, display in _OUTPUTS]  # fmt: skip
     holds = Variable("holds", "whether the model holds", "output", "discrete", kind="boolean", **known)  # type: ignore[arg-type]
-    return (*_INPUTS, _INDEX, *outputs, holds, *time)
+    return (*_INPUTS, *_INDEX, *outputs, holds, *time)
 
 
 def build_compensator_fmu(

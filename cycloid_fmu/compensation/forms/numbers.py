@@ -18,40 +18,47 @@ Array = NDArray[np.float64]
 LIMITS = {
     name: getattr(core, name)
     for name in (
-        "LARGEST", "CORRELATION", "MEMORY", "FIRST", "LARGEST_GAIN", "GAIN_RATE", "ANGLE_RATE", "OUTLIER", "ALARM",
-        "ENOUGH", "SURE_FLANK", "SETTLED",
+        "LARGEST", "FIRST", "LARGEST_GAIN", "GAIN_RATE", "ANGLE_RATE", "OUTLIER", "ALARM",
+        "LEAST_GAIN", "ENOUGH", "SURE_FLANK", "SETTLED",
     )
-} | {"LARGEST_TRANSMISSION_ERROR": LARGEST_TRANSMISSION_ERROR}  # fmt: skip
+} | {
+    "LARGEST_TRANSMISSION_ERROR": LARGEST_TRANSMISSION_ERROR, "PER_MEMORY": 1.0 / core.MEMORY,
+    "PER_CORRELATION": 1.0 / core.CORRELATION,
+}  # fmt: skip
 
 
 def counts(c: Compensator) -> dict[str, int]:
     """Return the sizes of the tables."""
     t = c.inverse
     return {
-        "FRICTION_ELEMENTS": FRICTION_ELEMENTS, "FUNCTIONS": len(t.scale), "TORQUES": len(t.torque),
+        "FRICTION_ELEMENTS": FRICTION_ELEMENTS, "FUNCTIONS": len(t.scale), "COLUMNS": core.COLUMNS,
+        "SUPPORT": core.SUPPORT, "TORQUES": len(t.torque),
         "TEMPERATURES": len(t.temperature), "STRIBECK_SPEEDS": len(c.stribeck_speed), "WARMTHS": len(c.warmth),
     }  # fmt: skip
 
 
 def scalars(c: Compensator) -> dict[str, float]:
     """Return the numbers of the drive and those common to all drives."""
+    t = c.tables
     own = {
-        "RATIO": c.ratio, "CRANK_RATIO": c.crank_ratio, "PERIOD": c.inverse.period, "COMPLIANCE": c.compliance,
-        "COULOMB": c.coulomb, "LOAD_SHARE": c.load_share, "STRIBECK": c.stribeck, "VISCOUS": c.viscous,
-        "PRESLIDING_ANGLE": c.presliding_angle, "SENSOR": c.sensor, "LEAST_VARIANCE": c.least_variance,
+        "RATIO": c.ratio, "PER_RATIO": t.per_ratio, "CRANK_RATIO": c.crank_ratio, "PER_PERIOD": t.per_period,
+        "COMPLIANCE": c.compliance, "COULOMB": c.coulomb, "LOAD_SHARE": c.load_share, "STRIBECK": c.stribeck,
+        "VISCOUS": c.viscous, "STRAIN": t.strain, "STIFFNESS": t.stiffness, "NOISE": t.noise, "LEAST": t.least,
+        "REACH": c.inverse.torque[-1],
     }  # fmt: skip
     return {name: float(value) for name, value in (own | LIMITS).items()}
 
 
 def arrays(c: Compensator) -> dict[str, Array]:
-    """Return tables, row by row; that of the functions of torque and temperature has two dimensions."""
-    t = c.inverse
+    """Return tables, row by row; that of torque and temperature has two dimensions."""
+    t, node = c.inverse, c.tables.node
     return {
-        "EXPECTED": np.array(core.EXPECTED), "KNOWN": np.array(core.KNOWN), "TORQUE": t.torque,
-        "TEMPERATURE": t.temperature, "MEAN": t.mean.ravel(), "FLANK": t.flank, "VARIANCE": c.variance.ravel(),
-        "RIPPLE_VARIANCE": c.ripple_variance.ravel(),
-        "SHARE": t.share.reshape(t.mean.size, len(t.scale)), "SCALE": t.scale, "STRIBECK_SPEED": c.stribeck_speed,
-        "STRIBECK_SHARE": c.stribeck_share, "WARMTH_TEMPERATURE": c.warmth_temperature, "WARMTH": c.warmth,
+        "EXPECTED": np.array(core.EXPECTED), "KNOWN": np.array(core.KNOWN), "PRIOR": np.array(core.PRIOR),
+        "TORQUE": t.torque, "TORQUE_RATE": c.tables.torque_rate, "TEMPERATURE": t.temperature,
+        "TEMPERATURE_RATE": c.tables.temperature_rate, "NODE": node.reshape(-1, node.shape[-1]),
+        "STRIBECK_SPEED": c.stribeck_speed, "STRIBECK_RATE": c.tables.stribeck_rate,
+        "STRIBECK_SHARE": c.stribeck_share, "WARMTH_TEMPERATURE": c.warmth_temperature,
+        "WARMTH_RATE": c.tables.warmth_rate, "WARMTH": c.warmth,
     }  # fmt: skip
 
 

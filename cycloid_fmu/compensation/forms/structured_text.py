@@ -9,12 +9,12 @@ from collections.abc import Iterable
 import numpy as np
 
 from cycloid_fmu import __version__
-from cycloid_fmu.compensation.compensator import Compensator
+from cycloid_fmu.compensation.compensator import SUPPORT, Compensator
 from cycloid_fmu.compensation.forms.c_source import SOURCES
 from cycloid_fmu.compensation.forms.numbers import about, arrays, counts, scalars
 from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
 
-_NODES = {
+_PLACES = {
     "TORQUE": "TORQUE",
     "TEMPERATURE": "TEMPERATURE",
     "STRIBECK": "STRIBECK_SPEED",
@@ -29,18 +29,20 @@ def structured_text(c: Compensator, name: str) -> str:
     """
     text = (SOURCES / "compensator.st").read_text(encoding="utf-8")
     tables = arrays(c)
-    starts, nodes = {}, np.zeros(0)
-    for kind, table in _NODES.items():
-        starts[f"{kind}_START"] = nodes.size
-        nodes = np.append(nodes, tables.pop(table))
+    starts, places, rates = {}, np.zeros(0), np.zeros(0)
+    for kind, table in _PLACES.items():
+        starts[f"{kind}_START"] = places.size
+        places = np.append(places, tables.pop(table))
+        rates = np.append(rates, tables.pop(f"{kind}_RATE"))
     whole, numbers = counts(c), scalars(c)
-    period = numbers.pop("PERIOD")
+    whole.pop("SUPPORT")
+    per_period = numbers.pop("PER_PERIOD")
     main = [_whole(n, k) for n, k in {**whole, **starts}.items()]
-    main += [_real(n, v) for n, v in {**numbers, "REACH": float(c.inverse.torque[-1])}.items()]
+    main += [_real(n, v) for n, v in numbers.items()]
     main += [_table(n, "LREAL", map(_number, values.ravel())) for n, values in tables.items()]
     filled = {
-        "nodes": _table("NODE", "LREAL", map(_number, nodes)),
-        "splines": "\n".join([_whole("FUNCTIONS", whole["FUNCTIONS"]), _real("PERIOD", period), *_splines(c)]),
+        "places": "\n".join(_table(n, "LREAL", map(_number, v)) for n, v in (("PLACE", places), ("RATE", rates))),
+        "splines": "\n".join([_whole("FUNCTIONS", whole["FUNCTIONS"]), _real("PER_PERIOD", per_period), *_splines(c)]),
         "tables": "\n".join(main),
         "last_function": str(max(0, whole["FUNCTIONS"] - 1)),
         "start_temperature": _number(REFERENCE_TEMPERATURE),
@@ -55,14 +57,14 @@ def _splines(c: Compensator) -> list[str]:
     """Return the coefficients of all splines, those of 8 bits and those of 16 one after the other."""
     made: dict[bool, list[int]] = {True: [], False: []}
     start, knots, small = [], [], []
-    for steps in c.inverse.steps:
+    for steps in c.tables.steps:
         kind = steps.dtype == np.int8
         start.append(len(made[kind]))
-        knots.append(len(steps))
+        knots.append(f"{len(steps) - SUPPORT}.0")
         small.append("TRUE" if kind else "FALSE")
         made[kind] += steps.tolist()
     return [
-        _table("START", "DINT", map(str, start)), _table("KNOTS", "DINT", map(str, knots)),
+        _table("START", "DINT", map(str, start)), _table("KNOTS", "LREAL", knots),
         _table("IS_SMALL", "BOOL", small, "FALSE"), _table("SMALL", "SINT", map(str, made[True])),
         _table("LARGE", "INT", map(str, made[False])),
     ]  # fmt: skip

@@ -13,11 +13,11 @@
 #pragma GCC optimize("fp-contract=off") /* GCC does not know the standard's */
 #endif
 
-/* Whole numbers of a spline over the period: of 8 bits or of 16. */
+/* Whole numbers of a spline over the period: of 8 bits or of 16, from the one before the first knot on. */
 struct spline {
     const int8_t *small;
     const int16_t *large;
-    int knots;
+    double knots;
 };
 
 #include "tables.h"
@@ -26,8 +26,10 @@ struct spline {
 
 /* What a torque and a temperature make of the tables. */
 struct state {
-    double torque, wound, mean, flank, shares[FUNCTIONS + 1], variance, ripple;
+    double torque, wound, node[COLUMNS + FUNCTIONS];
 };
+
+enum { MEAN, FLANK, VARIANCE, RIPPLE }; /* the first columns of a node */
 
 static int given(double value) {
     return value < LARGEST && value > -LARGEST; /* not so for NaN */
@@ -46,27 +48,24 @@ static double size_of(double value) {
 }
 
 /* A cell between nodes and the share of it at which a value lies; the ends hold beyond. */
-static int between(const double *nodes, int count, double at, double *share) {
-    int low = 0, high = count - 1;
-    *share = 0.0;
+static inline int between(const double *nodes, const double *rates, int count, double at, double *share) {
+    int cell = 0, left = count - 1;
     if (count == 1) {
+        *share = 0.0;
         return 0;
     }
-    while (high - low > 1) {
-        int middle = (low + high) / 2;
-        if (nodes[middle] <= at) {
-            low = middle;
-        } else {
-            high = middle;
-        }
+    while (left > 1) { /* as often for any value */
+        int half = left / 2;
+        cell += nodes[cell + half] <= at ? half : 0;
+        left -= half;
     }
-    *share = smaller(larger((at - nodes[low]) / (nodes[low + 1] - nodes[low]), 0.0), 1.0);
-    return low;
+    *share = smaller(larger((at - nodes[cell]) * rates[cell], 0.0), 1.0);
+    return cell;
 }
 
-static double on_line(const double *nodes, const double *values, int count, double at) {
+static inline double on_line(const double *nodes, const double *rates, const double *values, int count, double at) {
     double share;
-    int cell = between(nodes, count, at, &share);
+    int cell = between(nodes, rates, count, at, &share);
     return share > 0.0 ? (1.0 - share) * values[cell] + share * values[cell + 1] : values[cell];
 }
 
@@ -76,57 +75,54 @@ static double torque_of_teeth(struct compensator_memory *m, double angle, double
     double way = given(m->angle) ? angle - m->angle : 0.0;
     double dry = COULOMB + LOAD_SHARE * size_of(load);
     double rest = dry + STRIBECK;
-    double sliding, warmth, bound, stiffness, total = 0.0;
+    double sliding, warmth, bound, total = 0.0;
     int i;
     m->angle = angle;
     if (rest <= 0.0) {
         return load - VISCOUS * speed;
     }
-    sliding = dry + STRIBECK * on_line(STRIBECK_SPEED, STRIBECK_SHARE, STRIBECK_SPEEDS, size_of(speed));
-    warmth = on_line(WARMTH_TEMPERATURE, WARMTH, WARMTHS, temperature);
-    bound = PRESLIDING_ANGLE * warmth * sliding / (rest * FRICTION_ELEMENTS);
+    sliding = dry + STRIBECK * on_line(STRIBECK_SPEED, STRIBECK_RATE, STRIBECK_SHARE, STRIBECK_SPEEDS, size_of(speed));
+    warmth = on_line(WARMTH_TEMPERATURE, WARMTH_RATE, WARMTH, WARMTHS, temperature);
+    bound = STRAIN * warmth * sliding / rest;
     for (i = 0; i < FRICTION_ELEMENTS; i++) {
         double most = bound * (i + 1);
         m->strains[i] = smaller(larger(m->strains[i] + way, -most), most);
         total += m->strains[i];
     }
-    stiffness = 2.0 * rest / (PRESLIDING_ANGLE * (FRICTION_ELEMENTS + 1));
-    return load - stiffness * total - VISCOUS * speed;
+    return load - STIFFNESS * rest * total - VISCOUS * speed;
 }
 
-static struct state state_of(double torque, double temperature) {
-    struct state found;
-    double u, v, p, q, r, s;
-    int i = between(TEMPERATURE, TEMPERATURES, temperature, &u), j = between(TORQUE, TORQUES, torque, &v);
-    int low = i * TORQUES + j, high = (i + 1 < TEMPERATURES ? i + 1 : TEMPERATURES - 1) * TORQUES + j, n;
+static void state_of(struct state *found, double torque, double temperature) {
+    double v;
+    int j = between(TORQUE, TORQUE_RATE, TORQUES, torque, &v), n;
+#if TEMPERATURES > 1
+    double u, p, q, r, s;
+    int i = between(TEMPERATURE, TEMPERATURE_RATE, TEMPERATURES, temperature, &u);
+    const double *low = NODE[i * TORQUES + j], *above = NODE[i * TORQUES + j + 1];
+    const double *high = NODE[(i + 1) * TORQUES + j], *beyond = NODE[(i + 1) * TORQUES + j + 1];
     p = (1.0 - u) * (1.0 - v);
     q = (1.0 - u) * v;
     r = u * (1.0 - v);
     s = u * v;
-#define AT(VALUES) (p * (VALUES)[low] + q * (VALUES)[low + 1] + r * (VALUES)[high] + s * (VALUES)[high + 1])
-    found.torque = torque;
-    found.wound = COMPLIANCE * torque;
-    found.mean = AT(MEAN);
-    found.flank = (1.0 - v) * FLANK[j] + v * FLANK[j + 1];
-    found.shares[FUNCTIONS] = 0.0; /* of none, but C has no arrays without a number */
-    for (n = 0; n < FUNCTIONS; n++) {
-        found.shares[n] = (p * SHARE[low][n] + q * SHARE[low + 1][n] + r * SHARE[high][n] + s * SHARE[high + 1][n])
-            * SCALE[n];
+    for (n = 0; n < COLUMNS + FUNCTIONS; n++) {
+        found->node[n] = p * low[n] + q * above[n] + r * high[n] + s * beyond[n];
     }
-    found.variance = AT(VARIANCE);
-    found.ripple = AT(RIPPLE_VARIANCE);
-#undef AT
-    return found;
-}
-
-static int step_of(const struct spline *spline, int knot) {
-    return spline->small != 0 ? spline->small[knot] : spline->large[knot];
+#else
+    double p = 1.0 - v;
+    const double *low = NODE[j], *above = NODE[j + 1];
+    (void)temperature, (void)TEMPERATURE, (void)TEMPERATURE_RATE;
+    for (n = 0; n < COLUMNS + FUNCTIONS; n++) {
+        found->node[n] = p * low[n] + v * above[n];
+    }
+#endif
+    found->torque = torque;
+    found->wound = COMPLIANCE * torque;
 }
 
 /* What the ideal crank angle makes of the deviation (rad), and where asked for its derivative. */
-static double ripple_of(const struct state *state, double crank, double *slope) {
+static inline double ripple_of(const struct state *state, double crank, double *slope) {
     double value = 0.0, steep = 0.0;
-    double turn = crank / PERIOD, whole;
+    double turn = crank * PER_PERIOD, whole;
     int n;
     if (size_of(turn) < MOST_TURNS) {
         whole = (double)(int64_t)turn;
@@ -136,119 +132,126 @@ static double ripple_of(const struct state *state, double crank, double *slope) 
     }
     for (n = 0; n < FUNCTIONS; n++) {
         const struct spline *spline = &SPLINE[n];
-        int knots = spline->knots, knot, a, b, d, e, third, second, first; /* whole numbers of 19 bits at most */
-        double place = turn * knots, s, share = state->shares[n];
-        knot = (int)place;
-        knot = knot < knots - 1 ? knot : knots - 1;
+        double place = turn * spline->knots, share = state->node[COLUMNS + n], s, third, second, first;
+        int knot = (int)place, a, b, d, e; /* whole numbers of 19 bits at most */
         s = place - knot;
-        a = step_of(spline, knot > 0 ? knot - 1 : knots - 1);
-        b = step_of(spline, knot);
-        d = step_of(spline, knot + 1 < knots ? knot + 1 : knot + 1 - knots);
-        e = step_of(spline, knot + 2 < knots ? knot + 2 : knot + 2 - knots);
+        if (spline->small != 0) {
+            const int8_t *at = spline->small + knot;
+            a = at[0], b = at[1], d = at[2], e = at[3];
+        } else {
+            const int16_t *at = spline->large + knot;
+            a = at[0], b = at[1], d = at[2], e = at[3];
+        }
         third = e - a + 3 * (b - d);
         second = 3 * (a + d - 2 * b);
         first = 3 * (d - a);
         value += share * (((third * s + second) * s + first) * s + (a + 4 * b + d));
         if (slope != 0) {
-            steep += share * knots * ((3 * third * s + 2 * second) * s + first);
+            steep += share * spline->knots * ((3.0 * third * s + 2.0 * second) * s + first);
         }
     }
     if (slope != 0) {
-        *slope = steep / (6.0 * PERIOD);
+        *slope = steep * PER_PERIOD;
     }
-    return value / 6.0;
+    return value;
 }
 
-/* What measurements and what was known before say together; returns the last gain's variance. */
-static double solve(struct compensator_memory *m, double variance) {
-    double lower[10], right[4], weight = 1.0 / variance; /* on the diagonal of lower its inverse */
-    int i, j, k;
-    for (i = 0; i < 4; i++) {
-        int row = i * (i + 1) / 2;
-        right[i] = KNOWN[i] * m->products[i] * weight + EXPECTED[i] / KNOWN[i];
-        for (j = 0; j <= i; j++) {
-            int column = j * (j + 1) / 2;
-            double total = KNOWN[i] * KNOWN[j] * m->moments[row + j] * weight + (i == j ? 1.0 : 0.0);
-            for (k = 0; k < j; k++) {
-                total -= lower[row + k] * lower[column + k];
-            }
-            lower[row + j] = i == j ? 1.0 / sqrt(larger(total, 1.0)) : total * lower[column + j];
-        }
-        for (k = 0; k < i; k++) {
-            right[i] -= lower[row + k] * right[k];
-        }
-        right[i] *= lower[row + i];
-    }
-    for (i = 3; i >= 0; i--) {
-        for (k = i + 1; k < 4; k++) {
-            right[i] -= lower[k * (k + 1) / 2 + i] * right[k];
-        }
-        right[i] *= lower[i * (i + 1) / 2 + i];
-    }
-    for (i = 0; i < 4; i++) {
-        m->learned[i] = KNOWN[i] * right[i];
-    }
-    return KNOWN[3] * KNOWN[3] * lower[9] * lower[9];
+/* What measurements of a variance and what was known before say together; returns the last gain's variance.
+
+   Normal equations with the variance on their diagonal by L D L', in full: it is shorter than their loops. */
+static inline double solve(struct compensator_memory *m, double v) {
+    const double *a = m->moments, *b = m->products;
+    double d0 = 1.0 / larger(a[0] + v, v);
+    double l10 = a[1] * d0, l20 = a[3] * d0, l30 = a[6] * d0;
+    double d1 = 1.0 / larger(a[2] + v - a[1] * l10, v);
+    double c21 = a[4] - a[3] * l10, c31 = a[7] - a[6] * l10;
+    double l21 = c21 * d1, l31 = c31 * d1;
+    double d2 = 1.0 / larger(a[5] + v - a[3] * l20 - c21 * l21, v);
+    double c32 = a[8] - a[6] * l20 - c31 * l21;
+    double l32 = c32 * d2;
+    double d3 = 1.0 / larger(a[9] + v - a[6] * l30 - c31 * l31 - c32 * l32, v);
+    double y0 = b[0] + v * PRIOR[0];
+    double y1 = b[1] + v * PRIOR[1] - l10 * y0;
+    double y2 = b[2] + v * PRIOR[2] - l20 * y0 - l21 * y1;
+    double z3 = (b[3] + v * PRIOR[3] - l30 * y0 - l31 * y1 - l32 * y2) * d3;
+    double z2 = y2 * d2 - l32 * z3;
+    double z1 = y1 * d1 - l21 * z2 - l31 * z3;
+    m->learned[0] = y0 * d0 - l10 * z1 - l20 * z2 - l30 * z3;
+    m->learned[1] = z1;
+    m->learned[2] = z2;
+    m->learned[3] = z3;
+    return KNOWN[3] * KNOWN[3] * v * d3;
+}
+
+/* Share of the ripple's variance that an index of its probability leaves. */
+static double doubt(const struct compensator_memory *m) {
+    return 1.0 - m->probability * m->probability;
 }
 
 /* Take a measurement in; returns whether it can be one of this drive. */
 static int learn(struct compensator_memory *m, const struct state *state, double motor_angle, double output_angle) {
-    double measured = output_angle - motor_angle / RATIO;
-    double rows[4], targets[4], crank, way, kept, expected, variance, off, weight, far, sure, g;
-    int known = given(m->index), first = !given(m->output), i, j, n = 0;
+    double measured = output_angle - motor_angle * PER_RATIO;
+    double rows[4], targets[4], crank, way, kept, expected, variance, off, weight, most, g;
+    const double *node = state->node;
+    int first = !given(m->output), i, j, n = 0;
     if (size_of(measured) > LARGEST_TRANSMISSION_ERROR) {
         return 0;
     }
     crank = (output_angle - m->applied[0] - m->applied[2] * state->wound) * CRANK_RATIO;
-    rows[0] = 1.0;
-    rows[1] = state->flank;
-    rows[2] = state->wound + state->mean;
-    rows[3] = known ? ripple_of(state, crank + m->index, 0) : 0.0;
+    rows[0] = KNOWN[0];
+    rows[1] = KNOWN[1] * node[FLANK];
+    rows[2] = KNOWN[2] * (state->wound + node[MEAN]);
+    rows[3] = KNOWN[3] * ripple_of(state, crank + m->index, 0);
     way = first ? 0.0 : size_of(CRANK_RATIO * (output_angle - m->output));
     m->output = output_angle;
-    kept = larger(0.0, 1.0 - way / MEMORY);
-    expected = state->variance + SENSOR * SENSOR + (known ? 0.0 : state->ripple);
+    kept = larger(0.0, 1.0 - way * PER_MEMORY);
+    expected = node[VARIANCE] + NOISE + doubt(m) * node[RIPPLE];
     variance = (FIRST * expected + kept * m->left) / (FIRST + kept * m->count);
     off = measured - (m->learned[0] * rows[0] + m->learned[1] * rows[1] + m->learned[2] * rows[2]
                       + m->learned[3] * rows[3]);
-    m->settled = size_of(state->flank) >= SURE_FLANK ? m->settled + way : 0.0;
-    weight = m->settled < SETTLED ? 0.0 : first ? 1.0 : smaller(1.0, way / CORRELATION);
-    weight *= smaller(1.0, (LEAST_VARIANCE + SENSOR * SENSOR) / (state->variance + SENSOR * SENSOR));
-    far = size_of(off) / (OUTLIER * sqrt(variance));
-    if (far > 1.0) {
-        weight /= far;
+    m->settled = size_of(node[FLANK]) >= SURE_FLANK ? m->settled + way : 0.0;
+    weight = m->settled < SETTLED ? 0.0 : first ? 1.0 : smaller(1.0, way * PER_CORRELATION);
+    weight *= smaller(1.0, LEAST / (node[VARIANCE] + NOISE));
+    most = OUTLIER * OUTLIER * variance;
+    if (off * off > most) {
+        weight *= sqrt(most / (off * off));
     }
     m->count = kept * m->count + weight;
     m->left = kept * m->left + weight * off * off;
     for (i = 0; i < 4; i++) {
+        double weighted = weight * rows[i];
         for (j = 0; j <= i; j++) {
-            m->moments[n] = kept * m->moments[n] + weight * rows[i] * rows[j];
+            m->moments[n] = kept * m->moments[n] + weighted * rows[j];
             n++;
         }
-        m->products[i] = kept * m->products[i] + weight * rows[i] * measured;
+        m->products[i] = kept * m->products[i] + weighted * measured;
     }
-    sure = solve(m, variance);
-    g = m->learned[3];
-    targets[0] = m->learned[0];
-    targets[1] = m->learned[1];
-    targets[2] = smaller(larger(m->learned[2], 0.0), LARGEST_GAIN);
-    targets[3] = smaller(g > 0.0 ? g * g * g / (g * g + sure) : 0.0, LARGEST_GAIN);
+    m->sure = solve(m, variance);
+    g = KNOWN[3] * m->learned[3];
+    targets[0] = KNOWN[0] * m->learned[0];
+    targets[1] = KNOWN[1] * m->learned[1];
+    targets[2] = smaller(larger(KNOWN[2] * m->learned[2], 0.0), LARGEST_GAIN);
+    targets[3] = smaller(g > 0.0 ? g * g * g / (g * g + m->sure) : 0.0, LARGEST_GAIN);
     for (i = 0; i < 4; i++) {
-        double most = way * (i < 2 ? ANGLE_RATE : GAIN_RATE);
+        most = way * (i < 2 ? ANGLE_RATE : GAIN_RATE);
         m->applied[i] += smaller(larger(targets[i] - m->applied[i], -most), most);
     }
     return 1;
 }
 
-void compensator_start(struct compensator_memory *memory, double index) {
+void compensator_start(struct compensator_memory *memory, double index, double probability) {
     struct compensator_memory fresh = {0};
     int i;
-    fresh.index = given(index) ? index : COMPENSATOR_NONE;
+    fresh.index = given(index) ? index : 0.0;
+    fresh.probability = given(index) && probability > 0.0 ? smaller(probability, 1.0) : 0.0;
     fresh.angle = fresh.output = COMPENSATOR_NONE;
     fresh.settled = SETTLED;
     for (i = 0; i < 4; i++) {
-        fresh.applied[i] = fresh.learned[i] = EXPECTED[i];
+        fresh.applied[i] = EXPECTED[i];
+        fresh.learned[i] = PRIOR[i];
     }
+    fresh.applied[3] = fresh.probability;
+    fresh.sure = KNOWN[3] * KNOWN[3];
     *memory = fresh;
 }
 
@@ -258,8 +261,8 @@ struct compensator_command compensator_step(struct compensator_memory *memory, d
     struct compensator_memory *m = memory;
     struct compensator_command found;
     struct state state;
-    double ripple = 0.0, slope = 0.0, wound, gain, angle, expected, variance;
-    int inside, plausible = 1, known = given(m->index);
+    double ripple, slope, wound, gain, angle, expected, variance, small;
+    int inside, plausible = 1, more, another;
     if (!given(desired_angle) || !given(desired_speed) || !given(load_torque) || !given(temperature)) {
         found.motor_angle = RATIO * (given(desired_angle) ? desired_angle : given(m->angle) ? m->angle : 0.0);
         found.motor_speed = found.gain = 0.0;
@@ -267,24 +270,24 @@ struct compensator_command compensator_step(struct compensator_memory *memory, d
         found.holds = 0;
         return found;
     }
-    state = state_of(torque_of_teeth(m, desired_angle, desired_speed, load_torque, temperature), temperature);
-    inside = size_of(state.torque) <= TORQUE[TORQUES - 1];
+    state_of(&state, torque_of_teeth(m, desired_angle, desired_speed, load_torque, temperature), temperature);
+    inside = size_of(state.torque) <= REACH;
     if (inside && given(motor_angle) && given(output_angle)) {
         plausible = learn(m, &state, motor_angle, output_angle);
     }
     wound = m->applied[2];
-    gain = known ? m->applied[3] : 0.0;
+    gain = m->applied[3];
     angle = desired_angle - m->applied[0] - wound * state.wound;
-    if (known) {
-        ripple = ripple_of(&state, angle * CRANK_RATIO + m->index, &slope);
-    }
-    expected = state.variance + (known ? 0.0 : state.ripple);
+    ripple = ripple_of(&state, angle * CRANK_RATIO + m->index, &slope);
+    expected = state.node[VARIANCE] + doubt(m) * state.node[RIPPLE];
     variance = (FIRST * expected + m->left) / (FIRST + m->count);
-    found.motor_angle = RATIO * (angle - m->applied[1] * state.flank - wound * state.mean - gain * ripple);
+    found.motor_angle = RATIO * (angle - m->applied[1] * state.node[FLANK] - wound * state.node[MEAN] - gain * ripple);
     found.motor_speed = RATIO * desired_speed * (1.0 - gain * CRANK_RATIO * slope);
     found.band = sqrt(variance);
     found.gain = gain;
-    found.holds = plausible && inside
-        && !(m->count > ENOUGH && variance > ALARM * ALARM * (expected + SENSOR * SENSOR));
+    small = LEAST_GAIN * m->probability - KNOWN[3] * m->learned[3];
+    more = variance > ALARM * ALARM * (expected + NOISE);
+    another = small > 0.0 && small * small > ALARM * ALARM * m->sure;
+    found.holds = plausible && inside && !(m->count > ENOUGH && (more || another));
     return found;
 }

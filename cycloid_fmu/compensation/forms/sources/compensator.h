@@ -15,13 +15,15 @@ extern "C" {
 
 /* What it remembers from step to step: one for each drive, begun by compensator_start. */
 struct compensator_memory {
-    double index;       /* crank angle of the model where the desired output angle is 0, or COMPENSATOR_NONE */
+    double index;       /* crank angle of the model where the desired output angle is 0 */
+    double probability; /* that it is right */
     double angle;       /* desired output angle of the last step, or COMPENSATOR_NONE */
     double strains[5];  /* of friction's elements, rad */
     double output;      /* last output angle that was measured, or COMPENSATOR_NONE */
     double settled;     /* way of the crank since the flank was not sure, rad */
     double applied[4];  /* offset (rad), further play (rad), gains of wind-up and of ripple, as the command has them */
-    double learned[4];  /* the same as measurements have it */
+    double learned[4];  /* the same as measurements have it, over what was known before */
+    double sure;        /* variance of the last of them */
     double moments[10]; /* sums over measurements, which fade */
     double products[4];
     double count, left; /* measurements that count, and the sum of squares that they leave, rad² */
@@ -34,8 +36,9 @@ struct compensator_command {
     int holds;                       /* whether the model holds */
 };
 
-/* index: crank angle of the model where the desired output angle is 0, or COMPENSATOR_NONE where it is unknown. */
-void compensator_start(struct compensator_memory *memory, double index);
+/* index: crank angle of the model where the desired output angle is 0, or COMPENSATOR_NONE where it is unknown.
+   probability: that it is right and the drive is this one, 0 to 1; to this part ripple is compensated at first. */
+void compensator_start(struct compensator_memory *memory, double index, double probability);
 
 /* load_torque: of the environment on the output, inertia's too, counter-clockwise positive. motor_angle and output_angle:
    what the encoders show now, or COMPENSATOR_NONE. */

@@ -13,7 +13,7 @@ static const char MAGIC[8] = "CYCOMP1";
 static const struct variable VARIABLE[VARIABLES] = {
     {DESIRED_ANGLE, KIND_REAL}, {DESIRED_SPEED, KIND_REAL}, {LOAD_TORQUE, KIND_REAL}, {DRIVE_TEMPERATURE, KIND_REAL},
     {MOTOR_MEASURED, KIND_REAL}, {OUTPUT_MEASURED, KIND_REAL}, {IS_MEASURED, KIND_BOOLEAN},
-    {INDEX_KNOWN, KIND_BOOLEAN}, {INDEX, KIND_REAL}, {MOTOR_ANGLE, KIND_REAL}, {MOTOR_SPEED, KIND_REAL},
+    {INDEX, KIND_REAL}, {INDEX_PROBABILITY, KIND_REAL}, {MOTOR_ANGLE, KIND_REAL}, {MOTOR_SPEED, KIND_REAL},
     {BAND, KIND_REAL}, {GAIN, KIND_REAL}, {HOLDS, KIND_BOOLEAN}, {TIME, KIND_REAL}, /* TIME: of FMI 3.0 */
 };
 
@@ -33,8 +33,6 @@ static void fresh(struct instance *instance) {
     *state = EMPTY;
     state->phase = INSTANTIATED;
     state->value[DRIVE_TEMPERATURE] = START_TEMPERATURE;
-    state->value[INDEX_KNOWN] = 1.0;
-    compensator_start(&state->memory, 0.0);
 }
 
 int instance_open(struct instance *instance, const char *name, const char *token, const char *resources, int exchange) {
@@ -75,13 +73,17 @@ static int in_phase(struct instance *instance, enum phase phase, const char *wha
     return STATUS_OK;
 }
 
-/* Make a step and keep its memory where it is one, not where outputs are looked at before the first. */
+/* Make a step and keep its memory where it is one, not where outputs are looked at before the first: until then the
+   index may be set. */
 static void stepped(struct kept *state, int keep) {
     const double *in = state->value;
     struct compensator_memory memory = state->memory;
     struct compensator_command found;
     int measured = in[IS_MEASURED] != 0.0;
-    memory.index = in[INDEX_KNOWN] != 0.0 ? in[INDEX] : COMPENSATOR_NONE;
+    if (state->phase < STEPPING) {
+        compensator_start(&state->memory, in[INDEX], in[INDEX_PROBABILITY]);
+        memory = state->memory;
+    }
     found = compensator_step(&memory, in[DESIRED_ANGLE], in[DESIRED_SPEED], in[LOAD_TORQUE], in[DRIVE_TEMPERATURE],
                              measured ? in[MOTOR_MEASURED] : COMPENSATOR_NONE,
                              measured ? in[OUTPUT_MEASURED] : COMPENSATOR_NONE);
@@ -163,14 +165,15 @@ int instance_get(struct instance *instance, const struct variable *variable, dou
 
 int instance_set(struct instance *instance, const struct variable *variable, double value) {
     struct kept *state = &instance->drive.state;
+    int index = variable->number == INDEX || variable->number == INDEX_PROBABILITY;
     if (state->phase == TERMINATED) {
         return in_phase(instance, STEPPING, "to set a variable");
     }
     if (variable->number >= MOTOR_ANGLE) {
         return instance_refuse(instance, STATUS_ERROR, "outputs and time can't be set.");
     }
-    if (variable->number == INDEX && state->phase == STEPPING) {
-        return instance_refuse(instance, STATUS_ERROR, "index is fixed: it can be set until initialization ends.");
+    if (index && state->phase == STEPPING) {
+        return instance_refuse(instance, STATUS_ERROR, "the index is fixed: it can be set until initialization ends.");
     }
     state->value[variable->number] = variable->kind == KIND_BOOLEAN ? value != 0.0 : value;
     return STATUS_OK;
