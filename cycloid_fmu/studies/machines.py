@@ -25,7 +25,7 @@ _TASK = 7e-3  # s: what a task costs dask's scheduler, 2 to 7 ms were measured
 _OVERHEAD = 0.02  # of a task's time that this may be
 _BUSY = 0.5  # of its time that the scheduler may be busy with all workers' tasks
 _FIRST = 16  # drives of a task before any was measured
-_REMEMBERED = 32  # tasks whose times say how long a drive takes
+_REMEMBERED = 400  # tasks, four a worker at most, whose times say how long a drive and a task take
 _LOOK = 1.0  # s: how often the workers of a cluster are counted
 
 
@@ -79,8 +79,9 @@ def _connected(scheduler: str) -> Any:
 class Shares(Iterator[tuple[int, int]]):
     """The drives that wait, cut into tasks: iterated, the first drive of the next task and that behind its last.
 
-    A task is as long as keeps its cost below `_OVERHEAD` of it and the scheduler below `_BUSY`, by the time that
-    drives took in the last tasks; towards the end tasks become shorter, so that all workers end together.
+    A task is as long as keeps its cost below `_OVERHEAD` of it and the scheduler below `_BUSY`. How long a drive takes,
+    and how long workers waited for a task, is taken from the last tasks. Towards the end tasks become shorter, so that
+    all workers end together.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ class Shares(Iterator[tuple[int, int]]):
         ends = np.flatnonzero(np.diff(waiting.astype(np.int8), prepend=0, append=0))
         self._gaps = collections.deque((int(first), int(last)) for first, last in ends.reshape(-1, 2))
         self._left = int(np.count_nonzero(waiting))
-        self._took: collections.deque[tuple[int, float]] = collections.deque(maxlen=_REMEMBERED)
+        self._took: collections.deque[tuple[float, int, float]] = collections.deque()
         self.workers = workers
 
     @property
@@ -103,18 +104,22 @@ class Shares(Iterator[tuple[int, int]]):
         return bool(self._took)
 
     def took(self, drives: int, seconds: float) -> None:
-        """Remember how long a task worked."""
-        self._took.append((drives, seconds))
+        """Remember how long a task worked, which ends now."""
+        self._took.append((time.monotonic(), drives, seconds))
+        if len(self._took) > min(4 * self.workers, _REMEMBERED):
+            self._took.popleft()
 
     def _size(self) -> int:
-        even = self._left / self.workers
+        even = self._left / (2 * self.workers)
         if not self._took:
-            return min(_FIRST, math.ceil(even / 4))
-        drives, seconds = map(sum, zip(*tuple(self._took), strict=True))  # another thread adds
-        each = max(seconds / drives, 1e-6)
-        least = _TASK / _OVERHEAD / each
-        wanted = max(least, _TASK / _BUSY * self.workers / each)
-        return math.ceil(min(wanted, max(least, even)))
+            return min(_FIRST, math.ceil(even / 2))
+        ends, drives, seconds = np.array(tuple(self._took)).T  # a copy: another thread adds
+        each = max(float(seconds.sum() / drives.sum()), 1e-6)
+        waited = float((ends[-1] - ends[0]) * self.workers - seconds[1:].sum())
+        wanted = max(waited / len(ends) / _OVERHEAD, _TASK / _OVERHEAD, _TASK / _BUSY * self.workers)
+        # No shorter than the scheduler takes to hand each worker one.
+        shortest = max(_TASK / _OVERHEAD, _TASK * self.workers)
+        return math.ceil(min(wanted / each, max(shortest / each, even)))
 
     def __next__(self) -> tuple[int, int]:
         if not self._gaps:

@@ -17,6 +17,11 @@ from cycloid_fmu.studies.checkpoint import Checkpoint
 from cycloid_fmu.studies.machines import Solved, complete
 
 DRIVES = int(float(os.environ.get("CYCLOID_DRIVES", "2e4")))
+# What a worker watches of its machine each half second: a hundred would watch this one, all from one thread.
+ALONE = {
+    "distributed.admin.system-monitor.interval": "1h", "distributed.admin.system-monitor.disk": False,
+    "distributed.worker.profile.enabled": False,
+}  # fmt: skip
 EACH = 7e-3  # s: a drive at 360 crank angles under two loads
 
 
@@ -55,6 +60,7 @@ class StoppedError(Exception):
 @pytest.mark.parametrize("workers", [1, 10, 100])
 def test_efficiency_of_a_cluster(benchmark, tmp_path, workers):
     """With one and ten workers a hundredth and a tenth of the drives; half-way it is stopped and goes on."""
+    import dask
     from distributed import LocalCluster
 
     study = Waited(DRIVES * workers // 100)
@@ -65,9 +71,17 @@ def test_efficiency_of_a_cluster(benchmark, tmp_path, workers):
         if stop and sum(told) > study.drives // 2:
             raise StoppedError
 
-    with LocalCluster(
-        n_workers=workers, threads_per_worker=1, processes=False, dashboard_address=None, silence_logs=40
-    ) as cluster:
+    with (
+        dask.config.set(ALONE),
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=False,
+            memory_limit=None,
+            dashboard_address=None,
+            silence_logs=40,
+        ) as cluster,
+    ):
 
         def run():
             kept = Checkpoint(tmp_path / "c", study)
