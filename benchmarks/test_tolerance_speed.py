@@ -76,7 +76,7 @@ def test_overhead_of_a_task_on_a_cluster(benchmark, each):
     from distributed import Client, LocalCluster
 
     with (
-        LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
         rows = points(dataclasses.replace(STUDY, samples=16))

@@ -282,19 +282,15 @@ def study():
 
 def checkpoint(folder):
     path = folder / "study.checkpoint"
-    Checkpoint(path, study()).add(0, np.zeros((2, 3)))
+    Checkpoint(path, study()).add(0, np.zeros((2, len(study().columns))), ("", "no such drive"))
     return path
 
 
-def signed(line):
-    """A line of a checkpoint whose CRC-32 is right, whatever it says."""
-    text = line.partition(" ")[2]
-    return f"{zlib.crc32(text.encode()):08x} {text}"
-
-
 def read_signed_checkpoint(path):
-    text = path.read_bytes().decode("utf-8", "replace")
-    path.write_text("\n".join(signed(line) if line else "" for line in text.split("\n")), encoding="utf-8")
+    """A checkpoint whose header's CRC-32 is right, whatever it says."""
+    header, _, rest = path.read_bytes().partition(b"\n")
+    text = header.partition(b" ")[2]
+    path.write_bytes(f"{zlib.crc32(text):08x} ".encode() + text + b"\n" + rest)
     Checkpoint(path, study())
 
 

@@ -140,7 +140,7 @@ def compensator_of(
 
 
 def _spread(model: Model, inverse: Inverse, others: Sequence[ErrorSurface]) -> Array:
-    """Return the mean square deviation of others from a drive at each torque, over the crank angle; 0 without others, rad².
+    """Return the mean square deviation of others from a drive at each torque; 0 without others, rad².
 
     The ends of the play represent zero torque.
     """

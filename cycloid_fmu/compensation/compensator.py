@@ -181,8 +181,8 @@ class Memory:
     index
         Crank angle of the model where the desired output angle is 0, rad; 0 in place of NaN.
     probability
-        That it is right, 0 to 1; 0 where the index is NaN. The part that depends on the crank angle is compensated in this
-        proportion until there are measurements.
+        That it is right, 0 to 1; 0 where the index is NaN. The part that depends on the crank angle is compensated in
+        this proportion until there are measurements.
     angle
         Desired output angle of the last step, rad; NaN before the first.
     strains

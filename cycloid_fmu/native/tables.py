@@ -18,6 +18,7 @@ import heapq
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -391,12 +392,12 @@ def _far_end(
     return load, x, np.full(x.shape, max(c, 0.0))
 
 
-def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
-    """Crank torque at zero load, where interference presses the contacts; its mean is 0, as no energy is gained."""
+def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array, workers: int) -> Array:
+    """Crank torque at zero load, where interference presses the contacts."""
     if pair.supports is not None:
         return np.zeros(angles.size)
     slices = slices_needed(surface)
-    one = solve(pair, surface, [0.0], angles, slices)
+    one = solve(pair, surface, [0.0], angles, slices, workers=workers)
     drive, rows = drive_of(pair, surface, slices), None
     found = np.zeros(angles.size)
     for i in np.flatnonzero(one.interference > 0.0):
@@ -404,7 +405,7 @@ def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
         rows = contact.contact_rows(drive) if rows is None else rows
         x, _ = contact.equilibrium(drive, angles[i], 0.0, one.transmission_error[0, i], rows, cold)
         found[i] = contact.crank_side(drive, angles[i], x, rows)[0]
-    return np.asarray(found - found.mean())
+    return found
 
 
 def _rest_step(rest: Array) -> float:
@@ -454,9 +455,13 @@ def compute(
     spread = np.sort(random.uniform(0.0, period, _SPREAD))
     range_ = float(np.ptp(_solved(pair, surface, 1.0, np.array([0.0, largest_load]), spread).deviation, axis=1).max())
     allowed = max(accuracy, RANGE_SHARE * range_)
-    loads = [_chosen_loads(pair, surface, d, largest_load, spread, _SHARE * allowed) for d in _DIRECTIONS]
+    with ThreadPoolExecutor(min(workers, len(_DIRECTIONS))) as pool:
+        loads = list(
+            pool.map(lambda d: _chosen_loads(pair, surface, d, largest_load, spread, _SHARE * allowed), _DIRECTIONS)
+        )
     samples, most = _SAMPLES[0], max(_SAMPLES[1], min(_SAMPLES[2], _MOST_ANGLES // pitches))
     angles: Array = np.arange(pitches * samples, dtype=float) * (pitch / samples)
+    rest = _rest_torque(pair, surface, angles, workers)
     total(angles.size * sum(n.size for n in loads))
 
     def solved(direction: float, at: Array, crank_angle: Array) -> _Solved:
@@ -464,13 +469,14 @@ def compute(
 
     def closer() -> None:
         """Put crank angles midway."""
-        nonlocal samples, angles
+        nonlocal samples, angles, rest
         samples *= 2
         angles = np.arange(pitches * samples, dtype=float) * (pitch / samples)
         total(angles[1::2].size * sum(n.size for n in loads))
         for k, direction in enumerate(_DIRECTIONS):
             exact[k] = _with_angles(exact[k], solved(direction, loads[k], angles[1::2]))
             far[k] = far[k][0], _with_angles(far[k][1], solved(direction, np.array([far[k][0]]), angles[1::2]))
+        rest = np.ravel([rest, _rest_torque(pair, surface, angles[1::2], workers)], "F")
 
     def with_more(further: Sequence[Array]) -> None:
         """Put loads between."""
@@ -488,11 +494,13 @@ def compute(
         return _probed(pair, surface, *_places(period, largest_load, PROBES, seed), workers)
 
     exact = [solved(d, n, angles) for d, n in zip(_DIRECTIONS, loads, strict=True)]
-    far = [_far(pair, surface, d, n[-1], angles, one) for d, n, one in zip(_DIRECTIONS, loads, exact, strict=True)]
+    far = [
+        _far(pair, surface, d, n[-1], angles, one, workers) for d, n, one in zip(_DIRECTIONS, loads, exact, strict=True)
+    ]
     drawn = 1
     chosen = random_places(drawn)
-    tables = _assembled(pair, surface, period, loads, exact, angles, allowed, far)
-    probed = _around_the_worst(tables, pair, surface, chosen, pitch / samples, drawn)
+    tables = _assembled(pair, surface, period, loads, exact, rest, allowed, far)
+    probed = _around_the_worst(tables, pair, surface, chosen, pitch / samples, drawn, workers)
     while True:
         off = np.abs(_off(tables, probed))
         coarse = off.max() > allowed
@@ -511,12 +519,12 @@ def compute(
             # Held against places that nothing was chosen by; where they find more, they are chosen by too.
             drawn += 1
             fresh = random_places(drawn)
-            near = _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn)
+            near = _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn, workers)
             probed = _together(probed, near)
             if coarse or np.abs(_off(tables, near)).max() <= allowed:
                 break
             continue
-        tables = _assembled(pair, surface, period, loads, exact, angles, allowed, far)
+        tables = _assembled(pair, surface, period, loads, exact, rest, allowed, far)
     found = interpolated(tables, fresh.crank_angle, fresh.torque)
     return dataclasses.replace(
         tables,
@@ -526,26 +534,27 @@ def compute(
 
 
 def _far(
-    pair: Pair, surface: ErrorSurface, direction: float, last: float, angles: Array, exact: _Solved
+    pair: Pair, surface: ErrorSurface, direction: float, last: float, angles: Array, exact: _Solved, workers: int
 ) -> tuple[float, _Solved]:
     """Solve the model at a load far beyond the last."""
     for times in _FAR:
         with contextlib.suppress(InputError):  # contacts can't balance every load
-            return times * last, _solved(pair, surface, direction, np.array([times * last]), angles)
+            return times * last, _solved(pair, surface, direction, np.array([times * last]), angles, workers)
     end = _Solved(*(channel[-1:] for channel in exact))
     beyond = (_FAR[-1] - 1.0) * last
     return _FAR[-1] * last, end._replace(deviation=end.deviation + np.float32(beyond) * end.compliance)
 
 
 def _assembled(
-    pair: Pair, surface: ErrorSurface, period: float, loads: Sequence[Array], exact: Sequence[_Solved], angles: Array,
+    pair: Pair, surface: ErrorSurface, period: float, loads: Sequence[Array], exact: Sequence[_Solved], rest: Array,
     allowed: float, far: Sequence[tuple[float, _Solved]],
 ) -> Tables:  # fmt: skip
-    told = angles.size // (mesh_pitches(pair, surface) * _SAMPLES[0])
+    told = rest.size // (mesh_pitches(pair, surface) * _SAMPLES[0])
     spread = max(float(np.ptp(one.deviation, axis=1).max()) for one in exact)
     step = max(allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
     made = [_side(n, one, f, step, told) for n, one, f in zip(loads, exact, far, strict=True)]
-    rest = _coefficients(_rest_torque(pair, surface, angles))
+    # Its mean is no energy's.
+    rest = _coefficients(rest - rest.mean())
     rest_step = _rest_step(rest)
     # Where there is hardly any play the splines of its two ends must not cross.
     made[1].deviation[0] = np.maximum(made[1].deviation[0], -made[0].deviation[0])
@@ -725,7 +734,7 @@ def _places(period: float, largest: float, probes: int, seed: int) -> tuple[Arra
 
 
 def _around_the_worst(
-    tables: Tables, pair: Pair, surface: ErrorSurface, probed: _Probed, spacing: float, seed: int
+    tables: Tables, pair: Pair, surface: ErrorSurface, probed: _Probed, spacing: float, seed: int, workers: int
 ) -> _Probed:
     """Add places ever closer around those where tables err most: the largest errors are narrower than probes lie."""
     random, found = np.random.default_rng(seed), probed
@@ -734,7 +743,7 @@ def _around_the_worst(
         worst = np.repeat(np.argsort(-np.abs(_off(tables, found)))[:_WORST], _NEIGHBOURS)
         theta = found.crank_angle[worst] + reach * spacing * random.uniform(-1.0, 1.0, worst.size)
         torque = found.torque[worst] * (1.0 + 0.1 * reach * random.uniform(-1.0, 1.0, worst.size))
-        near = _probed(pair, surface, np.mod(theta, tables.period), np.clip(torque, -largest, largest))
+        near = _probed(pair, surface, np.mod(theta, tables.period), np.clip(torque, -largest, largest), workers)
         found = _together(found, near)
     return found
 

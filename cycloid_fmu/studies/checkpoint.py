@@ -1,9 +1,8 @@
-"""Solved drives of a study, kept on disk until the study is written."""
+"""Figures of a study's drives as they come: in memory, or on disk until the study is written."""
 
 from __future__ import annotations
 
 import json
-import math
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,21 +14,59 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 
 Array = NDArray[np.float64]
-FORMAT = "cycloid-study-checkpoint/1"
+FORMAT = "cycloid-study-checkpoint/2"
+_NUMBER = np.dtype("<f8")
+_BLOCK = 1 << 16  # drives that are checked at a time
+# Odd, so that no single bit of a row changes without the sum of its products.
+_FACTORS = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 
 
-class Identified(Protocol):
-    """A study."""
+class Kept(Protocol):
+    """A study whose drives are solved one by one."""
+
+    @property
+    def drives(self) -> int:
+        """How many there are."""
+
+    @property
+    def columns(self) -> Sequence[Any]:
+        """The figures of each."""
 
     def identity(self) -> dict[str, Any]:
         """Return its identity."""
 
 
-class Checkpoint:
-    """Solved drives on disk: a header and a line for each task, each with its CRC-32.
+class InMemory:
+    """The drives that were solved.
 
-    A line cut short by a kill is ignored, and its drives are solved again. `done` has the figures of each task by its
-    first drive, `notes` the notes on its drives.
+    Attributes
+    ----------
+    done
+        Which are, shape (drives,).
+    values
+        Their figures, shape (drives, columns).
+    notes
+        What was said of them, by their numbers.
+    """
+
+    def __init__(self, study: Kept) -> None:
+        self.done = np.zeros(study.drives, dtype=bool)
+        self.values: Array = np.full((study.drives, len(study.columns)), np.nan)
+        self.notes: dict[int, str] = {}
+
+    def add(self, first: int, values: Array, notes: Sequence[str] = ()) -> None:
+        """Keep the figures of the drives from `first` on, NaN where there are none, and what was said of them."""
+        self.values[first : first + len(values)] = values
+        self.notes |= {first + k: note for k, note in enumerate(notes) if note}
+        self.done[first : first + len(values)] = True
+
+
+class Checkpoint:
+    """The drives that were solved, on disk: nothing of them is held in memory but which are.
+
+    After a header, a line of JSON with its CRC-32, comes a check word for each drive and each figure of all drives, the
+    next figure behind it, 8 bytes each in the least significant byte's order; then what was said of drives, a line
+    each as the header's. A drive whose check word does not fit was cut short by a kill, and is solved again.
 
     Raises
     ------
@@ -37,28 +74,33 @@ class Checkpoint:
         If the file is not a checkpoint, or that of another study.
     """
 
-    def __init__(self, path: Path, study: Identified) -> None:
+    def __init__(self, path: Path, study: Kept) -> None:
         self.path = path
-        self.done: dict[int, Array] = {}
-        self.notes: dict[int, list[str]] = {}
+        self.notes: dict[int, str] = {}
         identity = study.identity()
-        if edge.writable(path).exists():
-            self._read(identity)
+        there = edge.writable(path).exists()
+        self._shape = (1 + len(study.columns), study.drives)
+        if there:
+            self._start = self._read_header(identity)
         else:
-            with edge.written_whole(path) as temporary:
-                temporary.write_text(_line({"format": FORMAT, "study": identity}), encoding="utf-8")
+            header = _line({"format": FORMAT, "study": identity, "shape": self._shape})
+            self._start = len(header)
+            with edge.written_whole(path) as temporary, temporary.open("wb") as file:
+                file.write(header)
+                file.truncate(self._start + 8 * self._shape[0] * self._shape[1])
+        self.done: NDArray[np.bool_] = np.zeros(self._shape[1], dtype=bool)
+        if there:
+            self._read()
 
-    def _read(self, identity: dict[str, Any]) -> None:
-        lines = edge.read_text(self.path).splitlines()
-        header = _content(lines[0]) if lines else None
+    def _read_header(self, identity: dict[str, Any]) -> int:
+        with self.path.open("rb") as file:
+            line = file.readline()
+        header = _content(line)
         if header is None:
             raise edge.InputError(f"{self.path}: this is not a checkpoint of a study; move it away.")
         edge.check_format(header.get("format"), FORMAT, str(self.path))
         with edge.parsed_by_others(self.path, "this checkpoint is damaged; move it away"):
             stated = dict(header["study"])
-            records = [record for record in map(_content, lines[1:]) if record is not None]
-            self.done = {int(one["first"]): np.array(one["values"], dtype=float) for one in records}
-            self.notes = {int(one["first"]): list(map(str, one["notes"])) for one in records if "notes" in one}
         for name in {**identity, **stated}:
             mine, theirs = identity.get(name), stated.get(name)
             if theirs != mine:
@@ -68,25 +110,72 @@ class Checkpoint:
                     f"{self.path}: this checkpoint belongs to another study, its {name} differs{values}; finish that "
                     "study, or remove the file to start again."
                 )
+        if header.get("shape") != [*self._shape]:
+            raise edge.InputError(f"{self.path}: this checkpoint is damaged; move it away.")
+        return len(line)
+
+    def _read(self) -> None:
+        end = self._start + 8 * self._shape[0] * self._shape[1]
+        with self.path.open("r+b") as file:
+            if self.path.stat().st_size < end:
+                file.truncate(end)
+            file.seek(end)
+            records = [record for record in map(_content, file) if record is not None]
+        with edge.parsed_by_others(self.path, "this checkpoint is damaged; move it away"):
+            self.notes = {int(one["drive"]): str(one["note"]) for one in records}
+        check, values = self._mapped(), self.values
+        for first in range(0, self._shape[1], _BLOCK):
+            block = slice(first, first + _BLOCK)
+            self.done[block] = check[0, block].view("<u8") == _check_words(first, values[block])
+
+    def _mapped(self) -> Array:
+        return np.memmap(self.path, _NUMBER, "r", self._start, self._shape)
+
+    @property
+    def values(self) -> Array:
+        """Their figures, shape (drives, columns), a view of the file."""
+        return self._mapped()[1:].T
 
     def add(self, first: int, values: Array, notes: Sequence[str] = ()) -> None:
-        """Store the figures of the drives from `first` on, NaN where there are none, and the notes on them."""
-        numbers = [[None if math.isnan(number) else number for number in row] for row in values.tolist()]
-        record = {"first": first, "values": numbers, **({"notes": list(notes)} if notes else {})}
-        # A newline first: a line that a kill cut short must not spoil this one.
-        with edge.naming(self.path), edge.writable(self.path).open("a", encoding="utf-8") as file:
-            file.write("\n" + _line(record))
+        """Keep the figures of the drives from `first` on, NaN where there are none, and what was said of them."""
+        said = {first + k: note for k, note in enumerate(notes) if note}
+        self.notes |= said
+        with edge.naming(self.path), edge.writable(self.path).open("r+b", buffering=0) as file:
+            if said:
+                file.seek(0, 2)
+                # A newline first: a line that a kill cut short must not spoil these.
+                _write(file, b"\n" + b"".join(_line({"drive": n, "note": note}) for n, note in said.items()))
+            for row, column in enumerate((*values.T, _check_words(first, values)), 1):
+                file.seek(self._start + 8 * (row % self._shape[0] * self._shape[1] + first))
+                _write(file, column.astype(column.dtype.newbyteorder("<")).tobytes())
+        self.done[first : first + len(values)] = True
 
 
-def _line(record: dict[str, Any]) -> str:
+def _write(file: Any, data: bytes) -> None:
+    rest = memoryview(data)
+    while rest:
+        rest = rest[file.write(rest) :]
+
+
+def _check_words(first: int, values: Array) -> NDArray[np.uint64]:
+    """Return a word for each drive that tells its figures from others; never 0."""
+    word = np.arange(first + 1, first + 1 + len(values), dtype=np.uint64) * np.uint64(_FACTORS[0])
+    for column in values.T:
+        bits = np.ascontiguousarray(column, dtype=float).view(np.uint64)
+        word = (word ^ bits ^ (bits >> np.uint64(29))) * np.uint64(_FACTORS[1]) + np.uint64(_FACTORS[2])
+        word ^= word >> np.uint64(32)
+    return np.where(word == 0, np.uint64(1), word)
+
+
+def _line(record: dict[str, Any]) -> bytes:
     text = json.dumps(record, allow_nan=False)
-    return f"{zlib.crc32(text.encode()):08x} {text}\n"
+    return f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
 
 
-def _content(line: str) -> dict[str, Any] | None:
-    """Return the content that `_line` wrote, None if the line is incomplete."""
-    check, _, text = line.partition(" ")
-    if check != f"{zlib.crc32(text.encode()):08x}":
+def _content(line: bytes) -> dict[str, Any] | None:
+    """Return what `_line` wrote, None where the line is not whole."""
+    check, _, text = line.rstrip(b"\n").partition(b" ")
+    if check != f"{zlib.crc32(text):08x}".encode():
         return None
     try:
         record = json.loads(text)

@@ -1,21 +1,32 @@
-"""Drives solved in parallel, on the cores of this machine or a dask cluster, and stored on disk as they finish."""
+"""Drives solved in parallel, on the cores of this machine or a dask cluster, and kept as they are done."""
 
 from __future__ import annotations
 
+import collections
 import functools
 import importlib.metadata
-from collections.abc import Callable, Iterator, Mapping
+import itertools
+import math
+import pickle
+import time
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.studies.checkpoint import Checkpoint
+from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory
 
 Array = NDArray[np.float64]
 # Packages whose versions decide the last digits.
 _DECISIVE = ("cycloid-fmu", "numba", "numpy", "scipy")
+_TASK = 7e-3  # s: what a task costs dask's scheduler, 2 to 7 ms were measured
+_OVERHEAD = 0.02  # of a task's time that this may be
+_BUSY = 0.5  # of its time that the scheduler may be busy with all workers' tasks
+_FIRST = 16  # drives of a task before any was measured
+_REMEMBERED = 400  # tasks, four a worker at most, whose times say how long a drive and a task take
+_LOOK = 1.0  # s: how often the workers of a cluster are counted
 
 
 class Solved(NamedTuple):
@@ -27,7 +38,8 @@ class Solved(NamedTuple):
 
 
 AnyStudy = TypeVar("AnyStudy")
-Task = Callable[[dict[str, str], AnyStudy, int, Array], Solved]
+Points = Callable[[int, int], Array]
+Task = Callable[[AnyStudy, int, Array], Solved]
 
 
 @functools.cache
@@ -61,21 +73,94 @@ def _connected(scheduler: str) -> Any:
     return client
 
 
-def solved(
-    study: AnyStudy,
-    waiting: Mapping[int, Array],
-    task: Task[AnyStudy],
-    workers: int = 1,
-    scheduler: str | None = None,
-) -> Iterator[Solved]:
-    """Yield the tasks as they finish, in any order.
+class Shares(Iterator[tuple[int, int]]):
+    """The drives that wait, cut into tasks: iterated, the first drive of the next task and that behind its last.
+
+    A task is as long as keeps its cost below `_OVERHEAD` of it and the scheduler below `_BUSY`. How long a drive takes,
+    and how long workers waited for a task, is taken from the last tasks. Towards the end tasks become shorter, so that
+    all workers end together.
 
     Parameters
     ----------
     waiting
-        {first drive: points, shape (drives, factors)}.
+        Which drives wait, shape (drives,).
+    workers
+        May change on the way.
+    """
+
+    def __init__(self, waiting: NDArray[np.bool_], workers: int) -> None:
+        ends = np.flatnonzero(np.diff(waiting.astype(np.int8), prepend=0, append=0))
+        self._gaps = collections.deque((int(first), int(last)) for first, last in ends.reshape(-1, 2))
+        self._left = int(np.count_nonzero(waiting))
+        self._took: collections.deque[tuple[float, int, float]] = collections.deque()
+        self.workers = workers
+
+    @property
+    def measured(self) -> bool:
+        """Whether a task has ended."""
+        return bool(self._took)
+
+    def took(self, drives: int, seconds: float) -> None:
+        """Remember how long a task worked, which ends now."""
+        self._took.append((time.monotonic(), drives, seconds))
+        if len(self._took) > min(4 * self.workers, _REMEMBERED):
+            self._took.popleft()
+
+    def _size(self) -> int:
+        even = self._left / (2 * self.workers)
+        if not self._took:
+            return min(_FIRST, math.ceil(even / 2))
+        ends, drives, seconds = np.array(tuple(self._took)).T  # a copy: another thread adds
+        each = max(float(seconds.sum() / drives.sum()), 1e-6)
+        waited = float((ends[-1] - ends[0]) * self.workers - seconds[1:].sum())
+        wanted = max(waited / len(ends) / _OVERHEAD, _TASK / _OVERHEAD, _TASK / _BUSY * self.workers)
+        # No shorter than the scheduler takes to hand each worker one.
+        shortest = max(_TASK / _OVERHEAD, _TASK * self.workers)
+        return math.ceil(min(wanted / each, max(shortest / each, even)))
+
+    def __next__(self) -> tuple[int, int]:
+        if not self._gaps:
+            raise StopIteration
+        first, end = self._gaps.popleft()
+        last = min(first + self._size(), end)
+        if last < end:
+            self._gaps.appendleft((last, end))
+        self._left -= last - first
+        return first, last
+
+
+@functools.lru_cache(maxsize=4)
+def _unpacked(packed: bytes) -> Any:
+    return pickle.loads(packed)  # made by `solved`, in this process or the one that asks
+
+
+def _work(task: Task[Any], wanted: dict[str, str], packed: bytes, first: int, points: Array) -> tuple[Solved, float]:
+    """Solve some drives wherever this runs, and say how long it took (s)."""
+    check_versions(wanted)
+    study = _unpacked(packed)
+    begun = time.perf_counter()
+    found = task(study, first, points)
+    return found, time.perf_counter() - begun
+
+
+def solved(
+    study: AnyStudy,
+    waiting: NDArray[np.bool_],
+    points: Points,
+    task: Task[AnyStudy],
+    workers: int = 1,
+    scheduler: str | None = None,
+) -> Iterator[Solved]:
+    """Yield the waiting drives as they are finished, in any order.
+
+    Parameters
+    ----------
+    waiting
+        Which drives wait, shape (drives,).
+    points
+        Given the first drive and that behind the last, their points, shape (drives, factors); asked for in order.
     task
-        The function that solves them, of a module; called with `versions`, the study, the first drive and its points.
+        What solves them: a function of a module, given the study, the first drive and its points.
     workers
         Processes of this machine; 1 uses this one.
     scheduler
@@ -86,55 +171,72 @@ def solved(
     edge.InputError
         If the scheduler does not answer, or a worker has other versions.
     """
-    import joblib
-
-    wanted = versions()
-    if scheduler is None:
-        tasks = (joblib.delayed(task)(wanted, study, first, rows) for first, rows in waiting.items())
-        yield from joblib.Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)(tasks)
+    # Packed once, and unpacked once by each worker: for each task it would take as long as a drive.
+    given = task, versions(), pickle.dumps(study)
+    if scheduler is not None:
+        client = _connected(scheduler)
+        try:
+            yield from _by_cluster(client, given, Shares(waiting, 1), points)
+        finally:
+            client.close()
         return
-    client = _connected(scheduler)
-    try:
-        from distributed import as_completed
+    shares = Shares(waiting, workers)
+    if workers == 1:
+        done: Iterator[tuple[Solved, float]] = (_work(*given, first, points(first, last)) for first, last in shares)
+    else:
+        import joblib
 
-        # Not through joblib's own dask backend: it scatters arguments, which are lost with a worker that is killed.
-        futures = [client.submit(task, wanted, study, *rows, pure=False) for rows in waiting.items()]
-        for future in as_completed(futures, loop=client.loop):
-            yield future.result()
-            future.release()
-    finally:
-        client.close()
+        tasks = (joblib.delayed(_work)(*given, first, points(first, last)) for first, last in shares)
+        done = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)(tasks)
+    for found, seconds in done:
+        shares.took(len(found.values), seconds)
+        yield found
+
+
+def _by_cluster(client: Any, given: tuple[Any, ...], shares: Shares, points: Points) -> Iterator[Solved]:
+    """Hand a worker the task after the one that it solves, no more: what waits costs neither memory nor a restart."""
+    from distributed import as_completed
+
+    futures, looked = as_completed(loop=client.loop), -math.inf
+    while True:
+        if time.monotonic() - looked > _LOOK:
+            shares.workers, looked = max(sum(client.nthreads().values()), 1), time.monotonic()
+        room = (2 if shares.measured else 1) * shares.workers - futures.count()
+        for first, last in itertools.islice(shares, max(room, 0)):
+            # Not through joblib's own dask backend: it scatters arguments, which are lost with a worker that is killed.
+            futures.add(client.submit(_work, *given, first, points(first, last), pure=False))
+        if futures.is_empty():
+            return
+        future = next(futures)
+        found, seconds = future.result()
+        future.release()
+        shares.took(len(found.values), seconds)
+        yield found
 
 
 def complete(
     study: AnyStudy,
-    tasks: Mapping[int, Array],
-    done: dict[int, Solved],
+    points: Points,
+    kept: InMemory | Checkpoint,
     task: Task[AnyStudy],
-    checkpoint: Checkpoint | None,
     *,
     workers: int,
     scheduler: str | None = None,
     progress: Callable[[int], None],
 ) -> None:
-    """Solve all tasks except those of the checkpoint; `done` has the finished ones, by the first drive, at any time.
+    """Solve all drives but those that are done, and keep them as they come.
 
     Parameters are those of `solved`, and:
 
     Parameters
     ----------
-    checkpoint
-        Storage of finished drives.
+    kept
+        Where finished drives are kept.
     progress
-        Called with the number of drives just finished, first those of the checkpoint.
+        Told how many drives were just finished, first those that were done.
     """
-    for first, values in ({} if checkpoint is None else checkpoint.done).items():
-        if checkpoint is not None and first in tasks:
-            done[first] = Solved(first, values, tuple(checkpoint.notes.get(first, ())))
-            progress(len(values))
-    waiting = {first: rows for first, rows in tasks.items() if first not in done}
-    for one in solved(study, waiting, task, workers, scheduler) if waiting else ():
-        done[one.first] = one
-        if checkpoint is not None:
-            checkpoint.add(*one)
+    if before := int(np.count_nonzero(kept.done)):
+        progress(before)
+    for one in solved(study, ~kept.done, points, task, workers, scheduler) if before < kept.done.size else ():
+        kept.add(*one)
         progress(len(one.values))

@@ -22,8 +22,8 @@ from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.transmission import solve
-from cycloid_fmu.studies.checkpoint import Checkpoint
-from cycloid_fmu.studies.machines import Solved, check_versions, complete, versions
+from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory
+from cycloid_fmu.studies.machines import Solved, complete, versions
 from cycloid_fmu.studies.tolerance import FIGURES as OF_STUDIES
 from cycloid_fmu.studies.tolerance import free_figures, loaded_figures
 from cycloid_fmu.studies.varied import Varied, drive_with, varied
@@ -75,6 +75,11 @@ class Sweep:
         """Number of values of each variable."""
         return tuple(len(one.values) for one in self.vary)
 
+    @property
+    def drives(self) -> int:
+        """Number of the combinations."""
+        return math.prod(self.shape)
+
     @functools.cached_property
     def columns(self) -> tuple[tuple[str, int | None], ...]:
         """Name and index of the torque (None where there is none) of each number that a drive yields."""
@@ -113,8 +118,8 @@ def check_sweep(sweep: Sweep) -> None:
         raise edge.ArgumentError("vary", "is missing; a sweep varies at least one value")
     if twice := [name for name in names if names.count(name) > 1]:
         raise edge.ArgumentError("vary", "it is varied twice", twice[0])
-    if math.prod(sweep.shape) > MOST:
-        raise edge.ArgumentError("vary", f"these are {math.prod(sweep.shape)} drives; a sweep has at most {MOST}")
+    if sweep.drives > MOST:
+        raise edge.ArgumentError("vary", f"these are {sweep.drives} drives; a sweep has at most {MOST}")
     if not sweep.torque:
         raise edge.ArgumentError("torque", "is missing; give it, or state the pair's rated torque")
     if 0.0 in sweep.torque:
@@ -122,7 +127,7 @@ def check_sweep(sweep: Sweep) -> None:
     if len(set(sweep.torque)) != len(sweep.torque):
         raise edge.ArgumentError("torque", "the loads must be different", edge.listed(map(str, sweep.torque)))
     reason = ""
-    for number in range(math.prod(sweep.shape)):
+    for number in range(sweep.drives):
         try:
             drive_with(sweep.pair, sweep.surface, sweep.stated(number))
         except edge.InputError as problem:
@@ -165,11 +170,10 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
     return np.array([found[n] if k is None else found[n][k] for n, k in sweep.columns]), "; ".join(reasons)
 
 
-def _task(wanted: dict[str, str], sweep: Sweep, first: int, nothing: Array) -> Solved:
-    """Solve one drive, in any process."""
-    check_versions(wanted)
-    values, reason = figures_of(sweep, first)
-    return Solved(first, values[None], (reason,))
+def _task(sweep: Sweep, first: int, points: Array) -> Solved:
+    """Solve some drives wherever this runs."""
+    values, reasons = zip(*(figures_of(sweep, first + k) for k in range(len(points))), strict=True)
+    return Solved(first, np.array(values), reasons)
 
 
 class Interrupted(KeyboardInterrupt):
@@ -203,19 +207,18 @@ def run(
         At a KeyboardInterrupt; its text states the kept results.
     """
     check_sweep(sweep)
-    size = math.prod(sweep.shape)
-    kept = None if output is None else Checkpoint(checkpoint_of(output), sweep)
-    tasks = {number: np.empty((1, 0)) for number in range(size)}
-    done: dict[int, Solved] = {}
+    kept = InMemory(sweep) if output is None else Checkpoint(checkpoint_of(output), sweep)
     try:
-        complete(sweep, tasks, done, _task, kept, workers=workers, progress=progress)
+        complete(
+            sweep, lambda first, last: np.empty((last - first, 0)), kept, _task, workers=workers, progress=progress
+        )
     except KeyboardInterrupt:
         where = "nothing is kept without an output"
-        if kept is not None:
-            where = f"{kept.path} keeps them; the same sweep continues from there"
-        raise Interrupted(f"Interrupted: {len(done)} of {size} drives are done; {where}.") from None
-    order = [done[number] for number in range(size)]
-    return _dataset(sweep, np.concatenate([one.values for one in order]), [one.notes[0] for one in order])
+        if isinstance(kept, Checkpoint):
+            where = f"{kept.path} keeps them; the same sweep goes on from there"
+        done = np.count_nonzero(kept.done)
+        raise Interrupted(f"Interrupted: {done} of {sweep.drives} drives are done; {where}.") from None
+    return _dataset(sweep, np.array(kept.values), [kept.notes.get(k, "") for k in range(sweep.drives)])
 
 
 def checkpoint_of(output: str | os.PathLike[str]) -> Path:

@@ -25,8 +25,8 @@ from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.transmission import solve
-from cycloid_fmu.studies.checkpoint import Checkpoint
-from cycloid_fmu.studies.machines import Solved, check_versions, complete, solved, versions
+from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory
+from cycloid_fmu.studies.machines import Points, Solved, complete, solved, versions
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import Elements, ErrorSurface, nominal_surface
@@ -38,7 +38,6 @@ Array = NDArray[np.float64]
 Design = Literal["sobol", "latin-hypercube", "saltelli"]
 DESIGNS: tuple[Design, ...] = ("sobol", "latin-hypercube", "saltelli")
 FORMAT = "cycloid-tolerance-study/1"
-CHUNK = 16  # samples of one task
 PLAY_STEP = 10  # play and lost motion, which cost most and vary slowly, are taken at each tenth crank angle
 FORM = Elements(profile=50, width=5, angle=25)  # of sampled form deviations
 PER_TORQUE = ("angular_transmission_error", "mean_transmission_error", "max_contact_pressure")
@@ -86,6 +85,11 @@ class Study:
     def factors(self) -> tuple[str, ...]:
         """The tolerances, in the order of the points' columns."""
         return self.tolerances.factors
+
+    @property
+    def drives(self) -> int:
+        """Number of the points."""
+        return saltelli_base(self) * (len(self.factors) + 2) if self.design == "saltelli" else self.samples
 
     @functools.cached_property
     def columns(self) -> tuple[tuple[str, int | None], ...]:
@@ -161,10 +165,32 @@ def points(study: Study) -> Array:
         return np.asarray(sobol.sample(_problem(study), base, calc_second_order=False, seed=study.seed))
     if study.design == "latin-hypercube":
         return np.asarray(qmc.LatinHypercube(size, rng=np.random.default_rng(study.seed)).random(study.samples))
-    with warnings.catch_warnings():
-        # A number of points that is no power of two loses the sequence's balance, not its evenness.
-        warnings.filterwarnings("ignore", message="The balance properties")
-        return np.asarray(qmc.Sobol(size, rng=np.random.default_rng(study.seed)).random(study.samples))
+    return points_of(study)(0, study.samples)
+
+
+def points_of(study: Study) -> Points:
+    """Return a function that gives the points of some samples, from a first one to that before a last.
+
+    Sobol's are made when asked for; of other designs the last point needs all.
+    """
+    from scipy.stats import qmc
+
+    if study.design != "sobol":
+        place = points(study)
+        return lambda first, last: place[first:last]
+    engine = qmc.Sobol(len(study.factors), rng=np.random.default_rng(study.seed))
+
+    def some(first: int, last: int) -> Array:
+        if first < engine.num_generated:
+            engine.reset()
+        if first > engine.num_generated:
+            engine.fast_forward(first - engine.num_generated)
+        with warnings.catch_warnings():
+            # A number of points that is no power of two loses the sequence's balance, not its evenness.
+            warnings.filterwarnings("ignore", message="The balance properties")
+            return np.asarray(engine.random(last - first))
+
+    return some
 
 
 def saltelli_base(study: Study) -> int:
@@ -288,9 +314,8 @@ def figures_to_first_order(study: Study, screen: NearDrives, errors: Array) -> A
 _screens: dict[str, Screen] = {}  # the last one of this process
 
 
-def _screening_task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> Solved:
+def _screening_task(study: Study, first: int, rows: Array) -> Solved:
     """Solve some samples to first order, as `_task` does exactly."""
-    check_versions(wanted)
     key = json.dumps(study.identity())
     if key not in _screens:
         _screens.clear()
@@ -300,9 +325,8 @@ def _screening_task(wanted: dict[str, str], study: Study, first: int, rows: Arra
     return Solved(first, figures_to_first_order(study, _screens[key], errors))
 
 
-def _task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> Solved:
-    """Solve some samples, in any process."""
-    check_versions(wanted)
+def _task(study: Study, first: int, rows: Array) -> Solved:
+    """Solve some samples wherever this runs."""
     return Solved(first, np.array([figures_of(study, surface_of(study, row)) for row in rows]))
 
 
@@ -312,8 +336,6 @@ class Result:
 
     Attributes
     ----------
-    point
-        Shape (samples, factors), in the unit cube.
     values
         Shape (samples, columns) in the order of `Study.columns`, SI.
     sample
@@ -321,14 +343,18 @@ class Result:
     """
 
     study: Study
-    point: Array
     values: Array
     sample: NDArray[np.int64]
 
+    @functools.cached_property
+    def point(self) -> Array:
+        """Where the samples lie in the unit cube, shape (samples, factors)."""
+        return points(self.study)[self.sample]
+
     def figure(self, name: str) -> Array:
-        """Return a figure, shape (samples, torques) or (samples,)."""
+        """Return a figure, shape (samples, torques) or (samples,), a view of the values."""
         found = [i for i, (n, _) in enumerate(self.study.columns) if n == name]
-        return self.values[:, found] if name in PER_TORQUE else self.values[:, found[0]]
+        return self.values[:, found[0] : found[-1] + 1] if name in PER_TORQUE else self.values[:, found[0]]
 
     @functools.cached_property
     def independent(self) -> NDArray[np.bool_]:
@@ -363,21 +389,18 @@ def run(
     Interrupted
         At a KeyboardInterrupt; it holds the samples that were finished.
     """
-    place = points(study)
-    tasks = {first: place[first : first + CHUNK] for first in range(0, len(place), CHUNK)}
-    done: dict[int, Solved] = {}
+    kept = InMemory(study) if checkpoint is None else checkpoint
 
     def result() -> Result:
-        kept = sorted(done)
-        numbers = [np.arange(first, first + len(done[first].values)) for first in kept]
-        sample = np.concatenate(numbers) if kept else np.empty(0, np.int64)
-        values = np.concatenate([done[k].values for k in kept]) if kept else np.empty((0, len(study.columns)))
-        return Result(study, place[sample], values, sample)
+        if kept.done.all():
+            return Result(study, kept.values, np.arange(study.drives))
+        sample = np.flatnonzero(kept.done)
+        return Result(study, kept.values[sample], sample)
 
     try:
-        complete(study, tasks, done, _task, checkpoint, workers=workers, scheduler=scheduler, progress=progress)
+        complete(study, points_of(study), kept, _task, workers=workers, scheduler=scheduler, progress=progress)
     except KeyboardInterrupt:
-        raise Interrupted(result(), len(place), checkpoint) from None
+        raise Interrupted(result(), study.drives, checkpoint) from None
     return result()
 
 
@@ -426,20 +449,19 @@ def screened(
     if study.pair.supports is not None:
         problem = "first order does not include opening and closing clearances of bearings; leave it out with supports"
         raise edge.ArgumentError("screen", problem, share)
-    place = points(study)
-    values = np.empty((len(place), len(study.columns)))
-    size = 16 * CHUNK
-    tasks = {k: place[k : k + size] for k in range(0, len(place), size)}
-    for first, found, _ in solved(study, tasks, _screening_task, workers, scheduler):
-        values[first : first + len(found)] = found
-        progress(len(found))
+    screening = InMemory(study)
+    complete(
+        study, points_of(study), screening, _screening_task, workers=workers, scheduler=scheduler, progress=progress
+    )
+    values = screening.values
     taken = demand(study, values)
-    worst = np.max([*taken.values()], axis=0) if taken else np.arange(len(place), dtype=float)
+    worst = np.max([*taken.values()], axis=0) if taken else np.arange(study.drives, dtype=float)
     nearest = np.argsort(np.abs(worst - 1.0) if taken else worst, kind="stable")
-    confirmed = np.sort(nearest[: max(1, math.ceil(share * len(place)))])
+    confirmed = np.sort(nearest[: max(1, math.ceil(share * study.drives))])
+    place = points(study)[confirmed]
     exact = np.empty((confirmed.size, values.shape[1]))
-    waiting = {k: place[confirmed[k : k + CHUNK]] for k in range(0, confirmed.size, CHUNK)}
-    for first, found, _ in solved(study, waiting, _task, workers, scheduler):
+    waiting = np.ones(confirmed.size, dtype=bool)
+    for first, found, _ in solved(study, waiting, lambda a, b: place[a:b], _task, workers, scheduler):
         exact[first : first + len(found)] = found
         progress(len(found))
     difference = {
@@ -448,7 +470,7 @@ def screened(
     }
     good = [np.logical_and.reduce([d <= 1.0 for d in demand(study, v).values()]) for v in (exact, values[confirmed])]
     values[confirmed] = exact
-    result = Result(study, place, values, np.arange(len(place)))
+    result = Result(study, values, np.arange(study.drives))
     return Screened(result, confirmed, difference, int(np.count_nonzero(good[0] != good[1])) if taken else 0)
 
 

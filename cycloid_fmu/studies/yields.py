@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import slices_needed
 from cycloid_fmu.reducer.drive_file import parts_of_file
@@ -26,7 +28,6 @@ from cycloid_fmu.studies.tolerance import (
     check_study,
     crank_angles,
     dataset_of,
-    points,
     run,
     screened,
     sobol_indices,
@@ -151,8 +152,8 @@ def check(study: Study, pair_source: str, tolerances_source: str, *, to_first_or
 
 
 def drives(study: Study, screen: float | None = None) -> int:
-    """Return the number of drives that `conduct` solves: the samples, and the confirmed share of them."""
-    size = len(points(study))
+    """Return how many drives `conduct` solves: the samples, and the share of them that is confirmed."""
+    size = study.drives
     return size if screen is None else size + math.ceil(screen * size)
 
 
@@ -198,6 +199,8 @@ def conduct(
     if output is not None:
         edge.write_netcdf(dataset_of(result), output)
     if kept is not None:
+        if os.name == "nt":  # a file that is mapped can't be removed there
+            result = dataclasses.replace(result, values=np.array(result.values))
         kept.path.unlink()
     indices = sobol_indices(result) if study.design == "saltelli" else {}
     return Findings(result, statistics(result), yields(result), indices, confirmed)
