@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
-from fitting.estimation.fit import Estimate, Problem, stated_range
+from fitting.estimation.fit import Estimate, Problem, solved, stated_range
 from fitting.model.observations import Linear, State, left_of, linearise
 
 if TYPE_CHECKING:
@@ -45,17 +45,14 @@ class Confirmed:
 
 @dataclass(frozen=True)
 class _Evaluated:
-    """The model at some values: residual and derivatives by the unknowns in the frame of their triangular factor."""
+    """The model at some values, and its normal equations with the priors, in units of the noise."""
 
     values: Array
     state: State
     linear: Linear
-    slopes: Array
-    left: Array
-
-    @property
-    def misfit(self) -> float:
-        return float(self.left @ self.left)
+    gram: Array
+    slope: Array
+    misfit: float
 
 
 def with_covariance(parameters: Mapping[str, Confirmed], covariance: Array) -> dict[str, Confirmed]:
@@ -114,9 +111,8 @@ def possible(pair: Pair, name: str) -> tuple[float, float]:
 def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, dict[str, Confirmed], Array]:
     """Take the last step of a fit, with its noise and scatter.
 
-    It is an undamped Gauss-Newton step within the bounds: an unknown at a bound that would go beyond stays there. The
-    residual in units of the noise and its analytic Jacobian are rotated into the frame of the Jacobian's triangular
-    factor: sum of squares, gradient and Gauss-Newton matrix are the same, with as many rows as unknowns.
+    It is an undamped Gauss-Newton step within the bounds: an unknown at a bound that would go beyond stays
+    there.
 
     Parameters
     ----------
@@ -136,7 +132,7 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
         Of those that vary, in their order, SI.
     """
     problem, observed = Problem(pair, estimate.observed, estimate.chosen), estimate.observed
-    prior = np.sqrt(problem.precision(estimate.scatter))
+    precision = problem.precision(estimate.scatter)
     lowest = dict(zip(observed.bearing_names, observed.bearing_lowest, strict=True))
     # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
     low, high = np.transpose([
@@ -147,24 +143,25 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
     def evaluated(values: Array, linear: Linear | None = None) -> _Evaluated:
         state = problem.state(values / problem.scale)
         linear = linearise(pair, observed, state) if linear is None else linear
-        left = np.concatenate([observed.weight * left_of(observed, linear, state), -prior * values / problem.scale])
-        slopes = np.vstack([problem.columns(observed, linear), np.diag(prior)])
-        triangle: Array = np.asarray(np.linalg.qr(np.column_stack([slopes, left]), mode="r"))
-        return _Evaluated(values, state, linear, triangle[:, :-1], triangle[:, -1])
+        left = observed.weight * left_of(observed, linear, state)
+        columns = problem.columns(observed, linear)
+        gram = columns.T @ columns + np.diag(precision)
+        slope = columns.T @ left - precision * values / problem.scale
+        misfit = float(left @ left + precision @ (values / problem.scale) ** 2)
+        return _Evaluated(values, state, linear, gram, slope, misfit)
 
     ended = problem.unknowns(estimate.state) * problem.scale
     start = np.clip(ended, low, high)
     inside = bool(np.allclose(start, ended, rtol=1e-9, atol=0.0))
     best = first = evaluated(start, estimate.linear if inside else None)
-    slope = first.slopes.T @ first.left
-    free = ~(((start <= low) & (slope < 0.0)) | ((start >= high) & (slope > 0.0)))
+    free = ~(((start <= low) & (first.slope < 0.0)) | ((start >= high) & (first.slope > 0.0)))
     step = np.zeros(start.size)
-    step[free] = np.linalg.lstsq(first.slopes[:, free], first.left, rcond=None)[0]
-    taken = not inside or slope @ step >= gain
+    step[free] = solved(first.gram[np.ix_(free, free)], first.slope[free])
+    taken = not inside or first.slope @ step >= gain
     if taken:
         then = evaluated(np.clip(start + step * problem.scale, low, high))
         best = min(first, then, key=lambda one: one.misfit)
-    covariance = np.linalg.inv(best.slopes.T @ best.slopes) * np.outer(problem.scale, problem.scale)
+    covariance = np.linalg.inv(best.gram) * np.outer(problem.scale, problem.scale)
     covariance = 0.5 * (covariance + covariance.T)
     stated = zip(problem.names, best.values.tolist(), low.tolist(), high.tolist(), strict=True)
     parameters = {name: Confirmed(value, least, most, vary=True) for name, value, least, most in stated}

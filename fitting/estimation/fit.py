@@ -14,6 +14,7 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,13 +112,13 @@ class Estimate:
 
 @dataclass(frozen=True)
 class _Normal:
-    """The model at some unknowns, and each curve's normal equations in units of the noise.
+    """The model of each curve at some unknowns, and its normal equations in units of the noise.
 
     `gram` (curves, unknowns, unknowns), `moment` (curves, unknowns), and for each curve the sum of squares and number
     of the used points, the robust scale of all points, and the number of outliers.
     """
 
-    linear: Linear
+    linears: tuple[Linear, ...]
     gram: Array
     moment: Array
     square: Array
@@ -189,7 +190,8 @@ class Problem:
         """Return the model's derivatives by the unknowns in units of the noise, shape (points, unknowns)."""
         nuisances, _ = nuisance_columns(observed, linear)
         columns = np.column_stack([linear.structured[:, self.columns_of_chosen], nuisances, linear.scatter])
-        columns *= observed.weight[:, None] * self.scale
+        columns *= observed.weight[:, None]
+        columns *= self.scale
         return columns
 
     def state(self, unknowns: Array) -> State:
@@ -226,20 +228,20 @@ class Problem:
         state = self.state(unknowns)
         parts = None if known is None else split(known, observed.ends)
 
-        def of(number: int) -> tuple[Linear, tuple[Array, ...]]:
+        def of(number: int) -> tuple[Linear, tuple[Any, ...]]:
             one = observed.some([number])
             linear = parts[number] if parts else linearised_curve(self.pair, observed, number, state, self.around)
             left = one.weight * left_of(one, linear, state)
             inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
-            columns = self.columns(one, linear)[inside]
-            counted = left[inside]
-            scale = 1.4826 * np.median(np.abs(left[one.weight > 0.0]))
-            return linear, (columns.T @ columns, columns.T @ counted, counted @ counted, counted.size, scale,
-                            np.count_nonzero(one.weight) - counted.size)  # fmt: skip
+            scale, count = 1.4826 * np.median(np.abs(left[one.weight > 0.0])), np.count_nonzero(inside)
+            columns = self.columns(one, linear)
+            columns[~inside], left[~inside] = 0.0, 0.0
+            return linear, (columns.T @ columns, columns.T @ left, left @ left, count, scale,
+                            np.count_nonzero(one.weight) - count)  # fmt: skip
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
-        return _Normal(joined(linears) if known is None else known, *(np.array(v) for v in zip(*sums, strict=True)))
+        return _Normal(linears, *(np.array(v) for v in zip(*sums, strict=True)))
 
 
 def _limits(normal: _Normal) -> Array:
@@ -313,7 +315,7 @@ def fit(
         bound = (unknowns <= problem.lowest) & (slope < 0.0)
         gram[bound, bound] *= _PINNED
         slope[bound] = 0.0
-        step = _solved(gram + damping * np.diag(np.diag(gram)), slope)
+        step = solved(gram + damping * np.diag(np.diag(gram)), slope)
         promised = float(2.0 * slope @ step - step @ gram @ step)
         if promised < gain and settled:
             break
@@ -351,7 +353,7 @@ def fit(
     gram = now.gram.sum(axis=0) + np.diag(precision)
     seen = observed.weight[observed.weight > 0.0]
     unlikelihood = misfit + float(np.linalg.slogdet(gram)[1] - np.log(precision).sum() - 2.0 * np.log(seen).sum())
-    state, linear = problem.state(unknowns), now.linear
+    state, linear = problem.state(unknowns), joined(now.linears)
     off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, limit)
     observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight)).with_sizes(scatter)
     return Estimate(observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
@@ -420,10 +422,10 @@ def _ahead(
     precision = problem.precision(scatter)
     precision[pins] = _PINNED
     slope = normal.moment.sum(axis=0) - precision * (unknowns - mean)
-    return _solved(normal.gram.sum(axis=0) + np.diag(precision), slope)
+    return solved(normal.gram.sum(axis=0) + np.diag(precision), slope)
 
 
-def _solved(gram: Array, slope: Array) -> Array:
+def solved(gram: Array, slope: Array) -> Array:
     """Solve normal equations with unknowns of very different uncertainty."""
     size = np.sqrt(np.diag(gram))
     found: Array = linalg.cho_solve(linalg.cho_factor(gram / np.outer(size, size)), slope / size) / size
@@ -448,7 +450,7 @@ def allowed_radius(pair: Pair, estimate: Estimate) -> float:
     for size in sizes:
         precision = problem.precision({**estimate.scatter, PIN_RADIUS: float(size)})
         whole = gram + np.diag(precision)
-        unlikely.append(np.linalg.slogdet(whole)[1] - np.log(precision).sum() - moment @ _solved(whole, moment))
+        unlikely.append(np.linalg.slogdet(whole)[1] - np.log(precision).sum() - moment @ solved(whole, moment))
     log = -0.5 * np.array(unlikely)
     weight = np.exp(log - log.max())
     return float(np.sqrt(np.trapezoid(weight * sizes**2, sizes) / np.trapezoid(weight, sizes)))

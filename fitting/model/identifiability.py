@@ -101,11 +101,11 @@ def information_of_points(observed: Observations, linear: Linear, names: Sequenc
         Shape (unknowns, unknowns), each in units of its prior: errors as `names`, scatter, nuisances.
     """
     nuisances, priors = nuisance_columns(observed, linear)
-    columns = np.column_stack([
-        linear.structured * tolerances_of(names, observed.profile), linear.scatter * spread,
-        nuisances * np.where(np.isfinite(priors), priors, 1e-4),
+    columns = np.column_stack([linear.structured, linear.scatter, nuisances])
+    columns *= observed.weight[:, None]
+    columns *= np.concatenate([
+        tolerances_of(names, observed.profile), spread, np.where(np.isfinite(priors), priors, 1e-4),
     ])  # fmt: skip
-    columns = observed.weight[:, None] * columns
     information: Array = columns.T @ columns
     return information
 

@@ -480,14 +480,15 @@ def linearised_curve(
         errors = displacement_vector(pair, state.surface) - around.errors
         model, each, by_torque = first_order.sensitivities(pair, around.contacts[number], 1, errors, torque)
         jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
-    share = np.ones_like(model)
-    if observed.first_stage is not None:
-        by_play = -0.5 * np.sign(torque) * (by_crank - 1.0 / pair.gear_teeth)
-        by_bearing = np.column_stack([by_bearing, by_play])
-        # The cranks turn with what the output deviates, to first order.
-        share = s / (1.0 - s * observed.first_stage.crank_share * by_crank)
+    scatter = scatter_columns(pair, each)
+    if observed.first_stage is None:
+        return Linear(model, jacobian, scatter, by_bearing, by_crank, against * by_torque)
+    by_play = -0.5 * np.sign(torque) * (by_crank - 1.0 / pair.gear_teeth)
+    by_bearing = np.column_stack([by_bearing, by_play])
+    # The cranks turn with what the output deviates, to first order.
+    share = s / (1.0 - s * observed.first_stage.crank_share * by_crank)
     of = share[:, None]
-    return Linear(share * (model + beside), of * jacobian, of * scatter_columns(pair, each), of * by_bearing,
+    return Linear(share * (model + beside), of * jacobian, of * scatter, of * by_bearing,
                   share * by_crank, share * s * against * by_torque)  # fmt: skip
 
 
