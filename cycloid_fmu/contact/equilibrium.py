@@ -13,6 +13,7 @@ from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
 
 _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
+_BY_RATES = 1e-6  # rad: so near the rotation at which contacts were solved, their rates say how they are
 
 
 @inlined
@@ -123,11 +124,14 @@ def _balance(
     cold: bool,
 ) -> tuple[float, float]:
     """Solve share (torque - M(x)) + hold (flange - x) = 0 by Newton's method inside a bracket."""
-    low, high = -math.inf, math.inf
+    low, high, placed, last = -math.inf, math.inf, math.inf, x
     stiffness = 0.0
     for _ in range(100):
-        place(problem, theta, x, contacts, cold, CLEAR, BOUNDED)
-        cold = False
+        if abs(x - placed) > _BY_RATES or problem.deviations is not None:
+            place(problem, theta, x, contacts, cold, CLEAR, BOUNDED)
+            cold, placed = False, x
+        else:
+            _move(contacts, theta, last, x)
         balance, stiffness = load(problem, theta, x, contacts)
         short = share * (torque - balance) + hold * (flange - x)
         slope = share * stiffness + hold
@@ -151,5 +155,23 @@ def _balance(
             break
         if not low < x + step < high:
             step = 0.5 * (low + high) - x
-        x += step
+        last, x = x, x + step
     return x, stiffness
+
+
+@part
+def _move(contacts: Rows, theta: float, last: float, x: float) -> None:
+    """Move the rows solved at one deviation to another: the gap to second order, arm, foot and curvature to first.
+
+    Half of a sweep's contacts were solved again only after such steps.
+    """
+    step = x - last
+    for row in range(contacts.shape[0]):
+        contact = contacts[row]
+        if not is_solved_at(contact, theta, last):
+            continue
+        contact.gap -= step * (contact.arm + 0.5 * step * contact.arm_rate)
+        contact.arm += step * contact.arm_rate
+        contact.foot += step * contact.foot_rate
+        contact.curvature += step * contact.foot_rate * contact.curvature_rate
+        contact.deviation = x

@@ -6,7 +6,7 @@ import math
 
 from cycloid_fmu.contact.compiling import compiled, inlined, part
 from cycloid_fmu.contact.deviations import move_to_deviations
-from cycloid_fmu.contact.foot import foot, on_tooth, tangency
+from cycloid_fmu.contact.foot import Tangency, foot, on_tooth, tangency
 from cycloid_fmu.contact.gap import Flank, Offset, write_contact
 from cycloid_fmu.contact.problem import Problem, poses
 from cycloid_fmu.contact.rows import Rows, is_solved_at
@@ -140,8 +140,11 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
                     # The edge where the two teeth meet stands out.
                     qx, qy = on_tooth(wx, wy, turn)
                     state = tangency(qx, qy, root + extent, R, e, teeth)
+                    # It stays where it is, so only what is left of the arm's rate bends: about the edge itself.
+                    state = Tangency(state.value, -math.inf, *state[2:])
                     alpha = root + inwards * _END
                     write_contact(contact, flank, offset, pin_radius[pin], alpha - conjugate, alpha, state, theta, x)
+                    contact.arm_rate -= contact.arm_rate * contact.arm_rate / (contact.gap + pin_radius[pin])
     move_to_deviations(problem, problem.deviations, theta, x, contacts, bounded)
     _keep_one_of_two(contacts, 2.0 * root_margin, theta, x)
 
@@ -185,20 +188,25 @@ def _stays_clear(
         bow = 0.5 * dx * dx * across.arm_rate
         ahead = across.gap - dx * across.arm - bow
         return across.gap == math.inf or (ahead > clear and abs(bow) <= 0.5 * clear)
-    if across.gap < math.inf or not contact.gap > 0.0:
+    nearest = min(contact.gap, across.gap)
+    if not (nearest > 0.0 and contact.gap_by_crank < math.inf):
         return False
     circle_radius, teeth = flank.circle_radius, flank.teeth
     turns = teeth * conjugate / (2.0 * math.pi)
     phase = 2.0 * math.pi * abs(turns - math.floor(turns + 0.5))
     passed = abs(since) + abs(dx)
-    if phase < root_phase or phase < passed:
+    k = flank.eccentricity * (teeth + 1) / circle_radius
+    reach = stray + abs(x) * circle_radius
+    if phase + passed < root_phase:
+        # The distance from both teeth falls by no more than the axis moves.
+        speed = circle_radius * math.sqrt((1.0 - k) ** 2 + k * (phase + passed) ** 2) / teeth + 2.0 * reach
+        return nearest - abs(since) * speed - abs(dx) * circle_radius * (1.0 + k) > clear
+    if across.gap < math.inf or phase < root_phase or phase < passed:
         return False
     phase -= passed
-    k = flank.eccentricity * (teeth + 1) / circle_radius
     # 1 + k² - 2k cos φ from below, and with it how fast the normal turns at most, seen from what displaces the pin.
     least = (1.0 - k) ** 2 + 4.0 * k * (phase / math.pi) ** 2
     turning = 0.5 + 1.0 / teeth + 0.5 * (1.0 - k * k) / least
-    reach = stray + abs(x) * circle_radius
     bend = reach * (turning * turning + k * (1.0 - k * k) / (least * least))
     ahead += since * contact.gap_by_crank - since * since * bend
     return ahead - abs(since * dx) * circle_radius * turning > clear
