@@ -113,6 +113,7 @@ def test_figures_without_a_loop_are_refused(tmp_path, given, said):
         read_loop(tmp_path / "figures.json")
 
 
+@pytest.mark.slow(7)
 def test_every_fmu_says_how_stiff_it_is(tmp_path):
     number = f"{own_stiffness(PAIR, SURFACE) / edge.ARCMIN:.4g} N.m/arcmin"
     build_fmu(PAIR, tmp_path / "2.fmu")

@@ -191,6 +191,7 @@ def test_first_order_on_bearings_is_about_each_drive(record_property):
     assert found["backlash", None] == pytest.approx(sure["backlash", None], abs=5 * ARCSEC)
 
 
+@pytest.mark.slow(5)
 def test_allocation_on_bearings_widens_what_hardly_matters():
     """Pins all alike thicker make play, holes and throws the transmission error that is limited."""
     pair = read_pair(EXAMPLES / "drive-39-40-bearings.toml")

@@ -134,6 +134,7 @@ def test_curves_of_another_gear_are_not_explained(measured):
     assert any("Is this the drive of the pair file" in n for n in found.notes)
 
 
+@pytest.mark.slow(6)
 def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
     """Where no two starts agree others are tried, the best is taken, and the fit says what that may mean."""
     monkeypatch.setattr(fitting.estimation.identify, "_AGREE", -np.inf)

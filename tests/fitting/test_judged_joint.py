@@ -117,6 +117,7 @@ def test_the_inverse_of_the_joint_leaves_nothing(joint):
     assert found.rms < 1e-3 * found.plain_rms
 
 
+@pytest.mark.slow(10)
 def test_a_recorded_drive_is_moved_by_what_was_identified(record_property):
     """As recorded 97 % of the rms error goes without an output encoder; with a wrong index none is added.
 

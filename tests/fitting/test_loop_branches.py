@@ -82,6 +82,7 @@ def test_the_play_and_its_derivatives_are_those_of_the_contact_model(made):
         assert slope == pytest.approx((ends[1] - ends[0]) / 2e-8, rel=1e-3, abs=1e-3)
 
 
+@pytest.mark.slow(5)
 def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, made, loop):
     """Without a common zero nothing says how the two sides of the teeth stand to each other, but the play does."""
     curves = measured(1, each=12, zeros=(3e-4, -2e-4, 1e-4, 5e-5), common_zero=False)

@@ -20,6 +20,7 @@ def new_kind():
     kinds.remove_error_kind(RING_DISTORTION.name)
 
 
+@pytest.mark.slow(5)
 def test_a_new_kind_is_identified_and_written(new_kind, tmp_path):
     """Five waves round the ring: no wave that is fitted (of order 1 to 3) moves the transmission error as they do."""
     drive = cy.Drive(parse_pair(PAIR + '[modification]\nisometric = "-15 um"\noffset = "-40 um"\n', "p"))

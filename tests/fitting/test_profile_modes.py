@@ -19,6 +19,7 @@ FORM = {"profile_deviation_1": -0.4e-6, "profile_deviation_2": 0.5e-6, "profile_
         "profile_deviation_4": -0.3e-6}  # fmt: skip
 
 
+@pytest.mark.slow(6)
 @pytest.mark.parametrize("output", ["gear", "ring"])
 @pytest.mark.parametrize("form", [{}, FORM])
 def test_derivatives_are_those_of_finite_differences(made, output, form):

@@ -88,6 +88,7 @@ def test_the_noise_of_the_fit_is_no_yardstick(small):
     assert names(found.verdict) == {"run_out"}
 
 
+@pytest.mark.slow(5)
 def test_a_late_clock_is_timed_and_corrected(small):
     found, values = identified("speed ripple and an output clock 30 µs late", small, 0)
     assert names(found.verdict) == {"clock_lag"}
