@@ -17,7 +17,7 @@ from cycloid_fmu.desk.server import DeskServer
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "docs" / "_static"
-BLOCK = re.compile(r"^```(?:{code-block} )?(?P<kind>\w+)\n(?::caption: (?P<file>.*)\n)?(?P<body>.*?)^```$", re.M | re.S)
+BLOCK = re.compile(r"^```(?:{code-block} )?(?P<of>\w+)\n(?::caption: (?P<file>\S+)\n)?(?P<body>.*?)^```$", re.M | re.S)
 # In this order: the last one goes on in the folder of the one before.
 TUTORIALS = ("system_modeller", "gear_designer", "test_bench_engineer", "controller")
 
@@ -31,7 +31,7 @@ def tutorials() -> None:
             for block in BLOCK.finditer(text):
                 if block["file"]:
                     Path(folder, block["file"]).write_text(block["body"], encoding="utf-8")
-                elif block["kind"] == "sh" and "pip install" not in block["body"]:
+                elif block["of"] == "sh" and "pip install" not in block["body"]:
                     script = ["bash", "-c", block["body"]]  # a limit that is not met has its own exit status
                     subprocess.run(script, cwd=folder, env={**os.environ, "PATH": path}, check=False)
             for shown in re.findall(r"_static/tutorials/([\w.]+)\)", text):
