@@ -27,7 +27,7 @@ def record(
     every second, safe from a power cut. Buses and ports that fail are opened again.
 
     Exit status: 0 the duration is over, 3 nothing came for the idle time, 130 Ctrl-C, 143 SIGTERM, 129 SIGHUP (a lost
-    connection): in each case the file is whole and a summary says what it holds and what was lost.
+    connection): in each case the file is complete and a summary states its content and losses.
     """
     with recording(), LiveLine() as progress:
         done = drivers.record(bench, output, duration=duration, idle=idle, progress=progress, allow=allow or ())

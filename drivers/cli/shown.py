@@ -30,7 +30,7 @@ Allowed = Annotated[
 
 
 def live_text(live: Live) -> str:
-    """Return how a recording stands, in one line: rates, counts, positions, marks, buffer, disk and running TE."""
+    """Return the state of a recording, in one line: rates, counts, positions, marks, buffer, disk and running TE."""
     parts = []
     for name, state in live.channels.items():
         shown = "–" if state.value is None else f"{state.value:.5g}"
@@ -56,7 +56,7 @@ class LiveLine:
         self._gone = False
 
     def __call__(self, live: Live) -> None:
-        """Show how the recording stands."""
+        """Show the state of the recording."""
         from rich.console import Console
         from rich.live import Live as Display
         from rich.text import Text

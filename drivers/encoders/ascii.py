@@ -118,8 +118,8 @@ class _Line(NamedTuple):
 class AsciiCounter(SerialEncoder):
     """One device that sends a line for each sample.
 
-    Lost lines are told by their running number; without one by the device's clock; without both by what the port tells.
-    A line that may have waited in the port has no instant unless the device's clock tells it, and is left out.
+    Lost lines are found by their running number; without one by the device's clock; without both by errors of the port.
+    A line that may have waited in the port has no known time without the device's clock, and is left out.
 
     Raises
     ------

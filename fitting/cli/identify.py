@@ -49,7 +49,7 @@ def identify(
 ) -> None:
     """Fit the drive's errors to recordings at one or more loads, and list the errors that the data cannot resolve.
 
-    Hysteresis loops with the input locked may be among them: they tell the play apart from friction.
+    Hysteresis loops with the input locked may be among them: they separate play from friction.
 
     Example: [cyan]cycloid-fit identify loop.csv *.arrows --pair pair.toml -o fit.json --surface s.nc --plot fit.png[/]
     """

@@ -41,7 +41,7 @@ def plan(
 ) -> None:
     """Predict before any measurement the errors that each set of loads and directions identifies, and how well.
 
-    With every set of runs comes the run that would then tell most of every pin and tooth.
+    Each set states the further run that would improve every pin and tooth most.
 
     Example: [cyan]cycloid-fit plan pair.toml --torque "20 N*m" --torque "200 N*m"[/]
     """
