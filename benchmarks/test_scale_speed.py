@@ -1,8 +1,8 @@
 """A million drives on a cluster of a hundred workers: dask's own scheduler, workers that wait in place of computing.
 
-Scheduler, client and workers share one process here, so that it is a bound from above. `CYCLOID_DRIVES` scales it, else
-20,000; the page docs/development/scale.md has the figures of the whole. Efficiency is the workers' time in drives over
-that of all workers until the last drive is on disk.
+Scheduler, client and workers share one process here, so the efficiency of a cluster is higher. `CYCLOID_DRIVES` scales
+it, else 20,000; the page docs/development/scale.md has the figures of the whole. Efficiency is the workers' time in
+drives over that of all workers until the last drive is on disk.
 """
 
 import dataclasses

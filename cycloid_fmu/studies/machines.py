@@ -24,6 +24,7 @@ _DECISIVE = ("cycloid-fmu", "numba", "numpy", "scipy")
 _TASK = 7e-3  # s: what a task costs dask's scheduler, 2 to 7 ms were measured
 _OVERHEAD = 0.02  # of a task's time that this may be
 _BUSY = 0.5  # of its time that the scheduler may be busy with all workers' tasks
+_LONGEST = 8  # times that, where workers wait for a scheduler that is slower: what a kill loses
 _FIRST = 16  # drives of a task before any was measured
 _REMEMBERED = 400  # tasks, four a worker at most, whose times say how long a drive and a task take
 _LOOK = 1.0  # s: how often the workers of a cluster are counted
@@ -113,7 +114,8 @@ class Shares(Iterator[tuple[int, int]]):
         ends, drives, seconds = np.array(tuple(self._took)).T  # a copy: another thread adds
         each = max(float(seconds.sum() / drives.sum()), 1e-6)
         waited = float((ends[-1] - ends[0]) * self.workers - seconds[1:].sum())
-        wanted = max(waited / len(ends) / _OVERHEAD, _TASK / _OVERHEAD, _TASK / _BUSY * self.workers)
+        usual = max(_TASK / _OVERHEAD, _TASK / _BUSY * self.workers)
+        wanted = min(max(waited / len(ends) / _OVERHEAD, usual), _LONGEST * usual)
         # No shorter than the scheduler takes to hand each worker one.
         shortest = max(_TASK / _OVERHEAD, _TASK * self.workers)
         return math.ceil(min(wanted / each, max(shortest / each, even)))
