@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled, spliced
+from cycloid_fmu.contact.compiling import Array, compiled, inlined, spliced
 from cycloid_fmu.contact.energy import crank_side
 from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffness
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
@@ -82,13 +82,21 @@ def sweep(
                     # What nothing presses stays as it was handed over: 0.
                     deviation[i], stiffness[i], found.max_contact_pressure[k, i] = x, 0.0, 0.0
                     continue
-            elif i > first + 1 and abs(thetas[i] - thetas[i - 1]) < 1.5 * abs(thetas[i - 1] - thetas[i - 2]):
-                x += (x - deviation[i - 2]) * (thetas[i] - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
+            x = _ahead(thetas, deviation, first, i)
             x, stiffness[i] = equilibrium(problem, thetas[i], torque, x, contacts, cold)
             deviation[i] = x
             count, pressure = load_sharing(problem, contacts, found.pin_force[k, i], found.pin_pressure[k, i])
             found.contact_count[k, i], found.max_contact_pressure[k, i] = count, pressure
             write_contact_lines(problem, lines, k, i, thetas[i], x, contacts)
+
+
+@inlined
+def _ahead(thetas: Array, deviation: Array, first: int, i: int) -> float:
+    """Deviation to start a crank angle from: in line with the last two, where these are as near."""
+    x = float(deviation[i - 1]) if i > first else 0.0
+    if i > first + 1 and abs(thetas[i] - thetas[i - 1]) < 1.5 * abs(thetas[i - 1] - thetas[i - 2]):
+        x += (x - deviation[i - 2]) * (thetas[i] - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
+    return x
 
 
 @compiled
@@ -135,9 +143,8 @@ def sweep_contacts(problem: Problem, thetas: Array, torque: float, deviation: Ar
         Overwritten: x (rad), shape (angles,); `contact_rows` of each angle, shape (angles, rows).
     """
     contacts = contact_rows(problem)
-    x = 0.0
     for i in range(thetas.size):
-        x, _ = equilibrium(problem, thetas[i], torque, x, contacts, i == 0)
+        x, _ = equilibrium(problem, thetas[i], torque, _ahead(thetas, deviation, 0, i), contacts, i == 0)
         deviation[i] = x
         table[i] = contacts
 
@@ -167,9 +174,8 @@ def sweep_sensitivities(
         derivatives by crank angle (1) and torque (rad/(N·m)), shape (angles,).
     """
     contacts = contact_rows(problem)
-    x = 0.0
     for i in range(thetas.size):
-        x, _ = equilibrium(problem, thetas[i], torque[i], x, contacts, i == 0)
+        x, _ = equilibrium(problem, thetas[i], torque[i], _ahead(thetas, deviation, 0, i), contacts, i == 0)
         deviation[i] = x
         by_torque[i] = 1.0 / sensitivities(problem, thetas[i], x, contacts, errors[i])
         _, by_angle[i] = crank_side(problem, thetas[i], x, contacts)

@@ -214,6 +214,28 @@ def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, out
 
 
 @pytest.mark.parametrize("output", ["gear", "ring"])
+@pytest.mark.parametrize("case", ["errors-39-40", "interference-21-22"])
+def test_an_equilibrium_s_contacts_are_those_solved_at_its_deviation(case, output):
+    """Its last steps move the contacts by their rates; some pins stand on the edge between two teeth here."""
+    text = (CASES / f"{case}.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"')
+    pair = parse_pair(text, case)
+    drive = drive_of(pair, surface_of_pair(pair))
+    rows, solved = contact.contact_rows(drive), contact.contact_rows(drive)
+    edges = 0
+    for theta in np.linspace(0.0, 44.0, 800):
+        x, _ = contact.equilibrium(drive, theta, -120.0, 0.0, rows, True)
+        x, _ = contact.equilibrium(drive, theta, -120.0, x + 4e-7, rows, False)
+        contact.place(drive, theta, x, solved, True, math.inf, math.inf)
+        held = (rows["force"] > 0.0) & np.isfinite(solved["gap"])
+        # Where the ring turns, arms leave out that a tooth with a pitch error turns the gear's centre.
+        assert rows["gap"][held] == pytest.approx(solved["gap"][held], abs=2e-14 if output == "gear" else 2e-13)
+        assert rows["arm"][held] == pytest.approx(solved["arm"][held], abs=1e-8)
+        tooth = rows["place"][held] * drive.teeth / (2.0 * np.pi)
+        edges += int((np.abs(tooth - np.rint(tooth)) < 1e-6).sum())
+    assert edges > 0 or case == "errors-39-40"
+
+
+@pytest.mark.parametrize("output", ["gear", "ring"])
 def test_the_derivative_by_a_larger_flank_is_exact(output):
     """No contact comes or goes within the differences, which are of fifth order."""
     pair, _, _ = drive_and_rows("errors-39-40", output)
