@@ -150,7 +150,7 @@ def _visit(
     noise = [quantised(c, bits) * np.sqrt(thick) for c in curves]
     field = field_of(curves, marks, drive, known.errors, torque_share=share, noise=noise)
     rows = Rows(drive, known, field)
-    _, columns = rows.evaluated(np.zeros(len(rows.names)))
+    columns = rows.evaluated(np.zeros(len(rows.names))).columns @ rows.factor
     slope = np.zeros(len(rows.names))
     own = [i for i, n in enumerate(rows.lasting) if n not in rows.bench]
     slope[own] = gradient

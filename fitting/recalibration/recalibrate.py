@@ -172,7 +172,7 @@ def recalibrate(
         found = updated(drive, known, field)
         whitened = _white(field, found)
         if whitened is not field:
-            field, found = whitened, updated(drive, known, whitened)
+            field, found = whitened, updated(drive, known, whitened, found)
         chance, sentences = left_over(field, found)
         alarm = alarm_of(found, sentences)
         surface = drive.surface.replace(

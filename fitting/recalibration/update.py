@@ -24,9 +24,9 @@ from fitting.recalibration.measured import Field
 Array = NDArray[np.float64]
 
 _STEPS, _HALVED = 8, 4  # evaluations on the way to the most likely drive, and how often a step is halved
-_SETTLED = (
-    1.0  # of the sum of squares in units of the noise: a step that gains less is the last, taken in the linear model
-)
+# A step that gains less than this for each unknown, in the sum of squares in units of the noise, is the last one and is
+# taken in the linear model: the mean step is then below 0.22 standard deviations.
+_SETTLED = 0.05
 _FLAT = 1e-9  # of the largest singular value: zeros that others stand for
 _OUTLYING_SHARE = 0.01  # of the points: when more lie far off they are no outliers
 _TOLD = 0.1  # information in units of what was known: combinations that are told less are not tested
@@ -56,6 +56,8 @@ class Updated:
         Points that lie far off and were left out.
     evaluations
         How often the model was evaluated.
+    end
+        The last linear model.
     """
 
     drive: Drive
@@ -68,10 +70,32 @@ class Updated:
     row_variance: Array
     left_out: int
     evaluations: int
+    end: Linearised
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Rows of measurements near a state.
+
+    Attributes
+    ----------
+    at
+        The unknowns there, in units of what was known, shape (unknowns,).
+    weight
+        Of the points, as in `Observations`, shape (points,).
+    left, columns
+        Residual of each row in units of its noise, shape (rows,), and its derivatives by the unknowns in SI, shape
+        (rows, unknowns).
+    """
+
+    at: Array
+    weight: Array
+    left: Array
+    columns: Array
 
 
 class Rows:
-    """Rows of measurements and their derivatives by all unknowns, in units of what is known of these before.
+    """Rows of measurements and their derivatives by all unknowns, with a factor of the covariance of these before.
 
     Parameters
     ----------
@@ -97,6 +121,7 @@ class Rows:
         self.names = [*lasting, *(n for n in names if n not in taken), *own]
         columns = observed.weight[:, None] * observed.bench[:, [observed.bench_names.index(n) for n in flat]]
         self.zeros = field.reduced(columns)
+        self.base = _base(self.zeros)
         covariance = np.zeros((len(lasting), len(lasting)))
         was = [*known.errors, *known.bench, *single]
         at = [lasting.index(n) for n in was]
@@ -124,8 +149,8 @@ class Rows:
         unknowns[self.estimated] += (self.factor @ z)[self.place]
         return self.problem.state(np.maximum(unknowns / self.problem.scale, self.problem.lowest))
 
-    def evaluated(self, z: Array) -> tuple[Array, Array]:
-        """Return what is left of each row at unknowns, and the rows' derivatives by these."""
+    def evaluated(self, z: Array) -> Linearised:
+        """Linearise the rows at unknowns in units of what was known."""
         problem, observed, running = self.problem, self.field.observed, self.field.running
         state = self.state(z)
         linear = linearise(self.drive.pair, observed, state)
@@ -133,25 +158,38 @@ class Rows:
         # The torques of a lost motion are those between the flanks: friction is in them already.
         first = len(problem.chosen) + len(observed.bench_names)
         columns[running:, first : first + len(observed.friction_names)] = 0.0
-        parts = np.split(np.arange(observed.measured.size), observed.ends)
-        own = np.zeros((observed.measured.size, len(observed.running)))
-        for column, number in enumerate(observed.running):
-            part = parts[number]
-            own[part, column] = (observed.weight * linear.by_friction)[part]
-        friction = (self.factor @ z)[len(self.names) - own.shape[1] :]
-        left = self.field.reduced(observed.weight * left_of(observed, linear, state) - own @ friction)
-        left[running:] += [one.value / one.standard_error for one in self.field.lost_motions]
         by_all = np.zeros((columns.shape[0], len(self.names)))
         by_all[:, self.place] = columns[:, self.estimated]
-        by_all[:, len(self.names) - own.shape[1] :] = own
-        return self.without_zeros(left), self.without_zeros(self.field.reduced(by_all) @ self.factor)
+        begins = [0, *observed.ends, observed.measured.size]
+        first_own = len(self.names) - len(observed.running)
+        for column, number in enumerate(observed.running, first_own):
+            part = slice(begins[number], begins[number + 1])
+            by_all[part, column] = observed.weight[part] * linear.by_friction[part]
+        friction = (self.factor @ z)[first_own:]
+        left = self.field.reduced(observed.weight * left_of(observed, linear, state) - by_all[:, first_own:] @ friction)
+        left[running:] += [one.value / one.standard_error for one in self.field.lost_motions]
+        return Linearised(z, observed.weight, self.without_zeros(left), self.without_zeros(self.field.reduced(by_all)))
 
-    def without_zeros(self, rows: Array, keep: NDArray[np.bool_] | slice = slice(None)) -> Array:
-        """Take out of some of the rows what zeros of the angles can do of them."""
-        found = rows[keep]
-        base, size, _ = np.linalg.svd(self.zeros[keep], full_matrices=False)
-        base = base[:, size > _FLAT * size.max(initial=0.0)]
-        return np.asarray(found - base @ (base.T @ found))
+    def solved(self, linear: Linearised) -> tuple[Array, Array]:
+        """Return the most likely unknowns of linear rows in units of what was known, and their covariance."""
+        columns, factor = linear.columns, self.factor
+        information = factor.T @ (columns.T @ columns) @ factor + np.eye(len(factor))
+        moment = factor.T @ (columns.T @ (linear.left + columns @ (factor @ linear.at)))
+        # Some are told a million times better than others.
+        size = np.sqrt(np.diag(information))
+        solved = linalg.cho_factor(information / np.outer(size, size))
+        inverse = linalg.cho_solve(solved, np.eye(size.size)) / np.outer(size, size)
+        return np.asarray(linalg.cho_solve(solved, moment / size) / size), 0.5 * (inverse + inverse.T)
+
+    def without_zeros(self, rows: Array) -> Array:
+        """Project rows on what zeros of the angles cannot explain."""
+        return np.asarray(rows - self.base @ (self.base.T @ rows))
+
+
+def _base(zeros: Array) -> Array:
+    """Return an orthonormal base of what the zeros of the angles can explain."""
+    base, size, _ = np.linalg.svd(zeros, full_matrices=False)
+    return np.asarray(base[:, size > _FLAT * size.max(initial=0.0)])
 
 
 def _plain(surface: ErrorSurface) -> ErrorSurface:
@@ -168,7 +206,7 @@ def _factor(covariance: Array) -> Array:
     return found
 
 
-def updated(drive: Drive, known: Known, field: Field) -> Updated:
+def updated(drive: Drive, known: Known, field: Field, before: Updated | None = None) -> Updated:
     """Update a drive by measurements.
 
     Parameters
@@ -177,6 +215,8 @@ def updated(drive: Drive, known: Known, field: Field) -> Updated:
         The drive and what is known of it at the date of the measurements, wear since the last one allowed for.
     field
         What was measured.
+    before
+        The update by the same measurements with another noise: its last linear model is the first one.
 
     Raises
     ------
@@ -184,51 +224,61 @@ def updated(drive: Drive, known: Known, field: Field) -> Updated:
         If no errors near those known carry the measured loads.
     """
     rows = Rows(drive, known, field)
-    size = len(rows.names)
-    try:
-        left, columns = rows.evaluated(np.zeros(size))
-    except edge.InputError:
-        raise edge.InputError(
-            "the drive as it is known carries these loads at no position of its contacts; check torques and signs."
-        ) from None
-    z, done = np.zeros(size), 1
+    size, done = len(rows.names), 0
+    if before is not None:
+        now = _reweighted(before.end, rows)
+    else:
+        try:
+            now, done = rows.evaluated(np.zeros(size)), 1
+        except edge.InputError:
+            raise edge.InputError(
+                "the drive as it is known carries these loads at no position of its contacts; check torques and signs."
+            ) from None
     while done < _STEPS:
-        step = _solved(columns, left + columns @ z)[0] - z
-        square = float(left @ left + z @ z)
-        if square - float(np.sum((left - columns @ step) ** 2) + (z + step) @ (z + step)) < _SETTLED:
+        step = rows.solved(now)[0] - now.at
+        square = _square(now)
+        expected = now.left - now.columns @ (rows.factor @ step)
+        if square - float(expected @ expected + (now.at + step) @ (now.at + step)) < _SETTLED * size:
             break
         for _ in range(_HALVED):
             try:
-                then, by = rows.evaluated(z + step)
+                then = rows.evaluated(now.at + step)
                 done += 1
             except edge.InputError:
                 # So far away no contacts balance the load.
                 step = 0.5 * step
                 continue
-            if float(then @ then + (z + step) @ (z + step)) <= square:
-                z, left, columns = z + step, then, by
+            if _square(then) <= square:
+                now = then
                 break
             step = 0.5 * step
         else:
             break
     # The last step is so small that the model there is its linear one.
-    keep = _near(left, field.running)
+    keep = _near(now.left, field.running)
+    end = now
     if not keep.all():
-        left, columns = left * keep, columns * keep[:, None]
-        left[keep], columns[keep] = rows.without_zeros(left, keep), rows.without_zeros(columns, keep)
-    moved, inverse = _solved(columns, left + columns @ z)
-    left, z = left - columns @ (moved - z), moved
-    return _result(rows, known, z, inverse, columns, left, keep, done)
+        kept = [np.where(keep.reshape(-1, *[1] * (one.ndim - 1)), one, 0.0) for one in (now.left, now.columns)]
+        rows.base = _base(rows.zeros * keep[:, None])
+        now = Linearised(now.at, now.weight, *(rows.without_zeros(one) for one in kept))
+    z, inverse = rows.solved(now)
+    left = now.left - now.columns @ (rows.factor @ (z - now.at))
+    return _result(rows, known, z, inverse, end, now.columns, left, keep, done)
 
 
-def _solved(columns: Array, left: Array) -> tuple[Array, Array]:
-    """Return the most likely unknowns in units of what was known, and their covariance."""
-    information = columns.T @ columns + np.eye(columns.shape[1])
-    # Some are told a million times better than others.
-    size = np.sqrt(np.diag(information))
-    solved = linalg.cho_factor(information / np.outer(size, size))
-    inverse = linalg.cho_solve(solved, np.eye(size.size)) / np.outer(size, size)
-    return np.asarray(linalg.cho_solve(solved, columns.T @ left / size) / size), 0.5 * (inverse + inverse.T)
+def _square(linear: Linearised) -> float:
+    """Return the sum of squares with the prior, in units of the noise."""
+    return float(linear.left @ linear.left + linear.at @ linear.at)
+
+
+def _reweighted(linear: Linearised, rows: Rows) -> Linearised:
+    """Return linear rows with the noise of others; zeros of the angles are taken out again."""
+    running, weight = rows.field.running, rows.field.observed.weight
+    share = np.ones(linear.left.size)
+    share[:running] = weight[:running] / linear.weight[:running]
+    return Linearised(
+        linear.at, weight, rows.without_zeros(share * linear.left), rows.without_zeros(share[:, None] * linear.columns)
+    )
 
 
 def _near(left: Array, running: int) -> NDArray[np.bool_]:
@@ -243,6 +293,7 @@ def _result(
     known: Known,
     z: Array,
     inverse: Array,
+    end: Linearised,
     columns: Array,
     left: Array,
     keep: NDArray[np.bool_],
@@ -276,9 +327,11 @@ def _result(
         for name, by, one in zip(rows.lasting, shift, expected, strict=True)
         if name not in rows.bench
     }
-    variance = 1.0 - np.einsum("ij,jk,ik->i", columns[rows.field.running :], inverse, columns[rows.field.running :])
+    of_lost_motions = columns[rows.field.running :] @ rows.factor
+    variance = 1.0 - np.einsum("ij,jk,ik->i", of_lost_motions, inverse, of_lost_motions)
     return Updated(
         Drive(drive.pair, surface), found, moved, told, drift,
         float(special.chdtrc(max(np.count_nonzero(tested), 1), drift)), left,
         np.concatenate([np.ones(rows.field.running), np.maximum(variance, 1e-9)]), int(np.count_nonzero(~keep)), done,
+        end,
     )  # fmt: skip

@@ -20,7 +20,7 @@ from fitting.recalibration.known import REFERENCE_TURNS, drifted, known_of
 from fitting.recalibration.measured import LostMotion, averaged, field_of, gathered, quantised
 from fitting.recalibration.plan import plan_visit
 from fitting.recalibration.recalibrate import recalibrate
-from fitting.recalibration.update import updated
+from fitting.recalibration.update import Rows, updated
 
 
 @pytest.fixture(scope="module")
@@ -130,13 +130,35 @@ def test_a_worn_drive_is_found_as_it_is(case, result):
     assert len({one.hash for one in drawn}) == 3
 
 
+def test_further_steps_do_not_change_the_result(case, monkeypatch):
+    """A few evaluations of the model come as near to the most likely drive as its corners let any number come."""
+    drive, _, _, _, runs = case
+    known = drifted(known_of(drive), drive.pair, TURNS, 1e-6)
+    field = field_of(observed_curves(runs, drive), [], drive, known.errors, bits=BITS)
+    found = updated(drive, known, field)
+    # The rows with another noise are those that are evaluated with it.
+    observed = dataclasses.replace(field.observed, weight=field.observed.weight / 1.3)
+    noisier = dataclasses.replace(field, observed=observed)
+    again = updated(drive, known, noisier, found)
+    assert again.evaluations == 0
+    at = Rows(drive, known, noisier).evaluated(again.end.at)
+    assert again.end.left == pytest.approx(at.left, abs=1e-6 * np.abs(at.left).max())
+    assert again.end.columns == pytest.approx(at.columns, abs=1e-6 * np.abs(at.columns).max())
+    monkeypatch.setattr("fitting.recalibration.update._SETTLED", 0.0)
+    further = updated(drive, known, field)
+    assert further.evaluations > found.evaluations
+    one, two = (figures_of(f.drive, f.known)["backlash"] for f in (found, further))
+    assert one.value == pytest.approx(two.value, abs=0.2 * two.standard_error)
+    assert one.standard_error == pytest.approx(two.standard_error, rel=0.02)
+
+
 def test_the_figures_are_those_of_the_drive():
     """Backlash of a drive without scatter is the play that the contact model states, its derivative a difference."""
     pair = small()
     surface = surface_of_pair(pair).replace(covariance=np.array([[1e-14]]), covariance_of=("pin_radius",))
     drive = Drive(pair, surface)
     known = known_of(drive)
-    angle = np.arange(24) * 2.0 * np.pi / 24
+    angle = np.arange(241) * 2.0 * np.pi / 241
     play = Drive(pair).analyze(100.0, crank_angle=angle).backlash.values.mean()
     found = figures_of(drive, known)["backlash"]
     assert found.value == pytest.approx(play, rel=3e-4)
