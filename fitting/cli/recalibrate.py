@@ -116,15 +116,21 @@ def recalibrate(
     )
     if output is not None:
         write_recalibration(result, output)
+    notes = list(result.notes)
     if surface is not None:
         result.drive.write(surface)
+        if result.drive.pair.supports is not None or result.drive.first_stage is not None:
+            # A surface belongs to one pair, and this one's bearings are other than the file's.
+            made = surface.with_suffix(".toml")
+            result.drive.write(made)
+            notes.append(f"{made}: the drive with its bearings as they are now, to which {surface} belongs.")
     if plot is not None:
         fitting.plot(result, plot)
     if as_json:
         commands.print_json(content(result))
     else:
         _print(result)
-        options.print_notes(result.notes)
+        options.print_notes(notes)
     if result.alarm:
         raise typer.Exit(edge.NOT_MET)
 

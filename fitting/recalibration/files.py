@@ -82,11 +82,12 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
     with edge.parsed_by_others(path, "it is not as recalibrate writes it"):
         bench = data["bench"]
         names = tuple(str(n) for n in bench["names"])
-        count, size = len(own.errors), len(own.covariance) + len(names)
+        of_surface = own.of_surface()
+        count, size = len(own.errors), len(of_surface) + len(names)
         rows = np.array(bench["covariance"], dtype=float).reshape(len(names), size)
         covariance = np.zeros((size, size))
         at = np.r_[:count, count + len(names) : size]
-        covariance[np.ix_(at, at)] = own.covariance
+        covariance[np.ix_(at, at)] = of_surface
         covariance[count : count + len(names)] = rows
         covariance[:, count : count + len(names)] = rows.T
         mean = np.array(bench["mean"], dtype=float).reshape(len(names))

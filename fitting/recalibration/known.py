@@ -13,6 +13,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names
+from fitting.model.bearings import PLAY, sizes_of, unknown_bearings
 from fitting.model.observations import PIN_RADIUS, PROFILE_ORDERS, scatter_names
 
 Array = NDArray[np.float64]
@@ -26,7 +27,9 @@ DRIFT = 1e-6
 _OTHERS = 0.3  # of the uniform wear: how far every other structured error and order of the flanks' form may drift
 _SINGLE = 0.2  # of it: by how much single pins and teeth wear otherwise than all do
 _WORN = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch", PIN_RADIUS)
-_ARM = 0.1  # m: of errors that are angles, by how much an error in m at this arm turns
+_ARM = 0.1  # m: an error in m at this arm makes an error that is an angle
+_FLANK = 0.02  # m: radius of an involute stage's pinion, whose wear makes play
+_STIFFNESS = 1e4  # 1/m: relative change of a bearing's stiffness for each m of uniform wear, 1 % for 1 µm
 
 
 @dataclass(frozen=True)
@@ -38,9 +41,11 @@ class Known:
     errors
         Structured errors, as a surface's `covariance_of` has them before the scatter.
     bench
-        What of the bench lasts: the reference's own errors, the chain's compliance.
+        What lasts beside the errors: stiffness, clearance and play of the drive's bearings and first stage as
+        `fitting.model.bearings` names them; of the bench the reference's own errors and the chain's compliance.
     bench_mean
-        Its mean, SI, shape (bench,). The mean of errors and scatter is the drive's surface.
+        Its mean, SI, shape (bench,); 0 of bearings, whose mean is the drive's pair and first stage. The mean of errors
+        and scatter is the drive's surface.
     covariance
         Of errors, bench and scatter in this order, SI.
     """
@@ -49,6 +54,10 @@ class Known:
     bench: tuple[str, ...]
     bench_mean: Array
     covariance: Array
+
+    def names(self, pair: Pair) -> list[str]:
+        """Return the names of the covariance's rows."""
+        return [*self.errors, *self.bench, *scatter_names(pair)]
 
     def of_surface(self) -> Array:
         """Return the covariance of errors and scatter alone."""
@@ -59,18 +68,16 @@ class Known:
 
 
 def known_of(drive: Drive) -> Known:
-    """Return what is known of a drive whose surface has the covariance of a fit; nothing is known of the bench.
+    """Return what is known of a drive whose surface has the covariance of a fit.
+
+    Bearings and first stage are as uncertain as before a fit, nothing is known of the bench.
 
     Raises
     ------
     edge.ArgumentError
-        If the surface has no covariance, or the drive stands on bearings or behind a first stage.
+        If the surface has no covariance.
     """
     pair, surface = drive.pair, drive.surface
-    if pair.supports is not None or drive.first_stage is not None:
-        raise edge.ArgumentError(
-            "drive", "stands on bearings or behind a first stage; gear pairs without them can be recalibrated so far"
-        )
     if surface.covariance is None:
         raise edge.ArgumentError("drive", "has no covariance of a fit; give what identify or recalibrate found")
     single = scatter_names(pair)
@@ -78,11 +85,15 @@ def known_of(drive: Drive) -> Known:
     errors = [n for n in names if n not in set(single)]
     # Flanks do not wear evenly.
     errors += [n for n in (WEAR, *profile_names(PROFILE_ORDERS)) if n not in errors]
-    every = [*errors, *single]
-    covariance = np.zeros((len(every), len(every)))
+    bearings = unknown_bearings(pair, drive.first_stage)
+    found = Known(tuple(errors), bearings, np.zeros(len(bearings)), np.zeros((0, 0)))
+    every = found.names(pair)
+    variance = np.zeros(len(every))
+    variance[len(errors) : len(errors) + len(bearings)] = sizes_of(pair, drive.first_stage) ** 2
+    covariance = np.diag(variance)
     at = [every.index(n) for n in names]
     covariance[np.ix_(at, at)] = surface.covariance
-    return Known(tuple(every[: len(every) - len(single)]), (), np.zeros(0), covariance)
+    return dataclasses.replace(found, covariance=covariance)
 
 
 def drift_of(pair: Pair, errors: Sequence[str], crank_turns: float, drift: float) -> Array:
@@ -98,9 +109,30 @@ def drift_of(pair: Pair, errors: Sequence[str], crank_turns: float, drift: float
     return np.array([*size, *single])
 
 
+def bearing_drift(names: Sequence[str], crank_turns: float, drift: float) -> Array:
+    """Return the drift of bearings in so many crank turns, as `drift_of` that of errors; 0 of all that is no bearing.
+
+    A clearance drifts as the uniform wear; a first stage's play by that over a pinion's radius, rad.
+    """
+    walked = drift * np.sqrt(crank_turns / REFERENCE_TURNS)
+    sizes = {"clearance": 1.0, "stiffness": _STIFFNESS, PLAY.rpartition("_")[2]: 1.0 / _FLANK}
+    found: Array = walked * np.array([sizes.get(name.rpartition("_")[2], 0.0) for name in names])
+    return found
+
+
 def drifted(known: Known, pair: Pair, crank_turns: float, drift: float) -> Known:
-    """Return what is known of the same after so many crank turns; what of the bench lasts does not drift."""
-    walked = drift_of(pair, known.errors, crank_turns, drift) ** 2
+    """Return what is known of the same after so many crank turns; the bench does not drift."""
+    walked = drift_of(pair, known.errors, crank_turns, drift)
     count = len(known.errors)
-    added = np.concatenate([walked[:count], np.zeros(len(known.bench)), walked[count:]])
+    added = np.concatenate([walked[:count], bearing_drift(known.bench, crank_turns, drift), walked[count:]]) ** 2
     return dataclasses.replace(known, covariance=known.covariance + np.diag(added))
+
+
+def factor_of(covariance: Array) -> Array:
+    """Return F with F Fᵀ the covariance, which may be singular."""
+    size = np.sqrt(np.diag(covariance))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    # What does not vary at all stays so beyond rounding.
+    found: Array = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return found

@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.structured import profile_wave
+from cycloid_fmu.surfaces.structured import profile_names, profile_wave
 from fitting.arguments import positive
 from fitting.model.observations import (
     COMPLIANCE_SHARE,
+    PROFILE_ORDERS,
+    Linear,
     Observations,
     State,
+    form_columns,
     linearise,
     observations,
     spread_of,
@@ -200,11 +203,29 @@ def _gathered(curves: Sequence[Curve], drive: Drive) -> list[Curve]:
     if not any(_is_dense(c, each) for c in fine):
         return fine
     pair = drive.pair
-    observed = observations(fine, pair, [1e-6] * len(fine))
+    observed = observations(fine, pair, [1e-6] * len(fine), first_stage=drive.first_stage)
     state = State(drive.surface, np.zeros(spread_of(pair, {}).size), np.zeros(len(observed.bench_names)))
     # Only the model: derivatives by structured errors take half of the time.
     model = linearise(pair, dataclasses.replace(observed, errors=()), state).model
     return [gathered(c, m, each) for c, m in zip(fine, np.split(model, observed.ends), strict=True)]
+
+
+def linearised(pair: Pair, observed: Observations, state: State, form: Array | None = None) -> tuple[Linear, Array]:
+    """Evaluate the model and its derivatives, those by the orders of the flanks' form among them.
+
+    Returns
+    -------
+    linear, form
+        The model, and its derivatives by `observed.profile`, shape (points, orders). On bearings they are differences
+        of the model, which take longer than all else: those that are given, or where they are None those at the state.
+    """
+    plain = dataclasses.replace(observed, errors=tuple(n for n in observed.errors if n not in observed.profile))
+    linear = linearise(pair, plain, state)
+    if form is None or pair.supports is None:
+        names = profile_names(PROFILE_ORDERS)
+        every = form_columns(pair, observed, state, linear, _FORM) if observed.profile else np.zeros((0, 0))
+        form = every[:, [names.index(n) for n in observed.profile]] if observed.profile else linear.structured[:, :0]
+    return dataclasses.replace(linear, structured=np.hstack([linear.structured, form])), form
 
 
 def field_of(
@@ -247,7 +268,7 @@ def field_of(
     level = float(np.median(shown)) if shown else 1e-6
     profile = {n: _FORM for n in errors if profile_wave(n, 1) is not None}
     every = [*shown, *[level] * len(pseudo)]
-    observed = observations([*means, *pseudo], pair, every, profile)
+    observed = observations([*means, *pseudo], pair, every, profile, drive.first_stage)
     count = sum(c.input_angle.size for c in means)
     weight = observed.weight.copy()
     weight[count:] = 1.0

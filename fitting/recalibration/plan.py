@@ -152,8 +152,7 @@ def _visit(
     rows = Rows(drive, known, field)
     columns = rows.evaluated(np.zeros(len(rows.names))).columns @ rows.factor
     slope = np.zeros(len(rows.names))
-    own = [i for i, n in enumerate(rows.lasting) if n not in rows.bench]
-    slope[own] = gradient
+    slope[[rows.names.index(n) for n in known.names(drive.pair)]] = gradient
     slope = slope @ rows.factor
     information = columns.T @ columns
     widths = {}

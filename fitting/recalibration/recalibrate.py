@@ -17,6 +17,7 @@ from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.surfaces.structured import unit_of
 from fitting.arguments import positive
 from fitting.estimation.result import inflation_of
+from fitting.model.bearings import unit_of_bearing
 from fitting.model.loops import observed_curves
 from fitting.recalibration.figures import FigureOfDrive, figures_of
 from fitting.recalibration.known import DRIFT, Known, drifted, known_of
@@ -57,8 +58,8 @@ class Recalibration:
     history
         Figures of every date so far, this one last; the first is the drive as it was given.
     moved
-        {name: (by how much, m or rad, and that in standard deviations of what its drift allows)} of every error, single
-        pin and tooth. With an alarm what they would have moved.
+        {name: (by how much, m, rad or share, and that in standard deviations of what its drift allows)} of every error,
+        bearing, single pin and tooth. With an alarm what they would have moved.
     told
         Information about each combination of errors in units of what was known before, largest first: from 1 on these
         measurements told more than was known.
@@ -178,7 +179,7 @@ def recalibrate(
         surface = drive.surface.replace(
             covariance=known.of_surface(), covariance_of=_names(found.drive),
         )  # fmt: skip
-        kept = (Drive(drive.pair, surface), known) if alarm else (found.drive, found.known)
+        kept = (Drive(drive.pair, surface, drive.first_stage), known) if alarm else (found.drive, found.known)
         figures = figures_of(*kept)
     return Recalibration(
         drive=kept[0],
@@ -267,15 +268,23 @@ def alarm_of(found: Updated, standing: Sequence[str]) -> str:
 
 
 def _sized(name: str, value: float) -> str:
-    unit = "m" if "_at_" in name else unit_of(name)
+    if name.endswith("_stiffness"):
+        return f"{value:+.1%}"
+    is_bearing = name.rpartition("_")[2] in ("clearance", "play")
+    unit = "m" if "_at_" in name else unit_of_bearing(name) if is_bearing else unit_of(name)
     return f"{value * 1e6:+.2f} µm" if unit == "m" else f"{value * 1e3:+.3f} mrad"
 
 
 def _better_known(known: Known, found: Updated) -> tuple[str, ...]:
     """Say which errors these measurements told more of than was known before, those they told most of first."""
     names = list(found.moved)
-    scale = np.sqrt(np.diag(known.of_surface()))
-    after = np.sqrt(np.diag(found.known.of_surface()))
+    scale, after = (
+        np.array([size[n] for n in names])
+        for size in (
+            dict(zip(one.names(found.drive.pair), np.sqrt(np.diag(one.covariance)), strict=True))
+            for one in (known, found.known)
+        )
+    )
     ratio = np.divide(after, scale, out=np.ones_like(scale), where=scale > 0.0)
     best = np.argsort(ratio)
     return tuple(

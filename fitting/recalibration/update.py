@@ -17,15 +17,17 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.estimation.fit import OUTLYING, Problem
-from fitting.model.observations import State, left_of, linearise, scatter_names
-from fitting.recalibration.known import Known
-from fitting.recalibration.measured import Field
+from fitting.model.bearings import pair_with
+from fitting.model.first_stage import with_play
+from fitting.model.observations import State, left_of, scatter_names
+from fitting.recalibration.known import Known, factor_of
+from fitting.recalibration.measured import Field, linearised
 
 Array = NDArray[np.float64]
 
 _STEPS, _HALVED = 8, 4  # evaluations on the way to the most likely drive, and how often a step is halved
-# A step that gains less than this for each unknown, in the sum of squares in units of the noise, is the last one and is
-# taken in the linear model: the mean step is then below 0.22 standard deviations.
+# A step that gains less than this for each unknown (or row, if there are fewer), in the sum of squares in units of the
+# noise, is the last one and is taken in the linear model: the mean step is then below 0.22 standard deviations.
 _SETTLED = 0.05
 _FLAT = 1e-9  # of the largest singular value: zeros that others stand for
 _OUTLYING_SHARE = 0.01  # of the points: when more lie far off they are no outliers
@@ -44,8 +46,8 @@ class Updated:
     known
         What is known of it.
     moved
-        {name: (by how much, m or rad, and that in standard deviations of what could be expected)} of every error,
-        single pin and tooth.
+        {name: (by how much, m, rad or share, and that in standard deviations of what could be expected)} of every
+        error, bearing, single pin and tooth.
     told
         Information about each combination in units of what was known before, largest first: 1 halves a variance.
     drift_square, drift_chance
@@ -133,7 +135,7 @@ class Rows:
             if name not in known.bench:
                 covariance[lasting.index(name), lasting.index(name)] = deviation[name] ** 2
         local = np.array([deviation[n] for n in self.names[len(lasting) :]])
-        self.factor = linalg.block_diag(_factor(covariance), np.diag(local))
+        self.factor = linalg.block_diag(factor_of(covariance), np.diag(local))
         self.estimated = [i for i, n in enumerate(names) if n not in flat]
         self.place = [self.names.index(names[i]) for i in self.estimated]
         mean = dict(zip(known.bench, known.bench_mean, strict=True))
@@ -142,6 +144,8 @@ class Rows:
         self.start = State(drive.surface, np.zeros(len(single)), bench, friction=observed.friction_prior)
         self.mean = self.problem.unknowns(self.start) * self.problem.scale
         self.before = np.array([mean.get(n, 0.0) for n in self.bench])
+        self.lowest = dict(zip(observed.bearing_names, observed.bearing_lowest.tolist(), strict=True))
+        self.form: Array | None = None
 
     def state(self, z: Array) -> State:
         """Return the state of unknowns in units of what was known."""
@@ -153,7 +157,7 @@ class Rows:
         """Linearise the rows at unknowns in units of what was known."""
         problem, observed, running = self.problem, self.field.observed, self.field.running
         state = self.state(z)
-        linear = linearise(self.drive.pair, observed, state)
+        linear, self.form = linearised(self.drive.pair, observed, state, self.form)
         columns = problem.columns(observed, linear) / problem.scale
         # The torques of a lost motion are those between the flanks: friction is in them already.
         first = len(problem.chosen) + len(observed.bench_names)
@@ -179,7 +183,24 @@ class Rows:
         size = np.sqrt(np.diag(information))
         solved = linalg.cho_factor(information / np.outer(size, size))
         inverse = linalg.cho_solve(solved, np.eye(size.size)) / np.outer(size, size)
-        return np.asarray(linalg.cho_solve(solved, moment / size) / size), 0.5 * (inverse + inverse.T)
+        inverse = 0.5 * (inverse + inverse.T)
+        return self._within(np.asarray(linalg.cho_solve(solved, moment / size) / size), inverse), inverse
+
+    def _within(self, z: Array, covariance: Array) -> Array:
+        """Return the most likely unknowns among those whose clearances and plays are not below zero."""
+        free = set(self.lowest)
+        while free:
+            below = {n: float(self.factor[self.names.index(n)] @ z) - self.lowest[n] for n in free}
+            name = min(below, key=lambda n: below[n])
+            if below[name] >= 0.0:
+                break
+            free.remove(name)
+            # Given that this one is zero, the others are another normal distribution.
+            row = self.factor[self.names.index(name)]
+            gain = covariance @ row / (row @ covariance @ row)
+            z = z - gain * below[name]
+            covariance = covariance - np.outer(gain, row @ covariance)
+        return z
 
     def without_zeros(self, rows: Array) -> Array:
         """Project rows on what zeros of the angles cannot explain."""
@@ -194,16 +215,6 @@ def _base(zeros: Array) -> Array:
 
 def _plain(surface: ErrorSurface) -> ErrorSurface:
     return surface.replace(covariance=None, covariance_of=())
-
-
-def _factor(covariance: Array) -> Array:
-    """Return F with F Fᵀ the covariance, which may be singular."""
-    size = np.sqrt(np.diag(covariance))
-    scale = np.where(size > 0.0, size, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    # What does not vary at all stays so beyond rounding.
-    found: Array = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    return found
 
 
 def updated(drive: Drive, known: Known, field: Field, before: Updated | None = None) -> Updated:
@@ -224,21 +235,22 @@ def updated(drive: Drive, known: Known, field: Field, before: Updated | None = N
         If no errors near those known carry the measured loads.
     """
     rows = Rows(drive, known, field)
-    size, done = len(rows.names), 0
+    done = 0
     if before is not None:
         now = _reweighted(before.end, rows)
     else:
         try:
-            now, done = rows.evaluated(np.zeros(size)), 1
+            now, done = rows.evaluated(np.zeros(len(rows.names))), 1
         except edge.InputError:
             raise edge.InputError(
                 "the drive as it is known carries these loads at no position of its contacts; check torques and signs."
             ) from None
+    seen = min(len(rows.names), now.left.size)
     while done < _STEPS:
         step = rows.solved(now)[0] - now.at
         square = _square(now)
         expected = now.left - now.columns @ (rows.factor @ step)
-        if square - float(expected @ expected + (now.at + step) @ (now.at + step)) < _SETTLED * size:
+        if square - float(expected @ expected + (now.at + step) @ (now.at + step)) < _SETTLED * seen:
             break
         for _ in range(_HALVED):
             try:
@@ -307,9 +319,14 @@ def _result(
     count, single = len(known.errors), len(scatter_names(drive.pair))
     shift = (rows.factor @ z)[:lasting]
     bench_mean = rows.before + shift[count : lasting - single]
+    # Bearings and first stage are where they are from now on.
+    bench_mean[[rows.bench.index(n) for n in rows.lowest]] = 0.0
     found = Known(known.errors, tuple(rows.bench), bench_mean, covariance)
+    pair, stage = pair_with(drive.pair, state.bearings), drive.first_stage
+    if stage is not None:
+        stage = with_play(stage, float(state.bearings[-1]))
     surface = state.surface.replace(
- origin="identified", covariance_of=(*known.errors, *scatter_names(drive.pair)),
+        pair=pair.nominal, origin="identified", covariance_of=(*known.errors, *scatter_names(drive.pair)),
         covariance=found.of_surface(),
     )  # fmt: skip
     # Before measuring z would have been distributed with the unit matrix less what stays unknown.
@@ -325,12 +342,12 @@ def _result(
     moved = {
         name: (float(by), float(by / one) if one > 0.0 else 0.0)
         for name, by, one in zip(rows.lasting, shift, expected, strict=True)
-        if name not in rows.bench
+        if name not in rows.bench or name in rows.lowest
     }
     of_lost_motions = columns[rows.field.running :] @ rows.factor
     variance = 1.0 - np.einsum("ij,jk,ik->i", of_lost_motions, inverse, of_lost_motions)
     return Updated(
-        Drive(drive.pair, surface), found, moved, told, drift,
+        Drive(pair, surface, stage), found, moved, told, drift,
         float(special.chdtrc(max(np.count_nonzero(tested), 1), drift)), left,
         np.concatenate([np.ones(rows.field.running), np.maximum(variance, 1e-9)]), int(np.count_nonzero(~keep)), done,
         end,
