@@ -23,14 +23,16 @@ from fitting.model.observations import (
     form_columns,
     linearise,
     observations,
-    spread_of,
 )
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
 
-POINTS = 4000  # into which all samples are gathered: their number is what an update takes its time for
-_LEAST, _FINER = 12, 2  # of them in a crank turn; times as many at which the drive as known is taken off before
+# Means over steps that are wider than a pin pitch hide single pins: at 4000 points of a 39/40 drive that moved the
+# backlash by up to three standard errors.
+POINTS = 10000  # most of an update: beyond them samples are averaged
+_COARSE = 2500  # of them with which an update begins
+_LEAST = 12  # points in a crank turn
 _AVERAGED = 1.3  # times as many points as steps at least are averaged
 TORQUE_SHARE = 0.05
 """Standard deviation of the scale of a torque that is known from the motor's current or the load's weight."""
@@ -105,32 +107,6 @@ def _steps(curve: Curve, each: int) -> tuple[NDArray[np.int64], Array]:
     return of.astype(np.int64), np.bincount(of, curve.sample_count).astype(float)
 
 
-def gathered(curve: Curve, model: Array, each: int) -> Curve:
-    """Gather what a curve deviates from a model in equal steps of the crank angle, each at the point amid it.
-
-    The model's corners and its high orders are not averaged away: only what the drive is other than the model is taken
-    for even within a step.
-
-    Parameters
-    ----------
-    curve, model
-        A curve and the transmission error that is expected at its points, rad.
-    """
-    if not _is_dense(curve, each):
-        return curve
-    of, count = _steps(curve, each)
-    beyond = np.bincount(of, curve.sample_count * (curve.transmission_error - model)) / count
-    order = np.argsort(of, kind="stable")
-    begins = np.searchsorted(of[order], np.arange(count.size))
-    # Sorted by step and within it by angle.
-    order = np.lexsort((curve.input_angle, of))
-    amid = order[begins + (np.bincount(of) - 1) // 2]
-    one = curve.points(amid)
-    return dataclasses.replace(
-        one, transmission_error=model[amid] + beyond, sample_count=np.rint(count).astype(np.int64)
-    )
-
-
 def quantised(curve: Curve, bits: int) -> float:
     """Noise that a reference of so many bits a turn leaves in a point of a curve, rad.
 
@@ -167,6 +143,14 @@ class Field:
         count = len(self.observed.curves) - len(self.lost_motions)
         return int(sum(c.input_angle.size for c in self.observed.curves[:count]))
 
+    def thinned(self) -> Field:
+        """Return the same with so few points that an update begins with them; itself where it has no more."""
+        pairs = self.observed.measured.size - self.running
+        if self.running <= _COARSE:
+            return self
+        few = self.observed.thinned(round(_COARSE * (1.0 + pairs / self.running)))
+        return dataclasses.replace(self, observed=few)
+
     def reduced(self, points: Array) -> Array:
         """Return rows from points: those of a lost motion become one, in units of its standard error."""
         rows = [points[: self.running]]
@@ -195,33 +179,18 @@ def sides(pair: Pair, torque: float, crank_angle: float | None, number: int, rat
     )  # fmt: skip
 
 
-def _gathered(curves: Sequence[Curve], drive: Drive) -> list[Curve]:
-    """The same with about `POINTS` points in all."""
-    turns = sum(float(np.ptp(c.input_angle)) for c in curves if not c.branch) / (2.0 * np.pi)
-    each = max(_LEAST, round(POINTS / max(turns, 1.0)))
-    fine = [averaged(c, _FINER * each) for c in curves]
-    if not any(_is_dense(c, each) for c in fine):
-        return fine
-    pair = drive.pair
-    observed = observations(fine, pair, [1e-6] * len(fine), first_stage=drive.first_stage)
-    state = State(drive.surface, np.zeros(spread_of(pair, {}).size), np.zeros(len(observed.bench_names)))
-    # Only the model: derivatives by structured errors take half of the time.
-    model = linearise(pair, dataclasses.replace(observed, errors=()), state).model
-    return [gathered(c, m, each) for c, m in zip(fine, np.split(model, observed.ends), strict=True)]
-
-
 def linearised(pair: Pair, observed: Observations, state: State, form: Array | None = None) -> tuple[Linear, Array]:
     """Evaluate the model and its derivatives, those by the orders of the flanks' form among them.
 
     Returns
     -------
     linear, form
-        The model, and its derivatives by `observed.profile`, shape (points, orders). On bearings they are differences
-        of the model, which take longer than all else: those that are given, or where they are None those at the state.
+        The model, and its derivatives by `observed.profile`, shape (points, orders): those that are given, or where
+        they are None those at the state. On bearings they are differences of the model and take longer than all else.
     """
     plain = dataclasses.replace(observed, errors=tuple(n for n in observed.errors if n not in observed.profile))
     linear = linearise(pair, plain, state)
-    if form is None or pair.supports is None:
+    if form is None:
         names = profile_names(PROFILE_ORDERS)
         every = form_columns(pair, observed, state, linear, _FORM) if observed.profile else np.zeros((0, 0))
         form = every[:, [names.index(n) for n in observed.profile]] if observed.profile else linear.structured[:, :0]
@@ -257,7 +226,8 @@ def field_of(
     means, shown = list(curves), []
     if noise is None:
         noise = [noise_of(c) * np.sqrt(np.median(c.sample_count)) for c in curves]
-        means = _gathered(curves, drive)
+        turns = max(sum(float(np.ptp(c.input_angle)) for c in curves if not c.branch) / (2.0 * np.pi), 1.0)
+        means = [averaged(c, max(_LEAST, round(POINTS / turns))) for c in curves]
     for curve, white in zip(means, noise, strict=True):
         coarse = 0.0 if bits is None or curve.branch else quantised(curve, bits)
         shown.append(max(white / np.sqrt(np.median(curve.sample_count)), coarse, 1e-9))
@@ -268,13 +238,22 @@ def field_of(
     level = float(np.median(shown)) if shown else 1e-6
     profile = {n: _FORM for n in errors if profile_wave(n, 1) is not None}
     every = [*shown, *[level] * len(pseudo)]
+    torques = [abs(c.torque) for c in means] or [0.0]
+    friction = FRICTION_SHARE * (pair.rated_torque or max(torques))
+
     observed = observations([*means, *pseudo], pair, every, profile, drive.first_stage)
-    count = sum(c.input_angle.size for c in means)
+    whole = _in_place(observed, len(means), torque_share, friction)
+    return Field(whole, tuple(lost_motions), _OWN_FRICTION * whole.friction_prior)
+
+
+def _in_place(observed: Observations, running: int, torque_share: float, friction: float) -> Observations:
+    """Return observations with the errors of a coarse reference and torque; the first curves are running ones."""
+    count = sum(c.input_angle.size for c in observed.curves[:running])
     weight = observed.weight.copy()
     weight[count:] = 1.0
-    angle = np.concatenate([c.input_angle for c in observed.curves]) / abs(ratio)
+    angle = np.concatenate([c.input_angle for c in observed.curves]) / abs(observed.curves[0].ratio)
     names, columns = [], []
-    for order in _REFERENCE_ORDERS if means else ():
+    for order in _REFERENCE_ORDERS if running else ():
         names += [f"output_encoder_order_{order}_{part}" for part in ("cos", "sin")]
         columns += [np.cos(order * angle), np.sin(order * angle)]
     extra = np.array(columns).T if columns else np.zeros((angle.size, 0))
@@ -285,10 +264,7 @@ def field_of(
     bench[np.ix_(range(count, len(bench)), others)] = 0.0
     prior = np.concatenate([observed.bench_prior, np.full(len(names), _REFERENCE)])
     prior[at_chain] *= np.hypot(COMPLIANCE_SHARE, torque_share) / COMPLIANCE_SHARE
-    torques = [abs(c.torque) for c in means] or [0.0]
-    friction = max(observed.friction_prior, FRICTION_SHARE * (pair.rated_torque or max(torques)))
-    whole = dataclasses.replace(
+    return dataclasses.replace(
         observed, weight=weight, bench=bench, bench_prior=prior, bench_names=(*observed.bench_names, *names),
-        friction_prior=friction,
+        friction_prior=max(observed.friction_prior, friction),
     )  # fmt: skip
-    return Field(whole, tuple(lost_motions), _OWN_FRICTION * friction)

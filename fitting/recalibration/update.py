@@ -29,6 +29,8 @@ _STEPS, _HALVED = 8, 4  # evaluations on the way to the most likely drive, and h
 # A step that gains less than this for each unknown (or row, if there are fewer), in the sum of squares in units of the
 # noise, is the last one and is taken in the linear model: the mean step is then below 0.22 standard deviations.
 _SETTLED = 0.05
+# The same while an update begins with few of the points, and then with all of them.
+_BEGUN, _TO_ALL = 0.5, 0.1
 _FLAT = 1e-9  # of the largest singular value: zeros that others stand for
 _OUTLYING_SHARE = 0.01  # of the points: when more lie far off they are no outliers
 _TOLD = 0.1  # information in units of what was known: combinations that are told less are not tested
@@ -117,13 +119,9 @@ class Rows:
         # What of the bench lasts and these measurements do not see takes part nevertheless.
         self.lasting = lasting
         own = [f"torque_of_{i}" for i in observed.running]
-        # Zeros of angles are unknown: they are taken out of all rows, not estimated.
         flat = [n for n, one in zip(observed.bench_names, observed.bench_prior, strict=True) if np.isinf(one)]
         taken = {*lasting, *flat}
         self.names = [*lasting, *(n for n in names if n not in taken), *own]
-        columns = observed.weight[:, None] * observed.bench[:, [observed.bench_names.index(n) for n in flat]]
-        self.zeros = field.reduced(columns)
-        self.base = _base(self.zeros)
         covariance = np.zeros((len(lasting), len(lasting)))
         was = [*known.errors, *known.bench, *single]
         at = [lasting.index(n) for n in was]
@@ -153,10 +151,12 @@ class Rows:
         unknowns[self.estimated] += (self.factor @ z)[self.place]
         return self.problem.state(np.maximum(unknowns / self.problem.scale, self.problem.lowest))
 
-    def evaluated(self, z: Array) -> Linearised:
-        """Linearise the rows at unknowns in units of what was known."""
-        problem, observed, running = self.problem, self.field.observed, self.field.running
-        state = self.state(z)
+    def evaluated(self, z: Array, field: Field | None = None) -> Linearised:
+        """Linearise the rows, or those of a field with fewer points, at unknowns in units of what was known."""
+        field = field or self.field
+        problem, observed, running, state = self.problem, field.observed, field.running, self.state(z)
+        if self.form is not None and len(self.form) != observed.measured.size:
+            self.form = None  # of other points
         linear, self.form = linearised(self.drive.pair, observed, state, self.form)
         columns = problem.columns(observed, linear) / problem.scale
         # The torques of a lost motion are those between the flanks: friction is in them already.
@@ -170,9 +170,10 @@ class Rows:
             part = slice(begins[number], begins[number + 1])
             by_all[part, column] = observed.weight[part] * linear.by_friction[part]
         friction = (self.factor @ z)[first_own:]
-        left = self.field.reduced(observed.weight * left_of(observed, linear, state) - by_all[:, first_own:] @ friction)
-        left[running:] += [one.value / one.standard_error for one in self.field.lost_motions]
-        return Linearised(z, observed.weight, self.without_zeros(left), self.without_zeros(self.field.reduced(by_all)))
+        left = field.reduced(observed.weight * left_of(observed, linear, state) - by_all[:, first_own:] @ friction)
+        left[running:] += [one.value / one.standard_error for one in field.lost_motions]
+        base = _base(_zeros_of(field))
+        return Linearised(z, observed.weight, _without(base, left), _without(base, field.reduced(by_all)))
 
     def solved(self, linear: Linearised) -> tuple[Array, Array]:
         """Return the most likely unknowns of linear rows in units of what was known, and their covariance."""
@@ -202,9 +203,16 @@ class Rows:
             covariance = covariance - np.outer(gain, row @ covariance)
         return z
 
-    def without_zeros(self, rows: Array) -> Array:
-        """Project rows on what zeros of the angles cannot explain."""
-        return np.asarray(rows - self.base @ (self.base.T @ rows))
+
+def _zeros_of(field: Field) -> Array:
+    """Return the columns of the angles' zeros, which are unknown: they are taken out of all rows, not estimated."""
+    observed = field.observed
+    return field.reduced(observed.weight[:, None] * observed.bench[:, np.isinf(observed.bench_prior)])
+
+
+def _without(base: Array, rows: Array) -> Array:
+    """Return rows without the part that the base explains."""
+    return np.asarray(rows - base @ (base.T @ rows))
 
 
 def _base(zeros: Array) -> Array:
@@ -234,27 +242,44 @@ def updated(drive: Drive, known: Known, field: Field, before: Updated | None = N
     edge.InputError
         If no errors near those known carry the measured loads.
     """
-    rows = Rows(drive, known, field)
-    done = 0
+    rows, coarse = Rows(drive, known, field), field.thinned()
     if before is not None:
-        now = _reweighted(before.end, rows)
+        now, done = _nearer(rows, _reweighted(before.end, rows), field, 0)
     else:
         try:
-            now, done = rows.evaluated(np.zeros(len(rows.names))), 1
+            now = rows.evaluated(np.zeros(len(rows.names)), coarse)
         except edge.InputError:
             raise edge.InputError(
                 "the drive as it is known carries these loads at no position of its contacts; check torques and signs."
             ) from None
-    seen = min(len(rows.names), now.left.size)
+        now, done = _nearer(rows, now, coarse, 1, _SETTLED if coarse is field else _BEGUN)
+        if coarse is not field:
+            # Nearer by now, so that one set of derivatives by the form serves all evaluations that follow.
+            now, done = _nearer(rows, rows.evaluated(now.at), field, done + 1, _TO_ALL)
+    # The last step is so small that the model there is its linear one.
+    keep = _near(now.left, field.running)
+    end = now
+    if not keep.all():
+        base = _base(_zeros_of(field) * keep[:, None])
+        left, columns = _without(base, now.left * keep), _without(base, now.columns * keep[:, None])
+        now = Linearised(now.at, now.weight, left, columns)
+    z, inverse = rows.solved(now)
+    left = now.left - now.columns @ (rows.factor @ (z - now.at))
+    return _result(rows, known, z, inverse, end, now.columns, left, keep, done)
+
+
+def _nearer(rows: Rows, now: Linearised, field: Field, done: int, settled: float = _SETTLED) -> tuple[Linearised, int]:
+    """Return linear rows so near to the most likely drive that a step in them leads there, and the evaluations."""
+    settled *= min(len(rows.names), now.left.size)
     while done < _STEPS:
         step = rows.solved(now)[0] - now.at
         square = _square(now)
         expected = now.left - now.columns @ (rows.factor @ step)
-        if square - float(expected @ expected + (now.at + step) @ (now.at + step)) < _SETTLED * seen:
+        if square - float(expected @ expected + (now.at + step) @ (now.at + step)) < settled:
             break
         for _ in range(_HALVED):
             try:
-                then = rows.evaluated(now.at + step)
+                then = rows.evaluated(now.at + step, field)
                 done += 1
             except edge.InputError:
                 # So far away no contacts balance the load.
@@ -266,16 +291,7 @@ def updated(drive: Drive, known: Known, field: Field, before: Updated | None = N
             step = 0.5 * step
         else:
             break
-    # The last step is so small that the model there is its linear one.
-    keep = _near(now.left, field.running)
-    end = now
-    if not keep.all():
-        kept = [np.where(keep.reshape(-1, *[1] * (one.ndim - 1)), one, 0.0) for one in (now.left, now.columns)]
-        rows.base = _base(rows.zeros * keep[:, None])
-        now = Linearised(now.at, now.weight, *(rows.without_zeros(one) for one in kept))
-    z, inverse = rows.solved(now)
-    left = now.left - now.columns @ (rows.factor @ (z - now.at))
-    return _result(rows, known, z, inverse, end, now.columns, left, keep, done)
+    return now, done
 
 
 def _square(linear: Linearised) -> float:
@@ -288,9 +304,9 @@ def _reweighted(linear: Linearised, rows: Rows) -> Linearised:
     running, weight = rows.field.running, rows.field.observed.weight
     share = np.ones(linear.left.size)
     share[:running] = weight[:running] / linear.weight[:running]
-    return Linearised(
-        linear.at, weight, rows.without_zeros(share * linear.left), rows.without_zeros(share[:, None] * linear.columns)
-    )
+    base = _base(_zeros_of(rows.field))
+    left, columns = _without(base, share * linear.left), _without(base, share[:, None] * linear.columns)
+    return Linearised(linear.at, weight, left, columns)
 
 
 def _near(left: Array, running: int) -> NDArray[np.bool_]:
