@@ -1,4 +1,4 @@
-"""Figures of a drive that is known by a normal distribution: backlash, lost motion and transmission error."""
+"""Backlash, lost motion and transmission error of a drive, with intervals from the distribution of its errors."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-_NO_TORQUE = 1e-2  # N·m: one flank touches on either side, and hardly gives way
-_EACH = 12  # angles of a crank turn at which the transmission error is looked at
+_NO_TORQUE = 1e-2  # N·m: one flank touches on either side, with hardly any deflection
+_EACH = 12  # angles in a crank turn at which the transmission error is evaluated
 _DRAWS = 200
 
 
@@ -33,7 +33,7 @@ class FigureOfDrive:
 
 
 class Gradient:
-    """Play, lost motion and transmission error of a drive, and their derivatives by everything that is known of it.
+    """Play, lost motion and transmission error of a drive, and their derivatives by errors, bearings and scatter.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ def figures_of(drive: Drive, known: Known, gradient: Gradient | None = None) -> 
 
     `backlash` and, of a pair with a rated torque, `lost_motion` at ± 3 % of it, means over the output's turn, and
     `transmission_error`, peak to peak at rated torque over a turn of the output: median and interval of drives drawn
-    from what is known. All rad.
+    from the distribution. All rad.
     """
     gradient = gradient or Gradient(drive, known)
     covariance = known.covariance
@@ -106,7 +106,7 @@ def figures_of(drive: Drive, known: Known, gradient: Gradient | None = None) -> 
         normal = np.random.default_rng(0).standard_normal((_DRAWS, len(covariance)))
         drawn = gradient.error + normal @ (gradient.by_error @ factor_of(covariance)).T
         sizes = np.ptp(drawn, axis=1)
-        # What single pins may do beyond the most likely drive makes every drive's peak higher than that one's.
+        # Deviations of single pins make the peak of each drawn drive higher than that of the most likely one.
         low, middle, high = (float(q) for q in np.quantile(sizes, (0.025, 0.5, 0.975)))
         found["transmission_error"] = FigureOfDrive(middle, (low, high), float(sizes.std()))
     return found

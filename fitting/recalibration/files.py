@@ -1,4 +1,4 @@
-"""A recalibration's file: figures of every date, and what is known of the joint's own errors for the next one."""
+"""File of a recalibration: figures of all dates, and the distribution of the joint's own errors for the next date."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def write_recalibration(result: Recalibration, path: str | os.PathLike[str]) -> 
 
 
 def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibration:
-    """Read a recalibration to go on from.
+    """Read a recalibration, from which the next one continues.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
     Raises
     ------
     edge.InputError
-        If it can't be read, is of another format or another drive, or what it holds does not fit together.
+        If it can't be read, is of another format or another drive, or its content is not consistent.
     """
     data = edge.json_table(path, FORMAT, "recalibration")
     if data.get("drive") != drive.hash:

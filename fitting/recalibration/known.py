@@ -1,4 +1,4 @@
-"""What is known of a drive between two dates: a normal distribution of its errors, which wear widens."""
+"""State between two dates: a normal distribution of the errors of a drive, which wear widens."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from fitting.model.observations import PIN_RADIUS, PROFILE_ORDERS, scatter_names
 Array = NDArray[np.float64]
 
 WEAR = "pin_radius"
-"""The error that wear of flanks and pins is told by: on a disc pins that are thinner do what worn flanks do."""
+"""The error that represents wear of flanks and pins: on one disc, thinner pins have the effect of worn flanks."""
 REFERENCE_TURNS = 1e7
 """Crank turns for which a drift is stated: 280 h at 600 rpm."""
 DRIFT = 1e-6
 """Standard deviation of the uniform wear in so many crank turns, m."""
-_OTHERS = 0.3  # of the uniform wear: how far every other structured error and order of the flanks' form may drift
-_SINGLE = 0.2  # of it: by how much single pins and teeth wear otherwise than all do
+_OTHERS = 0.3  # of the uniform wear: drift of each other structured error and order of the flanks' form
+_SINGLE = 0.2  # of it: additional drift of each single pin and tooth
 _WORN = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch", PIN_RADIUS)
 _ARM = 0.1  # m: an error in m at this arm makes an error that is an angle
 _FLANK = 0.02  # m: radius of an involute stage's pinion, whose wear makes play
@@ -34,14 +34,14 @@ _STIFFNESS = 1e4  # 1/m: relative change of a bearing's stiffness for each m of 
 
 @dataclass(frozen=True)
 class Known:
-    """A normal distribution of everything that lasts from one date to the next.
+    """A normal distribution of all unknowns that are the same at the next date, except for drift.
 
     Attributes
     ----------
     errors
         Structured errors, as a surface's `covariance_of` has them before the scatter.
     bench
-        What lasts beside the errors: stiffness, clearance and play of the drive's bearings and first stage as
+        The other lasting unknowns: stiffness, clearance and play of the drive's bearings and first stage as
         `fitting.model.bearings` names them; of the bench the reference's own errors and the chain's compliance.
     bench_mean
         Its mean, SI, shape (bench,); 0 of bearings, whose mean is the drive's pair and first stage. The mean of errors
@@ -68,9 +68,9 @@ class Known:
 
 
 def known_of(drive: Drive) -> Known:
-    """Return what is known of a drive whose surface has the covariance of a fit.
+    """Return the state of a drive whose surface has the covariance of a fit.
 
-    Bearings and first stage are as uncertain as before a fit, nothing is known of the bench.
+    Bearings and first stage have the prior uncertainty of a fit; nothing is known of the bench.
 
     Raises
     ------
@@ -97,11 +97,11 @@ def known_of(drive: Drive) -> Known:
 
 
 def drift_of(pair: Pair, errors: Sequence[str], crank_turns: float, drift: float) -> Array:
-    """Return how far errors and the scatter drift in so many crank turns, standard deviations, m or rad.
+    """Return the drift of errors and scatter in a number of crank turns, standard deviations, m or rad.
 
-    A random walk: the variance grows with the turns, so that one long interval and many short ones say the same.
-    The uniform wear drifts by `drift` (m) in `REFERENCE_TURNS`; other errors by a share of it, single pins and
-    teeth by a smaller one.
+    A random walk: the variance grows with the turns, so one long interval is equivalent to many short ones.
+    The uniform wear drifts by `drift` (m) in `REFERENCE_TURNS`, other errors by a fraction of it, and single pins and
+    teeth by a smaller fraction.
     """
     walked = drift * np.sqrt(crank_turns / REFERENCE_TURNS)
     size = [walked if n == WEAR else _OTHERS * walked / (_ARM if n.startswith("misalignment") else 1.0) for n in errors]
@@ -110,7 +110,7 @@ def drift_of(pair: Pair, errors: Sequence[str], crank_turns: float, drift: float
 
 
 def bearing_drift(names: Sequence[str], crank_turns: float, drift: float) -> Array:
-    """Return the drift of bearings in so many crank turns, as `drift_of` that of errors; 0 of all that is no bearing.
+    """Return the drift of bearings in a number of crank turns, as `drift_of` for errors; 0 for all other names.
 
     A clearance drifts as the uniform wear; a first stage's play by that over a pinion's radius, rad.
     """
@@ -121,7 +121,7 @@ def bearing_drift(names: Sequence[str], crank_turns: float, drift: float) -> Arr
 
 
 def drifted(known: Known, pair: Pair, crank_turns: float, drift: float) -> Known:
-    """Return what is known of the same after so many crank turns; the bench does not drift."""
+    """Return the state after a number of crank turns without measurements; the bench does not drift."""
     walked = drift_of(pair, known.errors, crank_turns, drift)
     count = len(known.errors)
     added = np.concatenate([walked[:count], bearing_drift(known.bench, crank_turns, drift), walked[count:]]) ** 2
@@ -133,6 +133,6 @@ def factor_of(covariance: Array) -> Array:
     size = np.sqrt(np.diag(covariance))
     scale = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    # What does not vary at all stays so beyond rounding.
+    # Values without any variance stay exactly constant.
     found: Array = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return found

@@ -1,4 +1,4 @@
-"""What a joint in the field measures: curves against a coarse output reference, and values of the lost motion."""
+"""Measurements of a joint in the field: curves against a coarse output reference, and values of the lost motion."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ _COARSE = 2500  # of them with which an update begins
 _LEAST = 12  # points in a crank turn
 _AVERAGED = 1.3  # times as many points as steps at least are averaged
 TORQUE_SHARE = 0.05
-"""Standard deviation of the scale of a torque that is known from the motor's current or the load's weight."""
-FRICTION_SHARE = 0.01  # of the rated torque, or the largest measured: friction at the output that no sensor shows
-_OWN_FRICTION = 0.5  # of it: by how much that of a single run is another
+"""Standard deviation of the scale of a torque from the motor's current or the load's weight."""
+FRICTION_SHARE = 0.01  # of the rated torque, or the largest measured: friction at the output, not measured
+_OWN_FRICTION = 0.5  # of it: standard deviation of a single run's friction
 _REFERENCE_ORDERS = (2, 3, 4)  # of the output turn: an encoder's own errors beside its eccentricity, which is order 1
-_REFERENCE = 1e-4  # rad: how large each of them may be
+_REFERENCE = 1e-4  # rad: standard deviation of each
 _FORM = 1e-6  # m: scale of the profile deviation's orders
 _ANGLES = 10  # in a crank turn, over a turn of the output: where a mean lost motion is computed
 
 
 @dataclass(frozen=True)
 class LostMotion:
-    """A measured lost motion: what the output turns with the motor at rest while the torque changes its side.
+    """A measured lost motion: rotation of the output while the torque reverses, with the motor at rest.
 
     Attributes
     ----------
     value, standard_error
-        rad at the output, ≥ 0 and > 0; the standard error holds the reference's own hysteresis.
+        rad at the output, ≥ 0 and > 0; the standard error includes the hysteresis of the reference.
     torque
-        On either flank, N·m, > 0: what friction or load holds the flanks together by.
+        On either flank, N·m, > 0, by friction or load.
     crank_angle
-        Where the crank stood, rad, or None of a mean over many angles.
+        Crank angle of the measurement, rad; None for a mean over many angles.
 
     Examples
     --------
@@ -75,7 +75,7 @@ class LostMotion:
 
 
 def averaged(curve: Curve, each: int) -> Curve:
-    """Average a curve's points in equal steps of the crank angle; one with fewer points, or a loop's, stays as is."""
+    """Average a curve's points in equal steps of the crank angle; one with few points, or of a loop, stays as is."""
     if not _is_dense(curve, each):
         return curve
     of, count = _steps(curve, each)
@@ -108,10 +108,10 @@ def _steps(curve: Curve, each: int) -> tuple[NDArray[np.int64], Array]:
 
 
 def quantised(curve: Curve, bits: int) -> float:
-    """Noise that a reference of so many bits a turn leaves in a point of a curve, rad.
+    """Return the quantisation noise in a point of a curve, for a reference with a number of bits a turn, rad.
 
-    The step's uniform error is averaged over the samples of a point, but over no more than steps pass within it: two
-    samples on one step err alike.
+    The uniform error of a step is averaged over the samples of a point, but over no more samples than steps: samples
+    within one step have the same error.
     """
     step = 2.0 * np.pi / 2**bits
     samples = float(np.median(curve.sample_count))
@@ -121,16 +121,16 @@ def quantised(curve: Curve, bits: int) -> float:
 
 @dataclass(frozen=True)
 class Field:
-    """Measurements as observations of a pair, curves first, and behind them those of which only a difference counts.
+    """Measurements as observations of a pair: curves first, then the points of lost motions, used as differences.
 
     Attributes
     ----------
     observed
-        All of it; weights of points whose difference counts are 1.
+        All points; the weights of lost motions are 1.
     lost_motions
         The values in the order of their curves, the last ones of `observed.curves`.
     own_friction
-        By how much friction at the output is another in a single run, standard deviation, N·m.
+        Standard deviation of the friction of a single run at the output, N·m.
     """
 
     observed: Observations
@@ -144,7 +144,7 @@ class Field:
         return int(sum(c.input_angle.size for c in self.observed.curves[:count]))
 
     def thinned(self) -> Field:
-        """Return the same with so few points that an update begins with them; itself where it has no more."""
+        """Return the field with fewer points, for the first steps of an update; itself if it has few."""
         pairs = self.observed.measured.size - self.running
         if self.running <= _COARSE:
             return self
@@ -212,15 +212,15 @@ def field_of(
     Parameters
     ----------
     curves, lost_motions
-        What was measured, one of either at least.
+        Measurements, at least one of either kind.
     drive, errors
-        The drive as it is known, and the structured errors of which something is known.
+        The drive at its last state, and the structured errors with a known distribution.
     bits
-        Of the output reference a turn; None where the noise that the curves show is all.
+        Resolution of the output reference, bits a turn; None if the noise of the curves includes it.
     torque_share
         Standard deviation of the torque's scale.
     noise
-        Of a sample of each curve, rad, where it is known before anything is measured.
+        Of a sample of each curve, rad, for a plan.
     """
     pair = drive.pair
     means, shown = list(curves), []

@@ -1,8 +1,8 @@
-"""The update: the most likely drive by what was known and what was measured, and how far both agree.
+"""The update: the most likely drive from prior and measurements, and how well the two agree.
 
 Gauss-Newton steps on the exact contact model with the fit's own derivatives, as the iterated extended Kalman filter
-takes them (Bell and Cathey, IEEE Trans. Autom. Control 38 (1993) 294). Unknowns are measured in what was known of them,
-by a factor of their covariance, so that what is known exactly stays exactly where it is.
+takes them (Bell and Cathey, IEEE Trans. Autom. Control 38 (1993) 294). Unknowns are scaled by a factor of their prior
+covariance, so that unknowns with zero variance stay exactly constant.
 """
 
 from __future__ import annotations
@@ -33,31 +33,31 @@ _SETTLED = 0.05
 _BEGUN, _TO_ALL = 0.5, 0.1
 _FLAT = 1e-9  # of the largest singular value: zeros that others stand for
 _OUTLYING_SHARE = 0.01  # of the points: when more lie far off they are no outliers
-_TOLD = 0.1  # information in units of what was known: combinations that are told less are not tested
+_TOLD = 0.1  # information in units of the prior's: combinations with less are not tested
 _LOCAL = ("output_angle_offset", "loop_angle_offset", "output_angle_drift", "output_angle_creep", "friction", "loop_fr")
 
 
 @dataclass(frozen=True)
 class Updated:
-    """Where an update ended.
+    """Result of an update.
 
     Attributes
     ----------
     drive
         The drive, its surface with its covariance.
     known
-        What is known of it.
+        Its distribution.
     moved
         {name: (by how much, m, rad or share, and that in standard deviations of what could be expected)} of every
         error, bearing, single pin and tooth.
     told
-        Information about each combination in units of what was known before, largest first: 1 halves a variance.
+        Information about each combination in units of the prior's, largest first: 1 halves a variance.
     drift_square, drift_chance
-        χ² of the way that the told combinations went, and the chance that a drive that only wears goes so far.
+        χ² of the change of the determined combinations, and its probability by wear alone.
     left, row_variance
-        What is left of each row in units of its noise, and what its square should be.
+        Residual of each row in units of its noise, and the expected value of its square.
     left_out
-        Points that lie far off and were left out.
+        Number of outliers, which were left out.
     evaluations
         How often the model was evaluated.
     end
@@ -104,7 +104,7 @@ class Rows:
     Parameters
     ----------
     drive, known, field
-        The drive before, what is known of it then, and what was measured.
+        The drive at the last date, its distribution before the measurements, and these.
     """
 
     def __init__(self, drive: Drive, known: Known, field: Field) -> None:
@@ -116,7 +116,7 @@ class Rows:
         own = [n for n in names[len(known.errors) : len(names) - len(single)] if not n.startswith(_LOCAL)]
         self.bench = [*known.bench, *(n for n in own if n not in known.bench)]
         lasting = [*known.errors, *self.bench, *single]
-        # What of the bench lasts and these measurements do not see takes part nevertheless.
+        # Lasting unknowns of the bench take part even if these measurements do not depend on them.
         self.lasting = lasting
         own = [f"torque_of_{i}" for i in observed.running]
         flat = [n for n, one in zip(observed.bench_names, observed.bench_prior, strict=True) if np.isinf(one)]
@@ -138,7 +138,7 @@ class Rows:
         self.place = [self.names.index(names[i]) for i in self.estimated]
         mean = dict(zip(known.bench, known.bench_mean, strict=True))
         bench = np.array([mean.get(n, 0.0) for n in observed.bench_names])
-        # Friction opposes the motion: it is as large as it may vary, not zero.
+        # Friction opposes the motion: the start value is its standard deviation, not zero.
         self.start = State(drive.surface, np.zeros(len(single)), bench, friction=observed.friction_prior)
         self.mean = self.problem.unknowns(self.start) * self.problem.scale
         self.before = np.array([mean.get(n, 0.0) for n in self.bench])
@@ -146,13 +146,13 @@ class Rows:
         self.form: Array | None = None
 
     def state(self, z: Array) -> State:
-        """Return the state of unknowns in units of what was known."""
+        """Return the state of unknowns in units of the prior."""
         unknowns = self.mean.copy()
         unknowns[self.estimated] += (self.factor @ z)[self.place]
         return self.problem.state(np.maximum(unknowns / self.problem.scale, self.problem.lowest))
 
     def evaluated(self, z: Array, field: Field | None = None) -> Linearised:
-        """Linearise the rows, or those of a field with fewer points, at unknowns in units of what was known."""
+        """Linearise the rows, or those of a field with fewer points, at unknowns in units of the prior."""
         field = field or self.field
         problem, observed, running, state = self.problem, field.observed, field.running, self.state(z)
         if self.form is not None and len(self.form) != observed.measured.size:
@@ -176,11 +176,11 @@ class Rows:
         return Linearised(z, observed.weight, _without(base, left), _without(base, field.reduced(by_all)))
 
     def solved(self, linear: Linearised) -> tuple[Array, Array]:
-        """Return the most likely unknowns of linear rows in units of what was known, and their covariance."""
+        """Return the most likely unknowns of linear rows in units of the prior, and their covariance."""
         columns, factor = linear.columns, self.factor
         information = factor.T @ (columns.T @ columns) @ factor + np.eye(len(factor))
         moment = factor.T @ (columns.T @ (linear.left + columns @ (factor @ linear.at)))
-        # Some are told a million times better than others.
+        # The information of the unknowns differs by a factor of up to a million.
         size = np.sqrt(np.diag(information))
         solved = linalg.cho_factor(information / np.outer(size, size))
         inverse = linalg.cho_solve(solved, np.eye(size.size)) / np.outer(size, size)
@@ -231,9 +231,9 @@ def updated(drive: Drive, known: Known, field: Field, before: Updated | None = N
     Parameters
     ----------
     drive, known
-        The drive and what is known of it at the date of the measurements, wear since the last one allowed for.
+        The drive and its distribution at the date of the measurements, with the drift since the last one.
     field
-        What was measured.
+        The measurements.
     before
         The update by the same measurements with another noise: its last linear model is the first one.
 
@@ -310,7 +310,7 @@ def _reweighted(linear: Linearised, rows: Rows) -> Linearised:
 
 
 def _near(left: Array, running: int) -> NDArray[np.bool_]:
-    """Which rows count: single points far off do not, unless so many are that they are no accident."""
+    """Return which rows are used: outliers are not, unless there are too many of them."""
     far = np.abs(left) > OUTLYING * max(1.0, 1.4826 * float(np.median(np.abs(left))))
     far[running:] = False
     return ~far if np.count_nonzero(far) <= _OUTLYING_SHARE * left.size else np.ones(left.size, bool)
@@ -345,7 +345,7 @@ def _result(
         pair=pair.nominal, origin="identified", covariance_of=(*known.errors, *scatter_names(drive.pair)),
         covariance=found.of_surface(),
     )  # fmt: skip
-    # Before measuring z would have been distributed with the unit matrix less what stays unknown.
+    # Before the measurement the covariance of z is the unit matrix minus the posterior covariance.
     went = np.eye(lasting) - after
     values, vectors = np.linalg.eigh(0.5 * (went + went.T))
     order = np.argsort(-values)
