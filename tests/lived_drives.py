@@ -10,6 +10,7 @@ import sys
 
 import numpy as np
 import second_drive
+from benches_as_they_are import on_bearings
 
 import fitting
 from cycloid_fmu.drive import Drive
@@ -53,6 +54,31 @@ def fitted(pair, generator):
     return Drive(pair, surface), values, scatter + off[len(names) :]
 
 
+def on_cranks(drive, stiffness):
+    """The same drive as a fit leaves it on three cranks, whose bearings are stated with this stiffness, N/m."""
+    pair, surface = on_bearings(drive.pair, drive.surface, stiffness)
+    before = drive.surface.covariance_of
+    names = [n for n in before if not n.startswith("misalignment")]
+    every = [n for n in names if "_at_" not in n] + scatter_names(pair)
+    covariance = np.zeros((len(every), len(every)))
+    at, of = [every.index(n) for n in names], [before.index(n) for n in names]
+    covariance[np.ix_(at, at)] = drive.surface.covariance[np.ix_(of, of)]
+    return Drive(pair, surface.replace(covariance_of=tuple(every), covariance=covariance))
+
+
+def behind(stage, body, ideal, torque):
+    """By how much the output deviates behind a first stage, rad (docs/theory/reducer.md), by repeated substitution."""
+    share = 1.0 / (1.0 + stage.crank_share / body.teeth)
+    turned = -(1.0 - share) / stage.crank_share * torque / stage.crank_stiffness
+    turned = turned - 0.5 * stage.crank_play * np.sign(torque)
+    found = np.zeros_like(ideal)
+    for _ in range(3):
+        theta = ideal + stage.crank_share * found + turned
+        x = second_drive.transmission_error(body, theta, share * torque)
+        found = share * (x + 0.5 * stage.bearing_play * np.sign(torque) - turned / body.teeth)
+    return found
+
+
 def made(pair, values, scatter, **more):
     """The independent generator's body of these errors, m."""
     each = {n: scatter[p] for n, p in scatter_parts(pair).items()}
@@ -93,15 +119,21 @@ class Joint:
                    0.01 * abs(generator.normal()))  # fmt: skip
 
 
-def recorded(pair, body, joint, load, generator, *, each=73.37, turns=1.0, bits=BITS, noise=0.3 * ARCSEC):
-    """A run of a turn of the output at a torque that the joint states as `load`, N·m."""
+def recorded(pair, body, joint, load, generator, *, each=73.37, turns=1.0, bits=BITS, noise=0.3 * ARCSEC, stage=None):
+    """A run of a turn of the output at a torque that the joint states as `load`, N·m; of the sun with a first stage."""
     count = round(turns * pair.gear_teeth * each)
     # Samples come when they come: their quantisation errors are not those of an even lattice.
     place = np.arange(count) + generator.uniform(-0.5, 0.5, count)
     angle = generator.uniform(0.0, 2.0 * np.pi) + place * 2.0 * np.pi / each
     angle *= -np.sign(load) * np.sign(pair.ratio)
     friction = (joint.friction * pair.rated_torque * np.sign(load) + 0.005 * load) * generator.normal(1.0, 0.2)
-    output = angle / pair.ratio + second_drive.transmission_error(body, angle, joint.scale * load + friction)
+    torque = joint.scale * load + friction
+    if stage is None:
+        output = angle / pair.ratio + second_drive.transmission_error(body, angle, torque)
+    else:
+        error = behind(stage, body, angle, torque)
+        angle = angle * stage.ratio(pair.gear_teeth) / pair.ratio
+        output = angle / stage.ratio(pair.gear_teeth) + error
     orders = np.arange(1, 5)[:, None]
     err = joint.encoder[:, 0] @ np.cos(orders * output) + joint.encoder[:, 1] @ np.sin(orders * output)
     step = 2.0 * np.pi / 2**bits
@@ -117,10 +149,15 @@ def visit(pair, body, joint, generator, loads=LOADS, **more):
             for share in loads for way in (1.0, -1.0)]  # fmt: skip
 
 
-def backlash(pair, body, torque=1e-2):
+def backlash(pair, body, torque=1e-2, stage=None):
     """The mean play over a turn of the output, rad; of a torque above zero the mean lost motion."""
-    angle = np.arange(24 * pair.gear_teeth) * 2.0 * np.pi / 24
-    turned = [second_drive.transmission_error(body, angle, way * torque) for way in (1.0, -1.0)]
+    # Steps that no order of pins or teeth is in step with: 24 in a crank turn err by 0.8″ with 12 pins.
+    count = 24 * pair.gear_teeth + 1
+    angle = np.arange(count) * 2.0 * np.pi * pair.gear_teeth / count
+    turned = [
+        second_drive.transmission_error(body, angle, t) if stage is None else behind(stage, body, angle, t)
+        for t in (torque, -torque)
+    ]
     return float(np.mean(turned[0] - turned[1]))
 
 

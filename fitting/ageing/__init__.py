@@ -1,1 +1,1 @@
-"""A drive that ages: wear coefficient and bearing wear from dated figures, and a forecast of them with its interval."""
+"""An ageing drive: wear coefficient and bearing wear from dated figures, and a forecast of them with its interval."""

@@ -1,4 +1,4 @@
-"""The forecast of a drive that ages: figures over age with their intervals, remaining life, an alarm."""
+"""Forecast of an ageing drive: figures over age with their intervals, remaining life, an alarm."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ FORMAT = "cycloid-forecast/1"
 QUANTILES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Probabilities of a forecast's bands: intervals of 50, 90 and 95 %, and the median."""
 ALARM = 1e-3
-"""Chance of a false alarm, each time that a history is judged."""
+"""Probability of a false alarm in a history."""
 _AGES = 121
 _TIMES = (0.05, 0.5, 0.95)  # probabilities of the remaining life
-_OFFSETS = {"lost_motion": 30.0, "backlash": 30.0, "angular_transmission_error": 10.0}  # arcsec, where none is stated
-_BEYOND = 2.3  # times the prior's 95 % interval (4.5 standard deviations), up to which the life is computed
-_DRAWS = 12  # of an identified drive, for what is left open of its figures when new
-_ROOM = 120.0  # arcsec of lost motion that a life grows where neither limit nor recording says how far it matters
+_OFFSETS = {"lost_motion": 30.0, "backlash": 30.0, "angular_transmission_error": 10.0}  # arcsec, defaults
+_BEYOND = 2.3  # times the prior's 95 % interval (4.5 standard deviations): end of the computed life
+_DRAWS = 12  # of an identified drive, for the uncertainty of its figures when new
+_ROOM = 120.0  # arcsec: growth of the lost motion in a life without limits and recordings
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class Alarm:
     Attributes
     ----------
     first, last
-        Ages of the recordings that do, s.
+        Ages of the first and the last of them, s.
     score
-        Mean of their scores times the root of their number: > 0 where the drive wears faster than was foretold.
+        Mean of their scores times the root of their number: > 0 if the drive wears faster than predicted.
     chance
-        Of one so large, anywhere in the history, where the model holds.
+        Probability of a score as large anywhere in the history, if the model is valid.
     sentence
-        The same in words.
+        The same as text.
     """
 
     first: float
@@ -60,7 +60,7 @@ class Alarm:
 
 @dataclass(frozen=True)
 class Remaining:
-    """When a figure leaves its limit.
+    """When a figure exceeds its limit.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Remaining:
     probability
         That the figure is beyond the limit at each of the forecast's ages, shape (ages,).
     ages
-        {probability: age by which the limit is left with it}, s; infinite where that is after the forecast's end.
+        {probability: age at which the limit is exceeded with it}, s; infinite if that is after the forecast's end.
     """
 
     limit: float
@@ -79,7 +79,7 @@ class Remaining:
 
 @dataclass(frozen=True)
 class Forecast:
-    """What dated recordings foretell of a drive.
+    """Forecast of a drive from dated recordings.
 
     Attributes
     ----------
@@ -92,15 +92,15 @@ class Forecast:
     ages
         Shape (ages,), from 0 to the forecast's end, s.
     bands
-        {figure: quantiles of `QUANTILES`, shape (7, ages)}, rad: the figure as the bench measures it but for noise.
+        {figure: quantiles of `QUANTILES`, shape (7, ages)}, rad: the figure as measured on the bench, without noise.
     remaining
-        {figure: when it leaves its limit}, of the figures with one.
+        {figure: when it exceeds its limit}, for figures with a limit.
     scores
-        Each figure's place in what those before it foretold: standard normal numbers where the model holds.
+        Quantile of each figure in its prediction from the earlier ones: standard normal numbers if the model is valid.
     alarm
         Recordings that contradict the model, or None.
     notes
-        What a reader should know.
+        Remarks on the result.
     """
 
     posterior: Posterior
@@ -116,11 +116,11 @@ class Forecast:
     bearing: str = ""
 
     def coefficient(self, probability: ArrayLike = 0.5) -> Array:
-        """Return quantiles of the wear coefficient, m²/N; with a regression of the factor on it."""
+        """Return quantiles of the wear coefficient, m²/N; with a regression, of the factor on it."""
         return self.posterior.prior.coefficient * self.posterior.factor(probability)
 
     def growth(self, probability: ArrayLike = 0.5) -> Array:
-        """Return quantiles of the growth of the bearing's clearance, m/s; zero where none wears."""
+        """Return quantiles of the growth of the bearing's clearance, m/s; zero if none wears."""
         prior = self.posterior.prior
         if prior.growth == 0.0:
             return np.zeros_like(np.asarray(probability, dtype=float))
@@ -165,24 +165,24 @@ def forecast(
     workers: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Forecast:
-    """Find wear coefficient and bearing wear from dated figures, and foretell the figures.
+    """Estimate wear coefficient and bearing wear from dated figures, and predict the figures.
 
     Parameters
     ----------
     drive
-        The drive when new, as drawn, as made or as identified: an identified one's covariance widens the offsets.
+        The new drive: nominal, with its errors, or identified; the covariance of an identified one widens the offsets.
     law
-        The wear law; its coefficient is the median of the prior, of a regression's a factor of 1 is.
+        The wear law; its coefficient is the median of the prior. With a regression the median is a factor of 1.
     history, measured
-        Duty, priors and limits, and the dated figures, as `history.measured` returns them.
+        Duty, priors and limits, and the dated figures from `history.measured`.
     until
-        Age up to which to foretell, s; twice the last recording's where None.
+        Age at the end of the forecast, s; twice that of the last recording if None.
     life
-        What `life.life_figures` returned for this drive and duty; computed where None.
+        Result of `life.life_figures` for this drive and duty; computed if None.
     source
         The history's file, for messages.
     workers, progress
-        Threads; told the share that is done, 0 to 1.
+        Threads; called with the fraction done, 0 to 1.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def forecast(
 
 
 def _left_open(drive: Drive, torque: float, workers: int | None) -> dict[str, float]:
-    """Standard deviation of the figures when new that a fit's covariance leaves open, rad."""
+    """Return the standard deviation of the figures when new from a fit's covariance, rad."""
     if drive.surface.covariance is None:
         return dict.fromkeys(FIGURES, 0.0)
     drawn = drawn_surfaces(drive.pair, drive.surface, _DRAWS, 0)
@@ -280,7 +280,7 @@ def _left_open(drive: Drive, torque: float, workers: int | None) -> dict[str, fl
 
 
 def _remaining(limit: float, beyond: Array, ages: Array) -> Remaining:
-    """When a limit is left: wear does not heal, so the probability never falls."""
+    """Return when a limit is exceeded: wear is irreversible, so the probability never decreases."""
     probability = np.maximum.accumulate(beyond)
     found: dict[float, float] = {}
     for wanted in _TIMES:
@@ -296,7 +296,7 @@ def _remaining(limit: float, beyond: Array, ages: Array) -> Remaining:
 
 
 def _alarm(measured: Sequence[Measured], placed: Array, per_second: float) -> Alarm | None:
-    """Return the run of recordings that contradicts the model most, where chance hardly makes one.
+    """Return the consecutive recordings with the largest contradiction to the model, if chance hardly explains it.
 
     Of every run of figures in a row the mean score times the root of its number is a standard normal number; the
     probabilities of all runs add up (Bonferroni).
@@ -317,33 +317,35 @@ def _alarm(measured: Sequence[Measured], placed: Array, per_second: float) -> Al
     how = "faster" if best > 0.0 else "more slowly"
     why = "wear may be running away" if best > 0.0 else "the drive, its zero or its bench may have changed"
     sentence = (
-        f"Alarm: the figures {when} contradict the model; they grow {how} than those before them foretold (score "
-        f"{best:.1f}, chance {chance:.1g}): {why}, and the forecast does not hold."
+        f"Alarm: the figures {when} contradict the model; they grow {how} than predicted from the earlier ones (score "
+        f"{best:.1f}, chance {chance:.1g}): {why}, and the forecast is not valid."
     )
     return Alarm(begun, ended, best, chance, sentence)
 
 
 def _notes(after: Posterior, turns: float) -> tuple[str, ...]:
-    """Say where the forecast leaves what was computed, and what the recordings say little about."""
+    """Return notes on extrapolation, and on factors with little information from the recordings."""
     notes = []
     prior, life = after.prior, after.life
     beyond = float(after.weight[prior.coefficient * np.exp(after.logs[:, 0]) * turns > life.dose[-1]].sum())
     if beyond > 0.01:
         notes.append(
-            f"With a probability of {beyond:.0%} the wear at the forecast's end is deeper than was computed; figures "
-            "go on in a straight line there."
+            f"With a probability of {beyond:.0%} the wear at the forecast's end is deeper than computed; figures are "
+            "extrapolated linearly there."
         )
     if prior.growth > 0.0:
         grown = prior.growth * np.exp(after.logs[:, 1]) * turns
         if float(after.weight[grown > life.clearance[-1]].sum()) > 0.01:
             notes.append(
-                "The clearance may grow beyond the largest that was computed; figures go on in a straight line."
+                "The clearance may grow beyond the largest computed one; figures are extrapolated linearly there."
             )
     names = ["wear coefficient", "growth of the clearance"]
     for number, before in enumerate(prior.deviations):
         about = math.sqrt(float(after.weight @ (after.logs[:, number] - after.weight @ after.logs[:, number]) ** 2))
         if about > 0.7 * before:
-            notes.append(f"The recordings say little of the {names[number]}: it is nearly as uncertain as before them.")
+            notes.append(
+                f"The recordings hardly determine the {names[number]}: it is nearly as uncertain as before them."
+            )
     return tuple(notes)
 
 

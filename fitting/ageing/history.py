@@ -1,4 +1,4 @@
-"""The life of one drive so far: its duty, what is known of its wear, and its dated recordings (`cycloid-history/1`)."""
+"""History of one drive: its duty, the prior of its wear, and its dated recordings (`cycloid-history/1`)."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ _Factor = Annotated[float, pydantic.Field(gt=1.0, le=1000.0)]
 
 
 class PerFigure(edge.Config):
-    """A value for each figure that a forecast knows.
+    """A value for each figure of a forecast.
 
     Attributes
     ----------
     lost_motion, backlash, angular_transmission_error
-        rad; None where none is stated.
+        rad; None if not stated.
     """
 
     lost_motion: _PositiveAngle | None = None
@@ -46,21 +46,21 @@ class PerFigure(edge.Config):
     angular_transmission_error: _PositiveAngle | None = None
 
     def stated(self) -> dict[str, float]:
-        """Return those that are stated, by name."""
+        """Return the stated values by name."""
         return {name: value for name in FIGURES if (value := getattr(self, name)) is not None}
 
 
 class WornBearing(edge.Config):
-    """A bearing of `[supports]` whose clearance grows, evenly with the crank's turns.
+    """A bearing of `[supports]` whose clearance grows in proportion to the crank turns.
 
     Attributes
     ----------
     name
-        Which one.
+        Of the bearing.
     clearance_growth, within
-        Median of what the diametral clearance grows by (m) within a time of running (s).
+        Median growth of the diametral clearance (m) within a running time (s).
     factor
-        With a probability of 95 % it grows by the median over this to the median times this.
+        95 % interval of the growth: from the median divided by this to the median times this.
     """
 
     name: Literal["turning_arm", "crank_shaft", "main", "output_roller"]
@@ -70,7 +70,7 @@ class WornBearing(edge.Config):
 
 
 class Recorded(edge.Config):
-    """What was recorded at one age: a file of figures, recordings, or the figures themselves.
+    """Recordings at one age: a file of figures, recordings, or the figures themselves.
 
     Attributes
     ----------
@@ -79,9 +79,9 @@ class Recorded(edge.Config):
     date
         The day, counted from `in_service`.
     figures
-        What `cycloid-fit metrics -o` wrote, beside the history's file.
+        Output file of `cycloid-fit metrics -o`, relative to the history's file.
     recordings
-        Recordings of which the figures are computed.
+        Recordings from which the figures are computed.
     lost_motion, backlash, angular_transmission_error
         The figure and half its 95 % interval, rad.
     """
@@ -105,27 +105,26 @@ class Recorded(edge.Config):
 
 
 class History(edge.Config):
-    """The life of one drive so far.
+    """History of one drive.
 
     Attributes
     ----------
     crank_turns_per_hour
         Of running; ages are running times.
     torque
-        On the output, N·m: the load that wears the drive, in place of `[[wear.duty]]` of the wear file.
+        On the output, N·m: the load that causes the wear, instead of `[[wear.duty]]` of the wear file.
     coefficient_factor
-        Prior of the wear coefficient: with a probability of 95 % it lies between the wear file's over this and times
-        this.
+        95 % interval of the prior of the wear coefficient: the wear file's divided by this to times this.
     load_scatter, load_period
-        Loads scatter: relative standard deviation of the wear in one such time (s), independent of the others.
+        Variation of the loads: relative standard deviation of the wear in one such period (s), independent of others.
     in_service, hours_per_day
-        The day on which the drive was new and the hours that it runs a day, for recordings with a date.
+        Day on which the drive was new, and its running hours a day, for recordings with a date.
     limits
         Largest allowed figures, for the remaining life.
     offsets
-        Standard deviation of what the bench's figure and the model's differ by, the same at every age.
+        Standard deviation of the difference between the figures of bench and model, the same at every age.
     bearing
-        The bearing that wears, if one does.
+        The bearing that wears; None for none.
     recorded
         The dated recordings.
     """
@@ -164,7 +163,7 @@ class History(edge.Config):
 
 
 def read_history(path: str | os.PathLike[str]) -> History:
-    """Return the history that a file states; an `edge.InputError` names what is wrong in it."""
+    """Return the history that a file states; an `edge.InputError` names errors in it."""
     return edge.validated(History, edge.toml_table(edge.read_text(path), FORMAT, str(path)), str(path))
 
 
@@ -184,13 +183,13 @@ def measured(
     history, drive
         The history, and the drive, for ratio and rated torque.
     folder
-        That of the history's file, from which its names count.
+        Folder of the history's file, to which its paths are relative.
     mapping
-        Which channel is what, of recordings of another bench.
+        Of the channels, for recordings of other benches.
     source
         The history's file, for messages.
     progress
-        Called with what is being read.
+        Called with the name of each step.
 
     Raises
     ------
@@ -220,9 +219,9 @@ def measured(
 
 
 def _rows(figures: Mapping[str, Figure]) -> list[tuple[str, float, float]]:
-    """Names, values and standard errors of the figures that a forecast knows.
+    """Return names, values and standard errors of the figures of a forecast.
 
-    A budget's further uncertainty is the instruments', which is the same at every age: part of the offset.
+    The uncertainty of the instruments is the same at every age, so it is part of the offset.
     """
     return [
         (name, one.value, one.uncertainty / _NORMAL)

@@ -1,7 +1,7 @@
-"""The figures of a drive over its life: how they follow the wear of flanks and pins and the clearance of a bearing.
+"""Figures of a drive over its life, as functions of the wear of flanks and pins and of a bearing's clearance.
 
-By Archard's law the depth depends on the wear coefficient k_0 and the crank turns N by their product alone, the wear
-dose k_0 N, with the profile's update too. So one wear run at any coefficient serves all of them.
+By Archard's law the depth depends only on the product of wear coefficient k_0 and crank turns N, the wear dose k_0 N,
+also when the profile is updated. So one wear run with any coefficient is valid for all.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from cycloid_fmu.wear.progress import WearState, wear_model, wear_rate, wear_sta
 
 Array = NDArray[np.float64]
 FIGURES = ("lost_motion", "backlash", "angular_transmission_error")
-"""What a forecast knows, by the names of the standard figures, rad."""
-_STATES = 6  # of a life at least: between them figures are taken as linear
+"""Figures of a forecast, by the names of the standard figures, rad."""
+_STATES = 6  # of a life at least; figures are interpolated linearly between them
 _CLEARANCES = 4
-_MOVED = 3  # states in which the clearance is varied: by how much it moves figures hardly depends on wear
-_ANGLES = (48, 468)  # crank angles: where all pins and teeth are alike in one pin pitch, else in an output turn
-_OF_BEARINGS = (48, 117)  # in a crank turn or an output turn, where it stands on bearings
+_MOVED = 3  # states in which the clearance is varied: its effect on the figures hardly depends on wear
+_ANGLES = (48, 468)  # crank angles: in one pin pitch if all pins and teeth are identical, else in an output turn
+_OF_BEARINGS = (48, 117)  # in a crank turn or an output turn, on bearings
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,12 @@ class LifeFigures:
     dose
         k_0 N, shape (states,), from 0, m²/N.
     clearance
-        Growth of the diametral clearance, shape (nodes,), from 0, m; one node where no bearing wears.
+        Growth of the diametral clearance, shape (nodes,), from 0, m; one node if no bearing wears.
     values
         {figure: shape (states, nodes)}, rad: lost motion and backlash are means over the crank angles, the angular
         transmission error is the largest less the smallest value under the heaviest load.
     scatter
-        {figure: standard deviation over the crank angle when new}, rad: a loop stands at one angle.
+        {figure: standard deviation over the crank angle when new}, rad: a loop is measured at one angle.
     surfaces
         The worn drive in each state.
     """
@@ -85,7 +85,7 @@ def with_clearance(pair: Pair, bearing: str, growth: float) -> Pair:
 
 
 def largest_growth(pair: Pair, bearing: str) -> float:
-    """Return by how much the clearance of a bearing may grow, m: to the largest that a pair file may state."""
+    """Return the largest growth of a bearing's clearance, m: to the largest value in a pair file."""
     assert pair.supports is not None
     return float(pair.supports.largest_clearance - getattr(pair.supports, bearing).clearance)
 
@@ -96,9 +96,9 @@ def figures_of(pair: Pair, surface: ErrorSurface, torque: float, workers: int = 
     Parameters
     ----------
     pair, surface
-        The pair, on rigid bearings or on those that it states, and its errors.
+        The pair, on rigid or on its stated bearings, and its errors.
     torque
-        On the output, under which the transmission error is taken, N·m.
+        On the output, for the transmission error, N·m.
     """
     both = all(alike(surface))
     g, count = pair, _ANGLES[not both]
@@ -117,7 +117,7 @@ def figures_of(pair: Pair, surface: ErrorSurface, torque: float, workers: int = 
 
 
 def mean_figures(curves: Mapping[str, Array]) -> dict[str, float]:
-    """Return the figures of curves over the crank angle as one number each, rad, as a bench states them."""
+    """Return the figures of curves over the crank angle as one number each, rad, as on a bench."""
     return {name: _value(name, curve) for name, curve in curves.items()}
 
 
@@ -137,17 +137,17 @@ def life_figures(
     workers: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> LifeFigures:
-    """Return the figures of a drive over its life, by the wear of its flanks and pins and the wear of a bearing.
+    """Return the figures of a drive over its life with wear of flanks, pins and a bearing.
 
-    Flanks wear as on rigid bearings: a clearance moves the discs, and by that the loads of single pins, but little.
+    Flanks wear as on rigid bearings: a clearance shifts the discs, which hardly changes the loads of single pins.
 
     Parameters
     ----------
     drive
-        The drive when new; it needs a rated torque.
+        The new drive; it needs a rated torque.
     law, loads
-        Wear law and duty, whose loads wear together, each by its share of the turns; the coefficient does not matter
-        where it is constant, with a regression the dose is its multiple.
+        Wear law and duty; each load has its share of the turns. A constant coefficient has no effect here; with a
+        regression the dose is a multiple of it.
     dose
         Up to which the life goes, m²/N (crank turns times the regression's coefficients, 1).
     growth
@@ -200,7 +200,7 @@ def life_figures(
                 if grown >= growth:
                     break
         except edge.InputError:
-            # Worn so deep that no contacts balance the load any more: the life ends there.
+            # Worn so deep that contacts no longer balance the load: the life ends there.
             if len(found) < 2:
                 raise
             del states[len(found) :], surfaces[len(found) :]
@@ -233,7 +233,7 @@ def _on_bearings(
     pair: Pair, surfaces: Sequence[ErrorSurface], rigid: Mapping[str, Array], bearing: str | None, nodes: Array,
     torque: float, workers: int, progress: Callable[[float], None],
 ) -> tuple[dict[str, Array], dict[str, Array], list[int]]:  # fmt: skip
-    """Figures' curves when new, by how much bearings move figures in some states and clearances, and those states."""
+    """Return the curves when new, the effect of bearings in some states and clearances, and these states."""
     chosen = np.unique(np.linspace(0, len(surfaces) - 1, _MOVED).round().astype(int)).tolist()
     first: dict[str, Array] = {}
     rows: list[list[dict[str, float]]] = []
@@ -246,7 +246,7 @@ def _on_bearings(
             except edge.InputError:
                 if i == 0:
                     raise
-                # Worn so deep that the discs find no balance at every angle: what bearings add stays as it was.
+                # Worn so deep that there is no balance at some angles: the effect of the bearings stays constant.
                 return first, _by_figure(rows), chosen[:i]
             first = first or curves
             row.append({name: _value(name, curves[name]) - float(rigid[name][state, 0]) for name in FIGURES})

@@ -1,11 +1,11 @@
-"""What dated figures say of wear coefficient and bearing wear, and what follows for any age: quadrature, no sampling.
+"""Posterior of wear coefficient and bearing wear from dated figures, and predictions: quadrature, no sampling.
 
-Unknown are the logarithms of two factors, of the wear coefficient over its stated median and of the growth of a
-bearing's clearance over its stated one. For given factors everything else is normal: noise of the figures, by how much
-bench and model differ when new, loads that scatter, to first order of the wear, and the law of wear itself. Over how
-wide an arc a contact feels what is worn is a choice that moves the worn area by 8 or 9 % (docs/wear.md), so the growth
-has a relative error, alike at ages that are near each other by ratio. The distribution of a figure at any age is then
-a mixture of normal ones over a grid of the two factors.
+The unknowns are the logarithms of two factors: wear coefficient over its stated median, and growth of a bearing's
+clearance over its stated one. For given factors all other uncertainties are normal: noise of the figures, difference
+between bench and model when new, variation of the loads (to first order of the wear), and the wear law itself. The arc
+over which wear affects a contact is a choice that changes the worn area by 8 or 9 % (docs/wear.md), so the growth has a
+relative error, with a correlation that depends on the ratio of two ages. The distribution of a figure at any age is
+then a mixture of normal distributions over a grid of the two factors.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from scipy.special import logsumexp, ndtr, ndtri
 from fitting.ageing.life import LifeFigures
 
 Array = NDArray[np.float64]
-_WIDE = 4.5  # standard deviations of the prior that the first grid spans to both sides
+_WIDE = 4.5  # standard deviations of the prior on each side of the first grid
 _NODES = (161, 41)  # of the grid, over one factor or each of two
-_LEFT_OUT = 16.0  # nodes whose density is below exp of minus this beside the largest don't count
+_LEFT_OUT = 16.0  # nodes with a density below exp(-this) of the largest are ignored
 _ZOOMS = 12
-_SETTLED = 0.25  # the grid has found its place once what counts spans this share of each axis
-_SHAPED = 20  # nodes that count, from which on they show how the density lies
-_DIFFERENCE = 1e-4  # of the dose, for the derivative of figures by it
+_SETTLED = 0.25  # the grid is final if the nodes that count span this fraction of each axis
+_SHAPED = 20  # nodes that count, from which the axes of the density are computed
+_DIFFERENCE = 1e-4  # of the dose, for derivatives of the figures
 _LAW = 0.05  # relative standard deviation of the growth: 8.5 % either way, a rectangular distribution (GUM)
-_LAW_LENGTH = 1.0  # of the logarithm of age: over a ratio of e the law's error becomes another
+_LAW_LENGTH = 1.0  # correlation length in the logarithm of age
 _ROUNDING = (1e-18, 1e-12)  # rad², and share of a variance: keep covariances invertible
 
 
@@ -42,11 +42,11 @@ class Measured:
     crank_turns
         Of the drive since new.
     figure
-        Its name, one of `life.FIGURES`.
+        Name, one of `life.FIGURES`.
     value, standard_error
         rad.
     source
-        Where it is from.
+        File.
     """
 
     crank_turns: float
@@ -58,20 +58,20 @@ class Measured:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known before the recordings.
+    """Prior of the factors.
 
     Attributes
     ----------
     coefficient
-        Median of the wear coefficient k_0, m²/N; 1 where a regression gives it.
+        Median of the wear coefficient k_0, m²/N; 1 with a regression.
     coefficient_factor
-        With a probability of 95 % k_0 lies between the median over this and times this; log-normal.
+        95 % interval of k_0: from the median divided by this to the median times this; log-normal.
     growth, growth_factor
-        Likewise of the growth of the bearing's clearance, m for each crank turn; 0: no bearing wears.
+        The same for the growth of the bearing's clearance, m for each crank turn; 0: no bearing wears.
     offset
-        {figure: standard deviation of what bench and model differ by, the same at every age}, rad.
+        {figure: standard deviation of the difference between bench and model, the same at every age}, rad.
     scatter, period
-        Loads scatter: relative standard deviation of the wear in so many crank turns; 0 where they don't.
+        Variation of the loads: relative standard deviation of the wear in `period` crank turns.
     """
 
     coefficient: float
@@ -91,14 +91,14 @@ class Prior:
 
 @dataclass(frozen=True)
 class Posterior:
-    """The distribution of the factors after some figures.
+    """Distribution of the factors, given some figures.
 
     Attributes
     ----------
     life, prior, measured
         As given.
     logs
-        Nodes, shape (nodes, factors): logarithm of k_0 over its median, and of the clearance's growth over its own.
+        Nodes, shape (nodes, factors): logarithm of k_0 over its median, and of the clearance's growth over its median.
     weight
         Of the nodes, shape (nodes,), of sum 1.
     """
@@ -118,7 +118,7 @@ class Posterior:
         return np.asarray(np.exp(np.interp(np.asarray(probability, dtype=float), below, values)))
 
     def predicted(self, figure: str, crank_turns: ArrayLike) -> Mixture:
-        """Return the distribution of a figure, as the bench measures it but for noise, at some ages."""
+        """Return the distribution of a figure at some ages, as measured on the bench, without noise."""
         turns = np.array(crank_turns, dtype=float, ndmin=1)
         there = _model(self.life, self.prior, self.logs, [figure] * turns.size, turns)
         mean, offset = there.mean, self.prior.offset.get(figure, 0.0) ** 2
@@ -148,7 +148,7 @@ class Mixture:
         return np.asarray(self.weight @ ndtr((np.asarray(value, dtype=float) - self.mean) / width))
 
     def with_noise(self, standard_error: float) -> Mixture:
-        """Return the distribution of what is measured with a standard error, rad."""
+        """Return the distribution of measured values with a standard error, rad."""
         return Mixture(self.weight, self.mean, np.hypot(self.deviation, standard_error))
 
     def quantile(self, probability: float) -> Array:
@@ -163,7 +163,7 @@ class Mixture:
 
 
 def posterior(life: LifeFigures, prior: Prior, measured: Sequence[Measured]) -> Posterior:
-    """Return the distribution of the factors after the figures, on a grid that moves and turns to where it is."""
+    """Return the distribution of the factors given the figures, on a grid that is moved and rotated to its maximum."""
     spread = prior.deviations
     axes, middle, half = np.eye(spread.size), np.zeros(spread.size), _WIDE * spread
     nodes = _NODES[spread.size - 1]
@@ -179,7 +179,7 @@ def posterior(life: LifeFigures, prior: Prior, measured: Sequence[Measured]) -> 
             break
         cell = axes * (2.0 * half / (nodes - 1))  # its edges, in the columns
         if spread.size > 1 and counts.sum() > _SHAPED:
-            # A ridge, where both factors stand for each other, lies along the grid's axes once these turn to it.
+            # The grid's axes are rotated to the ridge along which the two factors compensate each other.
             weight = np.exp(density[counts] - density.max())
             about = (logs[counts] - weight @ logs[counts] / weight.sum()) / spread
             axes = spread[:, None] * np.linalg.eigh(np.einsum("k,ki,kj->ij", weight, about, about))[1]
@@ -192,10 +192,10 @@ def posterior(life: LifeFigures, prior: Prior, measured: Sequence[Measured]) -> 
 
 
 def scores(life: LifeFigures, prior: Prior, measured: Sequence[Measured]) -> Array:
-    """Return each figure's place in what the figures before it foretold, as a standard normal score, shape (figures,).
+    """Return the quantile of each figure in its prediction from the earlier ones, as a standard normal score.
 
-    Where the model holds they are independent standard normal numbers (Rosenblatt 1952): a recording that contradicts
-    it, or wear that runs away, shows in one or in the mean of several.
+    Shape (figures,). If the model is valid the scores are independent standard normal numbers (Rosenblatt 1952). A
+    contradicting recording or accelerating wear changes one score or the mean of several.
     """
     found = np.zeros(len(measured))
     for number, one in enumerate(measured):
@@ -208,7 +208,7 @@ def scores(life: LifeFigures, prior: Prior, measured: Sequence[Measured]) -> Arr
 
 @dataclass(frozen=True)
 class _Foretold:
-    """Figures at ages (`turns`, shape (figures,)), their growth since new and their change with a crank turn more."""
+    """Figures at ages (`turns`, shape (figures,)), their growth since new and their derivative by the crank turns."""
 
     turns: Array
     mean: Array
@@ -217,7 +217,7 @@ class _Foretold:
 
 
 def _model(life: LifeFigures, prior: Prior, logs: Array, figures: Sequence[str], turns: Array) -> _Foretold:
-    """What the model says at every node: arrays of shape (nodes, figures)."""
+    """Evaluate the model at every node: arrays of shape (nodes, figures)."""
     dose = prior.coefficient * np.exp(logs[:, :1]) * turns
     grown = prior.growth * np.exp(logs[:, 1:2]) * turns if logs.shape[1] > 1 else np.zeros_like(dose)
     mean, growth, slope = (np.zeros_like(dose) for _ in range(3))
@@ -226,14 +226,14 @@ def _model(life: LifeFigures, prior: Prior, logs: Array, figures: Sequence[str],
         mean[:, at] = life.at(name, dose[:, at], grown[:, at])
         growth[:, at] = mean[:, at] - life.at(name, 0.0)
         more = 1.0 + _DIFFERENCE
-        # Wear of flanks and of the bearing go on together.
+        # Flanks and bearing wear simultaneously.
         change = life.at(name, dose[:, at] * more, grown[:, at] * more) - mean[:, at]
         slope[:, at] = change / (_DIFFERENCE * np.maximum(turns[at], 1e-300))
     return _Foretold(turns, mean, growth, slope)
 
 
 def _shared(prior: Prior, first: _Foretold, second: _Foretold) -> Array:
-    """Covariance of figures at ages by what loads and the law do to all of them, shape (nodes, first, second)."""
+    """Covariance of figures at ages from loads and wear law, shape (nodes, first, second)."""
     logs = [np.log(np.maximum(one.turns, 1.0)) for one in (first, second)]
     alike = _LAW**2 * np.exp(-0.5 * ((logs[0][:, None] - logs[1]) / _LAW_LENGTH) ** 2)
     # Loads of different periods are independent: the effective crank turns are a random walk.
@@ -245,7 +245,7 @@ def _shared(prior: Prior, first: _Foretold, second: _Foretold) -> Array:
 def _residuals(
     life: LifeFigures, prior: Prior, logs: Array, measured: Sequence[Measured]
 ) -> tuple[Array, _Foretold, Array]:  # fmt: skip
-    """Measured less foretold (nodes, n), the foretold, and the covariance (nodes, n, n) at every node."""
+    """Measured minus predicted (nodes, n), the prediction, and the covariance (nodes, n, n) at every node."""
     figures, turns = [m.figure for m in measured], np.array([m.crank_turns for m in measured])
     there = _model(life, prior, logs, figures, turns)
     offset = np.array([prior.offset.get(name, 0.0) ** 2 for name in figures])

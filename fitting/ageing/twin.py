@@ -1,4 +1,4 @@
-"""The twin that ages: an error surface whose life runs over ages, for FMUs with the parameter `age`."""
+"""Ageing twin: an error surface with a life over ages, for FMUs with the parameter `age`."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ _INTERVAL = (0.025, 0.975)
 def aged_surface(
     after: Posterior, surface: ErrorSurface, crank_turns_per_second: float, now: float, end: float, bearing: str
 ) -> ErrorSurface:
-    """Return the drive at an age with its whole life at the median wear coefficient.
+    """Return the surface at an age with its whole life, at the median wear coefficient.
 
     Parameters
     ----------
     after
-        What is known of the wear; its life has the worn surfaces.
+        Posterior of the wear; its life has the worn surfaces.
     surface
-        The drive when new.
+        The new drive.
     crank_turns_per_second, now, end
-        Of running; the age of the surface's own deviations and that up to which the life should reach, s. It ends
-        earlier where the wear was not computed so far.
+        Crank turns per second of running; age of the surface's own deviations, and end of the life, s. The life ends
+        earlier if the wear was not computed so far.
     bearing
-        Which bearing wears; empty for none.
+        Name of the bearing that wears; empty for none.
 
     Raises
     ------
@@ -47,10 +47,10 @@ def aged_surface(
         largest = min(largest, largest_growth(surface.pair, bearing) / growth)
     if largest < now:
         raise edge.InputError(
-            f"The drive is worn deeper at {now / 3600.0:g} h than was computed: there is no twin of it; state larger "
+            f"The drive is worn deeper at {now / 3600.0:g} h than computed: there is no twin of it; state larger "
             "limits of the figures, or of the wear file's depth."
         )
-    # States beyond the largest age are not needed, nor more of them than a worn surface keeps.
+    # States beyond the largest age are not needed; a worn surface has a limited number of them.
     needed = int(np.searchsorted(turns, largest * crank_turns_per_second * high * (1.0 - 1e-9))) + 1
     chosen = np.unique(np.linspace(0, min(needed, turns.size) - 1, LARGEST_LIFE).round().astype(int))
     states = {n: np.stack([getattr(life.surfaces[k], n) for k in chosen]) for n in DEVIATIONS}

@@ -25,12 +25,14 @@ def forecast(
     ],
     surface: Annotated[
         Path | None,
-        typer.Option(metavar="S.nc", help="The drive when new, as identified; without it as the pair file states."),
+        typer.Option(metavar="S.nc", help="The new drive, as identified; without it as in the pair file."),
     ] = None,
     until: Annotated[
         float | None,
         commands.quantity_option(
-            "s", 'Age to foretell to, such as "20000 h"; twice the last recording\'s without it.', show_default=False
+            "s",
+            'End of the forecast, such as "20000 h"; default: twice the age of the last recording.',
+            show_default=False,
         ),
     ] = None,
     mapping: options.MappingFile = None,
@@ -40,13 +42,13 @@ def forecast(
     twin: Annotated[
         Path | None,
         commands.output_option(
-            (".nc",), "TWIN.nc", "Write the drive with its life (netCDF): FMUs of it have the parameter age.", "--twin"
+            (".nc",), "TWIN.nc", "Write the drive with its life (netCDF); its FMUs have the parameter age.", "--twin"
         ),
     ] = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Find the wear coefficient from dated recordings, and foretell lost motion, backlash and transmission error.
+    """Estimate the wear coefficient from dated recordings, and predict lost motion, backlash and transmission error.
 
     Example: [cyan]cycloid-fit forecast history.toml --pair pair.toml --wear wear.toml --until "9000 h" --plot f.png[/]
     """
@@ -112,7 +114,7 @@ def _print(found: Forecast, regression: bool) -> None:
         rows.append([name.replace("_", " "), f"{one.limit * factor:.4g} {unit}", *left])
     if rows:
         probabilities = [f"with {p:.0%}" for p in next(iter(found.remaining.values())).ages]
-        commands.print_table("Remaining life: beyond the limit by then", ["figure", "limit", *probabilities], rows)
+        commands.print_table("Remaining life until the limit is exceeded", ["figure", "limit", *probabilities], rows)
 
 
 def _hours(seconds: float) -> str:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fitting.recalibration.plan import PlannedVisit
     from fitting.recalibration.recalibrate import Recalibration
 
-_SHOWN = 4  # errors that are better known now
+_SHOWN = 4  # errors that are more accurately known now
 _NAMES = {
     "backlash": "backlash, mean",
     "lost_motion": "lost motion at ± 3 %, mean",
@@ -32,7 +32,7 @@ def recalibrate(
         list[Path] | None, typer.Argument(metavar="[FILE...]", help="Recordings against the joint's output encoder.")
     ] = None,
     after: Annotated[
-        Path | None, typer.Option(metavar="LAST.json", help="The last recalibration, whose history goes on.")
+        Path | None, typer.Option(metavar="LAST.json", help="The last recalibration; its history is continued.")
     ] = None,
     mapping: options.MappingFile = None,
     bits: Annotated[
@@ -56,15 +56,15 @@ def recalibrate(
         Path | None, commands.output_option((".json",), "NOW.json", "Write the recalibration (JSON).")
     ] = None,
     surface: Annotated[
-        Path | None, commands.output_option((".nc",), "NOW.nc", "Write the surface as it is now.", "--surface")
+        Path | None, commands.output_option((".nc",), "NOW.nc", "Write the updated surface.", "--surface")
     ] = None,
     plan: Annotated[
         list[float] | None,
-        commands.quantity_option("N*m", "Plan only: a load that the joint can be moved under; repeat it.", "--plan"),
+        commands.quantity_option("N*m", "Plan only: a possible load of the joint; repeatable.", "--plan"),
     ] = None,
     wanted: Annotated[
         float | None,
-        commands.quantity_option("rad", "With --plan: half of the 95 % interval that the backlash should have."),
+        commands.quantity_option("rad", "With --plan: required half width of the backlash's 95 % interval."),
     ] = None,
     mark: Annotated[
         float | None,
@@ -73,9 +73,9 @@ def recalibrate(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Bring a drive's model up to date from what its joint measures in place, and say whether it still holds.
+    """Update the model of a drive from measurements of its joint, and report whether it is still valid.
 
-    The status is 4 where it does not: the drive is then kept as it was.
+    The status is 4 if it is not: the drive is then not updated.
 
     Example: [cyan]cycloid-fit recalibrate *.csv --pair pair.toml --before s.nc --crank-turns 1e7 --bits 17 -o now.json
     --surface now.nc --plot now.png[/]
@@ -116,15 +116,21 @@ def recalibrate(
     )
     if output is not None:
         write_recalibration(result, output)
+    notes = list(result.notes)
     if surface is not None:
         result.drive.write(surface)
+        if result.drive.pair.supports is not None or result.drive.first_stage is not None:
+            # A surface belongs to one pair, and this one's bearings are other than the file's.
+            made = surface.with_suffix(".toml")
+            result.drive.write(made)
+            notes.append(f"{made}: the drive with its updated bearings; {surface} belongs to it.")
     if plot is not None:
         fitting.plot(result, plot)
     if as_json:
         commands.print_json(content(result))
     else:
         _print(result)
-        options.print_notes(result.notes)
+        options.print_notes(notes)
     if result.alarm:
         raise typer.Exit(edge.NOT_MET)
 
@@ -146,7 +152,10 @@ def _lost_motion(text: str) -> LostMotion:
 
 
 def _print(result: Recalibration) -> None:
-    typer.echo(result.alarm or "The model holds: what was measured is what wear since the last date and noise allow.")
+    typer.echo(
+        result.alarm
+        or "The model holds: the measurements agree with it within noise and the drift since the last date."
+    )
     rows = []
     for name, label in _NAMES.items():
         if name in result.figures:
@@ -159,10 +168,12 @@ def _print(result: Recalibration) -> None:
     if result.better_known:
         more = len(result.better_known) - _SHOWN
         beside = f" and {more} more, as in --output" if more > 0 else ""
-        typer.echo(f"Better known now (standard deviations): {'; '.join(result.better_known[:_SHOWN])}{beside}.")
+        typer.echo(
+            f"More accurately known now (standard deviations): {'; '.join(result.better_known[:_SHOWN])}{beside}."
+        )
     typer.echo(
-        f"{result.told.size - result.remaining} combinations of errors are told by these measurements, "
-        f"{result.remaining} stay known as before."
+        f"The measurements determine {result.told.size - result.remaining} combinations of errors; "
+        f"{result.remaining} keep their prior uncertainty."
     )
 
 

@@ -1,1 +1,1 @@
-"""A drive's model brought up to date in place: what has drifted since it was last known, and whether it still holds."""
+"""Recalibration in place: updates an identified drive, with the drift since the last date and a test of the model."""

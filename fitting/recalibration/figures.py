@@ -1,4 +1,4 @@
-"""Figures of a drive that is known by a normal distribution: backlash, lost motion and transmission error."""
+"""Backlash, lost motion and transmission error of a drive, with intervals from the distribution of its errors."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
 from fitting.estimation.parameter import NORMAL
-from fitting.model.observations import State, linearise, scatter_names
-from fitting.recalibration.known import Known
-from fitting.recalibration.measured import Field, LostMotion, field_of
+from fitting.model.observations import State, scatter_names
+from fitting.recalibration.known import Known, factor_of
+from fitting.recalibration.measured import Field, LostMotion, field_of, linearised
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-_NO_TORQUE = 1e-2  # N·m: one flank touches on either side, and hardly gives way
-_EACH = 12  # angles of a crank turn at which the transmission error is looked at
+_NO_TORQUE = 1e-2  # N·m: one flank touches on either side, with hardly any deflection
+_EACH = 12  # angles in a crank turn at which the transmission error is evaluated
 _DRAWS = 200
 
 
@@ -33,7 +33,7 @@ class FigureOfDrive:
 
 
 class Gradient:
-    """Play, lost motion and transmission error of a drive, and their derivatives by everything that is known of it.
+    """Play, lost motion and transmission error of a drive, and their derivatives by errors, bearings and scatter.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Gradient:
         {figure: rad}: `backlash`, the mean play over the output's turn, and with a rated torque `lost_motion` at ± 3 %
         of it, a mean too.
     gradients
-        {figure: by errors and scatter, as a surface's covariance has them}.
+        {figure: by everything in the order of `Known.covariance`}; 0 by the bench.
     error, by_error
         With a rated torque the transmission error there over a turn of the output, rad, shape (angles,), and its
         derivatives.
@@ -57,9 +57,11 @@ class Gradient:
         observed = field.observed
         surface = drive.surface.replace(covariance=None, covariance_of=())
         state = State(surface, np.zeros(len(scatter_names(pair))), np.zeros(len(observed.bench_names)))
-        linear = linearise(pair, observed, state)
+        linear, _ = linearised(pair, observed, state)
         structured = linear.structured[:, [observed.errors.index(n) for n in known.errors]]
-        columns = np.hstack([structured, linear.scatter])
+        beside = np.zeros((linear.model.size, len(known.bench)))
+        beside[:, [known.bench.index(n) for n in observed.bearing_names]] = linear.bearings
+        columns = np.hstack([structured, beside, linear.scatter])
         running = field.running
         value, slope = _plain(field, linear.model), _plain(field, columns)
         names = ("backlash", "lost_motion")[: len(wanted)]
@@ -91,21 +93,20 @@ def figures_of(drive: Drive, known: Known, gradient: Gradient | None = None) -> 
 
     `backlash` and, of a pair with a rated torque, `lost_motion` at ± 3 % of it, means over the output's turn, and
     `transmission_error`, peak to peak at rated torque over a turn of the output: median and interval of drives drawn
-    from what is known. All rad.
+    from the distribution. All rad.
     """
     gradient = gradient or Gradient(drive, known)
-    covariance = known.of_surface()
+    covariance = known.covariance
     found = {}
     for name, value in gradient.values.items():
         slope = gradient.gradients[name]
         sigma = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
         found[name] = FigureOfDrive(value, (max(value - NORMAL * sigma, 0.0), value + NORMAL * sigma), sigma)
     if gradient.error.size:
-        values, vectors = np.linalg.eigh(covariance)
-        normal = np.random.default_rng(0).standard_normal((_DRAWS, values.size))
-        drawn = gradient.error + normal @ (gradient.by_error @ (vectors * np.sqrt(np.maximum(values, 0.0)))).T
+        normal = np.random.default_rng(0).standard_normal((_DRAWS, len(covariance)))
+        drawn = gradient.error + normal @ (gradient.by_error @ factor_of(covariance)).T
         sizes = np.ptp(drawn, axis=1)
-        # What single pins may do beyond the most likely drive makes every drive's peak higher than that one's.
+        # Deviations of single pins make the peak of each drawn drive higher than that of the most likely one.
         low, middle, high = (float(q) for q in np.quantile(sizes, (0.025, 0.5, 0.975)))
         found["transmission_error"] = FigureOfDrive(middle, (low, high), float(sizes.std()))
     return found

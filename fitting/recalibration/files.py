@@ -1,4 +1,4 @@
-"""A recalibration's file: figures of every date, and what is known of the joint's own errors for the next one."""
+"""File of a recalibration: figures of all dates, and the distribution of the joint's own errors for the next date."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def write_recalibration(result: Recalibration, path: str | os.PathLike[str]) -> 
 
 
 def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibration:
-    """Read a recalibration to go on from.
+    """Read a recalibration, from which the next one continues.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
     Raises
     ------
     edge.InputError
-        If it can't be read, is of another format or another drive, or what it holds does not fit together.
+        If it can't be read, is of another format or another drive, or its content is not consistent.
     """
     data = edge.json_table(path, FORMAT, "recalibration")
     if data.get("drive") != drive.hash:
@@ -82,11 +82,12 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
     with edge.parsed_by_others(path, "it is not as recalibrate writes it"):
         bench = data["bench"]
         names = tuple(str(n) for n in bench["names"])
-        count, size = len(own.errors), len(own.covariance) + len(names)
+        of_surface = own.of_surface()
+        count, size = len(own.errors), len(of_surface) + len(names)
         rows = np.array(bench["covariance"], dtype=float).reshape(len(names), size)
         covariance = np.zeros((size, size))
         at = np.r_[:count, count + len(names) : size]
-        covariance[np.ix_(at, at)] = own.covariance
+        covariance[np.ix_(at, at)] = of_surface
         covariance[count : count + len(names)] = rows
         covariance[:, count : count + len(names)] = rows.T
         mean = np.array(bench["mean"], dtype=float).reshape(len(names))

@@ -1,4 +1,4 @@
-"""What is known of a drive between two dates: a normal distribution of its errors, which wear widens."""
+"""State between two dates: a normal distribution of the errors of a drive, which wear widens."""
 
 from __future__ import annotations
 
@@ -13,34 +13,39 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names
+from fitting.model.bearings import PLAY, sizes_of, unknown_bearings
 from fitting.model.observations import PIN_RADIUS, PROFILE_ORDERS, scatter_names
 
 Array = NDArray[np.float64]
 
 WEAR = "pin_radius"
-"""The error that wear of flanks and pins is told by: on a disc pins that are thinner do what worn flanks do."""
+"""The error that represents wear of flanks and pins: on one disc, thinner pins have the effect of worn flanks."""
 REFERENCE_TURNS = 1e7
 """Crank turns for which a drift is stated: 280 h at 600 rpm."""
 DRIFT = 1e-6
 """Standard deviation of the uniform wear in so many crank turns, m."""
-_OTHERS = 0.3  # of the uniform wear: how far every other structured error and order of the flanks' form may drift
-_SINGLE = 0.2  # of it: by how much single pins and teeth wear otherwise than all do
+_OTHERS = 0.3  # of the uniform wear: drift of each other structured error and order of the flanks' form
+_SINGLE = 0.2  # of it: additional drift of each single pin and tooth
 _WORN = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch", PIN_RADIUS)
-_ARM = 0.1  # m: of errors that are angles, by how much an error in m at this arm turns
+_ARM = 0.1  # m: an error in m at this arm makes an error that is an angle
+_FLANK = 0.02  # m: radius of an involute stage's pinion, whose wear makes play
+_STIFFNESS = 1e4  # 1/m: relative change of a bearing's stiffness for each m of uniform wear, 1 % for 1 µm
 
 
 @dataclass(frozen=True)
 class Known:
-    """A normal distribution of everything that lasts from one date to the next.
+    """A normal distribution of all unknowns that are the same at the next date, except for drift.
 
     Attributes
     ----------
     errors
         Structured errors, as a surface's `covariance_of` has them before the scatter.
     bench
-        What of the bench lasts: the reference's own errors, the chain's compliance.
+        The other lasting unknowns: stiffness, clearance and play of the drive's bearings and first stage as
+        `fitting.model.bearings` names them; of the bench the reference's own errors and the chain's compliance.
     bench_mean
-        Its mean, SI, shape (bench,). The mean of errors and scatter is the drive's surface.
+        Its mean, SI, shape (bench,); 0 of bearings, whose mean is the drive's pair and first stage. The mean of errors
+        and scatter is the drive's surface.
     covariance
         Of errors, bench and scatter in this order, SI.
     """
@@ -49,6 +54,10 @@ class Known:
     bench: tuple[str, ...]
     bench_mean: Array
     covariance: Array
+
+    def names(self, pair: Pair) -> list[str]:
+        """Return the names of the covariance's rows."""
+        return [*self.errors, *self.bench, *scatter_names(pair)]
 
     def of_surface(self) -> Array:
         """Return the covariance of errors and scatter alone."""
@@ -59,18 +68,16 @@ class Known:
 
 
 def known_of(drive: Drive) -> Known:
-    """Return what is known of a drive whose surface has the covariance of a fit; nothing is known of the bench.
+    """Return the state of a drive whose surface has the covariance of a fit.
+
+    Bearings and first stage have the prior uncertainty of a fit; nothing is known of the bench.
 
     Raises
     ------
     edge.ArgumentError
-        If the surface has no covariance, or the drive stands on bearings or behind a first stage.
+        If the surface has no covariance.
     """
     pair, surface = drive.pair, drive.surface
-    if pair.supports is not None or drive.first_stage is not None:
-        raise edge.ArgumentError(
-            "drive", "stands on bearings or behind a first stage; gear pairs without them can be recalibrated so far"
-        )
     if surface.covariance is None:
         raise edge.ArgumentError("drive", "has no covariance of a fit; give what identify or recalibrate found")
     single = scatter_names(pair)
@@ -78,19 +85,23 @@ def known_of(drive: Drive) -> Known:
     errors = [n for n in names if n not in set(single)]
     # Flanks do not wear evenly.
     errors += [n for n in (WEAR, *profile_names(PROFILE_ORDERS)) if n not in errors]
-    every = [*errors, *single]
-    covariance = np.zeros((len(every), len(every)))
+    bearings = unknown_bearings(pair, drive.first_stage)
+    found = Known(tuple(errors), bearings, np.zeros(len(bearings)), np.zeros((0, 0)))
+    every = found.names(pair)
+    variance = np.zeros(len(every))
+    variance[len(errors) : len(errors) + len(bearings)] = sizes_of(pair, drive.first_stage) ** 2
+    covariance = np.diag(variance)
     at = [every.index(n) for n in names]
     covariance[np.ix_(at, at)] = surface.covariance
-    return Known(tuple(every[: len(every) - len(single)]), (), np.zeros(0), covariance)
+    return dataclasses.replace(found, covariance=covariance)
 
 
 def drift_of(pair: Pair, errors: Sequence[str], crank_turns: float, drift: float) -> Array:
-    """Return how far errors and the scatter drift in so many crank turns, standard deviations, m or rad.
+    """Return the drift of errors and scatter in a number of crank turns, standard deviations, m or rad.
 
-    A random walk: the variance grows with the turns, so that one long interval and many short ones say the same.
-    The uniform wear drifts by `drift` (m) in `REFERENCE_TURNS`; other errors by a share of it, single pins and
-    teeth by a smaller one.
+    A random walk: the variance grows with the turns, so one long interval is equivalent to many short ones.
+    The uniform wear drifts by `drift` (m) in `REFERENCE_TURNS`, other errors by a fraction of it, and single pins and
+    teeth by a smaller fraction.
     """
     walked = drift * np.sqrt(crank_turns / REFERENCE_TURNS)
     size = [walked if n == WEAR else _OTHERS * walked / (_ARM if n.startswith("misalignment") else 1.0) for n in errors]
@@ -98,9 +109,30 @@ def drift_of(pair: Pair, errors: Sequence[str], crank_turns: float, drift: float
     return np.array([*size, *single])
 
 
+def bearing_drift(names: Sequence[str], crank_turns: float, drift: float) -> Array:
+    """Return the drift of bearings in a number of crank turns, as `drift_of` for errors; 0 for all other names.
+
+    A clearance drifts as the uniform wear; a first stage's play by that over a pinion's radius, rad.
+    """
+    walked = drift * np.sqrt(crank_turns / REFERENCE_TURNS)
+    sizes = {"clearance": 1.0, "stiffness": _STIFFNESS, PLAY.rpartition("_")[2]: 1.0 / _FLANK}
+    found: Array = walked * np.array([sizes.get(name.rpartition("_")[2], 0.0) for name in names])
+    return found
+
+
 def drifted(known: Known, pair: Pair, crank_turns: float, drift: float) -> Known:
-    """Return what is known of the same after so many crank turns; what of the bench lasts does not drift."""
-    walked = drift_of(pair, known.errors, crank_turns, drift) ** 2
+    """Return the state after a number of crank turns without measurements; the bench does not drift."""
+    walked = drift_of(pair, known.errors, crank_turns, drift)
     count = len(known.errors)
-    added = np.concatenate([walked[:count], np.zeros(len(known.bench)), walked[count:]])
+    added = np.concatenate([walked[:count], bearing_drift(known.bench, crank_turns, drift), walked[count:]]) ** 2
     return dataclasses.replace(known, covariance=known.covariance + np.diag(added))
+
+
+def factor_of(covariance: Array) -> Array:
+    """Return F with F Fᵀ the covariance, which may be singular."""
+    size = np.sqrt(np.diag(covariance))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    # Values without any variance stay exactly constant.
+    found: Array = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return found

@@ -1,4 +1,4 @@
-"""What a joint in the field measures: curves against a coarse output reference, and values of the lost motion."""
+"""Measurements of a joint in the field: curves against a coarse output reference, and values of the lost motion."""
 
 from __future__ import annotations
 
@@ -12,45 +12,50 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.structured import profile_wave
+from cycloid_fmu.surfaces.structured import profile_names, profile_wave
 from fitting.arguments import positive
 from fitting.model.observations import (
     COMPLIANCE_SHARE,
+    PROFILE_ORDERS,
+    Linear,
     Observations,
     State,
+    form_columns,
     linearise,
     observations,
-    spread_of,
 )
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
 
-POINTS = 4000  # into which all samples are gathered: their number is what an update takes its time for
-_LEAST, _FINER = 12, 2  # of them in a crank turn; times as many at which the drive as known is taken off before
+# Means over steps that are wider than a pin pitch hide single pins: at 4000 points of a 39/40 drive that moved the
+# backlash by up to three standard errors.
+POINTS = 10000  # most of an update: beyond them samples are averaged
+_COARSE = 2500  # of them with which an update begins
+_LEAST = 12  # points in a crank turn
 _AVERAGED = 1.3  # times as many points as steps at least are averaged
 TORQUE_SHARE = 0.05
-"""Standard deviation of the scale of a torque that is known from the motor's current or the load's weight."""
-FRICTION_SHARE = 0.01  # of the rated torque, or the largest measured: friction at the output that no sensor shows
-_OWN_FRICTION = 0.5  # of it: by how much that of a single run is another
+"""Standard deviation of the scale of a torque from the motor's current or the load's weight."""
+FRICTION_SHARE = 0.01  # of the rated torque, or the largest measured: friction at the output, not measured
+_OWN_FRICTION = 0.5  # of it: standard deviation of a single run's friction
 _REFERENCE_ORDERS = (2, 3, 4)  # of the output turn: an encoder's own errors beside its eccentricity, which is order 1
-_REFERENCE = 1e-4  # rad: how large each of them may be
+_REFERENCE = 1e-4  # rad: standard deviation of each
 _FORM = 1e-6  # m: scale of the profile deviation's orders
-_ANGLES = 24  # of every crank turn of an output turn over which a mean lost motion is taken
+_ANGLES = 10  # in a crank turn, over a turn of the output: where a mean lost motion is computed
 
 
 @dataclass(frozen=True)
 class LostMotion:
-    """A measured lost motion: what the output turns with the motor at rest while the torque changes its side.
+    """A measured lost motion: rotation of the output while the torque reverses, with the motor at rest.
 
     Attributes
     ----------
     value, standard_error
-        rad at the output, ≥ 0 and > 0; the standard error holds the reference's own hysteresis.
+        rad at the output, ≥ 0 and > 0; the standard error includes the hysteresis of the reference.
     torque
-        On either flank, N·m, > 0: what friction or load holds the flanks together by.
+        On either flank, N·m, > 0, by friction or load.
     crank_angle
-        Where the crank stood, rad, or None of a mean over many angles.
+        Crank angle of the measurement, rad; None for a mean over many angles.
 
     Examples
     --------
@@ -70,7 +75,7 @@ class LostMotion:
 
 
 def averaged(curve: Curve, each: int) -> Curve:
-    """Average a curve's points in equal steps of the crank angle; one with fewer points, or a loop's, stays as is."""
+    """Average a curve's points in equal steps of the crank angle; one with few points, or of a loop, stays as is."""
     if not _is_dense(curve, each):
         return curve
     of, count = _steps(curve, each)
@@ -102,37 +107,11 @@ def _steps(curve: Curve, each: int) -> tuple[NDArray[np.int64], Array]:
     return of.astype(np.int64), np.bincount(of, curve.sample_count).astype(float)
 
 
-def gathered(curve: Curve, model: Array, each: int) -> Curve:
-    """Gather what a curve deviates from a model in equal steps of the crank angle, each at the point amid it.
-
-    The model's corners and its high orders are not averaged away: only what the drive is other than the model is taken
-    for even within a step.
-
-    Parameters
-    ----------
-    curve, model
-        A curve and the transmission error that is expected at its points, rad.
-    """
-    if not _is_dense(curve, each):
-        return curve
-    of, count = _steps(curve, each)
-    beyond = np.bincount(of, curve.sample_count * (curve.transmission_error - model)) / count
-    order = np.argsort(of, kind="stable")
-    begins = np.searchsorted(of[order], np.arange(count.size))
-    # Sorted by step and within it by angle.
-    order = np.lexsort((curve.input_angle, of))
-    amid = order[begins + (np.bincount(of) - 1) // 2]
-    one = curve.points(amid)
-    return dataclasses.replace(
-        one, transmission_error=model[amid] + beyond, sample_count=np.rint(count).astype(np.int64)
-    )
-
-
 def quantised(curve: Curve, bits: int) -> float:
-    """Noise that a reference of so many bits a turn leaves in a point of a curve, rad.
+    """Return the quantisation noise in a point of a curve, for a reference with a number of bits a turn, rad.
 
-    The step's uniform error is averaged over the samples of a point, but over no more than steps pass within it: two
-    samples on one step err alike.
+    The uniform error of a step is averaged over the samples of a point, but over no more samples than steps: samples
+    within one step have the same error.
     """
     step = 2.0 * np.pi / 2**bits
     samples = float(np.median(curve.sample_count))
@@ -142,16 +121,16 @@ def quantised(curve: Curve, bits: int) -> float:
 
 @dataclass(frozen=True)
 class Field:
-    """Measurements as observations of a pair, curves first, and behind them those of which only a difference counts.
+    """Measurements as observations of a pair: curves first, then the points of lost motions, used as differences.
 
     Attributes
     ----------
     observed
-        All of it; weights of points whose difference counts are 1.
+        All points; the weights of lost motions are 1.
     lost_motions
         The values in the order of their curves, the last ones of `observed.curves`.
     own_friction
-        By how much friction at the output is another in a single run, standard deviation, N·m.
+        Standard deviation of the friction of a single run at the output, N·m.
     """
 
     observed: Observations
@@ -163,6 +142,14 @@ class Field:
         """How many points are rows by themselves."""
         count = len(self.observed.curves) - len(self.lost_motions)
         return int(sum(c.input_angle.size for c in self.observed.curves[:count]))
+
+    def thinned(self) -> Field:
+        """Return the field with fewer points, for the first steps of an update; itself if it has few."""
+        pairs = self.observed.measured.size - self.running
+        if self.running <= _COARSE:
+            return self
+        few = self.observed.thinned(round(_COARSE * (1.0 + pairs / self.running)))
+        return dataclasses.replace(self, observed=few)
 
     def reduced(self, points: Array) -> Array:
         """Return rows from points: those of a lost motion become one, in units of its standard error."""
@@ -178,7 +165,9 @@ class Field:
 
 def sides(pair: Pair, torque: float, crank_angle: float | None, number: int, ratio: float) -> Curve:
     """Return the points of a lost motion: the output loaded one way, then the other, N·m, at the same crank angles."""
-    every = np.arange(_ANGLES * pair.gear_teeth) * 2.0 * np.pi / _ANGLES
+    # One angle more than whole crank turns have: no order of pins or teeth is in step with them.
+    count = _ANGLES * pair.gear_teeth + 1
+    every = np.arange(count) * 2.0 * np.pi * pair.gear_teeth / count
     angle = every if crank_angle is None else np.array([crank_angle])
     count = angle.size
     return Curve(
@@ -190,18 +179,22 @@ def sides(pair: Pair, torque: float, crank_angle: float | None, number: int, rat
     )  # fmt: skip
 
 
-def _gathered(curves: Sequence[Curve], drive: Drive) -> list[Curve]:
-    """The same with about `POINTS` points in all."""
-    turns = sum(float(np.ptp(c.input_angle)) for c in curves if not c.branch) / (2.0 * np.pi)
-    each = max(_LEAST, round(POINTS / max(turns, 1.0)))
-    fine = [averaged(c, _FINER * each) for c in curves]
-    if not any(_is_dense(c, each) for c in fine):
-        return fine
-    pair = drive.pair
-    observed = observations(fine, pair, [1e-6] * len(fine))
-    state = State(drive.surface, np.zeros(spread_of(pair, {}).size), np.zeros(len(observed.bench_names)))
-    model = linearise(pair, observed, state).model
-    return [gathered(c, m, each) for c, m in zip(fine, np.split(model, observed.ends), strict=True)]
+def linearised(pair: Pair, observed: Observations, state: State, form: Array | None = None) -> tuple[Linear, Array]:
+    """Evaluate the model and its derivatives, those by the orders of the flanks' form among them.
+
+    Returns
+    -------
+    linear, form
+        The model, and its derivatives by `observed.profile`, shape (points, orders): those that are given, or where
+        they are None those at the state. On bearings they are differences of the model and take longer than all else.
+    """
+    plain = dataclasses.replace(observed, errors=tuple(n for n in observed.errors if n not in observed.profile))
+    linear = linearise(pair, plain, state)
+    if form is None:
+        names = profile_names(PROFILE_ORDERS)
+        every = form_columns(pair, observed, state, linear, _FORM) if observed.profile else np.zeros((0, 0))
+        form = every[:, [names.index(n) for n in observed.profile]] if observed.profile else linear.structured[:, :0]
+    return dataclasses.replace(linear, structured=np.hstack([linear.structured, form])), form
 
 
 def field_of(
@@ -219,21 +212,22 @@ def field_of(
     Parameters
     ----------
     curves, lost_motions
-        What was measured, one of either at least.
+        Measurements, at least one of either kind.
     drive, errors
-        The drive as it is known, and the structured errors of which something is known.
+        The drive at its last state, and the structured errors with a known distribution.
     bits
-        Of the output reference a turn; None where the noise that the curves show is all.
+        Resolution of the output reference, bits a turn; None if the noise of the curves includes it.
     torque_share
         Standard deviation of the torque's scale.
     noise
-        Of a sample of each curve, rad, where it is known before anything is measured.
+        Of a sample of each curve, rad, for a plan.
     """
     pair = drive.pair
     means, shown = list(curves), []
     if noise is None:
         noise = [noise_of(c) * np.sqrt(np.median(c.sample_count)) for c in curves]
-        means = _gathered(curves, drive)
+        turns = max(sum(float(np.ptp(c.input_angle)) for c in curves if not c.branch) / (2.0 * np.pi), 1.0)
+        means = [averaged(c, max(_LEAST, round(POINTS / turns))) for c in curves]
     for curve, white in zip(means, noise, strict=True):
         coarse = 0.0 if bits is None or curve.branch else quantised(curve, bits)
         shown.append(max(white / np.sqrt(np.median(curve.sample_count)), coarse, 1e-9))
@@ -244,13 +238,22 @@ def field_of(
     level = float(np.median(shown)) if shown else 1e-6
     profile = {n: _FORM for n in errors if profile_wave(n, 1) is not None}
     every = [*shown, *[level] * len(pseudo)]
-    observed = observations([*means, *pseudo], pair, every, profile)
-    count = sum(c.input_angle.size for c in means)
+    torques = [abs(c.torque) for c in means] or [0.0]
+    friction = FRICTION_SHARE * (pair.rated_torque or max(torques))
+
+    observed = observations([*means, *pseudo], pair, every, profile, drive.first_stage)
+    whole = _in_place(observed, len(means), torque_share, friction)
+    return Field(whole, tuple(lost_motions), _OWN_FRICTION * whole.friction_prior)
+
+
+def _in_place(observed: Observations, running: int, torque_share: float, friction: float) -> Observations:
+    """Return observations with the errors of a coarse reference and torque; the first curves are running ones."""
+    count = sum(c.input_angle.size for c in observed.curves[:running])
     weight = observed.weight.copy()
     weight[count:] = 1.0
-    angle = np.concatenate([c.input_angle for c in observed.curves]) / abs(ratio)
+    angle = np.concatenate([c.input_angle for c in observed.curves]) / abs(observed.curves[0].ratio)
     names, columns = [], []
-    for order in _REFERENCE_ORDERS if means else ():
+    for order in _REFERENCE_ORDERS if running else ():
         names += [f"output_encoder_order_{order}_{part}" for part in ("cos", "sin")]
         columns += [np.cos(order * angle), np.sin(order * angle)]
     extra = np.array(columns).T if columns else np.zeros((angle.size, 0))
@@ -261,10 +264,7 @@ def field_of(
     bench[np.ix_(range(count, len(bench)), others)] = 0.0
     prior = np.concatenate([observed.bench_prior, np.full(len(names), _REFERENCE)])
     prior[at_chain] *= np.hypot(COMPLIANCE_SHARE, torque_share) / COMPLIANCE_SHARE
-    torques = [abs(c.torque) for c in means] or [0.0]
-    friction = max(observed.friction_prior, FRICTION_SHARE * (pair.rated_torque or max(torques)))
-    whole = dataclasses.replace(
+    return dataclasses.replace(
         observed, weight=weight, bench=bench, bench_prior=prior, bench_names=(*observed.bench_names, *names),
-        friction_prior=friction,
+        friction_prior=max(observed.friction_prior, friction),
     )  # fmt: skip
-    return Field(whole, tuple(lost_motions), _OWN_FRICTION * friction)

@@ -1,4 +1,4 @@
-"""Which excitation brings the backlash to a wanted interval: planned runs and index marks, judged by what is known."""
+"""Plan of the measurements for a required interval of the backlash: runs and index marks, from the last state."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from fitting.recalibration.update import Rows
 Array = NDArray[np.float64]
 
 TURNS = (1, 2, 5, 10, 20, 50, 100)
-"""Output turns, or passings of an index mark each way, that are tried."""
-_EACH = 12  # points of a crank turn at which a planned run is looked at
+"""Output turns, or passings of an index mark in each direction, that are compared."""
+_EACH = 12  # points in a crank turn at which a planned run is evaluated
 _SAMPLES = 100  # of a crank turn: 1 kHz at 600 rpm
 
 
 @dataclass(frozen=True)
 class PlannedVisit:
-    """What a set of runs would make of the backlash.
+    """The interval of the backlash that a set of runs would give.
 
     Attributes
     ----------
     runs
         The runs in words.
     half_width
-        {output turns of each run, or passings of the mark each way: half the 95 % interval of the backlash, rad}.
+        {output turns of each run, or passings of the mark each way: half of the backlash's 95 % interval, rad}.
     turns
-        The fewest that reach the wanted half width, None where none of `TURNS` does or none is wanted.
+        Smallest number that gives the wanted half width; None if none of `TURNS` does or no width is given.
     """
 
     runs: str
@@ -61,26 +61,26 @@ def plan_visit(
     drift: float | str = DRIFT,
     torque_share: float = TORQUE_SHARE,
 ) -> list[PlannedVisit]:
-    """Return what runs would tell of the backlash in place, before anything is measured; the last date is the prior.
+    """Return the intervals of the backlash that sets of runs would give, before the measurement, from the last date.
 
-    Planned are each load one way and both ways, all loads both ways, and the smallest load's lost motion at an index
-    mark.
+    The sets are each load in one and in both directions, all loads in both directions, and the lost motion at the
+    smallest load at an index mark.
 
     Parameters
     ----------
     before, crank_turns, bits, drift, torque_share
         As `fitting.recalibration.recalibrate.recalibrate` has them.
     torque
-        Loads that the joint can be moved under, N·m: the smallest is what friction holds the flanks together by.
+        Possible loads, N·m; the smallest one keeps the flanks in contact, for example by friction.
     wanted
-        Half of the 95 % interval that the backlash should have, rad.
+        Required half width of the backlash's 95 % interval, rad.
     mark
         Standard deviation of one passing of an index mark, rad at the output; without it none is planned.
 
     Returns
     -------
     visits
-        The one that tells most with one turn first.
+        Sorted by the half width after one turn.
 
     Raises
     ------
@@ -140,20 +140,19 @@ def _visit(
     share: float,
     goal: float | None,
 ) -> PlannedVisit:
-    """What one set of runs would make of the backlash with ever more turns."""
+    """Return the interval of the backlash over the number of turns, for one set of runs."""
     ratio = drive.pair.ratio
     thick = round(_SAMPLES / _EACH)
     curves = [planned_curve(ratio, way * load, way, 1.0, _EACH) for load, way in runs]
     curves = [dataclasses.replace(c, sample_count=np.full_like(c.sample_count, thick)) for c in curves]
-    # A mark stands at one place; which it is hardly matters to what it tells of the mean.
+    # The place of the mark has hardly any effect on the information about the mean.
     marks = [] if mark is None else [LostMotion(0.0, mark * np.sqrt(2.0), least, 0.0)]
     noise = [quantised(c, bits) * np.sqrt(thick) for c in curves]
     field = field_of(curves, marks, drive, known.errors, torque_share=share, noise=noise)
     rows = Rows(drive, known, field)
-    _, columns = rows.evaluated(np.zeros(len(rows.names)))
+    columns = rows.evaluated(np.zeros(len(rows.names))).columns @ rows.factor
     slope = np.zeros(len(rows.names))
-    own = [i for i, n in enumerate(rows.lasting) if n not in rows.bench]
-    slope[own] = gradient
+    slope[[rows.names.index(n) for n in known.names(drive.pair)]] = gradient
     slope = slope @ rows.factor
     information = columns.T @ columns
     widths = {}

@@ -1,4 +1,4 @@
-"""Bring a drive's model up to date from what a joint in the field measures; raise an alarm where it no longer holds."""
+"""Update the model of a drive from measurements of its joint in the field; raise an alarm if it is no longer valid."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.surfaces.structured import unit_of
 from fitting.arguments import positive
 from fitting.estimation.result import inflation_of
+from fitting.model.bearings import unit_of_bearing
 from fitting.model.loops import observed_curves
 from fitting.recalibration.figures import FigureOfDrive, figures_of
 from fitting.recalibration.known import DRIFT, Known, drifted, known_of
@@ -28,10 +29,10 @@ from fitting.transmission_error.curve import Curve
 Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-3
-"""How often each of the two tests, of the drift and of what is left, alarms on a drive that only wears."""
-_HARMONICS = 8  # of the pins' and the teeth's order in the output at which what is left is looked at
+"""Probability of a false alarm of each of the two tests, of the drift and of the residual."""
+_HARMONICS = 8  # of the pins' and the teeth's order in the output at which the residual is tested
 _NAMED = 3  # errors and orders that a sentence names
-_WEAK = 1.0  # information below which a combination stays known as before, more than by what was measured
+_WEAK = 1.0  # information below which a combination is determined by the prior more than by the measurements
 
 
 @dataclass(frozen=True)
@@ -50,26 +51,26 @@ class Recalibration:
     Attributes
     ----------
     drive
-        The drive as it is now, its surface with its covariance. With an alarm it is the drive as it was before, what is
-        known of it widened by its wear alone.
+        The drive at this date, its surface with its covariance. With an alarm it is the drive at the last date, with a
+        covariance that includes the drift.
     alarm
-        "" where the model holds; else a sentence that says what does not fit.
+        "" if the model is valid; else a sentence with the deviations.
     history
-        Figures of every date so far, this one last; the first is the drive as it was given.
+        Figures of all dates, this one last; the first entry is the drive as given.
     moved
-        {name: (by how much, m or rad, and that in standard deviations of what its drift allows)} of every error, single
-        pin and tooth. With an alarm what they would have moved.
+        {name: (by how much, m, rad or share, and that in standard deviations of what its drift allows)} of every error,
+        bearing, single pin and tooth. With an alarm, the changes that would follow from the measurements.
     told
-        Information about each combination of errors in units of what was known before, largest first: from 1 on these
-        measurements told more than was known.
+        Information about each combination of errors in units of the prior's, largest first: above 1 the measurements
+        have more information than the prior.
     better_known
-        Errors, pins and teeth of which the standard deviation has fallen below 0.7 of what it was, in words.
+        Errors, bearings, pins and teeth whose standard deviation is now below 0.7 of the prior's, as text.
     remaining
-        How many combinations stay known as before, their information below 1.
+        Number of combinations with an information below 1, which keep their prior uncertainty.
     drift_chance, left_chance
-        Chance that a drive which only wears goes so far, and that noise alone leaves so much.
+        Probabilities of a change as large by wear alone, and of a residual as large by noise alone.
     known
-        What is known for the next date.
+        The prior of the next date, before drift.
     notes
         What a reader should know.
     """
@@ -102,25 +103,25 @@ def recalibrate(
     drift: float | str = DRIFT,
     torque_share: float = TORQUE_SHARE,
 ) -> Recalibration:
-    """Update what is known of a drive by what its joint measures, motor angle against a coarse output reference.
+    """Update a drive from measurements of its joint: motor angle against a coarse output reference.
 
     Parameters
     ----------
     before
         The drive that `identify` found, or the last recalibration.
     recordings
-        As `fitting.identify` takes them: runs under load, both directions, and loops. Their torque may be one that is
-        estimated from the motor's current or the load's weight.
+        As for `fitting.identify`: runs under load in both directions, and loops. The torque may be estimated from the
+        motor's current or the load's weight.
     lost_motions
         Measured values of the lost motion, as from an index mark passed both ways.
     crank_turns
         Made since the last date, ≥ 0.
     bits
-        Resolution of the output reference, bits a turn; None where the noise that the curves show is all.
+        Resolution of the output reference, bits a turn; None if the noise of the curves includes it.
     drift
-        How far uniform wear may go in 10^7 crank turns, standard deviation, m.
+        Standard deviation of the uniform wear in 10^7 crank turns, m.
     torque_share
-        How exactly the torque's scale is known, standard deviation as a share.
+        Relative standard deviation of the torque's scale.
 
     Raises
     ------
@@ -172,13 +173,13 @@ def recalibrate(
         found = updated(drive, known, field)
         whitened = _white(field, found)
         if whitened is not field:
-            field, found = whitened, updated(drive, known, whitened)
+            field, found = whitened, updated(drive, known, whitened, found)
         chance, sentences = left_over(field, found)
         alarm = alarm_of(found, sentences)
         surface = drive.surface.replace(
             covariance=known.of_surface(), covariance_of=_names(found.drive),
         )  # fmt: skip
-        kept = (Drive(drive.pair, surface), known) if alarm else (found.drive, found.known)
+        kept = (Drive(drive.pair, surface, drive.first_stage), known) if alarm else (found.drive, found.known)
         figures = figures_of(*kept)
     return Recalibration(
         drive=kept[0],
@@ -200,7 +201,7 @@ def _names(drive: Drive) -> tuple[str, ...]:
 
 
 def _white(field: Field, found: Updated) -> Field:
-    """The same with the noise as large as what is left, which is not white, makes it; itself where it is white."""
+    """Return the field with the noise increased for a residual that is not white; itself if it is white."""
     observed = field.observed
     if not observed.running:
         return field
@@ -214,10 +215,9 @@ def _white(field: Field, found: Updated) -> Field:
 
 
 def left_over(field: Field, found: Updated) -> tuple[float, list[str]]:
-    """Return the chance that noise alone leaves so much, at the gear's own orders, and what stands out in words.
+    """Return the probability of the residual by noise alone, at the gear's own orders, and the outlying orders as text.
 
-    What is left at other orders of the output is the reference's own, which is coarse, and is not held against the
-    drive.
+    Residuals at other orders of the output are errors of the coarse reference and are not tested.
     """
     observed = field.observed
     sizes = [c.input_angle.size for c in observed.curves[: len(observed.curves) - len(field.lost_motions)]]
@@ -247,7 +247,7 @@ def left_over(field: Field, found: Updated) -> tuple[float, list[str]]:
 
 
 def alarm_of(found: Updated, standing: Sequence[str]) -> str:
-    """Return the alarm in words, "" where the model holds."""
+    """Return the alarm as text, "" if the model is valid."""
     parts = []
     if found.drift_chance < FALSE_ALARM:
         worst = sorted(found.moved.items(), key=lambda item: -abs(item[1][1]))[:_NAMED]
@@ -267,15 +267,23 @@ def alarm_of(found: Updated, standing: Sequence[str]) -> str:
 
 
 def _sized(name: str, value: float) -> str:
-    unit = "m" if "_at_" in name else unit_of(name)
+    if name.endswith("_stiffness"):
+        return f"{value:+.1%}"
+    is_bearing = name.rpartition("_")[2] in ("clearance", "play")
+    unit = "m" if "_at_" in name else unit_of_bearing(name) if is_bearing else unit_of(name)
     return f"{value * 1e6:+.2f} µm" if unit == "m" else f"{value * 1e3:+.3f} mrad"
 
 
 def _better_known(known: Known, found: Updated) -> tuple[str, ...]:
-    """Say which errors these measurements told more of than was known before, those they told most of first."""
+    """Return the errors that are more accurately known than before, the largest gain first."""
     names = list(found.moved)
-    scale = np.sqrt(np.diag(known.of_surface()))
-    after = np.sqrt(np.diag(found.known.of_surface()))
+    scale, after = (
+        np.array([size[n] for n in names])
+        for size in (
+            dict(zip(one.names(found.drive.pair), np.sqrt(np.diag(one.covariance)), strict=True))
+            for one in (known, found.known)
+        )
+    )
     ratio = np.divide(after, scale, out=np.ones_like(scale), where=scale > 0.0)
     best = np.argsort(ratio)
     return tuple(

@@ -1,8 +1,8 @@
-"""The update: the most likely drive by what was known and what was measured, and how far both agree.
+"""The update: the most likely drive from prior and measurements, and how well the two agree.
 
 Gauss-Newton steps on the exact contact model with the fit's own derivatives, as the iterated extended Kalman filter
-takes them (Bell and Cathey, IEEE Trans. Autom. Control 38 (1993) 294). Unknowns are measured in what was known of them,
-by a factor of their covariance, so that what is known exactly stays exactly where it is.
+takes them (Bell and Cathey, IEEE Trans. Autom. Control 38 (1993) 294). Unknowns are scaled by a factor of their prior
+covariance, so that unknowns with zero variance stay exactly constant.
 """
 
 from __future__ import annotations
@@ -17,45 +17,51 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.estimation.fit import OUTLYING, Problem
-from fitting.model.observations import State, left_of, linearise, scatter_names
-from fitting.recalibration.known import Known
-from fitting.recalibration.measured import Field
+from fitting.model.bearings import pair_with
+from fitting.model.first_stage import with_play
+from fitting.model.observations import State, left_of, scatter_names
+from fitting.recalibration.known import Known, factor_of
+from fitting.recalibration.measured import Field, linearised
 
 Array = NDArray[np.float64]
 
 _STEPS, _HALVED = 8, 4  # evaluations on the way to the most likely drive, and how often a step is halved
-_SETTLED = (
-    1.0  # of the sum of squares in units of the noise: a step that gains less is the last, taken in the linear model
-)
+# A step that gains less than this for each unknown (or row, if there are fewer), in the sum of squares in units of the
+# noise, is the last one and is taken in the linear model: the mean step is then below 0.22 standard deviations.
+_SETTLED = 0.05
+# The same while an update begins with few of the points, and then with all of them.
+_BEGUN, _TO_ALL = 0.5, 0.1
 _FLAT = 1e-9  # of the largest singular value: zeros that others stand for
 _OUTLYING_SHARE = 0.01  # of the points: when more lie far off they are no outliers
-_TOLD = 0.1  # information in units of what was known: combinations that are told less are not tested
+_TOLD = 0.1  # information in units of the prior's: combinations with less are not tested
 _LOCAL = ("output_angle_offset", "loop_angle_offset", "output_angle_drift", "output_angle_creep", "friction", "loop_fr")
 
 
 @dataclass(frozen=True)
 class Updated:
-    """Where an update ended.
+    """Result of an update.
 
     Attributes
     ----------
     drive
         The drive, its surface with its covariance.
     known
-        What is known of it.
+        Its distribution.
     moved
-        {name: (by how much, m or rad, and that in standard deviations of what could be expected)} of every error,
-        single pin and tooth.
+        {name: (by how much, m, rad or share, and that in standard deviations of what could be expected)} of every
+        error, bearing, single pin and tooth.
     told
-        Information about each combination in units of what was known before, largest first: 1 halves a variance.
+        Information about each combination in units of the prior's, largest first: 1 halves a variance.
     drift_square, drift_chance
-        χ² of the way that the told combinations went, and the chance that a drive that only wears goes so far.
+        χ² of the change of the determined combinations, and its probability by wear alone.
     left, row_variance
-        What is left of each row in units of its noise, and what its square should be.
+        Residual of each row in units of its noise, and the expected value of its square.
     left_out
-        Points that lie far off and were left out.
+        Number of outliers, which were left out.
     evaluations
         How often the model was evaluated.
+    end
+        The last linear model.
     """
 
     drive: Drive
@@ -68,15 +74,37 @@ class Updated:
     row_variance: Array
     left_out: int
     evaluations: int
+    end: Linearised
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Rows of measurements near a state.
+
+    Attributes
+    ----------
+    at
+        The unknowns there, in units of what was known, shape (unknowns,).
+    weight
+        Of the points, as in `Observations`, shape (points,).
+    left, columns
+        Residual of each row in units of its noise, shape (rows,), and its derivatives by the unknowns in SI, shape
+        (rows, unknowns).
+    """
+
+    at: Array
+    weight: Array
+    left: Array
+    columns: Array
 
 
 class Rows:
-    """Rows of measurements and their derivatives by all unknowns, in units of what is known of these before.
+    """Rows of measurements and their derivatives by all unknowns, with a factor of the covariance of these before.
 
     Parameters
     ----------
     drive, known, field
-        The drive before, what is known of it then, and what was measured.
+        The drive at the last date, its distribution before the measurements, and these.
     """
 
     def __init__(self, drive: Drive, known: Known, field: Field) -> None:
@@ -88,15 +116,12 @@ class Rows:
         own = [n for n in names[len(known.errors) : len(names) - len(single)] if not n.startswith(_LOCAL)]
         self.bench = [*known.bench, *(n for n in own if n not in known.bench)]
         lasting = [*known.errors, *self.bench, *single]
-        # What of the bench lasts and these measurements do not see takes part nevertheless.
+        # Lasting unknowns of the bench take part even if these measurements do not depend on them.
         self.lasting = lasting
         own = [f"torque_of_{i}" for i in observed.running]
-        # Zeros of angles are unknown: they are taken out of all rows, not estimated.
         flat = [n for n, one in zip(observed.bench_names, observed.bench_prior, strict=True) if np.isinf(one)]
         taken = {*lasting, *flat}
         self.names = [*lasting, *(n for n in names if n not in taken), *own]
-        columns = observed.weight[:, None] * observed.bench[:, [observed.bench_names.index(n) for n in flat]]
-        self.zeros = field.reduced(columns)
         covariance = np.zeros((len(lasting), len(lasting)))
         was = [*known.errors, *known.bench, *single]
         at = [lasting.index(n) for n in was]
@@ -108,131 +133,184 @@ class Rows:
             if name not in known.bench:
                 covariance[lasting.index(name), lasting.index(name)] = deviation[name] ** 2
         local = np.array([deviation[n] for n in self.names[len(lasting) :]])
-        self.factor = linalg.block_diag(_factor(covariance), np.diag(local))
+        self.factor = linalg.block_diag(factor_of(covariance), np.diag(local))
         self.estimated = [i for i, n in enumerate(names) if n not in flat]
         self.place = [self.names.index(names[i]) for i in self.estimated]
         mean = dict(zip(known.bench, known.bench_mean, strict=True))
         bench = np.array([mean.get(n, 0.0) for n in observed.bench_names])
-        # Friction opposes the motion: it is as large as it may vary, not zero.
+        # Friction opposes the motion: the start value is its standard deviation, not zero.
         self.start = State(drive.surface, np.zeros(len(single)), bench, friction=observed.friction_prior)
         self.mean = self.problem.unknowns(self.start) * self.problem.scale
         self.before = np.array([mean.get(n, 0.0) for n in self.bench])
+        self.lowest = dict(zip(observed.bearing_names, observed.bearing_lowest.tolist(), strict=True))
+        self.form: Array | None = None
 
     def state(self, z: Array) -> State:
-        """Return the state of unknowns in units of what was known."""
+        """Return the state of unknowns in units of the prior."""
         unknowns = self.mean.copy()
         unknowns[self.estimated] += (self.factor @ z)[self.place]
         return self.problem.state(np.maximum(unknowns / self.problem.scale, self.problem.lowest))
 
-    def evaluated(self, z: Array) -> tuple[Array, Array]:
-        """Return what is left of each row at unknowns, and the rows' derivatives by these."""
-        problem, observed, running = self.problem, self.field.observed, self.field.running
-        state = self.state(z)
-        linear = linearise(self.drive.pair, observed, state)
+    def evaluated(self, z: Array, field: Field | None = None) -> Linearised:
+        """Linearise the rows, or those of a field with fewer points, at unknowns in units of the prior."""
+        field = field or self.field
+        problem, observed, running, state = self.problem, field.observed, field.running, self.state(z)
+        if self.form is not None and len(self.form) != observed.measured.size:
+            self.form = None  # of other points
+        linear, self.form = linearised(self.drive.pair, observed, state, self.form)
         columns = problem.columns(observed, linear) / problem.scale
         # The torques of a lost motion are those between the flanks: friction is in them already.
         first = len(problem.chosen) + len(observed.bench_names)
         columns[running:, first : first + len(observed.friction_names)] = 0.0
-        parts = np.split(np.arange(observed.measured.size), observed.ends)
-        own = np.zeros((observed.measured.size, len(observed.running)))
-        for column, number in enumerate(observed.running):
-            part = parts[number]
-            own[part, column] = (observed.weight * linear.by_friction)[part]
-        friction = (self.factor @ z)[len(self.names) - own.shape[1] :]
-        left = self.field.reduced(observed.weight * left_of(observed, linear, state) - own @ friction)
-        left[running:] += [one.value / one.standard_error for one in self.field.lost_motions]
         by_all = np.zeros((columns.shape[0], len(self.names)))
         by_all[:, self.place] = columns[:, self.estimated]
-        by_all[:, len(self.names) - own.shape[1] :] = own
-        return self.without_zeros(left), self.without_zeros(self.field.reduced(by_all) @ self.factor)
+        begins = [0, *observed.ends, observed.measured.size]
+        first_own = len(self.names) - len(observed.running)
+        for column, number in enumerate(observed.running, first_own):
+            part = slice(begins[number], begins[number + 1])
+            by_all[part, column] = observed.weight[part] * linear.by_friction[part]
+        friction = (self.factor @ z)[first_own:]
+        left = field.reduced(observed.weight * left_of(observed, linear, state) - by_all[:, first_own:] @ friction)
+        left[running:] += [one.value / one.standard_error for one in field.lost_motions]
+        base = _base(_zeros_of(field))
+        return Linearised(z, observed.weight, _without(base, left), _without(base, field.reduced(by_all)))
 
-    def without_zeros(self, rows: Array, keep: NDArray[np.bool_] | slice = slice(None)) -> Array:
-        """Take out of some of the rows what zeros of the angles can do of them."""
-        found = rows[keep]
-        base, size, _ = np.linalg.svd(self.zeros[keep], full_matrices=False)
-        base = base[:, size > _FLAT * size.max(initial=0.0)]
-        return np.asarray(found - base @ (base.T @ found))
+    def solved(self, linear: Linearised) -> tuple[Array, Array]:
+        """Return the most likely unknowns of linear rows in units of the prior, and their covariance."""
+        columns, factor = linear.columns, self.factor
+        information = factor.T @ (columns.T @ columns) @ factor + np.eye(len(factor))
+        moment = factor.T @ (columns.T @ (linear.left + columns @ (factor @ linear.at)))
+        # The information of the unknowns differs by a factor of up to a million.
+        size = np.sqrt(np.diag(information))
+        solved = linalg.cho_factor(information / np.outer(size, size))
+        inverse = linalg.cho_solve(solved, np.eye(size.size)) / np.outer(size, size)
+        inverse = 0.5 * (inverse + inverse.T)
+        return self._within(np.asarray(linalg.cho_solve(solved, moment / size) / size), inverse), inverse
+
+    def _within(self, z: Array, covariance: Array) -> Array:
+        """Return the most likely unknowns among those whose clearances and plays are not below zero."""
+        free = set(self.lowest)
+        while free:
+            below = {n: float(self.factor[self.names.index(n)] @ z) - self.lowest[n] for n in free}
+            name = min(below, key=lambda n: below[n])
+            if below[name] >= 0.0:
+                break
+            free.remove(name)
+            # Given that this one is zero, the others are another normal distribution.
+            row = self.factor[self.names.index(name)]
+            gain = covariance @ row / (row @ covariance @ row)
+            z = z - gain * below[name]
+            covariance = covariance - np.outer(gain, row @ covariance)
+        return z
+
+
+def _zeros_of(field: Field) -> Array:
+    """Return the columns of the angles' zeros, which are unknown: they are taken out of all rows, not estimated."""
+    observed = field.observed
+    return field.reduced(observed.weight[:, None] * observed.bench[:, np.isinf(observed.bench_prior)])
+
+
+def _without(base: Array, rows: Array) -> Array:
+    """Return rows without the part that the base explains."""
+    return np.asarray(rows - base @ (base.T @ rows))
+
+
+def _base(zeros: Array) -> Array:
+    """Return an orthonormal base of what the zeros of the angles can explain."""
+    base, size, _ = np.linalg.svd(zeros, full_matrices=False)
+    return np.asarray(base[:, size > _FLAT * size.max(initial=0.0)])
 
 
 def _plain(surface: ErrorSurface) -> ErrorSurface:
     return surface.replace(covariance=None, covariance_of=())
 
 
-def _factor(covariance: Array) -> Array:
-    """Return F with F Fᵀ the covariance, which may be singular."""
-    size = np.sqrt(np.diag(covariance))
-    scale = np.where(size > 0.0, size, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    # What does not vary at all stays so beyond rounding.
-    found: Array = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    return found
-
-
-def updated(drive: Drive, known: Known, field: Field) -> Updated:
+def updated(drive: Drive, known: Known, field: Field, before: Updated | None = None) -> Updated:
     """Update a drive by measurements.
 
     Parameters
     ----------
     drive, known
-        The drive and what is known of it at the date of the measurements, wear since the last one allowed for.
+        The drive and its distribution at the date of the measurements, with the drift since the last one.
     field
-        What was measured.
+        The measurements.
+    before
+        The update by the same measurements with another noise: its last linear model is the first one.
 
     Raises
     ------
     edge.InputError
         If no errors near those known carry the measured loads.
     """
-    rows = Rows(drive, known, field)
-    size = len(rows.names)
-    try:
-        left, columns = rows.evaluated(np.zeros(size))
-    except edge.InputError:
-        raise edge.InputError(
-            "the drive as it is known carries these loads at no position of its contacts; check torques and signs."
-        ) from None
-    z, done = np.zeros(size), 1
+    rows, coarse = Rows(drive, known, field), field.thinned()
+    if before is not None:
+        now, done = _nearer(rows, _reweighted(before.end, rows), field, 0)
+    else:
+        try:
+            now = rows.evaluated(np.zeros(len(rows.names)), coarse)
+        except edge.InputError:
+            raise edge.InputError(
+                "the drive as it is known carries these loads at no position of its contacts; check torques and signs."
+            ) from None
+        now, done = _nearer(rows, now, coarse, 1, _SETTLED if coarse is field else _BEGUN)
+        if coarse is not field:
+            # Nearer by now, so that one set of derivatives by the form serves all evaluations that follow.
+            now, done = _nearer(rows, rows.evaluated(now.at), field, done + 1, _TO_ALL)
+    # The last step is so small that the model there is its linear one.
+    keep = _near(now.left, field.running)
+    end = now
+    if not keep.all():
+        base = _base(_zeros_of(field) * keep[:, None])
+        left, columns = _without(base, now.left * keep), _without(base, now.columns * keep[:, None])
+        now = Linearised(now.at, now.weight, left, columns)
+    z, inverse = rows.solved(now)
+    left = now.left - now.columns @ (rows.factor @ (z - now.at))
+    return _result(rows, known, z, inverse, end, now.columns, left, keep, done)
+
+
+def _nearer(rows: Rows, now: Linearised, field: Field, done: int, settled: float = _SETTLED) -> tuple[Linearised, int]:
+    """Return linear rows so near to the most likely drive that a step in them leads there, and the evaluations."""
+    settled *= min(len(rows.names), now.left.size)
     while done < _STEPS:
-        step = _solved(columns, left + columns @ z)[0] - z
-        square = float(left @ left + z @ z)
-        if square - float(np.sum((left - columns @ step) ** 2) + (z + step) @ (z + step)) < _SETTLED:
+        step = rows.solved(now)[0] - now.at
+        square = _square(now)
+        expected = now.left - now.columns @ (rows.factor @ step)
+        if square - float(expected @ expected + (now.at + step) @ (now.at + step)) < settled:
             break
         for _ in range(_HALVED):
             try:
-                then, by = rows.evaluated(z + step)
+                then = rows.evaluated(now.at + step, field)
                 done += 1
             except edge.InputError:
                 # So far away no contacts balance the load.
                 step = 0.5 * step
                 continue
-            if float(then @ then + (z + step) @ (z + step)) <= square:
-                z, left, columns = z + step, then, by
+            if _square(then) <= square:
+                now = then
                 break
             step = 0.5 * step
         else:
             break
-    # The last step is so small that the model there is its linear one.
-    keep = _near(left, field.running)
-    if not keep.all():
-        left, columns = left * keep, columns * keep[:, None]
-        left[keep], columns[keep] = rows.without_zeros(left, keep), rows.without_zeros(columns, keep)
-    moved, inverse = _solved(columns, left + columns @ z)
-    left, z = left - columns @ (moved - z), moved
-    return _result(rows, known, z, inverse, columns, left, keep, done)
+    return now, done
 
 
-def _solved(columns: Array, left: Array) -> tuple[Array, Array]:
-    """Return the most likely unknowns in units of what was known, and their covariance."""
-    information = columns.T @ columns + np.eye(columns.shape[1])
-    # Some are told a million times better than others.
-    size = np.sqrt(np.diag(information))
-    solved = linalg.cho_factor(information / np.outer(size, size))
-    inverse = linalg.cho_solve(solved, np.eye(size.size)) / np.outer(size, size)
-    return np.asarray(linalg.cho_solve(solved, columns.T @ left / size) / size), 0.5 * (inverse + inverse.T)
+def _square(linear: Linearised) -> float:
+    """Return the sum of squares with the prior, in units of the noise."""
+    return float(linear.left @ linear.left + linear.at @ linear.at)
+
+
+def _reweighted(linear: Linearised, rows: Rows) -> Linearised:
+    """Return linear rows with the noise of others; zeros of the angles are taken out again."""
+    running, weight = rows.field.running, rows.field.observed.weight
+    share = np.ones(linear.left.size)
+    share[:running] = weight[:running] / linear.weight[:running]
+    base = _base(_zeros_of(rows.field))
+    left, columns = _without(base, share * linear.left), _without(base, share[:, None] * linear.columns)
+    return Linearised(linear.at, weight, left, columns)
 
 
 def _near(left: Array, running: int) -> NDArray[np.bool_]:
-    """Which rows count: single points far off do not, unless so many are that they are no accident."""
+    """Return which rows are used: outliers are not, unless there are too many of them."""
     far = np.abs(left) > OUTLYING * max(1.0, 1.4826 * float(np.median(np.abs(left))))
     far[running:] = False
     return ~far if np.count_nonzero(far) <= _OUTLYING_SHARE * left.size else np.ones(left.size, bool)
@@ -243,6 +321,7 @@ def _result(
     known: Known,
     z: Array,
     inverse: Array,
+    end: Linearised,
     columns: Array,
     left: Array,
     keep: NDArray[np.bool_],
@@ -256,12 +335,17 @@ def _result(
     count, single = len(known.errors), len(scatter_names(drive.pair))
     shift = (rows.factor @ z)[:lasting]
     bench_mean = rows.before + shift[count : lasting - single]
+    # Bearings and first stage are where they are from now on.
+    bench_mean[[rows.bench.index(n) for n in rows.lowest]] = 0.0
     found = Known(known.errors, tuple(rows.bench), bench_mean, covariance)
+    pair, stage = pair_with(drive.pair, state.bearings), drive.first_stage
+    if stage is not None:
+        stage = with_play(stage, float(state.bearings[-1]))
     surface = state.surface.replace(
- origin="identified", covariance_of=(*known.errors, *scatter_names(drive.pair)),
+        pair=pair.nominal, origin="identified", covariance_of=(*known.errors, *scatter_names(drive.pair)),
         covariance=found.of_surface(),
     )  # fmt: skip
-    # Before measuring z would have been distributed with the unit matrix less what stays unknown.
+    # Before the measurement the covariance of z is the unit matrix minus the posterior covariance.
     went = np.eye(lasting) - after
     values, vectors = np.linalg.eigh(0.5 * (went + went.T))
     order = np.argsort(-values)
@@ -274,11 +358,13 @@ def _result(
     moved = {
         name: (float(by), float(by / one) if one > 0.0 else 0.0)
         for name, by, one in zip(rows.lasting, shift, expected, strict=True)
-        if name not in rows.bench
+        if name not in rows.bench or name in rows.lowest
     }
-    variance = 1.0 - np.einsum("ij,jk,ik->i", columns[rows.field.running :], inverse, columns[rows.field.running :])
+    of_lost_motions = columns[rows.field.running :] @ rows.factor
+    variance = 1.0 - np.einsum("ij,jk,ik->i", of_lost_motions, inverse, of_lost_motions)
     return Updated(
-        Drive(drive.pair, surface), found, moved, told, drift,
+        Drive(pair, surface, stage), found, moved, told, drift,
         float(special.chdtrc(max(np.count_nonzero(tested), 1), drift)), left,
         np.concatenate([np.ones(rows.field.running), np.maximum(variance, 1e-9)]), int(np.count_nonzero(~keep)), done,
+        end,
     )  # fmt: skip

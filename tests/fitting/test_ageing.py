@@ -257,7 +257,7 @@ def test_without_recordings_the_forecast_is_the_prior_s():
     found = foretold(history_of([], []))
     assert found.alarm is None
     assert found.now == 0.0
-    assert any("say little of the wear coefficient" in note for note in found.notes)
+    assert any("hardly determine the wear coefficient" in note for note in found.notes)
     assert fitting.plot(found).axes
 
 
