@@ -11,6 +11,7 @@ import gc
 import importlib
 import logging
 import os
+import re
 import shutil
 import signal
 import sys
@@ -91,7 +92,7 @@ def _typed(words: Sequence[str], flag: str) -> str | None:
     """Return the text with a unit that an option was given once; None for other options."""
     given = [after for word, after in pairwise(words) if word == flag]
     given += [word.removeprefix(f"{flag}=") for word in words if word.startswith(f"{flag}=")]
-    return given[0] if len(given) == 1 and given[0][-1:].isalpha() else None
+    return given[0] if len(given) == 1 and re.search(r"\d.*[a-z]$", given[0]) else None
 
 
 class _Lazy(MutableMapping[str, Any]):

@@ -146,6 +146,6 @@ def test_files_surfaces_and_structured_errors_agree_on_each_kind(kind):
 def test_what_it_displaces_must_exist():
     with pytest.raises(ValueError, match="must be one of"):
         kinds.register_error_kind(kinds.ErrorKind("x", "x", "x", "drive", {"nothing": distortion}))
-    with pytest.raises(ValueError, match="already"):
+    with pytest.raises(ValueError, match="exists"):
         kinds.register_error_kind(kinds.KINDS["pin_radius"])
     assert math.isclose(kinds.KINDS["misalignment_xz"].limit, 0.02)

@@ -390,7 +390,7 @@ def test_what_is_left_out_is_rigid_and_the_text_comes_back():
         ("[errors.supports]\nroller_x = ['1 um', '0 um', '0 um']", 'supports of kind = "cranks"'),
         ("[errors]\nhole_x = [['1 um', '0 um', '0 um']]", r"hole_x belongs in \[errors.supports\]"),
         ("[errors.supports]\npin_radius = '1 um'", r"pin_radius belongs in \[errors\]"),
-        ("[supports.turning_arm]\nstiffness='4 N/um'\n[errors.supports]\nhole_x = [['1 um']]", "one a hole, 3"),
+        ("[supports.turning_arm]\nstiffness='4 N/um'\n[errors.supports]\nhole_x = [['1 um']]", "one for each hole, 3"),
         ("[supports.output_roller]\nstiffness = '4 N/um'", 'output_roller belongs to kind = "output_rollers"'),
         ("[errors]\nmisalignment_xz = '1 mrad'", "a drive with supports is plane"),
     ],
