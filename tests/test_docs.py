@@ -214,7 +214,8 @@ def test_a_page_s_commands_do_what_it_says(page, tmp_path, tmp_path_factory, she
 
 def run_page(page, folder, shell, monkeypatch):
     """Write the files of a page, run its blocks, and compare the outputs that it shows."""
-    elsewhere = re.compile(r"pip install|<!-- (main-job|tests) -->")  # .ci/run runs what an installation begins with
+    # `.ci/run` runs what an installation begins with.
+    elsewhere = re.compile(r"pip (install|wheel)|<!-- (main-job|tests) -->")
     said = None  # by the commands just before, where all were run as written
     for language, caption, body in blocks(page):
         if language == "output" and said is not None:
