@@ -178,6 +178,13 @@ def bent(bristle, way, high, stiffness):
 
 
 @njit(cache=True)
+def _torques(low, root, beyond):
+    """Torques (N·m) at both ends of a cell of the table; at the table's own ends that much beyond."""
+    a, b = np.sign(root[low]) * root[low] ** 2, np.sign(root[low + 1]) * root[low + 1] ** 2
+    return a - beyond * (low == 0), b + beyond * (low == root.size - 2)
+
+
+@njit(cache=True)
 def _settled(ideal, column, root, load, bristle, before, drag, high, stiffness):
     """Torque through the teeth where load, friction and teeth balance, and the output's angle.
 
@@ -192,11 +199,7 @@ def _settled(ideal, column, root, load, bristle, before, drag, high, stiffness):
             top = k
         else:
             low = k
-    a, b = np.sign(root[low]) * root[low] ** 2, np.sign(root[low + 1]) * root[low + 1] ** 2
-    if low == 0:
-        a -= 100.0
-    if low == root.size - 2:
-        b += 100.0
+    a, b = _torques(low, root, 100.0)
     for _ in range(60):
         torque = 0.5 * (a + b)
         angle = ideal + _between(low, torque, root, column)
@@ -219,11 +222,7 @@ def pressed(ideal, column, root, angle):
             high = k
         else:
             low = k
-    a, b = np.sign(root[low]) * root[low] ** 2, np.sign(root[low + 1]) * root[low + 1] ** 2
-    if low == 0:
-        a -= 300.0
-    if low == root.size - 2:
-        b += 300.0
+    a, b = _torques(low, root, 300.0)
     for _ in range(60):
         torque = 0.5 * (a + b)
         if ideal + _between(low, torque, root, column) > angle:

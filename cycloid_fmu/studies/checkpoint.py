@@ -1,4 +1,4 @@
-"""Figures of a study's drives as they come: in memory, or on disk until the study is written."""
+"""Figures of the solved drives of a study: in memory, or on disk until the study is written."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ Array = NDArray[np.float64]
 FORMAT = "cycloid-study-checkpoint/2"
 _NUMBER = np.dtype("<f8")
 _BLOCK = 1 << 16  # drives that are checked at a time
-# Odd, so that no single bit of a row changes without the sum of its products.
-_FACTORS = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+_THERE = 1 << 32  # beside the CRC-32 of a drive, so that no drive's check word is 0
 
 
 class Kept(Protocol):
@@ -26,27 +25,27 @@ class Kept(Protocol):
 
     @property
     def drives(self) -> int:
-        """How many there are."""
+        """Number of drives."""
 
     @property
     def columns(self) -> Sequence[Any]:
-        """The figures of each."""
+        """The figures of a drive."""
 
     def identity(self) -> dict[str, Any]:
         """Return its identity."""
 
 
 class InMemory:
-    """The drives that were solved.
+    """Solved drives of a study, in memory.
 
     Attributes
     ----------
     done
-        Which are, shape (drives,).
+        Mask of the solved drives, shape (drives,).
     values
         Their figures, shape (drives, columns).
     notes
-        What was said of them, by their numbers.
+        Notes on drives, by their numbers.
     """
 
     def __init__(self, study: Kept) -> None:
@@ -55,18 +54,18 @@ class InMemory:
         self.notes: dict[int, str] = {}
 
     def add(self, first: int, values: Array, notes: Sequence[str] = ()) -> None:
-        """Keep the figures of the drives from `first` on, NaN where there are none, and what was said of them."""
+        """Keep the figures of the drives from `first` on, NaN if there are none, and the notes on them."""
         self.values[first : first + len(values)] = values
         self.notes |= {first + k: note for k, note in enumerate(notes) if note}
         self.done[first : first + len(values)] = True
 
 
 class Checkpoint:
-    """The drives that were solved, on disk: nothing of them is held in memory but which are.
+    """Solved drives of a study, on disk; only the mask of the solved drives and the notes are in memory.
 
-    After a header, a line of JSON with its CRC-32, comes a check word for each drive and each figure of all drives, the
-    next figure behind it, 8 bytes each in the least significant byte's order; then what was said of drives, a line
-    each as the header's. A drive whose check word does not fit was cut short by a kill, and is solved again.
+    The file begins with a line of JSON with its CRC-32. A check word of each drive follows, then the first figure of
+    each drive, the second one and so on, as little-endian numbers of 8 bytes; then the notes, one line each in the form
+    of the first line. A drive with a wrong check word was being written at a kill, and is solved again.
 
     Raises
     ------
@@ -137,7 +136,7 @@ class Checkpoint:
         return self._mapped()[1:].T
 
     def add(self, first: int, values: Array, notes: Sequence[str] = ()) -> None:
-        """Keep the figures of the drives from `first` on, NaN where there are none, and what was said of them."""
+        """Keep the figures of the drives from `first` on, NaN if there are none, and the notes on them."""
         said = {first + k: note for k, note in enumerate(notes) if note}
         self.notes |= said
         with edge.naming(self.path), edge.writable(self.path).open("r+b", buffering=0) as file:
@@ -158,13 +157,9 @@ def _write(file: Any, data: bytes) -> None:
 
 
 def _check_words(first: int, values: Array) -> NDArray[np.uint64]:
-    """Return a word for each drive that tells its figures from others; never 0."""
-    word = np.arange(first + 1, first + 1 + len(values), dtype=np.uint64) * np.uint64(_FACTORS[0])
-    for column in values.T:
-        bits = np.ascontiguousarray(column, dtype=float).view(np.uint64)
-        word = (word ^ bits ^ (bits >> np.uint64(29))) * np.uint64(_FACTORS[1]) + np.uint64(_FACTORS[2])
-        word ^= word >> np.uint64(32)
-    return np.where(word == 0, np.uint64(1), word)
+    """Return the CRC-32 of each drive's figures, begun with its number, and a bit that says that they are there."""
+    rows = np.ascontiguousarray(values, dtype=_NUMBER)
+    return np.array([zlib.crc32(row, first + k) | _THERE for k, row in enumerate(rows)], dtype=np.uint64)
 
 
 def _line(record: dict[str, Any]) -> bytes:

@@ -1,4 +1,4 @@
-"""Drives solved in parallel, on the cores of this machine or a dask cluster, and kept as they are done."""
+"""Drives solved in parallel, on the cores of this machine or a dask cluster, and stored as they finish."""
 
 from __future__ import annotations
 
@@ -75,18 +75,18 @@ def _connected(scheduler: str) -> Any:
 
 
 class Shares(Iterator[tuple[int, int]]):
-    """The drives that wait, cut into tasks: iterated, the first drive of the next task and that behind its last.
+    """The unsolved drives in tasks: an iterator of (first drive, last drive + 1).
 
-    A task is as long as keeps its cost below `_OVERHEAD` of it and the scheduler below `_BUSY`. How long a drive takes,
-    and how long workers waited for a task, is taken from the last tasks. Towards the end tasks become shorter, so that
-    all workers end together.
+    A task is long enough to keep its cost below `_OVERHEAD` of its time and the scheduler's load below `_BUSY`. The
+    time of a drive, and the time workers waited for a task, are measured on the last tasks. Towards the end tasks
+    become shorter, so that all workers end together.
 
     Parameters
     ----------
     waiting
-        Which drives wait, shape (drives,).
+        Mask of the unsolved drives, shape (drives,).
     workers
-        May change on the way.
+        Number of workers; it may change during the study.
     """
 
     def __init__(self, waiting: NDArray[np.bool_], workers: int) -> None:
@@ -102,7 +102,7 @@ class Shares(Iterator[tuple[int, int]]):
         return bool(self._took)
 
     def took(self, drives: int, seconds: float) -> None:
-        """Remember how long a task worked, which ends now."""
+        """Record the time of a task that has just ended."""
         self._took.append((time.monotonic(), drives, seconds))
         if len(self._took) > min(4 * self.workers, _REMEMBERED):
             self._took.popleft()
@@ -137,7 +137,7 @@ def _unpacked(packed: bytes) -> Any:
 
 
 def _work(task: Task[Any], wanted: dict[str, str], packed: bytes, first: int, points: Array) -> tuple[Solved, float]:
-    """Solve some drives wherever this runs, and say how long it took (s)."""
+    """Solve some drives in any process; also return the time it took (s)."""
     check_versions(wanted)
     study = _unpacked(packed)
     begun = time.perf_counter()
@@ -158,11 +158,11 @@ def solved(
     Parameters
     ----------
     waiting
-        Which drives wait, shape (drives,).
+        Mask of the unsolved drives, shape (drives,).
     points
-        Given the first drive and that behind the last, their points, shape (drives, factors); asked for in order.
+        Function of (first drive, last drive + 1) that returns their points, shape (drives, factors); called in order.
     task
-        What solves them: a function of a module, given the study, the first drive and its points.
+        Function that solves drives, of the study, the first drive and the points; defined in a module.
     workers
         Processes of this machine; 1 uses this one.
     scheduler
@@ -196,7 +196,7 @@ def solved(
 
 
 def _by_cluster(client: Any, given: tuple[Any, ...], shares: Shares, points: Points) -> Iterator[Solved]:
-    """Hand a worker the task after the one that it solves, no more: what waits costs neither memory nor a restart."""
+    """Give each worker one task beyond the one that it solves: more would take memory and be lost at a restart."""
     from distributed import as_completed
 
     futures, looked = as_completed(loop=client.loop), -math.inf
@@ -226,16 +226,16 @@ def complete(
     scheduler: str | None = None,
     progress: Callable[[int], None],
 ) -> None:
-    """Solve all drives but those that are done, and keep them as they come.
+    """Solve the drives that are not stored yet, and store them as they finish.
 
     Parameters are those of `solved`, and:
 
     Parameters
     ----------
     kept
-        Where finished drives are kept.
+        Storage of finished drives.
     progress
-        Told how many drives were just finished, first those that were done.
+        Called with the number of drives just finished, first those that were stored before.
     """
     if before := int(np.count_nonzero(kept.done)):
         progress(before)

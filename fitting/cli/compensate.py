@@ -77,9 +77,7 @@ def compensate(
     ] = 1.0 / ARCSEC,
     tolerances_file: Annotated[
         Path | None,
-        typer.Option(
-            "--tolerances", metavar="T.toml", help="Any drive that these allow may be moved: the band has their spread."
-        ),
+        typer.Option("--tolerances", metavar="T.toml", help="Make the band that of any drive within these tolerances."),
     ] = None,
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version of an FMU.", "--fmi")] = "2.0",
     platforms: Annotated[

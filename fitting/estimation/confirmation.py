@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
-from fitting.estimation.fit import Estimate, Problem, solved, stated_range
+from fitting.estimation.fit import Estimate, Problem, stated_range
+from fitting.estimation.normal_equations import Factor
 from fitting.model.observations import Linear, State, left_of, linearise
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
     best = first = evaluated(start, estimate.linear if inside else None)
     free = ~(((start <= low) & (first.slope < 0.0)) | ((start >= high) & (first.slope > 0.0)))
     step = np.zeros(start.size)
-    step[free] = solved(first.gram[np.ix_(free, free)], first.slope[free])
+    step[free] = Factor(first.gram[np.ix_(free, free)]).solve(first.slope[free])
     taken = not inside or first.slope @ step >= gain
     if taken:
         then = evaluated(np.clip(start + step * problem.scale, low, high))

@@ -25,6 +25,7 @@ from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, ErrorSurface, surface_of_pair
+from fitting.estimation.normal_equations import Factor
 from fitting.model.identifiability import UNKNOWN
 from fitting.model.observations import (
     KNOWN_SIZES,
@@ -315,7 +316,7 @@ def fit(
         bound = (unknowns <= problem.lowest) & (slope < 0.0)
         gram[bound, bound] *= _PINNED
         slope[bound] = 0.0
-        step = solved(gram + damping * np.diag(np.diag(gram)), slope)
+        step = Factor(gram + damping * np.diag(np.diag(gram))).solve(slope)
         promised = float(2.0 * slope @ step - step @ gram @ step)
         if promised < gain and settled:
             break
@@ -393,9 +394,7 @@ def _variances(
     """
     precision = problem.precision(scatter)
     gram = normal.gram.sum(axis=0) + np.diag(precision)
-    size = np.sqrt(np.diag(gram))
-    scaled = linalg.cho_factor(gram / np.outer(size, size))
-    covariance = linalg.cho_solve(scaled, np.eye(size.size)) / np.outer(size, size)
+    covariance = Factor(gram).inverse()
     resolved = np.einsum("kij,ji->k", normal.gram, covariance)
     square = normal.square - 2.0 * normal.moment @ ahead + np.einsum("i,kij,j->k", ahead, normal.gram, ahead)
     # A step ahead that the linear model does not hold may promise to leave nothing.
@@ -422,14 +421,7 @@ def _ahead(
     precision = problem.precision(scatter)
     precision[pins] = _PINNED
     slope = normal.moment.sum(axis=0) - precision * (unknowns - mean)
-    return solved(normal.gram.sum(axis=0) + np.diag(precision), slope)
-
-
-def solved(gram: Array, slope: Array) -> Array:
-    """Solve normal equations with unknowns of very different uncertainty."""
-    size = np.sqrt(np.diag(gram))
-    found: Array = linalg.cho_solve(linalg.cho_factor(gram / np.outer(size, size)), slope / size) / size
-    return found
+    return Factor(normal.gram.sum(axis=0) + np.diag(precision)).solve(slope)
 
 
 def allowed_radius(pair: Pair, estimate: Estimate) -> float:
@@ -450,7 +442,7 @@ def allowed_radius(pair: Pair, estimate: Estimate) -> float:
     for size in sizes:
         precision = problem.precision({**estimate.scatter, PIN_RADIUS: float(size)})
         whole = gram + np.diag(precision)
-        unlikely.append(np.linalg.slogdet(whole)[1] - np.log(precision).sum() - moment @ solved(whole, moment))
+        unlikely.append(np.linalg.slogdet(whole)[1] - np.log(precision).sum() - moment @ Factor(whole).solve(moment))
     log = -0.5 * np.array(unlikely)
     weight = np.exp(log - log.max())
     return float(np.sqrt(np.trapezoid(weight * sizes**2, sizes) / np.trapezoid(weight, sizes)))

@@ -17,6 +17,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.estimation.fit import OUTLYING, Problem
+from fitting.estimation.normal_equations import Factor
 from fitting.model.bearings import pair_with
 from fitting.model.first_stage import with_play
 from fitting.model.observations import State, left_of, scatter_names
@@ -181,11 +182,10 @@ class Rows:
         information = factor.T @ (columns.T @ columns) @ factor + np.eye(len(factor))
         moment = factor.T @ (columns.T @ (linear.left + columns @ (factor @ linear.at)))
         # The information of the unknowns differs by a factor of up to a million.
-        size = np.sqrt(np.diag(information))
-        solved = linalg.cho_factor(information / np.outer(size, size))
-        inverse = linalg.cho_solve(solved, np.eye(size.size)) / np.outer(size, size)
+        equations = Factor(information)
+        inverse = equations.inverse()
         inverse = 0.5 * (inverse + inverse.T)
-        return self._within(np.asarray(linalg.cho_solve(solved, moment / size) / size), inverse), inverse
+        return self._within(equations.solve(moment), inverse), inverse
 
     def _within(self, z: Array, covariance: Array) -> Array:
         """Return the most likely unknowns among those whose clearances and plays are not below zero."""

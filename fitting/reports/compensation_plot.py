@@ -38,10 +38,10 @@ def plot_compensator(c: Compensator, torque: float) -> Figure:
         ripple.plot(np.degrees(crank), more * ARCSEC, lw=0.9, color=color, label=label)
     whole.set(
         xlabel="ideal crank angle [°]",
-        ylabel="taken off [arcsec]",
-        title="All with two standard deviations; its mean dashed",
+        ylabel="correction [arcsec]",
+        title="Correction with two standard deviations; mean dashed",
     )
-    ripple.set(xlabel="ideal crank angle [°]", ylabel="taken off [arcsec]", title="Ripple alone")
+    ripple.set(xlabel="ideal crank angle [°]", ylabel="correction [arcsec]", title="Ripple only")
     loads = np.linspace(c.inverse.torque[0], c.inverse.torque[-1], _TORQUES)
     wound = c.compliance * loads
     level = c.inverse.at(0.0, loads, at)[0]
@@ -51,7 +51,7 @@ def plot_compensator(c: Compensator, torque: float) -> Figure:
     band.set(
         xlabel="torque through the teeth [N·m]", ylabel="band [arcsec]", title="Band before measurements", yscale="log"
     )
-    mean.set(xlabel="torque through the teeth [N·m]", ylabel="taken off [arcsec]", title="Mean over the crank angle")
+    mean.set(xlabel="torque through the teeth [N·m]", ylabel="correction [arcsec]", title="Mean over the crank angle")
     for axis in (whole, ripple, mean, band):
         axis.title.set_fontsize(9)
     for axis in (whole, ripple, mean):

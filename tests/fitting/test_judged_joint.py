@@ -145,18 +145,18 @@ def test_a_recorded_drive_is_moved_by_what_was_identified(record_property):
     assert one.band > 0.8
 
 
-@pytest.mark.slow(600)
-def test_several_drives_in_every_case():
+@pytest.mark.slow(210)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_several_drives_in_every_case(seed):
     """Whatever is wrong with what is known of a drive, no controller makes the joint worse.
 
     With a wrong index or another drive, not even for a moment where no index is stated: the band says what is left.
     """
-    for seed in range(2):
-        for motion, case, controller, encoder, one in outcomes(SMALL, seed, profiles=("robot",)):
-            assert one.rms < one.plain_rms, (motion, case, controller, encoder)
-            unstated = controller == "no index stated" and not encoder
-            if unstated and case in ("index wrong by five pins", "another drive"):
-                assert one.peak < one.plain_peak, (motion, case)
-                assert one.band > 0.85, (motion, case)
-            if case == "as recorded" and not encoder:
-                assert one.rms < 0.03 * one.plain_rms
+    for motion, case, controller, encoder, one in outcomes(SMALL, seed, profiles=("robot",)):
+        assert one.rms < one.plain_rms, (motion, case, controller, encoder)
+        unstated = controller == "no index stated" and not encoder
+        if unstated and case in ("index wrong by five pins", "another drive"):
+            assert one.peak < one.plain_peak, (motion, case)
+            assert one.band > 0.85, (motion, case)
+        if case == "as recorded" and not encoder and not unstated:  # without an index the ripple stays
+            assert one.rms < 0.03 * one.plain_rms, controller

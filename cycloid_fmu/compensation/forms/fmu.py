@@ -24,24 +24,24 @@ _STEP = 1e-3  # s, of the default experiment
 _INPUTS = (
     Variable("desired_angle", "of the output", "input", unit="rad", display="deg", start=0.0),
     Variable("desired_speed", "of the output", "input", unit="rad/s", display="rev/min", start=0.0),
-    Variable("load_torque", "of the environment on the output, inertia's too", "input", unit="N.m", start=0.0),
+    Variable("load_torque", "of the environment on the output, inertia included", "input", unit="N.m", start=0.0),
     Variable("temperature", "of the drive", "input", unit="K", start=REFERENCE_TEMPERATURE),
-    Variable("motor_angle_measured", "what the motor's encoder shows", "input", unit="rad", display="deg", start=0.0),
-    Variable("output_angle_measured", "what the output's encoder shows", "input", unit="rad", display="deg", start=0.0),
-    Variable("output_measured", "whether both encoders show something now", "input", "discrete", start=0.0,
+    Variable("motor_angle_measured", "reading of the motor's encoder", "input", unit="rad", display="deg", start=0.0),
+    Variable("output_angle_measured", "reading of the output's encoder", "input", unit="rad", display="deg", start=0.0),
+    Variable("output_measured", "whether both readings are valid now", "input", "discrete", start=0.0,
              kind="boolean"),
 )  # fmt: skip
 _INDEX = (
     Variable("index", "crank angle of the model where the desired output angle is 0", "parameter", "fixed", unit="rad",
              display="deg", start=0.0),
-    Variable("index_probability", "that it is right and the drive is this one, 0 to 1", "parameter", "fixed", unit="1",
-             start=0.0),
+    Variable("index_probability", "that the index is right and the drive is this one, 0 to 1", "parameter", "fixed",
+             unit="1", start=0.0),
 )  # fmt: skip
 _OUTPUTS = (
-    ("motor_angle", "at which the output stands where it should", "rad", "deg"),
-    ("motor_speed", "that belongs to it", "rad/s", "rev/min"),
+    ("motor_angle", "command for the motor", "rad", "deg"),
+    ("motor_speed", "speed of that command", "rad/s", "rev/min"),
     ("band", "standard deviation of the output angle from the desired one", "rad", "arcsec"),
-    ("gain", "of what the crank angle makes of the deviation, 0 to 2", "1", None),
+    ("gain", "gain of the part that depends on the crank angle, 0 to 2", "1", None),
 )
 
 
@@ -51,7 +51,7 @@ def variables(version: Version) -> tuple[Variable, ...]:
     known = {"depends": tuple(v.name for v in _INPUTS), "initially": tuple(v.name for v in _INDEX)}
     outputs = [Variable(name, text, "output", unit=unit, display=display, **known)  # type: ignore[arg-type]
                for name, text, unit, display in _OUTPUTS]  # fmt: skip
-    holds = Variable("holds", "whether the model holds", "output", "discrete", kind="boolean", **known)  # type: ignore[arg-type]
+    holds = Variable("holds", "whether the model is valid", "output", "discrete", kind="boolean", **known)  # type: ignore[arg-type]
     return (*_INPUTS, *_INDEX, *outputs, holds, *time)
 
 
@@ -83,7 +83,7 @@ def build_compensator_fmu(
     files = {
         "compensator.c": source.encode(), "compensator.h": header.encode(),
         **{name: (SOURCES / name).read_bytes() for name in ("instance.c", "instance.h")},
-        **{name: (place / name).read_bytes() for name in ("fmi2.c", "fmi3.c", "format.h")},
+        **{name: (place / name).read_bytes() for name in ("fmi2.c", "fmi3.c", "calls.h", "format.h")},
         **{one.name: one.read_bytes() for one in sorted(native.headers().glob("fmi[23]*.h"))},
     }  # fmt: skip
     token = token_of(__version__ + hashlib.sha256(repr(sorted(files.items())).encode()).hexdigest())
@@ -124,7 +124,7 @@ def _description(c: Compensator, version: Version, token: str, table: Sequence[V
             SubElement(files, "File", name=name)
     root.append(unit_definitions(table))
     categories = SubElement(root, "LogCategories")
-    SubElement(categories, "Category", name="logStatusError", description="what was refused")
+    SubElement(categories, "Category", name="logStatusError", description="refused values")
     SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize=repr(_STEP))
     root.append(model_variables(table, version))
     root.append(model_structure(table, version))
@@ -140,8 +140,8 @@ def _page(c: Compensator, table: Sequence[Variable]) -> str:
 <html lang="en"><head><meta charset="utf-8"><title>Compensator</title></head><body>
 <h1>Compensator of a cycloid drive</h1>
 <p>{html.escape(about(c))} Made by cycloid-fmu {__version__}.</p>
-<p>Each communication step is one step of the compensator with the inputs that stand when it is made, whatever its
-length. Until the first step the outputs are those of a step that is not remembered.</p>
+<p>Each communication step, of any length, is one step of the compensator with the current inputs. Before the first step
+the outputs are those of a step that is not stored.</p>
 <table><tr><th>name<th>causality<th>unit<th>meaning</tr>
 {rows}</table></body></html>
 """

@@ -87,5 +87,5 @@ def about(c: Compensator) -> str:
     arcsec = t.residual * 648000.0 / np.pi
     return (
         f"Cycloid drive, ratio {c.ratio:g}: tables of {c.size} bytes, {reach}{warm}; largest difference from the model "
-        f"that was found: {arcsec:.3g} arcsec."
+        f"{arcsec:.3g} arcsec."
     )

@@ -47,7 +47,7 @@ int instance_open(struct instance *instance, const char *name, const char *token
     }
     fresh(instance);
     if (exchange) {
-        return instance_refuse(instance, STATUS_ERROR, "this FMU is for Co-Simulation alone.");
+        return instance_refuse(instance, STATUS_ERROR, "this FMU is for Co-Simulation only.");
     }
     if (token == NULL || strcmp(token, TOKEN) != 0) {
         return instance_refuse(instance, STATUS_ERROR, "the model description and the library belong to two FMUs: \"%.100s\" "
@@ -263,7 +263,7 @@ int instance_restore(struct instance *instance, const void *state) {
     }
     if (!(found.phase == INSTANTIATED || found.phase == INITIALIZING || found.phase == STEPPING
           || found.phase == TERMINATED)) {
-        return instance_refuse(instance, STATUS_ERROR, "this state is damaged: it has a phase that there is not.");
+        return instance_refuse(instance, STATUS_ERROR, "this state is damaged: it has an unknown phase.");
     }
     instance->drive.state = found;
     return STATUS_OK;
