@@ -2,17 +2,21 @@
 
 Speed comes from the benchmarks; accuracy, coverage of intervals and the fault table from what the tests themselves
 record; how much of the code the tests run through from coverage.py. Every part is kept in `docs/generated` as it ends,
-so the same command goes on after an interruption, which writes the page of the parts that are there; a change of code,
-tests or benchmarks begins anew. All figures are in `docs/development/benchmarks.md`; `questions.py` beside this file
-states which of them answer a reader's question in `docs/measured.md`.
+so the same command continues after an interruption, which writes the page of the parts that are there; a change of
+code, tests or benchmarks starts from the beginning. `python docs/measure.py test_contact_speed …` measures these
+benchmarks only and replaces their sections; the others keep their figures and dates. All figures are in
+`docs/development/benchmarks.md`; `questions.py` beside this file states which of them answer a reader's question in
+`docs/measured.md`.
 """
 
 import argparse
 import ast
+import datetime
 import hashlib
 import json
 import os
 import platform
+import re
 import resource
 import subprocess
 import sys
@@ -71,7 +75,10 @@ def measured(name: str, report: Path, calls: list[list[str]], environment: dict[
         raise SystemExit(f"{name}: pytest ran nothing that makes a report; the parts before are kept.")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    took = {"seconds": time.perf_counter() - begin, "processor": processor, "load": [load, os.getloadavg()[0]]}
+    took = {
+        "seconds": time.perf_counter() - begin, "processor": processor, "load": [load, os.getloadavg()[0]],
+        "date": datetime.date.today().isoformat(),
+    }  # fmt: skip
     report.with_suffix(".took").write_text(json.dumps(took), encoding="utf-8")
     os.replace(f"{report}.part", report)
 
@@ -86,7 +93,8 @@ def took(report: Path) -> str:
     """What a part took, in words."""
     one = json.loads(report.with_suffix(".took").read_text(encoding="utf-8"))
     low, high = sorted(one["load"])
-    return f"{one['seconds']:.0f} s, {one['processor']:.0f} s of processors, load {low:.1f} to {high:.1f}"
+    load = f"load {low:.1f} to {high:.1f}"
+    return f"{one['date']}: {one['seconds']:.0f} s, {one['processor']:.0f} s of processors, {load}"
 
 
 def speed(report: Path) -> Iterator[str]:
@@ -101,6 +109,15 @@ def speed(report: Path) -> Iterator[str]:
         further = "; ".join(f"{name}: {value}" for name, value in one["extra_info"].items())
         rows.append([one["name"], f"{median / (scale or 1e-9):.3g} {unit}", further])
     yield table(["benchmark", "median", "beside it"], rows)
+
+
+def replaced(record: str, sections: dict[str, str]) -> str:
+    """The record with the sections of these benchmarks replaced, or added in the order of the alphabet."""
+    head, begin, rest = record.partition("## Speed\n\n")
+    parts, begin_after, after = rest.partition("\n\n## Accuracy and coverage\n")
+    old = {one.partition("\n")[0]: one for one in re.split(r"(?:^|\n\n)### ", parts) if one}
+    new = old | {name: section.removeprefix("### ") for name, section in sections.items()}
+    return head + begin + "\n\n".join(f"### {new[name]}" for name in sorted(new)) + begin_after + after
 
 
 def recorded(report: Path) -> Iterator[list[str]]:
@@ -176,7 +193,11 @@ def main() -> None:
     """Measure the parts that are not there yet, then write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a tenth of the studies")
-    quick = parser.parse_args().quick
+    parser.add_argument("benchmark", nargs="*", help="only these, as test_contact_speed; the rest of the page is kept")
+    given = parser.parse_args()
+    quick, wanted = given.quick, given.benchmark
+    if unknown := sorted(set(wanted) - set(BENCHMARKS)):
+        parser.error(f"{', '.join(unknown)}: there are {', '.join(BENCHMARKS)}")
     digest = hashlib.sha256(repr(quick).encode())
     for top in (*PACKAGES, "tests", "benchmarks"):
         for path in sorted(p for ending in ("py", "c", "h") for p in (ROOT / top).rglob(f"*.{ending}")):
@@ -187,11 +208,18 @@ def main() -> None:
     interrupted = False
     try:
         for name, report, calls, further in parts(folder):
-            measured(name, report, calls, {**environment, **further})
+            if not wanted or name in wanted:
+                measured(name, report, calls, {**environment, **further})
     except KeyboardInterrupt:
         print("Interrupted: the parts that ended are kept; the same command goes on.", file=sys.stderr)
         interrupted = True
-    RECORD.write_text(page(folder, quick) + "\n", encoding="utf-8")
+    if wanted:
+        reports = {name: report for name in wanted if (report := folder / f"{name}.json").exists()}
+        sections = {name: "\n\n".join(speed(report)) for name, report in reports.items()}
+        text = replaced(RECORD.read_text(encoding="utf-8"), sections)
+    else:
+        text = page(folder, quick) + "\n"
+    RECORD.write_text(text, encoding="utf-8")
     questions.PAGE.write_text(questions.page(RECORD.read_text(encoding="utf-8")), encoding="utf-8")
     raise SystemExit(130 if interrupted else 0)
 
