@@ -260,6 +260,10 @@ def test_each_measured_number_of_the_readme_is_one_of_the_measured_figures():
             assert any(round(float(n), digits) == float(number) for n, of in measured if of == unit), (number, unit)
 
 
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900
+
+
 def test_the_measured_figures_by_question_are_those_of_the_record(monkeypatch):
     """The page has no number of its own, and each command on it names a test that is there."""
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
