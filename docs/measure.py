@@ -100,7 +100,7 @@ def speed(report: Path) -> Iterator[str]:
         unit, scale = next((u, s) for u, s in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 0.0)) if median >= s)
         further = "; ".join(f"{name}: {value}" for name, value in one["extra_info"].items())
         rows.append([one["name"], f"{median / (scale or 1e-9):.3g} {unit}", further])
-    yield table(["benchmark", "median", "beside it"], rows)
+    yield table(["benchmark", "median", "other figures"], rows)
 
 
 def recorded(report: Path) -> Iterator[list[str]]:
