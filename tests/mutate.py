@@ -270,7 +270,7 @@ def page() -> str:
             "`python tests/mutate.py` changes one operator, number or condition of the code at a time and runs the "
             f"tests of that code. The sample of all possible changes is drawn with the seed {SEED}.",
             "\n".join(rows),
-            "The changes that no test detected, and why none has to:",
+            "Undetected changes, each with the reason why it needs no test:",
             *survivors,
         ]
     )
