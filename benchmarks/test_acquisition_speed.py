@@ -1,4 +1,4 @@
-"""How fast samples are taken: against bare loops of python-can and pyserial on the same line in the same run."""
+"""Rate of sampling, against bare loops of python-can and pyserial on the same line in the same run."""
 
 import os
 import statistics
@@ -19,8 +19,8 @@ from drivers.encoder import BusConfig
 from drivers.recorder.bench import open_encoders
 
 PAIRS = int(os.environ.get("CYCLOID_PAIRS", "41"))
-# Whole blocks: a last one that is not full waits for `can_hub.BLOCK_SECONDS` to end, which says nothing of the rate.
-# Many short pairs tell more on a busy machine than few long ones; UDP's socket holds no more frames.
+# Whole blocks: a last one that is not full waits for `can_hub.BLOCK_SECONDS`, which is not part of the rate.
+# On a busy machine many short pairs are more reliable than few long ones; UDP's socket holds no more frames.
 FRAMES = 4 * BLOCK_FRAMES
 ROUND_TRIPS = 2_000
 SOAK = int(float(os.environ.get("CYCLOID_SOAK", "1e8")))
@@ -33,7 +33,7 @@ def bus_config(interface):
 
 
 def send_all(config):
-    """Send frames of two nodes to whoever has opened the bus."""
+    """Send frames of two nodes to every process that has opened the bus."""
     with open_bus(config) as sender:
         for i in range(FRAMES):
             payload = i.to_bytes(4, "little")
@@ -62,7 +62,7 @@ def bare_rate(interface):
 
 
 class WaitingHub(CanHub):
-    """A hub whose reader begins when it is told to: when all frames are there."""
+    """A hub whose reader begins on request, when all frames are there."""
 
     def __init__(self, config):
         self.go = threading.Event()

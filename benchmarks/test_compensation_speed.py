@@ -1,4 +1,4 @@
-"""How long a step of a compensator takes in C: the worst call of a motion, with an output encoder and without."""
+"""Time of a compensator's step in C: the longest call of a motion, with an output encoder and without."""
 
 import math
 import subprocess
@@ -16,7 +16,7 @@ from compensators import NONE
 from test_compensation_forms import host
 
 ROUNDS = 300
-ALLOWED = 500.0  # ns, what the clock takes itself included
+ALLOWED = 500.0  # ns, including the call of the clock
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def compensator():
 
 
 def motion(c, *, measured):
-    """Back and forth by 86° of the output under a load that changes with place and direction; what an encoder shows."""
+    """Back and forth by 86° of the output under a load that changes with place and direction; an encoder's readings."""
     random, rows, motor, before, memory = np.random.default_rng(1), [], NONE, 0.0, Memory()
     for t in np.linspace(0.0, 8.0 * math.pi, 2000):
         angle, speed = 1.5 * math.sin(t), 1.5 * math.cos(t)
@@ -42,7 +42,7 @@ def motion(c, *, measured):
 )
 @pytest.mark.parametrize("measured", [False, True])
 def test_worst_step(compensator, tmp_path, compiler, measured, record_property):
-    """Each call is timed in 300 rounds and its least time taken: what interrupts the process is not the step's."""
+    """Each call is timed in 300 rounds and its least time used: interruptions are not part of the step."""
     timed = (*compiler, f"-DTIMED={ROUNDS}", "-D_POSIX_C_SOURCE=199309L")
     program = host(compensator, motion(compensator, measured=measured), 0.0, tmp_path, timed, "-lm")
     done = subprocess.run([program], capture_output=True, text=True, check=True)

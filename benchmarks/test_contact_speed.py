@@ -1,7 +1,7 @@
-"""The compiled kernel, and the plain NumPy brute force of the same contact that it is measured against.
+"""The compiled kernel against a plain NumPy brute-force solution of the same contact.
 
-The baseline is `tests/brute_force.py` as a bare scan of 6,400 profile points a tooth, the fewest at which a scan alone
-agrees within 0.01″; both run in the same session and `extra_info` holds their ratio.
+The baseline is `tests/brute_force.py` as a bare scan of 6,400 profile points a tooth, the fewest at which a scan
+agrees within 0.01″. Both run in the same session; `extra_info` has their ratio.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""A change on the desk by processor time: 0.3 s is asked for; beside the curves under load alone, without any play.
+"""A change on the desk in processor time (limit 0.3 s), and its ratio to the loaded curves without play.
 
 299 teeth are drawn on two discs. With limits the duty's torques and the lost motion are solved too.
 """

@@ -1,9 +1,9 @@
-"""Hours at kilohertz to figures, against pandas and NumPy doing the bare minimum: read, unwrap, bin.
+"""From hours at kilohertz to figures, against the bare minimum in pandas and NumPy: read, unwrap, bin.
 
 A recording of two hours at 4 kHz, 28.8 million samples of four channels, as Parquet (`CYCLOID_HOURS` scales it). Both
-run in processes of their own, one after the other, on the same file; `extra_info` holds seconds, the ratio, and the
-largest memory of each. So it does for a tenth of it as our recorder writes it, a batch for each channel and twentieth
-of a second.
+run in separate processes, one after the other, on the same file; `extra_info` has seconds, the ratio, and the
+largest memory of each. It has the same for a tenth of it as our recorder writes it, a batch for each channel and
+twentieth of a second.
 """
 
 import json

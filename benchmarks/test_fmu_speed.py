@@ -1,4 +1,4 @@
-"""A step of the FMU through fmpy, against a slave of pythonfmu that does nothing, and how long a fresh one takes."""
+"""A step of the FMU through fmpy, against a slave of pythonfmu that does nothing, and the time of a new instance."""
 
 import json
 import subprocess
@@ -15,7 +15,7 @@ from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import read_pair
 
 ROUNDS, STEPS = 1500, 20
-# What modellers exchange in a step; a slave that does nothing has as many variables under the same references.
+# The values that modellers exchange in a step; a slave that does nothing has as many under the same references.
 INPUTS = {"kinematic": ("flange_a.phi", "flange_a.w", "flange_b.tau"),
           "compliant": ("flange_a.phi", "flange_a.w", "flange_b.phi", "flange_b.w")}  # fmt: skip
 OUTPUTS = {"kinematic": ("flange_b.phi", "flange_b.w", "flange_a.tau", "transmission_error"),
@@ -67,7 +67,7 @@ def fmu(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def slaves(tmp_path_factory):
-    """FMUs by name, started, each with the references that are set and got, and what is set at a crank angle."""
+    """FMUs by name, started, each with the references that are set and got, and the values set at a crank angle."""
     folder = tmp_path_factory.mktemp("slaves")
     pair = read_pair(EXAMPLES / "drive-39-40.toml")
     started = {}

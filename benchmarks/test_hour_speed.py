@@ -1,8 +1,8 @@
-"""What an hour of four channels at 50 kHz costs: recorder and file against plain pyarrow with the same columns.
+"""Cost of an hour of four channels at 50 kHz: recorder and file against plain pyarrow with the same columns.
 
-A hundredth of the hour, or the share that CYCLOID_HOUR states, in blocks of 50 ms, each with the operating system when
-it is written and the disk asked once a second of the samples, as a run of 36 s would; stated for the whole hour.
-Processor seconds are this process's own; memory is that of the largest moment above what there was before.
+A hundredth of the hour, or the share that CYCLOID_HOUR states, in blocks of 50 ms, each passed to the operating
+system when written and synced to disk once per second of samples, as in a run of 36 s; stated for the whole hour.
+Processor seconds are those of this process; memory is the largest increase.
 """
 
 import os

@@ -1,7 +1,7 @@
-"""Identification against the plain way in one run: time, evaluations of the model, errors found, coverage.
+"""Identification against a plain method in one run: time, evaluations of the model, errors found, coverage.
 
 Three loads, both directions, 720 angles each, of drives whose pins scatter by 2 µm beyond their structured errors. The
-plain way is scipy's least_squares with finite differences and all structured errors free; CYCLOID_SEEDS drives, else 1.
+plain method is scipy's least_squares with finite differences and all structured errors free. CYCLOID_SEEDS drives (1).
 From the command line the same recordings are CSV files, and the baseline is a process that loads the packages which
 reading and fitting cannot do without.
 """

@@ -1,4 +1,4 @@
-"""How fast a native FMU steps, in the C host and through fmpy against one that does nothing."""
+"""Steps of a native FMU, in the C host and through fmpy, against one that does nothing."""
 
 import re
 import statistics
@@ -57,7 +57,7 @@ def nanoseconds(folder, guid):
 
 
 def test_step_through_fmpy(benchmark, native, tmp_path):
-    """Against a native FMU whose functions only keep what they are handed."""
+    """Against a native FMU whose functions only store their arguments."""
     names = re.findall(r"TYPE +(fmi2\w+);", (native_build.headers() / "fmi2Functions.h").read_text())
     others = "\n".join(f"int {name}(void) {{ return 0; }}" for name in names if name not in GIVEN)
     (tmp_path / "empty.c").write_text(EMPTY + others)

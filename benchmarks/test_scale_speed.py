@@ -1,7 +1,7 @@
 """A million drives on a cluster of a hundred workers: dask's own scheduler, workers that wait in place of computing.
 
 Scheduler, client and workers share one process here, so the efficiency of a cluster is higher. `CYCLOID_DRIVES` scales
-it, else 20,000; the page docs/development/scale.md has the figures of the whole. Efficiency is the workers' time in
+it, else 20,000; docs/development/scale.md has the figures of all. Efficiency is the workers' time in
 drives over that of all workers until the last drive is on disk.
 """
 
@@ -17,7 +17,7 @@ from cycloid_fmu.studies.checkpoint import Checkpoint
 from cycloid_fmu.studies.machines import Solved, complete
 
 DRIVES = int(float(os.environ.get("CYCLOID_DRIVES", "2e4")))
-# What a worker watches of its machine each half second: a hundred would watch this one, all from one thread.
+# The machine's state that a worker watches each half second: a hundred would watch this one, all from one thread.
 ALONE = {
     "distributed.admin.system-monitor.interval": "1h", "distributed.admin.system-monitor.disk": False,
     "distributed.worker.profile.enabled": False,
@@ -59,7 +59,7 @@ class StoppedError(Exception):
 
 @pytest.mark.parametrize("workers", [1, 10, 100])
 def test_efficiency_of_a_cluster(benchmark, tmp_path, workers):
-    """With one and ten workers a hundredth and a tenth of the drives; half-way it is stopped and goes on."""
+    """With one and ten workers a hundredth and a tenth of the drives; half-way it is stopped and resumed."""
     import dask
     from distributed import LocalCluster
 

@@ -1,8 +1,8 @@
-"""How long until one can work: from an empty environment to the first result, and until a package or command is there.
+"""Time until the first result from an empty environment, and until a package or command is ready.
 
-All in fresh processes. Installing is set against installing numba, SciPy and matplotlib alone, with the same cache of
-downloads; importing and starting a command against importing NumPy, in turn, and the median is taken. `extra_info`
-holds seconds: wall clock, and processor (user and system), for the machine may have other work.
+All in fresh processes. Installing is compared with installing only numba, SciPy and matplotlib, with the same cache of
+downloads; importing and starting a command with importing NumPy, in turn, by the median. `extra_info` has seconds: wall
+clock, and processor (user and system), because the machine may have other work.
 """
 
 import resource
@@ -23,7 +23,7 @@ IMPORTED = (
 
 
 def spent(work, *words):
-    """Wall clock and processor seconds of what `work` starts."""
+    """Wall clock and processor seconds of the processes that `work` starts."""
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     work(*words)
     seconds, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -1,7 +1,7 @@
-"""Tolerance studies: drives a second, two workers over one, and what a task costs on a dask cluster.
+"""Tolerance studies: drives per second, two workers over one, and the cost of a task on a dask cluster.
 
 The baseline is the exact sweep called in a Python loop, one drive after the other; all ratios are of one session and in
-`extra_info`. Processor time is stated beside, because other work on the machine does not change it much.
+`extra_info`. Processor time is stated too, because other work on the machine changes it little.
 """
 
 import dataclasses
@@ -72,7 +72,7 @@ def test_two_workers_over_one(benchmark):
 
 @pytest.mark.parametrize("each", [1, 10, 100])
 def test_overhead_of_a_task_on_a_cluster(benchmark, each):
-    """Empty tasks of a study's size on two local workers: what the scheduler costs a task."""
+    """Empty tasks of a study's size on two local workers: the scheduler's cost of a task."""
     from distributed import Client, LocalCluster
 
     with (

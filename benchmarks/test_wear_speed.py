@@ -1,8 +1,8 @@
-"""Wear of the wear paper's pair over three million turns, and the plain NumPy loop that it is measured against.
+"""Wear of the wear paper's pair over three million turns, against a plain NumPy loop.
 
 The baseline goes through the same crank angles and elements, pin by pin: the contact by `tests/brute_force.py`, a bare
 scan of 6,400 profile points a tooth, and the pressure's ellipse on every element. It is timed at a few crank angles of
-the same session; `extra_info` holds the ratio, for one wear rate of the new profile.
+the same session; `extra_info` has the ratio, for one wear rate of the new profile.
 """
 
 import dataclasses
@@ -73,7 +73,7 @@ def test_wear_rate_against_a_plain_loop(benchmark):
     begin = time.perf_counter()
     gear, _ = plain_loop(model, few)
     took = (time.perf_counter() - begin) * model.sweep.crank_angle.size / few.size
-    # The same wear: its volume within what few crank angles and a flat ellipse can tell.
+    # The same wear: its volume within the error of few crank angles and a flat ellipse.
     volume = gear.sum() * model.gear_element * 10e-3 * 16
     assert abs(volume / rate.volume - 1.0) < 0.05
     benchmark.extra_info["times faster than the plain loop"] = round(took / benchmark.stats.stats.median)

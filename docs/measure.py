@@ -1,12 +1,11 @@
-"""Measure again all that docs/measured.md states: `python docs/measure.py` (hours; --quick: a tenth of each study).
+"""Repeat all measurements of docs/measured.md: `python docs/measure.py` (hours; --quick: a tenth of each study).
 
-Speed comes from the benchmarks; accuracy, coverage of intervals and the fault table from what the tests themselves
-record; how much of the code the tests run through from coverage.py. Every part is kept in `docs/generated` as it ends,
-so the same command continues after an interruption, which writes the page of the parts that are there; a change of
-code, tests or benchmarks starts from the beginning. `python docs/measure.py test_contact_speed …` measures these
-benchmarks only and replaces their sections; the others keep their figures and dates. All figures are in
-`docs/development/benchmarks.md`; `questions.py` beside this file states which of them answer a reader's question in
-`docs/measured.md`.
+Speed comes from the benchmarks; accuracy, coverage of intervals and the fault table from records of the tests; the
+share of the code that the tests run from coverage.py. Finished parts are kept in `docs/generated`. After an
+interruption, which writes the page of these parts, the same command continues; a change of code, tests or benchmarks
+starts again. `python docs/measure.py test_contact_speed …` repeats only these benchmarks and replaces their sections.
+All figures are in `docs/development/benchmarks.md`; `questions.py` in this folder states which of them answer a
+reader's question in `docs/measured.md`.
 """
 
 import argparse
@@ -90,7 +89,7 @@ def table(head: list[str], rows: list[list[str]]) -> str:
 
 
 def took(report: Path) -> str:
-    """What a part took, in words."""
+    """Time and load of a part, in words."""
     one = json.loads(report.with_suffix(".took").read_text(encoding="utf-8"))
     low, high = sorted(one["load"])
     load = f"load {low:.1f} to {high:.1f}"
@@ -98,7 +97,7 @@ def took(report: Path) -> str:
 
 
 def speed(report: Path) -> Iterator[str]:
-    """One benchmark file: what it measures against what, and its figures."""
+    """One benchmark file: its description and figures."""
     text = (ROOT / "benchmarks" / f"{report.stem}.py").read_text(encoding="utf-8")
     yield f"### {report.stem}"
     yield (ast.get_docstring(ast.parse(text)) or "") + f" ({took(report)})"
@@ -108,7 +107,7 @@ def speed(report: Path) -> Iterator[str]:
         unit, scale = next((u, s) for u, s in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 0.0)) if median >= s)
         further = "; ".join(f"{name}: {value}" for name, value in one["extra_info"].items())
         rows.append([one["name"], f"{median / (scale or 1e-9):.3g} {unit}", further])
-    yield table(["benchmark", "median", "beside it"], rows)
+    yield table(["benchmark", "median", "other figures"], rows)
 
 
 def replaced(record: str, sections: dict[str, str]) -> str:
@@ -146,7 +145,7 @@ def run_through(report: Path) -> str:
 
 
 def counted(report: Path) -> str:
-    """How many tests a report has, and how they ended."""
+    """Numbers of a report's tests by result."""
     (suite,) = ElementTree.parse(report).iter("testsuite")
     return ", ".join(f"{suite.get(kind)} {said}" for kind, said in (
         ("tests", "tests"), ("failures", "failed"), ("errors", "errors"), ("skipped", "skipped"),
@@ -157,7 +156,7 @@ def page(folder: Path, quick: bool) -> str:
     """The page, from the parts' reports that are there."""
     speeds = [report for name in BENCHMARKS if (report := folder / f"{name}.json").exists()]
     if not speeds:
-        raise SystemExit("No part has ended yet: there is nothing to write.")
+        raise SystemExit("No part is finished yet: there is nothing to write.")
     machine = json.loads(speeds[0].read_text(encoding="utf-8"))["machine_info"]
     tests = [folder / "default.xml", *(folder / f"slow-{name}.xml" for name in STUDIES)]
     tests = [report for report in tests if report.exists()]
@@ -167,7 +166,7 @@ def page(folder: Path, quick: bool) -> str:
     return "\n\n".join(
         [
             "# Benchmarks",
-            *([f"Not measured yet: {', '.join(missing)}; the same command goes on."] if missing else []),
+            *([f"Not measured yet: {', '.join(missing)}; the same command continues."] if missing else []),
             f"By `python docs/measure.py{' --quick' if quick else ''}` on "
             f"{machine['cpu'].get('brand_raw', machine['machine'])}, {os.cpu_count()} cores, {platform.system()}, "
             f"Python {machine['python_version']}. Ratios are of one run, each against the baseline that its benchmark "
@@ -211,7 +210,7 @@ def main() -> None:
             if not wanted or name in wanted:
                 measured(name, report, calls, {**environment, **further})
     except KeyboardInterrupt:
-        print("Interrupted: the parts that ended are kept; the same command goes on.", file=sys.stderr)
+        print("Interrupted: the parts that ended are kept; the same command continues.", file=sys.stderr)
         interrupted = True
     if wanted:
         reports = {name: report for name in wanted if (report := folder / f"{name}.json").exists()}

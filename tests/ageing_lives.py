@@ -10,7 +10,7 @@ import numpy as np
 import second_drive
 
 _BINS, _POINTS = 800, 24  # along a flank's arc; crank angles of one pin pitch
-_SMALL = 1e-3  # of the lost motion's torque: between such torques lies the play
+_SMALL = 1e-3  # of the lost motion's torque: the play is between such torques
 
 
 def worn(made, depth, pin_depth, waves):

@@ -1,4 +1,4 @@
-"""Recordings of drives and benches that do what the model of rigid supports and quiet encoders does not hold.
+"""Recordings of drives and benches with effects outside the model of rigid supports and quiet encoders.
 
 `python tests/benches_as_they_are.py DRIVES` prints the table of docs/identify.md; effects may follow. Drives are made
 by `second_drive`, which shares nothing with the product's kernels. What is done is kept in docs/generated until code
@@ -27,12 +27,12 @@ from fitting.estimation.identify import identify
 
 ROOT = Path(__file__).parent.parent
 NOISE, STEP = 0.5 * ARCSEC, 1e-2  # rad; s from one sample to the next
-STIFF, CIRCLE = 1e9, 0.026  # N/m of turning arms and cranks' shafts, three of them, and m: the circle they stand on
+STIFF, CIRCLE = 1e9, 0.026  # N/m of turning arms and cranks' shafts, three of them, and m: radius of their circle
 
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """What a drive and its bench do beside structured errors, scatter and noise.
+    """Effects of a drive and its bench in addition to structured errors, scatter and noise.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Effect:
         By how much the ring shifts at 200 N·m, in the plane, and discs against the throw of their crank, in its frame:
         along it with the size of the load, ahead of it with its sign, m.
     chain
-        What more gives way, rad/(N·m).
+        Further compliance, rad/(N·m).
     ripple
         Share of the load that comes and goes once a crank turn and the sensor does not see.
     drift, run_out, output, input, stage
@@ -55,11 +55,11 @@ class Effect:
     bits, outliers, missing
         Of both encoders, share of samples 100″ off, whether three tenths of the turn are missing.
     discs, phase
-        How many, and how far the second one's teeth stand from where they should, m.
+        Number of discs, and displacement of the second one's teeth, m.
     form
         Largest deviation of a form that all flanks share, m.
     bearings
-        Whether the disc and its cranks stand on bearings, and whether the pair file states them.
+        Whether the disc and its cranks are on bearings, and whether the pair file states them.
     """
 
     causes: tuple[str, ...] = ()
@@ -137,7 +137,7 @@ def on_bearings(pair, surface, stiffness=STIFF):
 
 
 def springs(stiffness=STIFF):
-    """What bearings of `on_bearings` are to one disc: a spring of its centre, and what they let the output turn."""
+    """The effect of bearings of `on_bearings` on one disc: a spring at its centre, and a compliance of the output."""
     return {"bearing": 1.0 / (2.0 / (3.0 * stiffness) + 1.0 / (3.0 * stiffness)),
             "windup": 2.0 / (3.0 * stiffness * CIRCLE**2)}  # fmt: skip
 
@@ -197,7 +197,7 @@ def recorded(effect, made, load, generator, phases, each=24.37, turns=2):
 
 
 def identified(name, pair, seed, *, each=24.37, turns=2, loads=LOADS):
-    """What is identified of a random drive with an effect, and its errors."""
+    """The identification of a random drive with an effect, and its errors."""
     effect, generator = EFFECTS[name], np.random.default_rng([zlib.crc32(name.encode()), seed])
     pair = pair.replace(discs=effect.discs)
     made, values = random_body(effect, pair, generator)
@@ -231,7 +231,7 @@ def names(verdict):
 
 
 def outcome(name, seed):
-    """What became of one drive of 11/12, as the table counts it: plain values."""
+    """The result of one drive of 11/12, as the table counts it: plain values."""
     found, values = identified(name, small(), seed)
     verdict = found.verdict
     away = {} if verdict.state == "not explained" else scores(found, values)
@@ -242,7 +242,7 @@ def outcome(name, seed):
 
 
 def resumed(task, wanted, kept, what):
-    """What a task returns for each of some arguments, those in the file `kept` first, the others as they come."""
+    """Results of a task for some arguments, those in the file `kept` first, the others as they are computed."""
     lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
     every = {tuple(given): found for given, found in map(json.loads, lines)}
     left = [given for given in wanted if given not in every]
@@ -263,7 +263,7 @@ def resumed(task, wanted, kept, what):
 
 
 def is_right(one):
-    """Whether a verdict is what it should be: nothing named where nothing is to be seen, or a right cause."""
+    """Whether a verdict is right: nothing named where nothing is visible, or a right cause."""
     causes = EFFECTS[one["effect"]].causes
     return bool(set(causes) & set(one["causes"])) if causes else one["state"] == "explained"
 
@@ -314,7 +314,7 @@ def _farthest(every):
 
 
 def kept_file(study, *modules):
-    """Where a study of some modules of tests keeps what is done, until these or the product change."""
+    """Folder in which a study of some modules of tests keeps its results, until these or the product change."""
     files = [file for room in ("fitting", "cycloid_fmu") for file in sorted((ROOT / room).rglob("*.py"))]
     files += [Path(__file__).with_name(f"{name}.py") for name in ("second_drive", "sampled_drives", *modules)]
     mark = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]

@@ -1,4 +1,4 @@
-"""What several tests share: the data, the 39/40 pair and field units."""
+"""Shared by several tests: the data, the 39/40 pair and field units."""
 
 import importlib
 import json
@@ -42,7 +42,7 @@ def make_pair(text=PAIR, **keys):
 
 
 def resolved(name):
-    """What a dotted name is: of a function and a module of one name the function, as in Python."""
+    """The object of a dotted name; of a function and a module of one name the function, as in Python."""
     first, *parts = name.split(".")
     found = importlib.import_module(first)
     for part in parts:

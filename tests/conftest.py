@@ -75,7 +75,7 @@ def pytest_xdist_make_scheduler(config, log):
 
 
 def pytest_collection_modifyitems(items):
-    """Each worker's stretch of the slow tests begins with the longest: one begun last would keep it busy alone."""
+    """Each worker's part of the slow tests begins with the longest: begun last, it would run after all others."""
     slow = {item: mark.args[0] if mark.args else 0 for item in items if (mark := item.get_closest_marker("slow"))}
     # "1/3": the second third of them, chosen by name.
     which, of = map(int, os.environ.get("CYCLOID_SLOW_PART", "0/1").split("/"))

@@ -5,14 +5,14 @@ compiled kernels: no conjugate point, no Newton step, no warm start. SI units th
 
 Flanks and pins are cut across the width into independent slices, each taken at its middle, and each slice of a tooth
 or pin into elements. An element is a patch of a cylinder: control point at its middle, nominal normal, nominal
-curvature, and a finite range of half an element to either side. What the paper leaves open is decided thus:
+curvature, and a finite range of half an element to either side. Where the paper is open:
 
 - Facing. A pair (gear element, pin element) is a contact candidate only where the closest points of its two cylinders,
   which lie on the line through both centres of curvature, lie within both patches' ranges; without that, cylinders
   continued beyond their elements give depths that do not exist. Neighbouring patches do not quite meet, their
   curvatures and deviations being different: where the closest points fall between patches, so that no pair within two
   elements faces, the pair that comes nearest to it counts, its ranges continued by up to half an element. Edges of
-  elements that stand proud of their neighbours therefore do not touch (`contact="facing"`).
+  elements above their neighbours therefore do not touch (`contact="facing"`).
 - `contact="deepest"` is the other answer: the deviated flank, with its steps, kinks and slopes, is sampled densely
   and the deepest point counts, wherever in its element it lies. It is what the geometry does; the paper's search does
   it only in so far as a proud element's cylinder is taken beyond its range.
@@ -38,7 +38,7 @@ TOUCHING = 0.2e-9  # m: a best gap this small is contact without play, not inter
 SLACK = 1e-6  # of half an element, by which ranges overlap against rounding
 BORDER = 0.01  # elements: within this of a pin element's border its neighbour is tried too
 BETWEEN = 2.0  # half elements: how far from its middle a pair may be continued where no pair faces
-LARGEST_BLOCK = 40_000  # element pairs held at once
+LARGEST_BLOCK = 40_000  # element pairs in memory at a time
 READINGS = ("linear", "constant")
 CONTACTS = ("facing", "deepest")
 PAIRS = ("all", "directed")
@@ -125,7 +125,7 @@ class Elements:
         self.reach = 0.05 * 2 * np.pi / self.teeth
 
     def _at_slices(self, deviation: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
-        """Deviation at each slice: that of the element across the width in which the slice's middle lies."""
+        """Deviation at each slice: that of the element across the width in which the slice's middle is."""
         if deviation is None:
             return np.zeros((*shape, self.slices))
         if deviation.shape[:-1] != shape:
@@ -407,7 +407,7 @@ def solve_elements(
     width_elements, profile_elements, angle_elements
         Elements across the width (slices), along the profile of a tooth and around the facing half of a pin. Where the
         surface holds deviations, its arrays say how many; slices may then still be given, each takes the deviation of
-        the element that its middle lies in. Without either: one slice.
+        the element in which its middle is. Without either: one slice.
     reading
         "linear": deviations interpolated between the elements' middles; "constant": each element's own.
     contact

@@ -1,9 +1,9 @@
 """A robot joint behind a drive that `second_drive` makes: output angle, friction with presliding, arm and servo.
 
-The teeth are a table of what the second solver says over the crank's angle and the torque through them. The output's
+The teeth are a table of the second solver's results over the crank's angle and the torque through them. The output's
 friction is the LuGre model (Canudas de Wit et al., IEEE Trans. Autom. Control 40(3), 1995), its bristles integrated in
 closed form over a step; the product holds friction by other laws. Arm and motor swing, or the output settles at every
-sample. Signs are the product's: a torque is what the environment puts on the output.
+sample. Signs are the product's: a torque is that of the environment on the output.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ class Friction:
     sliding, sticking
         Level at speed and at rest, N·m.
     load_share
-        What it grows by for each N·m through the teeth.
+        Its increase for each N·m through the teeth.
     stribeck
         Speed over which it falls from one to the other, rad/s.
     viscous
@@ -56,7 +56,7 @@ class Friction:
         ])  # fmt: skip
 
     def steady(self, speed, torque, rise=0.0):
-        """What it is at a speed that lasts, opposite to it, N·m."""
+        """Friction at constant speed, opposite to it, N·m."""
         numbers = self.at(rise)
         return np.sign(speed) * level(numbers, np.abs(speed), np.abs(torque)) + numbers[4] * speed
 
@@ -284,7 +284,7 @@ class Servo:
     rotor: float = 0.2
 
     def over(self, step):
-        """What a step makes of what is behind and its rate, and of a command's change and its last change."""
+        """Matrices of a step: of the state and its rate, and of a command's change and its last change."""
         from scipy.linalg import expm
 
         w, z = 2.0 * np.pi * self.frequency, self.damping
@@ -306,9 +306,9 @@ class Joint:
     friction
         As `Friction.at` gives it.
     index
-        By how much the crank stands ahead of where the motor's angle says, rad.
+        Crank angle minus that by the motor's angle, rad.
     inertia, loss
-        Of the arm, kg·m², and what it loses on the teeth where it swings, N·m·s/rad.
+        Of the arm, kg·m², and the damping of its oscillation on the teeth, N·m·s/rad.
     """
 
     teeth: Teeth
@@ -337,7 +337,7 @@ class Joint:
         return torque, angle, bent(bristle, angle - before, high, self.friction[5])
 
     def locked(self, motor, loads):
-        """The output's angle while the motor stands and the load goes through `loads` slowly, from rest, rad."""
+        """The output's angle at a locked motor while the load goes through `loads` slowly, from rest, rad."""
         found, bristle, torque = [], 0.0, loads[0]
         angle = motor / self.ratio + float(self.teeth.at(motor + self.index, loads[0]))
         for load in loads:
@@ -373,7 +373,7 @@ class Profile:
 
 @dataclasses.dataclass(frozen=True)
 class Sensors:
-    """What the controller is told, and how wrong.
+    """Signals to the controller, and their errors.
 
     Attributes
     ----------
@@ -397,12 +397,12 @@ class Sensors:
     jitter: float = 0.2 * ARCSEC
 
     def load(self, whole, generator):
-        """What is told of the load."""
+        """The load signal."""
         told = np.concatenate([np.full(self.late, whole[0]), whole[: whole.size - self.late]])
         return told * (1.0 + self.gain) + self.offset + generator.normal(0.0, self.noise, whole.size)
 
     def output(self, angle, generator):
-        """What is told of the output's angle, rad."""
+        """The signal of the output's angle, rad."""
         if not self.encoder:
             return np.nan
         step = 2.0 * np.pi / 2**self.bits
@@ -414,7 +414,7 @@ PERFECT = Sensors(0.0, 0.0, 0.0, 0, 0.0)
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """What became of a profile: all over its samples, rad and N·m.
+    """Result of a profile: all over its samples, rad and N·m.
 
     Attributes
     ----------
@@ -440,7 +440,7 @@ def moved(joint, profile, controller, sensors=PERFECT, kelvin=293.15, *, swings=
     controller
         (desired angle, desired speed, load, temperature, motor angle, output angle or NaN) -> motor angle.
     kelvin
-        What the sensor of temperature would show but for its error, K.
+        Temperature without the sensor's error, K.
     swings
         Whether arm and motor are integrated, by `substep` (s); else the output settles at every sample and the arm's
         inertia is part of the load: then it crosses the play at once, which an arm does not.

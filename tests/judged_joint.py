@@ -103,12 +103,12 @@ class Rig:
     torque: float = 0.002
 
     def shown(self, angle, generator):
-        """What an encoder shows of angles, rad."""
+        """An encoder's reading of angles, rad."""
         step = 2.0 * np.pi / 2**self.bits
         return step * np.round((angle + generator.normal(0.0, self.noise, np.shape(angle))) / step)
 
     def output(self, angle, generator):
-        """What the output's encoder shows, rad."""
+        """The reading of the output's encoder, rad."""
         beside = sum(a * np.cos(k * angle + 0.7 * k) for k, a in enumerate(self.run_out, 1))
         return self.shown(angle + beside, generator)
 
@@ -117,7 +117,7 @@ LOADS = (15.0, 50.0, 120.0, 200.0)
 
 
 def recordings(made, friction, generator, rig=Rig(), loads=LOADS, each=24.37, turns=2, loops=0):
-    """What the bench records of a drive: both directions at loads of both signs, and loops with the crank locked."""
+    """Recordings of a drive on the bench: both directions at loads of both signs, and loops with the crank locked."""
     ratio, runs = -made.teeth, []
     size = round(turns * made.teeth * each)
     time = np.arange(size) * rig.rate / each
@@ -188,13 +188,13 @@ class Case:
     told
         How much warmer the sensor of temperature shows it, K.
     index
-        By how much the crank stands ahead of what the controller believes, rad, from the pitch of the pins.
+        Crank angle minus that assumed by the controller, rad, from the pitch of the pins.
     other
         Whether it is another drive of the same tolerances.
     signals
-        What the controller is told of the load, its gain, offset and noise (N·m) and by how many samples it is late.
+        The load signal of the controller: its gain, offset and noise (N·m) and its delay in samples.
     made
-        What of the drive no pair file states, as `as_made` has it: it is recorded so too.
+        Properties of the drive that no pair file states, as `as_made` has them: it is recorded with them.
     """
 
     change: Callable[[second_drive.Body], second_drive.Body] = lambda made: made
@@ -258,14 +258,14 @@ class Known:
     Parameters
     ----------
     teeth
-        At the temperature that is told.
+        At the temperature signal.
     friction
         N·m at the output, and over which angle the bristles bend, rad.
     doubt
         Standard uncertainty of the load, N·m: the rotation is its mean over it, so that no flank is believed where
         either may touch.
     outer
-        Share of what an output encoder shows to be missing that is added at each sample.
+        Share of the deviation by an output encoder that is added at each sample.
     """
 
     def __init__(self, teeth, ratio, friction, presliding=15.0 * ARCSEC, doubt=0.0, outer=0.005, zero=0.0):
@@ -295,14 +295,14 @@ def plain(ratio):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Found:
-    """What is known of a drive once it was recorded.
+    """Knowledge of a drive after its recording.
 
     Attributes
     ----------
     drive
         As identified, its materials' expansion stated beforehand.
     windup
-        What more gives way than the drive, rad/(N·m), of what the drive leaves of the curves.
+        Compliance outside the drive, rad/(N·m), from the part of the curves that the drive leaves.
     friction
         N·m at the output.
     zero
@@ -325,7 +325,7 @@ class Found:
         )  # fmt: skip
 
     def teeth(self, profiles, kelvin=0.0, each=360):
-        """The teeth of the exact model, as much warmer than 20 °C as is told."""
+        """The teeth of the exact model at the temperature signal, above 20 °C."""
         ends = np.concatenate([[one.angle.min() - 0.01, one.angle.max() + 0.01] for one in profiles]) * self.drive.ratio
         step = 2.0 * np.pi / each
         first = ends.min() - 3.0 * step
@@ -420,7 +420,7 @@ def judged(joint, profile, controller, sensors=Sensors(), told=0.0, **how):
 
 
 def exact_model(found, profiles, told):
-    """A controller of the exact model for the temperature that is told, made fresh."""
+    """A controller of the exact model at the temperature signal, newly made."""
     teeth = found.teeth(profiles, told)
     return lambda: Known(teeth, found.drive.ratio, found.friction, doubt=2.0, zero=found.zero)
 
@@ -458,9 +458,9 @@ def drive_of(size, seed, **how):
 
 
 def outcomes(size, seed, cases=tuple(CASES), profiles=tuple(PROFILES), controllers=tuple(CONTROLLERS), **how):
-    """What becomes of one drive in all cases: rows of (profile, case, controller, whether there is an encoder, Judged).
+    """Results of one drive in all cases: rows of (profile, case, controller, whether there is an encoder, Judged).
 
-    The controllers know what was identified of the drive's recordings, and no more.
+    The controllers know only the result of the identification from the drive's recordings.
     """
     rows, motions = [], {name: PROFILES[name]() for name in profiles}
     for how_made in dict.fromkeys(CASES[name].made for name in cases):

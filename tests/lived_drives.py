@@ -102,7 +102,7 @@ def worn(pair, values, scatter, generator, turns=TURNS, drift=DRIFT, monotone=Fa
 
 @dataclasses.dataclass(frozen=True)
 class Joint:
-    """What a joint has for all its life.
+    """Properties of a joint for all its life.
 
     The encoder's errors (rad: cosine and sine of orders 1 to 4), by how much its torque's scale is wrong, and friction
     at the output without load, as a share of the rated torque.
@@ -144,7 +144,7 @@ def recorded(pair, body, joint, load, generator, *, each=73.37, turns=1.0, bits=
 
 
 def visit(pair, body, joint, generator, loads=LOADS, **more):
-    """What is recorded at a date: a turn each way at every load."""
+    """The recordings of a date: a turn each way at every load."""
     return [recorded(pair, body, joint, way * share * pair.rated_torque, generator, **more)
             for share in loads for way in (1.0, -1.0)]  # fmt: skip
 
@@ -190,7 +190,7 @@ def off(found, true):
 
 
 def table(drives, pair, dates=5, **more):
-    """Lines of what lives of drives show."""
+    """Lines of results of drives over their lives."""
     every, alarms, widths = [], 0, []
     for seed in range(drives):
         found, true = life(pair, seed, dates, **more)

@@ -44,7 +44,7 @@ OURS = ("cycloid_fmu", "fitting", "drivers")
 @dataclass(frozen=True)
 class Target:
     """The modules of a part and its tests; `quick` are words for pytest that choose those to run first, interpreted,
-    where compiling takes longer than they do: what they do not notice gets all tests, compiled."""
+    where compiling takes longer than they do: mutants that survive them get all tests, compiled."""
 
     modules: tuple[str, ...]
     tests: tuple[str, ...]
@@ -116,7 +116,7 @@ def dotted(module: str) -> str:
 
 
 class Served(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Gives the changed text when the module is imported; the file stays as it is."""
+    """Gives the changed text when the module is imported; the file is unchanged."""
 
     def __init__(self, module: str, text: str) -> None:
         self.name, self.path, self.text = dotted(module), ROOT / module, text
@@ -132,7 +132,7 @@ class Served(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 class Quickest:
-    """Lets the quickest tests run first, and tells how long each took."""
+    """Runs the quickest tests first, and reports the time of each."""
 
     def __init__(self) -> None:
         self.seconds = dict[str, float]()
@@ -168,7 +168,7 @@ def forget(module: str) -> None:
 
 @dataclass
 class Stage:
-    """One choice of a target's tests; `longest` is what they may take with a change, s."""
+    """One choice of a target's tests; `longest` is the time that they may take with a change, s."""
 
     words: tuple[str, ...]
     interpreted: bool
@@ -183,7 +183,7 @@ def outcome(module: str, text: str, stage: Stage) -> str:
         if child == 0:
             signal.signal(signal.SIGALRM, signal.SIG_DFL)
             signal.alarm(stage.longest)
-            # What is kept of a compiled module is known by its file, which does not change.
+            # Compiled code is cached by its module's file, which does not change.
             numba.config.CACHE_DIR, numba.config.DISABLE_JIT = folder, int(stage.interpreted)
             for stream in (1, 2):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
@@ -201,7 +201,7 @@ def outcome(module: str, text: str, stage: Stage) -> str:
 
 
 def difference(text: str, changed: str) -> str:
-    """What was changed, line by line; which line it is does not matter."""
+    """The change, line by line; which line it is does not matter."""
     lines = difflib.unified_diff(text.splitlines(), changed.splitlines(), n=0, lineterm="")
     return "\n".join(line for line in lines if not line.startswith(("---", "+++", "@@")))
 
@@ -233,7 +233,7 @@ def run(name: str, sample: int) -> None:
             forget(dotted(module))
         if not passed or outcome(*next(iter(texts.items())), stage):
             raise SystemExit(f"{name}: its tests fail without any change.")
-    # All are drawn, so that a larger sample goes on where a smaller one ended.
+    # All are drawn, so that a larger sample continues a smaller one.
     for module, operator, occurrence in random.Random(SEED).sample(state["possible"], len(state["possible"]))[:sample]:
         key = f"{module} {operator} {occurrence}"
         if key not in state["outcome"]:
@@ -270,7 +270,7 @@ def page() -> str:
             "`python tests/mutate.py` changes one operator, number or condition of the code at a time and runs the "
             f"tests of that code. The sample of all possible changes is drawn with the seed {SEED}.",
             "\n".join(rows),
-            "The changes that no test detected, and why none has to:",
+            "Undetected changes, each with the reason why it needs no test:",
             *survivors,
         ]
     )

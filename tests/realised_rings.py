@@ -61,7 +61,7 @@ def ring(
 ):
     """One random ring: identification, distances of its elements from the truth, m, and their Cramér-Rao bounds, m.
 
-    Of several discs any may be called the first: the truth is the description of the drive that lies nearest.
+    With several discs any may be called the first: the truth is the description closest to the identified drive.
     """
     generator = np.random.default_rng([seed, number])
     surface, _ = random_ring(pair, generator, scatter, radius)
@@ -91,7 +91,7 @@ def figures_of(found, distance, bound):
 
 
 def table(drives, first=0):
-    """Lines of the table of docs/identify.md, a ring's as soon as it is there."""
+    """Lines of the table of docs/identify.md, a ring's once it is done."""
     pair = read_pair(Path(__file__).parent.parent / "examples" / "drive-39-40.toml")
     every = []
     for number in range(first, first + drives):

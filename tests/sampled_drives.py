@@ -27,7 +27,7 @@ SMALL = {"gear_teeth": 11, "pins": 12, "pin_circle_radius": 50e-3, "pin_radius":
 def structured(pair, generator, share=0.3):
     """Random structured errors, standard deviation a share of their tolerance: {name: m}.
 
-    Of errors that move the curves alike one is the drive's; the others stay as they are.
+    Of errors with the same effect on the curves one is the drive's; the others stay nominal.
     """
     names = [n for n in errors_of(pair) if not n.startswith(("misalignment", "isometric", "offset", "pin_radial_1"))]
     return dict(zip(names, generator.normal(0.0, share, len(names)) * tolerances_of(names), strict=True))
@@ -47,7 +47,7 @@ def random_drive(pair, generator, scatter):
 def recorded(pair, surface, load, generator, *, each, turns, noise=0.5 * ARCSEC, left=None):
     """A run of so many output turns at so many samples a crank turn, begun anywhere.
 
-    `left`, of crank angle (rad) and load (N·m), is what the drive's rigid contact does not hold, rad.
+    `left`, of crank angle (rad) and load (N·m), is the deviation outside the drive's rigid contact, rad.
     """
     count = round(turns * abs(pair.ratio) * each)
     angle = generator.uniform(0.0, 2.0 * np.pi) + np.arange(count) * 2.0 * np.pi / each

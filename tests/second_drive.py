@@ -15,12 +15,12 @@ from scipy.special import lambertw
 YOUNG, POISSON = 206e9, 0.3  # steel on steel
 GIVE = 2.0 * (1.0 - POISSON**2) / YOUNG  # m²/N
 _FAR, _STEP, _SHIFT = 40e-6, 10e-6, 5e-6  # m at the flank: where a solution begins, and most that a step turns, shifts
-_LEFT, _STEPS, _HALVED = 1e-7, 200, 1e-3  # of the torque: what balance may leave; steps, and how far one is halved
+_LEFT, _STEPS, _HALVED = 1e-7, 200, 1e-3  # of the torque: the allowed residual; steps, and the halvings of one
 
 
 @dataclasses.dataclass(frozen=True)
 class Body:
-    """Flanks as cut, pins and cranks as they stand, discs as they are held.
+    """Flanks as cut, pins and cranks at their positions, discs with their bearings.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Body:
     pins, pin_radius
         Shape (pins,): places of the pins' centres in the plane, complex, and their radii, m.
     throw, axis
-        Throw of the crank, and where its axis stands (complex), m.
+        Throw of the crank, and the position of its axis (complex), m.
     turned
         Shape (discs, teeth): by how much each tooth is turned about its disc's centre, rad.
     form
@@ -114,7 +114,7 @@ def _trochoid(s, made):
 
 
 def _along(s, made):
-    """Share of a flank's arc at which contacts with parameters 0 ≤ s < 2π stand, and the length of the arc, m."""
+    """Share of a flank's arc at contacts with parameters 0 ≤ s < 2π, and the length of the arc, m."""
     grid = np.linspace(0.0, 2.0 * np.pi, 2001)
     _, first, second = _trochoid(grid, made)
     speed = np.abs(first) - made.cut[1] * np.imag(np.conj(first) * second) / np.abs(first) ** 2
@@ -168,7 +168,7 @@ def _pushed(made, theta, state, shift, told=None):
         near = np.floor(ideal / (2.0 * np.pi)).astype(int)
         beside = np.where(ideal / (2.0 * np.pi) - near < 0.5, near - 1, near + 1)
         for tooth in (near, beside):
-            # The neighbour is touched near the root alone.
+            # The neighbour is touched only near the root.
             there = np.ones(tooth.shape, bool) if tooth is near else np.abs(
                 ideal - 2.0 * np.pi * np.round(ideal / (2.0 * np.pi))) < 0.3  # fmt: skip
             row, pin = np.nonzero(there)
@@ -188,7 +188,7 @@ def _pushed(made, theta, state, shift, told=None):
             bend, lever = path / (1.0 - path * made.cut[1]), np.imag(np.conj(curve) * outward)
             if made.form:
                 thick, slope_of, bent = _form(within, made)
-                # Where the flank slopes, the contact stands aside by as much as the two bodies' curvatures let it.
+                # Where the flank slopes, the contact is displaced as far as the curvatures of the two bodies allow.
                 gap = gap - thick - 0.5 * slope_of**2 / (1.0 / radius + bend)
                 aside = np.real(-1j * place * np.conj(first)) / np.abs(first) * (1.0 - path * made.cut[1])
                 bend, lever = bend - bent, lever + slope_of * aside
@@ -265,7 +265,7 @@ def transmission_error(made, theta, torque, shift=0.0):
 
 
 def contacts(made, theta, torque):
-    """Contacts of a body on rigid bearings as arrays of one length: what `_pushed` says of each (see there)."""
+    """Contacts of a body on rigid bearings as arrays of one length: the results of `_pushed` for each (see there)."""
     theta = np.asarray(theta, float)
     deviation = transmission_error(made, theta, torque) - made.windup * np.asarray(torque)
     told = []

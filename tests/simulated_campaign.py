@@ -1,4 +1,4 @@
-"""A simulated campaign of a drive whose disc floats on its crank bearing, and what a model of six conditions predicts.
+"""A simulated campaign of a drive with a floating disc, and the predictions of a model of six conditions.
 
 `python tests/simulated_campaign.py` prints the table of docs/identify.md. Its physics is that of `second_drive`.
 """
@@ -82,7 +82,7 @@ def warmed(made, warm):
 
 
 def left_over(made, load, way, warm, **how):
-    """Torque of one condition, measured less predicted by the drive alone, and its orders."""
+    """Torque of one condition, measured minus predicted by the drive by itself, and its orders."""
     (curve,) = fitting.curves(recorded(load, way, warm, **how), -float(TEETH))
     predicted = warmed(made, warm).analyze(curve.torque, crank_angle=curve.input_angle)
     left = dataclasses.replace(
@@ -93,7 +93,7 @@ def left_over(made, load, way, warm, **how):
 
 @dataclasses.dataclass(frozen=True)
 class Model:
-    """A drive, and beside it what its six conditions leave over: {order: complex amplitudes of `_basis`}.
+    """A drive, and the remainder of its six conditions: {order: complex amplitudes of `_basis`}.
 
     Each order that stands out of the noise of a condition, and order 0, is a straight line over the torque with a step
     between its signs: the rig's waves, lost motion and windup beside the drive, and how the disc floats.
@@ -108,7 +108,7 @@ def _basis(torque):
 
 
 def calibrated(**how):
-    """The model of the six conditions: what `identify` finds, and what it leaves over of them."""
+    """The model of the six conditions: the result of `identify`, and its remainder."""
     found = fitting.identify([recorded(*one, **how) for one in CALIBRATION], drive(), held_out=False)
     seen = [left_over(found.drive, *one, **how) for one in CALIBRATION]
     highest = min(orders.coefficient.size for _, _, orders in seen)
@@ -120,7 +120,7 @@ def calibrated(**how):
 
 
 def misses(model, load, way, warm, **how):
-    """Root mean square (arcsec) of the miss of one condition, and of its orders by what makes them.
+    """Root mean square (arcsec) of the error in one condition, and of its orders by their cause.
 
     "rig", "pin", "tooth", "mesh" as the spectra of a report name them, "" for orders of another number, "mean" for
     order 0, "noise" for what no order that stands out holds; "orders" lists those that stand out, the largest first.

@@ -1,4 +1,4 @@
-"""Simulation-based calibration of an identification: where the truth ranks among draws of what the fit states.
+"""Simulation-based calibration of an identification: ranks of the truth among draws from the fit.
 
 `python tests/simulation_based_calibration.py DRIVES [PICTURE]` prints how uniform the ranks are and draws them. Drives
 and benches are drawn from what the fit takes to be usual before measuring, recorded by `second_drive` and identified;
@@ -84,7 +84,7 @@ def drawn(seed):
 
 
 def ranks(seed):
-    """Rank, 0 to DRAWS, of the truth among draws of what is stated of each error: {name: rank}, and the verdict."""
+    """Rank, 0 to DRAWS, of the truth among draws of each stated error: {name: rank}, and the verdict."""
     runs, truth = drawn(seed)
     try:
         found = identify(runs, Drive(small()), held_out=False, form="0 um")
@@ -108,7 +108,7 @@ def ranks(seed):
 
 
 def band(count, confidence=0.95, studies=4000):
-    """Places and half-open bands of the ranks' distribution less the uniform one, which all of it keeps to."""
+    """Places and half-open bands of the ranks' distribution minus the uniform one, which all of it keeps to."""
     places = np.arange(1, BINS) / BINS
     uniform = np.random.default_rng(0).integers(0, DRAWS + 1, (studies, count))
     below = np.array([(uniform < place * (DRAWS + 1)).sum(axis=1) for place in places]).T
@@ -119,7 +119,7 @@ def band(count, confidence=0.95, studies=4000):
 
 
 def away(ranks):
-    """Distribution of ranks less the uniform one at the places of `band`."""
+    """Distribution of ranks minus the uniform one at the places of `band`."""
     places = np.arange(1, BINS) / BINS
     return np.array([np.mean(np.asarray(ranks) < place * (DRAWS + 1)) for place in places]) - places
 
@@ -139,7 +139,7 @@ def uniformity(ranks):
 
 
 def lines(every):
-    """What the study found, in lines."""
+    """The results of the study, in lines."""
     states = [one["state"] for one in every]
     told = ", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states))
     yield f"{len(every)} drives: {told}."
@@ -158,7 +158,7 @@ def lines(every):
 
 
 def draw(every, path):
-    """Rank histograms of the groups, and below them the distributions of each error less the uniform one."""
+    """Rank histograms of the groups, and below them the distributions of each error minus the uniform one."""
     from cycloid_fmu.draw.plots import new_figure, save
 
     found = by_name(every)

@@ -1,4 +1,4 @@
-"""What the three command lines share."""
+"""Common behaviour of the three command lines."""
 
 import contextlib
 import io
@@ -20,7 +20,7 @@ COMMANDS = ("cycloid-fmu", "cycloid-fit", "cycloid-bench")
 
 @pytest.fixture
 def ran(capsys, monkeypatch):
-    """Run a command line made for the test; exit status and what it prints."""
+    """Run a command line made for the test; return exit status and output."""
 
     def run(app, *words):
         monkeypatch.setattr(sys, "argv", ["some-command", *words])
@@ -198,7 +198,7 @@ def test_a_short_computation_says_nothing_in_a_log(capsys):
 
 
 def test_start_values_that_are_rounding_are_shown_as_0():
-    """What a transform makes of zeros is 0, and exponents are whole."""
+    """A transform of zeros is 0, and exponents are whole numbers."""
     from cycloid_fmu.cli.inspect import _shown
 
     assert [_shown(start) for start in ("-3.72562147893e-22", 1.5e-6, "", "true", 40)] == [

@@ -1,6 +1,6 @@
-"""Every reader, given files in which bits flip, bytes come and go and values become others: it reads, or says why not.
+"""Every reader, with files in which bits flip, bytes come and go and values change: it reads, or gives the reason.
 
-What it says is the package's own error, with the name of the file.
+The reason is the package's own error, with the name of the file.
 """
 
 import contextlib
@@ -287,7 +287,7 @@ def checkpoint(folder):
 
 
 def read_signed_checkpoint(path):
-    """A checkpoint whose header's CRC-32 is right, whatever it says."""
+    """A checkpoint with a correct CRC-32 of any header."""
     header, _, rest = path.read_bytes().partition(b"\n")
     text = header.partition(b" ")[2]
     path.write_bytes(f"{zlib.crc32(text):08x} ".encode() + text + b"\n" + rest)
@@ -383,7 +383,7 @@ def within(seconds):
     def stop(number, frame):
         raise Hung(f"more than {seconds} s")
 
-    # Processor time: on a busy machine the wall clock says nothing of a reader.
+    # Processor time: on a busy machine the wall clock does not measure a reader.
     before = signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
@@ -393,7 +393,7 @@ def within(seconds):
         signal.signal(signal.SIGPROF, before)
 
 
-# What a library's constructor leaves behind that failed complains when it is freed.
+# The remains of a library's failed constructor raise warnings when they are freed.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::RuntimeWarning")
 @pytest.mark.parametrize("count", [8, pytest.param(COUNT, marks=pytest.mark.slow(10))])
 @pytest.mark.parametrize("name", READERS)
@@ -402,7 +402,7 @@ def test_a_damaged_file_is_read_or_refused_in_one_sentence(tmp_path, request, na
     path = make(tmp_path)
     read(path)
     request.addfinalizer(lambda: logging.disable(logging.NOTSET))
-    logging.disable(logging.CRITICAL)  # what libraries say of each file would be kept until the end
+    logging.disable(logging.CRITICAL)  # messages of libraries about each file would be kept until the end
     whole, kept = path.read_bytes(), tmp_path / "wrong"
     random = np.random.default_rng([zlib.crc32(name.encode()), count])
     said = []

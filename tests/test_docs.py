@@ -1,4 +1,4 @@
-"""Every code block of README and docs, run or read as what it is, page by page from top to bottom."""
+"""Every code block of README and docs, run or read according to its kind, page by page from top to bottom."""
 
 import importlib
 import itertools
@@ -54,7 +54,7 @@ write_csv(Path('cmm.csv'), measure(pair, surface_of_pair(pair), 2e-7, 1))
 """.strip().replace("\n", " ")
 # Pages that go on in the folder of another.
 CONTINUES = dict.fromkeys(("controller", "compensation", "fmu", "identify", "recalibrate"), "test_bench_engineer")
-# What a page takes as given: your files, and your bench.
+# Given to a page: your files, and your bench.
 GIVEN = {
     "README": f"""{RUNS}{LOOP}
         {SIMULATE} --torque '-20 N*m' --channel 239.74.163.78 --write-bench bench.toml &
@@ -98,7 +98,7 @@ def test_every_block_is_of_a_kind_that_is_checked(page):
 
 
 def lines_of(body):
-    """The command lines of a block, continued ones whole."""
+    """The command lines of a block, continued ones joined."""
     return [line.strip() for line in body.replace("\\\n", " ").splitlines() if line.strip(" #")]
 
 
@@ -184,7 +184,7 @@ def shell(command, tmp_path):
 
 
 def install(folder):
-    """Leave beside a `pyproject.toml` what `pip install -e .` does, so that its entry points are found from there."""
+    """Do the part of `pip install -e .` that makes the entry points of a `pyproject.toml` found in its folder."""
     project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     name, version = project["name"], project["version"]
     metadata = folder / f"{name.replace('-', '_')}-{version}.dist-info"
@@ -214,7 +214,7 @@ def test_a_page_s_commands_do_what_it_says(page, tmp_path, tmp_path_factory, she
 
 def run_page(page, folder, shell, monkeypatch):
     """Write the files of a page, run its blocks, and compare the outputs that it shows."""
-    # `.ci/run` runs what an installation begins with.
+    # `.ci/run` runs the installation commands.
     elsewhere = re.compile(r"pip (install|wheel)|<!-- (main-job|tests) -->")
     said = None  # by the commands just before, where all were run as written
     for language, caption, body in blocks(page):
@@ -290,7 +290,7 @@ def test_the_api_reference_has_every_public_name_and_every_room():
             assert f"**`{door}.{room.name}`**" in page
             if f"{door}.{room.name}" not in listed:  # it does not list its names itself
                 modules = {f"{door}.{room.name}.{p.stem}" for p in room.glob("*.py") if p.stem != "__init__"}
-                # What runs inside an FMU is no module to import.
+                # Code that runs inside an FMU is not a module to import.
                 assert {m for m in modules - listed if "cycloid_drive" not in m} == set()
     for name in listed:
         resolved(name)
@@ -319,7 +319,7 @@ def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):
 
 
 def test_the_reference_has_every_variable_of_every_fmu(tmp_path, monkeypatch):
-    """What the model descriptions say of each variable stands in its row, under its interface."""
+    """The model description of each variable agrees with its row, under its interface."""
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
     import variable_reference
 

@@ -1,4 +1,4 @@
-"""The examples in docstrings run as they stand; every public name of the three front doors has one."""
+"""The examples in docstrings run as written; every public name of the three front doors has one."""
 
 import doctest
 import importlib

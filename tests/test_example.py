@@ -28,7 +28,7 @@ def assert_page_agrees(section, rows, said):
 
 
 def cells_of(printed):
-    """The cells of all tables in what an example printed, row by row."""
+    """The cells of all tables in the output of an example, row by row."""
     return [[c.strip() for c in line.split("│")] for line in printed.splitlines() if "│" in line]
 
 
@@ -62,7 +62,7 @@ BY_THE_DOOR = {
 
 
 def taken(name):
-    """What an example takes of the product, by its dotted name: imports, and attributes of a front door."""
+    """The names of the product that an example uses, dotted: imports, and attributes of a front door."""
     tree = ast.parse((EXAMPLES / f"{name}.py").read_text(encoding="utf-8"))
     found, doors = set(), {}
     for node in ast.walk(tree):
@@ -93,7 +93,7 @@ def test_an_example_of_everyday_work_goes_through_the_front_doors(name):
 
 @pytest.fixture
 def example(tmp_path, monkeypatch, capsys):
-    """Run an example in an empty folder and in this process; return what it prints."""
+    """Run an example in an empty folder and in this process; return its output."""
     import matplotlib.pyplot
 
     def run(name):
@@ -134,7 +134,7 @@ def test_arrays_to_errors(tmp_path, example):
 
 
 def test_what_each_error_does(tmp_path, example):
-    """The study of the error-surface paper: docs/theory/papers.md says which of its conclusions hold."""
+    """The study of the error-surface paper: its conclusions as docs/theory/papers.md reports them."""
     said = example("error_study.py")
     lines = {line.strip("│ ").split("  ")[0]: "does not hold" not in line for line in said.splitlines()}
     assert lines["pitch leads PPTE"]

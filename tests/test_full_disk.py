@@ -46,7 +46,7 @@ def largest_file(size):
 
 @pytest.fixture
 def full(request, tmp_path):
-    """A folder on a disk that is nearly full, and what to hold while it is written to."""
+    """A folder on a disk that is nearly full, and a context in which files are limited."""
     folder = tmp_path / "full"
     folder.mkdir()
     if request.param == "file size limit":
@@ -95,7 +95,7 @@ CASES = [
 
 @pytest.fixture
 def given(tmp_path):
-    """The folder with what the commands read."""
+    """The folder with the input of the commands."""
     for path in (*EXAMPLES.glob("*.toml"), *BENCH.iterdir()):
         shutil.copy(path, tmp_path)
     table(tmp_path)
@@ -108,7 +108,7 @@ def test_a_disk_that_takes_no_more_is_one_sentence(given, full, command, line):
     (given / "there").mkdir()
     if "drive.fmu" in line:
         assert command("cycloid-fmu", "build", "drive-39-40.toml", "-o", "drive.fmu").returncode == 0
-    # First where there is room: what compilers keep for the next time is kept by then.
+    # First with free space, so that compilers have filled their caches.
     done = command(*shlex.split(line.replace("OUT", "there")))
     assert done.returncode == 0, done.stderr
     (made,) = (given / "there").iterdir()

@@ -1,4 +1,4 @@
-"""How the house is built: who imports whom, what loads when, and what the changelog looks like."""
+"""Structure of the packages: who imports whom, what loads when, and the form of the changelog."""
 
 import cmath
 import importlib

@@ -1,4 +1,4 @@
-"""The robot joint's package against the SSP standard, and what its controller knows of the drive."""
+"""The robot joint's package against the SSP standard, and its controller's knowledge of the drive."""
 
 import sys
 

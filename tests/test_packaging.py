@@ -1,4 +1,4 @@
-"""What is published: the source archive, the wheel, and that the wheel alone is enough."""
+"""Published files: the source archive and the wheel, which needs nothing else."""
 
 import hashlib
 import json
@@ -108,7 +108,7 @@ def test_the_wheel_alone_runs_the_three_commands(published, python, tmp_path):
     case = CASES / "error-free-39-40.toml"
     run("cycloid-fmu", "build", case, "-o", "drive.fmu")
     assert fmpy.read_model_description(str(tmp_path / "drive.fmu")).version == VERSION
-    if python == PYTHONS[-1]:  # in the newest alone: all kernels are compiled, behind the FMI calls
+    if python == PYTHONS[-1]:  # only in the newest: all kernels are compiled, behind the FMI calls
         wanted = json.loads(case.with_suffix(".json").read_text())
         result = wanted["results"][0]
         load = f"{result['torque']:g} N*m"
@@ -150,7 +150,7 @@ def test_the_page_lists_every_extra_with_its_packages(licences):
 def core(tmp_path_factory):
     """A fresh environment's Python, with the package and what it asks for without any extra.
 
-    What the suite is run with is linked into it: nothing is downloaded.
+    The suite's requirements are linked into it: nothing is downloaded.
     """
     sys.path.insert(0, str(ROOT / "docs"))
     import licences
@@ -216,7 +216,7 @@ DRIVE, TOLERANCES = EXAMPLES / "drive-39-40.toml", EXAMPLES / "tolerances.toml"
 RECORD = ("cycloid-bench", "record", "bench.toml", "-o", "run.arrows")
 SIMULATE = ("cycloid-bench", "simulate", "--ratio", "-39", "--torque", "20 N*m")
 STUDY = ("cycloid-fmu", "tolerance", DRIVE, "--tolerances", TOLERANCES, "--samples", "64", "-o", "study.nc")
-# What takes an extra: files that it finds, the package that is missing, and the command.
+# Uses of an extra: the input files, the missing package, and the command.
 TAKES = {
     "ads": [({"bench.toml": PLC + 'protocol = "ads"\ncolumn = 1\n'}, "pyads", RECORD)],
     "bench-files": [

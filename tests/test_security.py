@@ -1,4 +1,4 @@
-"""What files that others gave can't do: each row of the table in SECURITY.md is tried here, with real files."""
+"""Limits of files from others: each row of the table in SECURITY.md is tried here, with real files."""
 
 import contextlib
 import json
@@ -70,7 +70,7 @@ def test_each_row_is_tried():
 
 
 class Touch:
-    """What makes a file where it is unpickled."""
+    """An object that makes a file where it is unpickled."""
 
     def __init__(self, path):
         self.path = path
@@ -641,7 +641,7 @@ def test_a_report_shows_names_as_names():
     assert "<script" not in page[plotly : page.index("</script>", plotly)]
 
 
-# --- what is written ----------------------------------------------------------------------------------------------
+# --- written files ------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

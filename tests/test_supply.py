@@ -1,4 +1,4 @@
-"""What stands around the package: the versions that are tested, their licences, and the bill of materials."""
+"""The supply chain of the package: the tested versions, their licences, and the bill of materials."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The theory pages: what they name exists, what has a source is on them, and their first-order tables hold."""
+"""The theory pages: named objects exist, functions with a source are named, and the first-order tables are right."""
 
 import ast
 import functools
@@ -154,7 +154,7 @@ def test_first_order_effects_on_the_gap():
     ("name", "order"), [("pin_radial_1_cos", 39), ("tooth_cumulative_pitch_1_cos", 40), ("centre_distance_x", 40)]
 )
 def test_orders_with_the_ring_as_output(name, order):
-    """The gear held: pins at multiples of z_c of an output turn, teeth and what stands still at multiples of z_p."""
+    """The gear held: pins at multiples of z_c of an output turn, teeth and fixed errors at multiples of z_p."""
     pair = make_pair(MODIFIED, output="ring")
     surface = with_structured(pair, nominal_surface(pair), {name: 1e-6})
     angles = np.linspace(0.0, 2.0 * np.pi * 40, 40 * 80, endpoint=False)

@@ -1,4 +1,4 @@
-"""Discs in files: read back by other libraries and held against the flank's formula."""
+"""Discs in files: read back by other libraries and compared with the flank's formula."""
 
 import math
 import sys
@@ -97,7 +97,7 @@ def arcs_of(profile):
 
 
 def analytic_area(pair):
-    """Area in the flank: that in the path of the generating pin's centre, less its length by r, and πr²."""
+    """Area in the flank: that in the path of the generating pin's centre, minus its length times r, plus πr²."""
     circle, r, k = pair.generating_circle_radius, pair.generating_pin_radius, pair.shortening
     path = np.pi * (circle**2 + pair.pins * pair.eccentricity**2)
     length = 4.0 * circle * (1.0 + k) * ellipe(4.0 * k / (1.0 + k) ** 2)
@@ -126,7 +126,7 @@ def test_arcs_stay_within_the_chord_error_of_the_formula(teeth, k, thick, limit,
     assert profile.largest_error <= limit
     area, length = analytic_area(pair)
     assert profile.area == pytest.approx(area, abs=limit * length)
-    # Arcs pass into each other: the angle from each chord to the next is what both arcs turn by to their middles.
+    # Arcs join smoothly: the angle from each chord to the next is the rotation of both arcs to their middles.
     chord = np.roll(profile.start, -1) - profile.start
     turned = 2.0 * (np.arctan(profile.bulge) + np.arctan(np.roll(profile.bulge, -1)))
     assert np.abs(np.angle(np.roll(chord, -1) / chord * np.exp(-1j * turned))).max() < 1e-6
@@ -140,7 +140,7 @@ def test_as_many_arcs_as_the_third_root_of_the_chord_error_asks_for():
 @pytest.mark.parametrize("output", ["gear", "ring"])
 @pytest.mark.parametrize("disc", [0, 1, 2])
 def test_at_crank_angle_0_all_pins_touch_every_disc(output, disc):
-    """Without modification every pin touches at every crank angle: clocked wrongly, pins would stand off or overlap."""
+    """Without modification every pin touches at every crank angle: clocked wrongly, pins would have gaps or overlap."""
     profile = cy.Drive(make_pair(discs=3, output=output)).profile(disc=disc, chord_error=1e-9)
     drawn = arcs_of(profile).points(60)
     room = np.abs(drawn[nearest(profile.pin_place, drawn)] - profile.pin_place)
@@ -222,7 +222,7 @@ def test_a_dxf_read_back(tmp_path):
 
 
 class Pen:
-    """What fontTools' reader of SVG paths draws with: it keeps the ends of arcs and lines and the arcs' bulges."""
+    """A pen for fontTools' reader of SVG paths: it keeps the ends of arcs and lines and the arcs' bulges."""
 
     def __init__(self):
         self.points, self.bulges, self.closed = [], [], False
@@ -320,7 +320,7 @@ def test_a_step_read_back(tmp_path):
 
 
 def test_holes_are_where_and_as_large_as_the_rollers_need_them():
-    """A roller of the carrier stands off its hole's middle by the eccentricity, and half the clearance is left."""
+    """A roller of the carrier is off its hole's middle by the eccentricity, and half the clearance is left."""
     pair = make_pair().replace(supports=ROLLERS)
     profile = cy.Drive(pair).profile()
     rollers = 36e-3 * np.exp(1j * (np.radians(10.0) + 2 * np.pi * np.arange(6) / 6)) + profile.ring_place

@@ -1,4 +1,4 @@
-"""What stands in series with a drive: catalogue stiffness, a measured loop, and what an FMU says of it."""
+"""Compliance in series with a drive: catalogue stiffness, a measured loop, and its values in an FMU."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""The compensator: it inverts the exact model, remembers as friction does, and learns what the drive really does."""
+"""The compensator inverts the exact model, has the memory of friction, and learns the real drive's deviations."""
 
 import dataclasses
 import itertools
@@ -198,7 +198,7 @@ def test_a_coarse_or_rare_measurement_shows_a_wrong_index(drive, compensator, sc
 
 
 def left_of(made, plant, index, probability, load=0.6 * RATED):
-    """What a plant whose crank stands at 0 is off at some angles, with the compensator and without, and the band."""
+    """Errors of a plant whose crank is at 0 at some angles, with the compensator and without, and the band."""
     wanted = np.random.default_rng(4).uniform(-7.0, 7.0, 40)
     found = [step(made, made.start(index, probability), one, 0.0, load, AMBIENT) for one in wanted]
     motor = np.append([one.motor_angle for one in found], plant.ratio * wanted)

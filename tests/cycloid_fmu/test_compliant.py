@@ -44,9 +44,9 @@ def put(model, crank, deviation, crank_speed=0.0, deviation_speed=0.0):
 
 
 class Work:
-    """What the surroundings do on a model that is led along straight lines, by the trapezoidal rule.
+    """Work of the environment on a model that is moved along straight lines, by the trapezoidal rule.
 
-    `unknown` bounds what the rule may err where torques are monotonic over each part.
+    `unknown` bounds the error of the rule where torques are monotonic over each part.
     """
 
     def __init__(self, model, crank=0.0, deviation=0.0):
@@ -75,7 +75,7 @@ class Work:
 
     @property
     def taken(self):
-        """What the drive has taken and does not hold."""
+        """Energy that the drive has received and does not store."""
         return self.done - (self.model.elastic_energy - self.stored)
 
 
@@ -99,7 +99,7 @@ def test_both_torques_are_derivatives_of_the_stored_energy(compliance, backlash_
 
 
 def test_it_is_the_quasi_static_drive_seen_from_both_flanges():
-    """The energy's torque and the balance of F L differ by what moving curvature adds, up to 2e-3."""
+    """The energy's torque and the balance of F L differ by the term of moving curvature, up to 2e-3."""
     model, driven = compliant(), DriveModel(PLAY, SURFACE)
     for crank, torque in ((0.4, 100.0), (3.0, -60.0), (40.0, 150.0)):
         driven.crank_angle, driven.torque = crank, torque
@@ -395,12 +395,12 @@ def test_its_state_restores_exactly_and_is_plain_json():
 
 
 def test_losses_are_those_of_modelica_s_lossy_gear():
-    """LossyGear.mo of the Modelica Standard Library: its torque loss is what was added to the torque of the teeth."""
+    """LossyGear.mo of the Modelica Standard Library: its torque loss is the torque added to that of the teeth."""
     table = ((0.0, 0.8, 0.7, 0.5, 0.6), (100.0, 0.9, 0.85, 0.7, 0.9))
     for speed, torque in itertools.product((50.0, -50.0, 500.0), (10.0, 0.3, 0.0, -0.2, -0.8, -10.0)):
         forward, backward, friction_forward, friction_backward = interpolated(table, speed)
         taken = torque + math.copysign(lost_torque(table, speed, math.copysign(1.0, speed) * torque), speed)
-        # `flange_a.tau` is `taken`; LossyGear asks from it what is lost.
+        # `flange_a.tau` is `taken`; LossyGear computes the loss from it.
         bearing = (friction_forward - friction_backward) / (forward - 1.0 / backward)
         if speed > 0.0:
             quadrant1 = (1.0 - forward) * taken + friction_forward
@@ -423,7 +423,7 @@ def test_power_is_balanced_with_losses_in_the_kinematic_drive():
         model.advance()
         power = model.crank_torque * 100.0 + torque * model.output_speed
         assert model.power_loss > 0.0
-        # What the contacts store over the mesh is what is left; on average over a turn it is nothing.
+        # The remainder is the change of energy stored in the contacts over the mesh; its mean over a turn is zero.
         assert power == pytest.approx(model.power_loss, abs=0.02 * abs(torque * model.output_speed))
 
 

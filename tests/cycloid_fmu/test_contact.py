@@ -144,7 +144,7 @@ def test_forces_balance_the_torque_and_the_crank_gets_the_power(case, output):
 def test_any_pair_balances_from_any_start(seed, size, clearance, torque, sign, teeth):
     """Warm or cold, forwards or backwards through the crank angles: the same equilibrium.
 
-    Only where pins clear the roots: a pin forced into a root whose two teeth stand apart has more than one.
+    Only where pins clear the roots: a pin forced into a root between two displaced teeth has several solutions.
     """
     pair = make_pair(
         gear_teeth=teeth, pins=teeth + 1, eccentricity=f"{0.7 * 64 / (teeth + 1):.6f} mm",
@@ -179,7 +179,7 @@ def test_any_pair_balances_from_any_start(seed, size, clearance, torque, sign, t
     step=st.floats(1e-3, 0.3), sign=st.sampled_from([-1.0, 1.0]), output=st.sampled_from(["gear", "ring"]),
 )  # fmt: skip
 def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, output):
-    """Going from crank angle to crank angle: whatever was not solved again has a gap above the bound, solved anew."""
+    """From crank angle to crank angle: every pin that was not solved again has a gap above the bound, solved afresh."""
     pair = make_pair(
         gear_teeth=teeth, pins=teeth + 1, eccentricity=f"{k * 64 / (teeth + 1):.6f} mm", output=output,
         pin_radius=f"{0.4 * 64 / (teeth + 1):.6f} mm",
@@ -216,7 +216,7 @@ def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, out
 @pytest.mark.parametrize("output", ["gear", "ring"])
 @pytest.mark.parametrize("case", ["errors-39-40", "interference-21-22"])
 def test_an_equilibrium_s_contacts_are_those_solved_at_its_deviation(case, output):
-    """Its last steps move the contacts by their rates; some pins stand on the edge between two teeth here."""
+    """Its last steps move the contacts by their rates; some pins are on the edge between two teeth here."""
     text = (CASES / f"{case}.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"')
     pair = parse_pair(text, case)
     drive = drive_of(pair, surface_of_pair(pair))
@@ -286,7 +286,7 @@ def drive_and_rows(case, output):
 @FLANGES
 @pytest.mark.parametrize("compliance", [0.0, 1e-6])
 def test_torques_of_both_flanges_are_derivatives_of_the_stored_energy(case, output, compliance):
-    """And what stands behind a compliance is wound up by the torque through it."""
+    """And a drive behind a compliance is wound up by the torque through it."""
     pair, drive, rows = drive_and_rows(case, output)
     for theta, flange in ((0.7, 4e-4), (41.3, -5e-4)):
 
@@ -330,7 +330,7 @@ def test_what_the_crank_does_at_constant_torque(case, output):
         x, stiffness = rest(theta, torque)
         assert stiffness == pytest.approx(1.0 / slope, rel=1e-4)
         crank_torque, found = contact.crank_side(drive, theta, x, rows)
-        # The deviation is what the output turns beside the ideal motion.
+        # The deviation is the output's rotation minus the ideal motion.
         assert found - 1.0 / pair.ratio == pytest.approx(rate, abs=1e-3 * abs(1.0 / pair.ratio))
         assert crank_torque == pytest.approx(-torque / pair.ratio, rel=0.3)
 
@@ -468,7 +468,7 @@ def test_equivalent_errors():
 
 
 def test_two_discs_cancel_an_order_one_pin_error():
-    """Two discs opposite each other cancel what gives one disc 24″."""
+    """Two discs opposite each other cancel an error that gives one disc 24″."""
 
     def amplitude(discs):
         pair = make_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', discs=discs)
@@ -501,7 +501,7 @@ def test_views_of_angles_and_torques_do_not_compile_the_kernels_again():
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 def test_compiled_code_is_kept_until_a_file_of_the_room_changes(monkeypatch, tmp_path):
-    """A kernel holds what it calls in other files: of changed ones it would give the old numbers."""
+    """A kernel includes the functions that it calls in other files: without a check, changed ones give old numbers."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
 
     def twice(x):
@@ -518,7 +518,7 @@ def test_compiled_code_is_kept_until_a_file_of_the_room_changes(monkeypatch, tmp
 
 
 def test_a_tiny_torque_rests_on_its_own_flank():
-    """The balance of 1e-6 N·m is the limit of small torques, at each crank angle alone and after a load against it."""
+    """The balance of 1e-6 N·m is the limit of small torques, at each crank angle separately and after reverse load."""
     pair = make_pair().replace(offset=-70e-6, isometric=-25e-6, errors={"centre_distance_x": 30e-6})
     surface, angles = surface_of_pair(pair), np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
     limit = solve(pair, surface, [1e-2], angles).transmission_error[0]

@@ -1,4 +1,4 @@
-"""What the slaves share, without the C library around it: nonsense in, and states taken and restored at random."""
+"""Common parts of the slaves, without the C library around: invalid input, and states saved and restored at random."""
 
 import json
 import math
@@ -166,7 +166,7 @@ def test_states_taken_and_restored_at_random_reproduce_bit_by_bit(resources, kin
 
 
 def copied(folder, tmp_path, **changes):
-    """Resources whose pair.json says otherwise, with checksums that fit."""
+    """Resources with another pair.json and matching checksums."""
     target = shutil.copytree(folder, tmp_path / "resources")
     numbers = {**json.loads((target / NUMBERS).read_text()), **changes}
     (target / NUMBERS).write_text(json.dumps(numbers))
@@ -208,7 +208,7 @@ def test_one_flipped_bit_in_the_resources_is_refused_with_the_file_s_name(resour
 
 
 def test_each_call_has_its_phase(resources):
-    """What FMI's state machine does not allow is refused in a sentence, and all stays as it was."""
+    """Calls that FMI's state machine does not allow are refused with a sentence, and nothing changes."""
     core = Core(resources("inertia"), "3.0")
     v = {variable.name: i for i, variable in core.table.items()}
     assert core.step(0.0, 1e-3) == "a step is allowed while stepping only, not before initialization"

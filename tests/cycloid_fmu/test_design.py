@@ -77,7 +77,7 @@ def test_no_play_is_left_by_the_modification_that_is_published_for_none():
 
 
 def test_no_drive_of_a_grid_is_better(pair):
-    """Contact pressure with play for lubrication: 31 x 31 modifications, each analysed by itself."""
+    """Contact pressure with play for lubrication: 31 x 31 modifications, each analysed separately."""
     vary = {"isometric": ("-30 um", "20 um"), "offset": ("-60 um", "0 um")}
     limits = {"interference": "0 um", "backlash": "0.5 arcmin", "angular_transmission_error": "0.3 arcsec"}
     asked = task(goals=["max_contact_pressure"], vary=vary, limits=limits)

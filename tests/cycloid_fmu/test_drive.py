@@ -117,7 +117,7 @@ def test_a_changed_error_is_another_drive(kind, amount):
 
 
 def test_values_are_validated_the_same_in_python_and_in_files():
-    """N1: there is no documented way round what reading a file checks."""
+    """N1: there is no documented way around the validation of a file."""
     pair = parse_pair(PAIR, "pair.toml")
     for change in ({"eccentricity": 1.7e-3}, {"pin_radius": "9 mm"}, {"gear_teeth": 3}, {"face_width": -1.0}):
         (name,) = change

@@ -125,7 +125,7 @@ def test_lines_and_element_pressures():
     for name in ("gear_element_pressure", "pin_element_pressure"):
         seen = data[name].max([d for d in data[name].dims if d != "torque"]).values
         assert (seen <= largest * (1 + 1e-9)).all()
-        assert seen == pytest.approx(largest, rel=0.05)  # an element's middle lies beside the contact's
+        assert seen == pytest.approx(largest, rel=0.05)  # an element's middle is not at the contact's
     assert np.abs(data["slice_direction"].values).max() < np.pi / 2
     assert data["gear_element_pressure"].dims == ("torque", "disc", "tooth", "profile", "slice")
 
@@ -140,7 +140,7 @@ def test_the_paper_s_contact_range():
     touched = data["angle"].values[data["pin_element_pressure"].max(("torque", "pin", "slice")).values > 0]
     assert np.degrees(touched.min()) == pytest.approx(-54.4, abs=0.5)
     assert np.degrees(touched.max()) == pytest.approx(0.0, abs=0.5)
-    # The flank's highest pressure lies where it turns from concave to convex, near the convex side.
+    # The flank's highest pressure is where it turns from concave to convex, near the convex side.
     peak = data["gear_element_pressure"].max(("torque", "disc", "tooth", "slice")).values.argmax()
     assert 0.2 < data["profile"].values[peak] < 0.35
 

@@ -1,4 +1,4 @@
-"""A kind of error is defined once: what one file says goes from TOML to the identification."""
+"""A kind of error is defined once: one file takes it from TOML to the identification."""
 
 import math
 
@@ -53,7 +53,7 @@ def test_the_new_kind_is_the_pins_that_it_displaces(new_kind, tmp_path, command)
     new, listed = (edge.netcdf(tmp_path / f"{name}.nc", "cycloid-analysis/1") for name in ("new", "list"))
     error = new.transmission_error.values[0]
     assert error == pytest.approx(listed.transmission_error.values[0], abs=1e-15)
-    # Five waves of 40 pins: one crank turn repeats them, so the crank meets 40 - 5 and 40 + 5 of them, less 1 a turn.
+    # Five waves of 40 pins: one crank turn repeats them, so the crank meets 40 - 5 and 40 + 5 of them, minus 1 a turn.
     orders = np.abs(np.fft.rfft(error - error.mean()))[1:60]
     assert orders.argmax() + 1 in (4, 5, 6)
     assert "ring_distortion" in new.attrs["pair"]
@@ -116,7 +116,7 @@ def having(kind, pair):
 
 @pytest.mark.parametrize("kind", list(kinds.KINDS.values()), ids=lambda kind: kind.name)
 def test_displacements_are_linear_and_fit_where_they_go(kind):
-    """What the sensitivities' columns and first order rest on, with values of a random drive."""
+    """The basis of the sensitivities' columns and of first order, with values of a random drive."""
     pair, generator = (
         having(kind, parse_pair(PAIR.replace("[pair]", "[pair]\ndiscs = 2"), "p")),
         np.random.default_rng(3),

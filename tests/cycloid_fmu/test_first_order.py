@@ -1,4 +1,4 @@
-"""The first-order kernel against the exact one, and the allocation of tolerances that stands on it."""
+"""The first-order kernel against the exact one, and the allocation of tolerances based on it."""
 
 import dataclasses
 
@@ -41,7 +41,7 @@ def both(pair, surfaces, torque, slices=1):
 @pytest.mark.parametrize("torque", [181.0, -30.0])
 def test_without_errors_both_kernels_agree(torque):
     for first, exact in both(DRIVE, [nominal_surface(DRIVE)], torque):
-        assert first == pytest.approx(np.array(exact), rel=1e-5)  # rotation to second order alone
+        assert first == pytest.approx(np.array(exact), rel=1e-5)  # rotation to second order only
 
 
 @pytest.mark.parametrize("pair", [DRIVE, make_pair(DRIVE.text, discs=2), make_pair(DRIVE.text, output="ring")])
@@ -75,7 +75,7 @@ def test_derivatives_to_first_order(pair):
     ids=["one disc", "two discs", "ring", "misaligned"],
 )
 def test_errors_half_as_large_differ_a_quarter(pair, slices):
-    """What first order leaves out is second order in the errors: every error is there with its sign and size."""
+    """The terms that first order neglects are of second order in the errors: each error has its sign and size."""
     tolerances = EVERY if slices > 1 else EVERY.replace(**dict.fromkeys(("misalignment_xz", "misalignment_yz")))
     study = Study(pair, tolerances, 8, 5, (181.0,))
     worst = []

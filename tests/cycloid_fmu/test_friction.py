@@ -1,4 +1,4 @@
-"""Friction as it is stated: files, measured losses, the command."""
+"""Friction as stated: files, measured losses, the command."""
 
 import math
 

@@ -162,7 +162,7 @@ def test_arrays_are_the_pins(fmus):
     assert max(pressure) == slave.getFloat64([v["max_contact_pressure"]])[0]
     radial = slave.getFloat64([v["pin_radial"]], nValues=40)
     assert radial == SURFACE.pin_radial.tolist()
-    # One pin further out, set as an array, is what the Fourier part of it says.
+    # One pin farther out, set as an array, equals its Fourier components.
     slave.setFloat64([v["pin_radial"]], (np.array(radial) + 1e-6 * np.cos(2 * np.pi * np.arange(40) / 40)).tolist())
     assert slave.getFloat64([v["pin_radial_1_cos"]])[0] == pytest.approx(
         SURFACE.pin_radial @ np.cos(2 * np.pi * np.arange(40) / 40) / 20 + 1e-6, abs=1e-15

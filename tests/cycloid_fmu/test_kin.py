@@ -37,7 +37,7 @@ def a_pair(generator, teeth, size=1.0, shortening=None, **more):
 
 
 def as_tables(pair):
-    """What `brute_force.load_pair` makes of its file."""
+    """The pair that `brute_force.load_pair` makes of its file."""
     names = ("gear_teeth", "pins", "pin_circle_radius", "pin_radius", "eccentricity", "face_width", "discs")
     errors = {key: list(value) if isinstance(value, tuple) else value for key, value in pair.errors.items()}
     drawn = {"isometric": pair.modification.isometric, "offset": pair.modification.offset}
@@ -112,7 +112,7 @@ def test_drives_of_all_sizes_are_similar(teeth, kind):
 
 
 def path_in_gear(teeth, pins, pin, crank):
-    """Where a pin's axis stands seen from a gear whose rotation is the one of a pair of such numbers."""
+    """Position of a pin's axis seen from the gear, whose rotation is that of a pair with such numbers."""
     rotation = -(pins - teeth) * crank / teeth
     return (RADIUS * np.exp(2j * np.pi * pin / pins) - 1e-3 * np.exp(1j * crank)) * np.exp(-1j * rotation)
 
@@ -124,7 +124,7 @@ def test_with_one_pin_more_all_pins_draw_one_flank_and_with_two_they_cross():
         order = np.argsort(np.angle(one))
         radius = np.interp(np.angle(other), np.angle(one)[order], np.abs(one)[order], period=2.0 * np.pi)
         apart = np.abs(other) - radius
-        if cross:  # by the whole eccentricity, either way
+        if cross:  # by the eccentricity, either way
             assert apart.min() < -1e-3 < 1e-3 < apart.max()
         else:
             assert np.abs(apart).max() < 1e-6

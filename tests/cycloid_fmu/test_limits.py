@@ -1,4 +1,4 @@
-"""Limits and verdicts: margins, where the worst is, lives over a duty, what slides, and what files may say."""
+"""Limits and verdicts: margins, the worst place, lives over a duty, sliding, and checks of files."""
 
 import dataclasses
 import json

@@ -55,7 +55,7 @@ def rms(values):
 
 
 def without(values, columns):
-    """What is left of values when their least-squares share of the columns is taken away."""
+    """The remainder of values without their least-squares share of the columns."""
     return values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
 
 

@@ -57,7 +57,7 @@ def test_at_zero_torque_it_starts_in_the_middle_and_stays_until_a_flank_pushes()
     assert model.transmission_error == pytest.approx(0.0, abs=1e-9)
     assert free > 5e-6
     before = model.output_angle
-    # A quarter of the play, in crank angle: nothing touches, the output stands still.
+    # A quarter of the play, in crank angle: nothing touches, the output does not move.
     step(model, 0.25 * free * 39)
     assert model.output_angle == before
     step(model, 0.0)
@@ -96,7 +96,7 @@ def test_interference_at_zero_torque_is_an_equilibrium():
 def test_friction_is_the_loop_of_the_definition():
     """docs/theory/measurement.md: θ = elastic(T ∓ T_f) on the loading, elastic(T ± T_f) on the unloading branch."""
     elastic, model = (DriveModel(PLAY, nominal_surface(PLAY)) for _ in range(2))
-    model.set_friction(1, coulomb=5.0, presliding_angle=1e-9)  # the definition's friction builds up at once
+    model.set_friction(1, coulomb=5.0, presliding_angle=1e-9)  # the definition's friction builds up without presliding
 
     def curve(torque):
         return step(elastic, 0.2, torque)

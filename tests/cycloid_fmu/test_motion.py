@@ -1,4 +1,4 @@
-"""The picture of a drive: it is where the drive is, and what it shows balances."""
+"""The picture of a drive: positions are those of the drive, and the forces shown balance."""
 
 import dataclasses
 import json
@@ -75,7 +75,7 @@ def test_contacts_are_on_pin_and_flank_and_balance_the_torque(name):
     for load, angle, disc in np.ndindex(motion.gap.shape[:3]):
         at = near[load, angle, disc]
         points = motion.touching[load, angle, disc][at]
-        chord = 5e-6  # between the outline's points the flank bows out by less
+        chord = 5e-6  # between the outline's points the flank deviates by less
         assert np.abs(distance(points, motion.outline(load, angle, disc, 1.0))).max() < chord
     # The pins' forces turn the disc against the torque about its own centre; on a ring the disc's do, about the middle.
     about, sense = (0.0, -1.0) if pair.output == "ring" else (motion.centre[..., None, None], 1.0)

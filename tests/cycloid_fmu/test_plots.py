@@ -1,4 +1,4 @@
-"""Plots: what they choose to show."""
+"""Plots: choice of panels and labels."""
 
 import numpy as np
 import pytest

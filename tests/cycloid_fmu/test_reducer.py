@@ -164,7 +164,7 @@ def test_the_sun_locked_leaves_a_share_of_the_play(found):
 
 
 def test_the_cranks_roll_on_the_locked_sun():
-    """Kinematics by wheel angles: sun 0, output φ; the gear's play is what is left of its turn and the crank's."""
+    """Kinematics by wheel angles: sun 0, output φ; the gear's play is its rotation minus that from the crank's."""
     z1, z2, teeth = 12, 42, 39
     output = 1e-3
     planet = output + output * z1 / z2  # in the carrier's frame the sun turns by -output
@@ -288,7 +288,7 @@ def test_limits_and_value_with_tolerance_say_the_same(value, tolerance, distribu
 
 
 def test_the_cycloid_stage_alone_is_a_pair_file(tmp_path):
-    """Whatever knows pairs alone gets the reducer's pair from its text."""
+    """Code that accepts only pairs gets the reducer's pair from its text."""
     from cycloid_fmu.geometry.pair import parse_pair
 
     assert parse_pair(RV.stage.text, "inner") == RV.stage

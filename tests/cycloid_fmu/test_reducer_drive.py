@@ -84,7 +84,7 @@ def test_the_first_stage_s_wind_up_and_play_reach_the_output_by_the_ratio():
 
 
 def test_mean_sun_torque_is_the_ratio_s():
-    """What an error-free reducer takes from the load over whole periods it takes from the sun."""
+    """Over whole periods the work of the load on an error-free reducer is that on the sun."""
     pair, _, first_stage = parts_of(HELD)
     pair = pair.nominal
     crank = np.linspace(0.0, 2.0 * np.pi * 13 / 40, 60, endpoint=False) * 40 / 39
@@ -127,7 +127,7 @@ def test_parts_of_the_compliance_add_up_to_the_reducer():
 
 @pytest.mark.parametrize(("sun", "planet", "planets"), [(12, 42, 3), (13, 42, 3), (15, 40, 2)])
 def test_planets_mesh_with_the_sun_wherever_their_crank_stands(sun, planet, planets):
-    """At each pitch point a planet's tooth must stand before a gap of the sun when all cranks point alike."""
+    """At each pitch point a planet's tooth must face a gap of the sun when all cranks have the same angle."""
     reducer = RIGID.replace(involute=RIGID.involute.replace(sun_teeth=sun, planet_teeth=planet, planets=planets))
     place = 2.0 * np.pi * np.arange(planets) / planets
     phase = (planet * (place - reducer.planet_keys) + sun * place) / (2.0 * np.pi)
@@ -199,7 +199,7 @@ def test_planets_without_a_number_have_no_stiffness():
 
 
 def test_a_reducer_from_the_command_line(command, tmp_path):
-    """Analysis and tolerance study of a reducer file; contradictions are said beside the results."""
+    """Analysis and tolerance study of a reducer file; contradictions are reported with the results."""
     text = TEXT.replace("discs = 1", "discs = 2").replace("[involute]", SUPPORTS)
     (tmp_path / "rv.toml").write_text(text)
     run = command("cycloid-fmu", "analyze", "rv.toml", "--torque", "167 N*m", "--angles", 12, "--plot", "rv.png")

@@ -119,7 +119,7 @@ def test_friction_and_compliance_make_a_loop():
     assert loop[3] > loop[1]  # unloading lags
     plain = fresh()
     plain.series_compliance = 1e-6
-    # Coming down from 100, the output follows what it would be at torque + friction without friction.
+    # Coming down from 100, the output is where it would be at torque + friction without friction.
     assert loop[3] == pytest.approx(at(plain, 5.0, 52.0), abs=1e-12)
 
 
@@ -202,7 +202,7 @@ def test_a_reducer_on_bearings_swings_with_inertias_inside(tmp_path):
 
 
 def test_the_run_inside_a_compliant_reducer_s_fmu_bears_the_torque_that_it_is_made_for():
-    """Its output stands where the whole reducer bears 0.3 and 0.9 times the rated torque with the sun locked."""
+    """Its output is where the whole reducer carries 0.3 and 0.9 times the rated torque with the sun locked."""
     _, references = run(RV.stage, SURFACE, Interface("compliant"), STAGE)
     for (_, values), share in zip(references, (0.3, 0.3, -0.3, 0.9), strict=True):
         assert values["flange_b.tau"] == pytest.approx(share * RV.stage.rated_torque, rel=5e-3)

@@ -163,7 +163,7 @@ def test_ring_as_output_turns_the_other_way():
     same = with_structured(gear, surface_of_pair(gear), {"centre_distance_x": 0.0, "centre_distance_y": 0.0})
     theta = 1.7
     ring = solve(pair, still, 100.0, theta)
-    # In the ring's frame the crank stands at θ - φ_b and the gear is turned by -φ_b from it.
+    # In the ring's frame the crank is at θ - φ_b and the gear is rotated by -φ_b from it.
     output = theta / 40 + 0.5 * (ring.play_low[0] + ring.play_high[0])
     relative = solve(gear, same, 0.0, theta - output)
     assert relative.backlash[0] == pytest.approx(ring.backlash[0] * 40 / 39, rel=2e-3)

@@ -62,7 +62,7 @@ def test_pitch_keeps_both_limits_round_the_whole_circle(seed, teeth, single, fac
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
 @pytest.mark.parametrize("factor", [1.0, 1.3, 3.0])
 def test_pitch_has_the_conditioned_distribution(distribution, factor):
-    """A second computation: draw single pitches that close, and throw away what exceeds a limit."""
+    """A second computation: draw single pitches that sum to zero, and reject those beyond a limit."""
     teeth, single = 6, 3e-6
     generator = np.random.default_rng(5)
     chance = generator.random((800000, teeth - 1))

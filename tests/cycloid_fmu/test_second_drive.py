@@ -51,7 +51,7 @@ def test_random_drives(size, discs, record_property):
 
 
 def test_form_that_all_flanks_share():
-    """The product takes a form as a line between a hundred points of a flank, the second solver as it is."""
+    """In the product a form is a line between a hundred points of a flank, in the second solver the function itself."""
     pair = read_pair(EXAMPLES / "drive-39-40.toml").replace(**SMALL)
     form = (1e-6, -0.7e-6, 0.5e-6, 0.3e-6)
     second, surface = both(pair, 1, form)
@@ -66,7 +66,7 @@ def test_form_that_all_flanks_share():
 def test_a_disc_that_floats(load):
     """Cranks on springs hold one disc as one spring does and let the output turn by as much as they give.
 
-    Where a pin leaves one tooth for the next, which stands elsewhere, there may be two balances, or none.
+    Where a pin passes to the next tooth, which is displaced, there may be two balances, or none.
     """
     pair = read_pair(EXAMPLES / "drive-39-40.toml").replace(**SMALL)
     second, surface = both(pair, 1)

@@ -74,7 +74,7 @@ def test_both_torques_are_derivatives_of_the_stored_energy(case, compliance, bac
 
 @pytest.mark.parametrize("case", NAMES)
 def test_it_is_the_quasi_static_drive_seen_from_both_flanges(case):
-    """The energy's torque and the balance's differ by what moving curvature adds; inside the play nothing is left."""
+    """The energy's torque and the balance's differ by the term of moving curvature; inside the play by nothing."""
     model, driven = CompliantModel(*drive(case)), DriveModel(*drive(case))
     for crank, torque in ((0.4, 100.0), (3.0, -60.0), (40.0, 150.0)):
         driven.crank_angle, driven.torque = crank, torque
@@ -148,7 +148,7 @@ def test_a_state_restores_exactly_also_in_another_instance():
 
 
 def test_friction_and_play_hold_the_output_between_both_directions():
-    """At no torque the drive stands within its play wherever it was left, and is carried by the end that it meets."""
+    """At no torque the drive keeps its position within its play, and moves with the end of the play that it meets."""
     pair, surface = drive("rollers")
     model = DriveModel(pair, surface)
     for torque in (50.0, 0.0):

@@ -1,4 +1,4 @@
-"""Drives on bearings: an independent solver's results, closed forms, symmetries, and what files may say."""
+"""Drives on bearings: an independent solver's results, closed forms, symmetries, and checks of files."""
 
 import json
 import math
@@ -90,7 +90,7 @@ def test_a_bearing_carries_nothing_inside_its_clearance():
 
 
 def test_rigid_supports_are_the_drive_on_rigid_bearings():
-    """Centre distance and eccentricity errors included: the housing's seats stand off the pin circle's centre."""
+    """Centre distance and eccentricity errors included: the housing's seats are off the pin circle's centre."""
     errors = {"centre_distance_x": 4e-6, "centre_distance_y": -3e-6, "eccentricity": 1e-6, "pin_radius": -1e-6}
     rigid = cy.Pair(**SIZES, discs=2, errors=errors)
     held = rigid.replace(supports=CRANKS)
@@ -104,7 +104,7 @@ def test_rigid_supports_are_the_drive_on_rigid_bearings():
 @pytest.mark.parametrize("discs", [1, 2])
 @pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
 def test_stiffness_without_mesh_is_the_closed_form(kind, discs):
-    """1/K of a drive with stiff flanks is that of its bearings: K_t of cranks or rollers, K_r of what holds the disc.
+    """1/K of a drive with stiff flanks is that of its bearings: K_t of cranks or rollers, K_r of the disc's bearings.
 
     The flanks' own compliance is taken off by solving the drive on rigid bearings as well.
     """
@@ -157,11 +157,11 @@ def made(kind, seed, discs=2):
 
 @pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
 def test_every_body_is_in_balance(kind):
-    """What pins, bearings and rollers put on each disc, and the carrier's moment, from the stated forces alone."""
+    """Loads of pins, bearings and rollers on each disc, and the carrier's moment, from the stated forces only."""
     pair = made(kind, 3)
     found = solved(pair, [150.0], with_play=False)
     for disc in range(2):
-        # Radially a disc's pins and its bearings carry the same work: the crank's torque is what the output's costs.
+        # Radially a disc's pins and its bearings do the same work: the crank's work equals the output's.
         assert found.pin_force[0, :, disc].sum(axis=-1).min() > 0.0
     mean = found.crank_torque[0].mean()
     assert mean == pytest.approx(150.0 / 39, rel=0.02)
@@ -204,7 +204,7 @@ def test_stiffness_is_the_slope_of_the_deviation(kind):
 
 
 def test_mirrored_drives_mirror():
-    """θ, torque, deviation, what is tangential and ψ_0 change sign; pins, teeth and cranks are counted backwards."""
+    """θ, torque, deviation, tangential errors and ψ_0 change sign; pins, teeth and cranks are counted backwards."""
     pair = made("cranks", 6, discs=1)
     errors = dict(pair.errors)
 
@@ -323,7 +323,7 @@ def test_a_pin_passes_a_root_between_unlike_teeth_without_a_jump():
 
 @pytest.mark.parametrize(("example", "column"), [("drive-39-40-bearings", 2), ("rv-20e-bearings", 3)])
 def test_stiffness_of_the_examples_is_the_theory_page_s(example, column):
-    """Every number of the page's table, what is left to the catalogue's stiffness included."""
+    """Every number of the page's table, including the remainder to the catalogue's stiffness."""
     page = (EXAMPLES.parent / "docs" / "theory" / "supports.md").read_text(encoding="utf-8")
     lines = page.split("| with one part more")[1].splitlines()
     rows = [[cell.strip() for cell in line.split("|")] for line in lines[2:] if line.startswith("|")]
@@ -526,7 +526,7 @@ def test_a_drive_s_sensitivity_knows_its_bearings():
 
 
 def test_a_tolerance_study_draws_errors_of_holes_and_cranks():
-    """Each drive of a study is the drive that analyze solves; what a pair has not can't have a tolerance."""
+    """Each drive of a study is the drive that analyze solves; a part that a pair lacks can't have a tolerance."""
     supports = {**CRANKS, **SOFT}
     drive = cy.Drive(cy.Pair(**SIZES, discs=2, supports=supports))
     tolerances = cy.Tolerances(hole_x={"tolerance": "5 um"}, crank_phase={"tolerance": "0.3 mrad"})
@@ -536,7 +536,7 @@ def test_a_tolerance_study_draws_errors_of_holes_and_cranks():
     assert np.abs(made_one.surface.crank_phase).max() <= 3e-4
     spread = found.result.figure("angular_transmission_error")
     drawn = np.ptp(drive.analyze(100.0, angles=41)["transmission_error"].values)
-    # Errors of ± 5 µm on 36 mm make some arcseconds; the drive as drawn has its mesh's ripple alone.
+    # Errors of ± 5 µm on 36 mm make some arcseconds; the drive as drawn has only the ripple of its mesh.
     assert np.median(spread) > 4.0 * drawn
     rigid = cy.Drive(cy.Pair(**SIZES))
     with pytest.raises(edge.InputError, match="no supports"):

@@ -1,4 +1,4 @@
-"""Drives at temperature: growth of all bodies alike, of each by itself, clearances, and what files may say."""
+"""Drives at temperature: expansion of all bodies together and of each separately, clearances, and checks of files."""
 
 import json
 
@@ -51,7 +51,7 @@ def form(pair):
 
 @pytest.mark.parametrize("output", ["gear", "ring"])
 def test_a_drive_of_one_material_that_is_warm_all_over_keeps_its_play(output):
-    """Angles do not know the scale; what the torque turns changes as the scale does, 0.03 %."""
+    """Angles do not depend on the scale; rotations under torque change as the scale does, 0.03 %."""
     pair = cy.Pair(**SIZES, output=output)
     cold, warm = solved(pair, [181.0]), solved(pair.replace(temperature=WARM), [181.0])
     assert warm.backlash == pytest.approx(cold.backlash, abs=1e-8 * ARCSEC)
@@ -79,7 +79,7 @@ def test_a_drive_on_bearings_that_is_warm_all_over_changes_by_its_scale(supports
 
 
 def test_an_aluminium_ring_opens_the_play_by_the_closed_form():
-    """The pin whose gap opens least for its arm stands where cos φ = K: 2 δR_p √(1 - K²)/(e z_c)."""
+    """The pin with the smallest increase of its gap per arm is at cos φ = K: 2 δR_p √(1 - K²)/(e z_c)."""
     pair = cy.Pair(**{**SIZES, "modification": {"offset": -40e-6}})
     ring = pair.replace(temperature=WARM, expansion={"ring": ALUMINIUM})
     # The pins are steel and as warm as the ring, the discs too.
@@ -93,7 +93,7 @@ def test_an_aluminium_ring_opens_the_play_by_the_closed_form():
 
 @pytest.mark.parametrize("supports", [None, CRANKS, ROLLERS], ids=["rigid", "cranks", "output_rollers"])
 def test_a_warm_ring_is_a_larger_pin_circle_with_its_pins(supports):
-    """With the discs at 20 °C what the ring grows by is an error that a file may state, by the sensitivity's size."""
+    """With the discs at 20 °C the ring's expansion is an error that a file may state, with the sensitivity's size."""
     if supports is not None:
         supports = {**supports, "pin_seat": {}}
     pair = cy.Pair(**SIZES, discs=2, supports=supports)
@@ -134,7 +134,7 @@ def test_a_warm_crank_throws_the_disc_farther():
 
 
 def test_a_warm_carrier_squeezes_the_cranks():
-    """Cranks that stand farther out than the holes: the same radial force at each, a δ/(1/k_a + n_d/k_s)."""
+    """Cranks farther out than the holes: the same radial force at each, a δ/(1/k_a + n_d/k_s)."""
     stiff, soft = 4e8, 3e8
     supports = {
         "kind": "cranks", "count": 3, "circle_radius": 0.036, "turning_arm": {"stiffness": stiff},

@@ -119,7 +119,7 @@ def test_workers_change_no_bit_and_neither_does_the_company_of_other_samples():
 
 
 def test_yield_of_a_linear_figure_is_its_distribution_s():
-    """The mean transmission error follows the pins' radius alone here; half of the drives lie beyond the median."""
+    """Only the pins' radius affects the mean transmission error here; half of the drives are beyond the median."""
     study = make_study('[pin_radius]\ntolerance = "1 um"\n', 128, torque=(181.0,))
     result = run(study)
     mean = result.figure("mean_transmission_error")[:, 0]
@@ -220,7 +220,7 @@ def test_tasks_are_long_enough_for_their_cost_and_cover_each_drive_once(workers,
         took.append((last - first) * seconds)
         shares.took(last - first, took[-1])
     assert (times == waiting).all()
-    # The first is not measured, the last and those before a drive that is done are what is left.
+    # The first is not measured; the last and those before a finished drive remain.
     cut = 2 + np.count_nonzero(~waiting)
     assert sum(one < 0.35 for one in took) <= cut
     if seconds == 7e-3:

@@ -187,7 +187,7 @@ def test_contact_ratio_as_printed():
 @pytest.mark.parametrize("torque", [-400.0, 400.0])
 @pytest.mark.parametrize("keys", [{}, {"output": "ring"}, {"discs": 2}], ids=["gear", "ring", "two discs"])
 def test_loaded_contacts_are_those_of_the_sweep(keys, torque):
-    """Force and pressure of each pin as `solve` has them; the contacts lie on the flank they are said to."""
+    """Force and pressure of each pin agree with `solve`; the contacts are on the flank that they state."""
     pair = wear_pair(**keys)
     surface = with_errors(pair)
     drive, theta = drive_of(pair, surface), np.linspace(0.0, 0.5, 20)

@@ -204,9 +204,9 @@ def test_a_pin_that_stands_out_wears_most():
 
 
 def test_discs_with_the_same_teeth_wear_a_pin_alike():
-    """Half a crank turn later each disc is where the other was, so the mean over the discs is what each of them wears.
+    """Half a crank turn later each disc is where the other was, so the mean over the discs is the wear by each of them.
 
-    So a pin's depth is the same whichever disc's loads it is counted from: half the torque on one disc alone.
+    So a pin's depth is the same whichever disc's loads are counted: half the torque on one disc only.
     """
     radial = np.zeros(40)
     radial[[3, 23]] = -2e-6  # alike half a turn apart, as the discs are
@@ -310,7 +310,7 @@ def test_few_crank_angles_stand_for_all_where_nothing_is_alike(monkeypatch):
 
 
 def test_a_duty_cycle_that_wears_more_than_a_step_goes_in_order():
-    """Clockwise and counter-clockwise loads wear different flanks, so each flank is that of its own load alone."""
+    """Clockwise and counter-clockwise loads wear different flanks, so each flank wears under its own load only."""
     one_way = model(loads=(load(-300.0),), elements=(400, 200))
     *_, alone = wear_states(one_way, 4e5)
     both = model(loads=(load(-300.0, 4e5), load(300.0, 2e5)), elements=(400, 200))
@@ -357,7 +357,7 @@ def test_wear_costs_accuracy_by_what_is_lost(run):
     largest_arm = 1.3e-3 * 39
     assert 0.3 * depth / largest_arm < curve.backlash[-1] - curve.backlash[0] < 1.2 * depth / largest_arm
     assert curve.transmission_error[-1] < curve.transmission_error[0] < 0
-    # Lost motion is the play and what 3 % of the load bends on both sides; less than the whole load does on one.
+    # Lost motion is the play and the deflection by 3 % of the load on both sides; less than by the whole load on one.
     bent = curve.lost_motion - curve.backlash
     assert (bent > 0.0).all()
     assert (bent < -curve.transmission_error - 0.5 * curve.backlash).all()

@@ -1,4 +1,4 @@
-"""Drives that age: what dated figures say of their wear, forecasts that hold as often as they state, and the twin."""
+"""Ageing drives: wear from dated figures, forecasts with their stated coverage, and the twin."""
 
 import dataclasses
 import datetime
@@ -50,7 +50,7 @@ PRIOR = Prior(1e-18, 10.0, offset={"lost_motion": 5 / ARCSEC, "backlash": 5 / AR
 
 
 def test_a_life_is_that_of_the_dose_alone():
-    """Twice the coefficient wears in half the turns what one does, profile update and all."""
+    """Twice the coefficient wears in half the turns as much as one does, profile update included."""
     drive = cy.Drive(pair_of(11))
     once, twice = (
         drive.wear(LAW.replace(coefficient=k), "-181 N*m", turns, workers=1)
@@ -96,7 +96,7 @@ def test_without_recordings_the_prior_is_what_is_known(by_clearance):
 
 
 def test_the_grid_gives_what_a_normal_distribution_is_in_closed_form(monkeypatch):
-    """Without the law's error, one exact figure of a straight life leaves the coefficient as a closed form says."""
+    """Without the law's error, one exact figure of a straight life gives the coefficient by a closed form."""
     monkeypatch.setattr(posterior_module, "_LAW", 0.0)
     turns, grown, offset = 1e8, 20.0 / ARCSEC, 0.5 / ARCSEC
     prior = Prior(1e-18, 1000.0, offset={"lost_motion": offset})
@@ -105,7 +105,7 @@ def test_the_grid_gives_what_a_normal_distribution_is_in_closed_form(monkeypatch
     assert after.factor(0.5) == pytest.approx(1.0, rel=2e-3)
     low, high = after.factor([0.025, 0.975])
     assert 0.5 * (high - low) == pytest.approx(1.96 * np.hypot(0.5, 0.5) / 20.0, rel=0.01)
-    # What was seen in the same place the offset moves too.
+    # The offset moves other observations in the same place too.
     assert after.predicted("lost_motion", turns).quantile(0.5) == pytest.approx(one.value, abs=0.02 / ARCSEC)
     assert after.predicted("lost_motion", 0.0).quantile(0.975) - 70 / ARCSEC == pytest.approx(1.96 * offset, rel=0.02)
 
@@ -188,7 +188,7 @@ def test_forecasts_hold_over_200_lives_of_a_second_computation():
 
         def grown(name, dose, clearance):
             values = found[name] - found[name][0]
-            # Deeper than was computed it goes on as straight as the product's figures do.
+            # Beyond the computed depth it continues as straight as the product's figures do.
             beyond = np.maximum(dose - at[-1], 0.0) * (values[-1] - values[-2]) / (at[-1] - at[-2])
             return np.interp(dose, at, values) + beyond + clearance / radius
 

@@ -1,4 +1,4 @@
-"""Drives on bearings: what is unknown of bearings, holes, cranks and discs, and what a fit finds of it."""
+"""Drives on bearings: the unknowns of bearings, holes, cranks and discs, and the fit of them."""
 
 import dataclasses
 import json
@@ -37,7 +37,7 @@ OF_PAIR = ("gear_teeth", "pins", "pin_circle_radius", "pin_radius", "eccentricit
 
 
 def cranked(discs=2, share=1.0, clearance=4e-6):
-    """A small pair on three cranks in needle cages whose stiffness is a share of what they are drawn with."""
+    """A small pair on three cranks in needle cages whose stiffness is a share of the drawn one."""
     nominal = read_pair(EXAMPLES / "drive-39-40.toml").replace(**SMALL)
     supports = {
         "kind": "cranks", "count": 3, "circle_radius": 0.026, "first_angle": 0.3,
@@ -97,7 +97,7 @@ def test_a_scatter_vector_goes_into_a_surface_and_out_again(discs):
         for n in made.errors
     )
     if discs == 2:
-        # What all teeth of the second disc share is its phase.
+        # The common part of all teeth of the second disc is its phase.
         pitch = again[parts["tooth_cumulative_pitch"]].reshape(2, -1)
         assert abs(pitch[1].mean()) < 1e-18
         assert again[parts["disc_phase"]][0] == pytest.approx(made.tooth_cumulative_pitch[1].mean())
@@ -143,7 +143,7 @@ def test_the_play_on_bearings_has_the_derivatives_of_other_drives():
     for name, slope in zip(("pin_radius", "pin_circle_radius"), by_error, strict=True):
         value = -4e-6 if name == "pin_radius" else 0.0
         ends = [play_of(pair, with_structured(pair, surface, {name: value + d}), 0.7, [])[0] for d in (1e-7, -1e-7)]
-        # The ends stand at a thousandth of the rated torque, where a little has given way already.
+        # The ends are at a thousandth of the rated torque, where there is a small deflection already.
         assert slope == pytest.approx((ends[0] - ends[1]) / 2e-7, rel=0.02)
 
 
@@ -191,7 +191,7 @@ def test_intervals_hold_of_drives_on_bearings_that_are_not_as_drawn(discs, seeds
         runs = [run_of(made, surface, load, generator, 24.37, 2) for load in LOADS]
         found = identify(runs, Drive(cranked(discs)))
         assert found.verdict.state == "explained", seed
-        # Where no two starts agree the first line says so, and what is stated may be another optimum.
+        # Where no two starts agree the first line reports it, and the result may be another optimum.
         if not found.verdict.disagreeing:
             far += distances(found, values).values()
             agreed += 1
@@ -216,7 +216,7 @@ def test_a_place_between_two_jumps_of_a_force_is_found():
     formed = with_structured(pair, surface, {"profile_deviation_1": 1e-6})
     angle = np.arange(28.7840, 28.7854, 1e-5)
     error = solve(pair, formed, -200.0, angle, with_play=False).transmission_error[0]
-    # Where one flank alone is too weak and the other too strong the place is known to the jump, some 2 arcsec.
+    # Where one flank by itself is too weak and the other too strong the position is known to the jump, some 2 arcsec.
     assert np.ptp(error) < 3.0 * ARCSEC
     passing = (angle > 28.7846) & (angle < 28.7849)
     assert np.abs(np.diff(error[~passing])).max() < 1.0 * ARCSEC
@@ -245,7 +245,7 @@ def test_drawn_drives_turn_further_discs_as_the_covariance_says():
 
 @pytest.mark.slow(100)
 def test_a_form_of_the_flanks_is_allowed_for():
-    """Flanks with a form of 1 µm on bearings: it is taken for supports; an error was 11 standard errors off."""
+    """Flanks with a form of 1 µm on bearings: it passes for supports; an error was 11 standard errors off."""
     nominal = read_pair(EXAMPLES / "drive-39-40.toml").replace(**SMALL)
     generator = np.random.default_rng([77, 0])
     rigid, values = random_drive(nominal, generator, 0.3e-6)

@@ -1,4 +1,4 @@
-"""Uncertainty budgets after GUM, beside a Monte Carlo of the whole measurement (JCGM 101) and GUM's own example."""
+"""Uncertainty budgets after GUM, and a Monte Carlo of the whole measurement (JCGM 101) and GUM's own example."""
 
 import json
 import math
@@ -66,7 +66,7 @@ def test_a_loop_s_budget_covers_a_monte_carlo_of_the_bench(stated):
         read = read + x * np.cos(at) + y * np.sin(at) + random.normal(0.0, 0.3 * ARCSEC, at.size)
         shown = torque * (1.0 + random.uniform(-1.0, 1.0) * 0.005 * 200.0 / RATED) + random.uniform(-0.4, 0.4)
         run = fitting.Run(0.0, read, shown, time=0.01 * np.arange(at.size))
-        drift = 2.0 * random.uniform(-1.0, 1.0)  # K, of which the backlash alone knows
+        drift = 2.0 * random.uniform(-1.0, 1.0)  # K, which affects only the backlash
         found = fitting.metrics(run, ratio=-39.0, rated_torque=RATED, instruments=stated if draw < 10 else None)
         for name, known in truth.items():
             error = found.figures[name].value - known + (drift * 0.1 * ARCSEC if name == "backlash" else 0.0)
@@ -209,7 +209,7 @@ def test_a_graduation_s_error_is_in_the_figure_without_the_rig_s_orders_too():
     for encoder, counts in ((Encoder(accuracy="1 arcsec"), True), (Encoder(run_out="1 arcsec"), False)):
         found = fitting.metrics(made, ratio=-39.0, instruments=Instruments(output_encoder=encoder))
         wave = found.budgets["angular_transmission_error_without_rig"].contributions[1]
-        # Of 40 peaks alike one lies near the wave's top: twice the amplitude, whose mean square is that of both parts.
+        # Of 40 equal peaks one is near the wave's top: twice the amplitude, whose mean square is that of both parts.
         known = 2.0 * np.sqrt(2.0) * wave.standard_uncertainty if counts else 0.0
         assert wave.contribution == pytest.approx(known, rel=0.05)
 

@@ -1,4 +1,4 @@
-"""Whether the truth ranks uniformly among draws of what an identification states."""
+"""Whether the truth ranks uniformly among draws from an identification."""
 
 import os
 
@@ -8,7 +8,7 @@ from simulation_based_calibration import DRAWS, away, band, by_name, ranks, unif
 
 
 def ranks_of(share, count=400, off=0.0):
-    """Ranks of standard normal truths among draws that scatter by a share of what they should, or stand beside it."""
+    """Ranks of standard normal truths among draws with a wrong scatter, or with an offset."""
     generator = np.random.default_rng(5)
     truth = generator.standard_normal(count)
     return (share * generator.standard_normal((DRAWS, count)) + off < truth).sum(axis=0)

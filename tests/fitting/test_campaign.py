@@ -29,7 +29,7 @@ def test_six_conditions_predict_the_others_and_each_miss_has_its_order():
     model = campaign.calibrated()
     for load, way, warm in campaign.predicted_conditions():
         miss = campaign.misses(model, load, way, warm)
-        # What the six conditions can't know: the rig's zero, which drifts with the temperature.
+        # Not predictable by the six conditions: the rig's zero, which drifts with the temperature.
         assert miss["mean"] == pytest.approx(campaign.DRIFT * (warm - 20.0), abs=0.5)
         assert miss["noise"] < 1.5 * campaign.NOISE / campaign.ARCSEC
         named = np.sqrt(sum(miss[kind] ** 2 for kind in ("rig", "pin", "tooth", "mesh")))
@@ -53,7 +53,7 @@ def test_five_dense_curves_are_identified_in_ten_seconds_of_processor_time(nomin
     surface, values = random_drive(nominal, generator, 0.3e-6)
     loads = (20.0, -20.0, 60.0, 200.0, -200.0)
     runs = [recorded(nominal, surface, load, generator, each=6000 / 39, turns=1) for load in loads]
-    identify(runs[::4], Drive(nominal), held_out=False)  # what is compiled once
+    identify(runs[::4], Drive(nominal), held_out=False)  # compile first
     begun = time.process_time()
     found = identify(runs, Drive(nominal))
     assert time.process_time() - begun < 10.0

@@ -33,12 +33,12 @@ def test_the_paper_s_output_shaft():
 
 
 def test_a_displaced_disc_seen_by_its_lines():
-    """A point of the disc under the head, followed in the plane: what it moves along the head over the radius."""
+    """A point of the disc under the head, followed in the plane: its motion along the head over the radius."""
     radius, moved = 0.05, 4e-6
     for direction in np.radians([0.0, 30.0, 90.0, 200.0]):
         line = Displacement(moved / 200.0, 0.0, np.zeros((2, 2)), 0.0, 0.0, 200.0)
         shift = moved * np.array([np.cos(direction), np.sin(direction)])
-        under_head = np.array([radius, 0.0]) + shift  # the head stands on +x
+        under_head = np.array([radius, 0.0]) + shift  # the head is on +x
         error, _ = angle_error(ReadHead(radius, 0.0, direction, line), 200.0)
         assert error == pytest.approx(np.arctan2(under_head[1], under_head[0]), abs=moved**2 / radius**2)
 
@@ -52,7 +52,7 @@ def test_correction_brings_back_the_angle():
     assert freed.output_angle == pytest.approx(true, abs=1e-15)
     assert len(freed.notes) == 1
     assert "standard uncertainty" in freed.notes[0]
-    assert len(without_coaxiality_error(recording(2.0 * torque, read), HEAD).notes) == 2  # beyond what is known
+    assert len(without_coaxiality_error(recording(2.0 * torque, read), HEAD).notes) == 2  # beyond the known range
 
 
 def test_uncertainty_is_that_of_repeated_calibrations():

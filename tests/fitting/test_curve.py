@@ -45,7 +45,7 @@ def test_a_known_curve_comes_back_at_the_angles_where_it_was_measured(turns, for
     assert (np.diff(curve.input_angle) > 0).all()
     assert curve.sample_count.sum() == samples
     spacing = 2 * np.pi / each
-    # What falls into one point lies within one spacing; its mean error is the error at its mean angle to second order.
+    # Samples of one point are within one spacing; their mean error is the error at their mean angle to second order.
     assert curve.transmission_error == pytest.approx(known(curve.input_angle), abs=1.5e-4 * spacing**2 + 1e-12)
 
 

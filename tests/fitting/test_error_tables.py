@@ -92,7 +92,7 @@ def test_commands_take_a_proposed_mapping_as_it_stands(command, tmp_path):
     run = command("cycloid-fit", "inspect", names[0], "-o", "map.toml")
     assert run.returncode == 0, run.stderr
     assert "transmission_error, backward" in run.stdout
-    # What the header can't say: the load turns with the motion.
+    # Not in the header: the load turns with the motion.
     text = (tmp_path / "map.toml").read_text()
     turned = '[runs.torque]\nfile_name = "_{}Nm"\nunit = "N*m"\ndirection = -1\n'
     as_proposed = command("cycloid-fit", "curve", *names, "--pair", "pair.toml", "--mapping", "map.toml", "--json")

@@ -59,7 +59,7 @@ def distances(found, pair, surface):
 
 @pytest.fixture(scope="module")
 def simple(nominal):
-    """A drive with a few errors, what is observed of it, and the fit without scatter."""
+    """A drive with a few errors, its observations, and the fit without scatter."""
     made = with_structured(nominal, surface_of_pair(nominal), dict(zip(ERRORS, np.array([4, -3, 1, 1, 2, -2]) * 1e-6,
                                                                        strict=True)))  # fmt: skip
     generator = np.random.default_rng(3)
@@ -197,7 +197,7 @@ def test_a_profile_is_the_interval_by_standard_error_where_the_model_is_linear(s
 
 
 def test_turns_drawn_again_show_what_is_not_white(simple, nominal):
-    """White turns give what white noise gives; turns that wander as a whole at order 39 give more."""
+    """White turns give the result of white noise; turns that wander together at order 39 give more."""
     _, observed = simple
     found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {}, gain=1e-3, estimated=False)
     generator = np.random.default_rng(0)
@@ -277,7 +277,7 @@ def panels_in(page):
 
 
 def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
-    """With tolerances as prior each pin's place is found within its interval; the report stands by itself."""
+    """With tolerances as prior each pin's position is found within its interval; the report needs no other file."""
     generator = np.random.default_rng(11)
     made = surface_of_pair(nominal)
     made = dataclasses.replace(made, pin_tangential=generator.normal(0.0, 1e-6, 40))

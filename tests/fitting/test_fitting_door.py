@@ -1,4 +1,4 @@
-"""What a notebook sees of `fitting`: names that load when they are used, and the whole way from arrays to errors."""
+"""The names of `fitting` in a notebook: loaded on first use, and the whole path from arrays to errors."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""What measurements tell apart: the bench beside the drive, plans, curves with faults, and drawn surfaces."""
+"""Separation by measurements: the bench from the drive, plans, curves with faults, and drawn surfaces."""
 
 import dataclasses
 import re
@@ -126,7 +126,7 @@ def test_a_curve_with_more_noise_than_the_others_is_named(measured, nominal):
 
 @pytest.mark.slow(22)
 def test_curves_of_another_gear_are_not_explained(measured):
-    """The same ratio, another eccentricity and pin: the fit says so and still ends."""
+    """The same ratio, another eccentricity and pin: the fit reports it and still ends."""
     other = read_pair(BENCH / "pair.toml")
     other = other.replace(eccentricity=0.7e-3)
     found = identify(measured(8, each=12), Drive(other), held_out=False)
@@ -136,7 +136,7 @@ def test_curves_of_another_gear_are_not_explained(measured):
 
 @pytest.mark.slow(6)
 def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
-    """Where no two starts agree others are tried, the best is taken, and the fit says what that may mean."""
+    """Where no two starts agree others are tried, the best is taken, and the fit reports the consequence."""
     monkeypatch.setattr(fitting.estimation.identify, "_AGREE", -np.inf)
     said = []
     found = identify(measured(8, each=12), Drive(nominal), progress=said.append, held_out=False)
@@ -168,11 +168,11 @@ def test_a_plan_foretells_the_fit(measured, nominal):
               if p.held is None and p.name in planned.standard_error}  # fmt: skip
     assert len(ratios) > 15
     assert np.median([*ratios.values()]) == pytest.approx(1.0, abs=0.4)
-    # What a form of the flanks of 1 µm costs, a factor of ten, is part of both.
+    # The cost of a flank form of 1 µm, a factor of ten, is part of both.
     for name in ("eccentricity", "pin_radius"):
         (one,) = (p for p in found.parameters if p.name == name)
         assert one.form > 0.9 * one.standard_error
-        # The fit adds how far its own curves, whose noise looks somewhat like form, say that it has moved them.
+        # The fit adds the shift that its own curves suggest, whose noise looks somewhat like form.
         assert 0.6 < ratios[name] < 1.7
 
 
@@ -189,7 +189,7 @@ def test_ensemble_have_the_fit_s_covariance(found, nominal, tmp_path):
 
 
 def test_the_ensemble_s_band_is_as_wide_as_the_fit_is_uncertain(found, nominal, made):
-    """At a load that was not measured the truth lies within a few widths of the drawn band."""
+    """At a load that was not measured the truth is within a few widths of the drawn band."""
     angles = np.linspace(0.0, 200.0, 40)
     drawn = [solve(nominal, s, 60.0, angles, with_play=False).transmission_error[0]
              for s in (d.surface for d in ensemble(found.drive, 60, seed=0))]  # fmt: skip
@@ -254,7 +254,7 @@ def test_a_drive_seen_from_another_disc_makes_the_same_curves(gear_teeth, discs)
 
 
 def test_two_discs_without_tooth_errors_have_two_descriptions(nominal):
-    """Either of them holds the truth, the other its mirror image; the first line says that there are two."""
+    """One of them contains the truth, the other its mirror image; the first line reports that there are two."""
     pair, generator = nominal.replace(discs=2, **SMALL), np.random.default_rng(1)
     surface, values = random_drive(pair, generator, 0.3e-6)
     surface = surface.replace(tooth_cumulative_pitch=np.zeros((2, pair.gear_teeth)))

@@ -69,7 +69,7 @@ def test_the_surface_predicts_a_load_that_was_not_measured(found, made, nominal)
     wanted = solve(made, surface_of_pair(made), 90.0, angles).transmission_error
     error = solve(nominal, found.surface, 90.0, angles).transmission_error - wanted
     assert error.std() < 0.3 * ARCSEC
-    assert abs(error.mean()) < 0.5 * ARCSEC  # how soft the bench is beside the gear can't be told any better
+    assert abs(error.mean()) < 0.5 * ARCSEC  # the compliance of the bench relative to the gear can't be known better
 
 
 def test_the_surface_goes_through_its_file(found, nominal, tmp_path):
@@ -167,14 +167,14 @@ def test_scatter_of_single_pins_does_not_bend_the_structured_errors():
     assert found.scatter["pin_radial"] == pytest.approx(0.3e-6, rel=0.35)
     assert found.scatter["pin_tangential"] == pytest.approx(0.3e-6, rel=0.35)
     assert found.scatter["tooth_cumulative_pitch"] < 0.05e-6
-    # What the pins' scatter blurs is known as well as its variance: from the orders of 40 pins beyond the third.
+    # The blur by the pins' scatter is known as well as its variance: from the orders of 40 pins beyond the third.
     one = parameters["centre_distance_x"]
     assert (one.interval[1] - one.value) / one.standard_error == pytest.approx(stdtrit(33, 0.975), rel=0.02)
     for key, wanted in truth["held_out"].items():
         load, sign = (float(v) for v in key.split("_"))
         angles = np.linspace(0.0, 2 * np.pi * 39, len(wanted), endpoint=False)
         error = solve(pair, found.surface, load * sign, angles, with_play=False).transmission_error[0] - wanted
-        assert error.std() < 0.15 * ARCSEC  # the structured errors alone reach 0.7″
+        assert error.std() < 0.15 * ARCSEC  # the structured errors by themselves reach 0.7″
 
 
 def test_unloaded_curves_are_refused(measured, nominal):
@@ -211,7 +211,7 @@ def random_drive(pair, generator):
     """A drive with structured errors within half their tolerance and 2 µm of scatter a pin that none of them holds."""
     names = errors_of(pair)
     values = dict(zip(names, generator.normal(0.0, 0.3, len(names)) * tolerances_of(names), strict=True))
-    # Of errors that move the curves alike one is the drive's; the others stay as they are.
+    # Of errors with the same effect on the curves one is the drive's; the others stay nominal.
     values = {
         n: v for n, v in values.items() if not n.startswith(("misalignment", "isometric", "offset", "pin_radial_1"))
     }

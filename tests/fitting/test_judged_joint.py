@@ -46,7 +46,7 @@ def test_the_table_is_the_solver(made, joint, record_property):
 
 
 def test_bristles_are_those_of_lugre():
-    """The closed form over a way, at one level, is what SciPy makes of dF/dx = σ (1 - F sign(dx) / level)."""
+    """The closed form over a displacement, at one level, agrees with SciPy's dF/dx = σ (1 - F sign(dx) / level)."""
     force, high, stiffness = 0.3, 2.5, 3e4
     for way in (2e-5, -4e-5, 1e-4):
         sign = np.sign(way)
@@ -56,7 +56,7 @@ def test_bristles_are_those_of_lugre():
 
 
 def test_lost_motion_of_a_locked_joint(joint):
-    """From flank to flank the output turns by the play, what teeth give way, and what bends the bristles."""
+    """From flank to flank the output turns by the play, the deflection of the teeth, and that of the bristles."""
     theta = -11.0 * np.pi / 2.0
     load = np.concatenate([np.linspace(0.0, 60.0, 200), np.linspace(60.0, -60.0, 400), np.linspace(-60.0, 60.0, 400)])
     angle = joint.locked(theta, load)
@@ -66,7 +66,7 @@ def test_lost_motion_of_a_locked_joint(joint):
 
 
 def test_friction_is_passed_on_to_the_teeth(joint):
-    """At a speed that lasts the teeth carry the load less friction, of which the steady law says how much."""
+    """At constant speed the teeth carry the load minus the friction of the steady law."""
     angle = np.radians(np.arange(85.0, 95.0, 0.02))
     speed = np.full(angle.size, np.radians(0.02) / 1e-3)
     profile = Profile(1e-3, angle, speed, np.zeros(angle.size), np.full(angle.size, 50.0))
@@ -110,7 +110,7 @@ def test_swings_are_those_of_scipy(joint):
 
 
 def test_the_inverse_of_the_joint_leaves_nothing(joint):
-    """With a servo that follows at once and signals that are true: the judge adds no error of its own."""
+    """With a servo without delay and true signals the judge adds no error of its own."""
     at_once, profile = dataclasses.replace(joint, servo=Servo(frequency=3000.0)), short()
     found = judged(at_once, profile, Perfect(at_once, profile), PERFECT, swings=False)
     assert found.plain_rms > 100.0 * ARCSEC
@@ -121,7 +121,7 @@ def test_the_inverse_of_the_joint_leaves_nothing(joint):
 def test_a_recorded_drive_is_moved_by_what_was_identified(record_property):
     """As recorded 97 % of the rms error goes without an output encoder; with a wrong index none is added.
 
-    Where no index is stated, no largest error is added either, and the band says what is left.
+    Where no index is stated, no largest error is added either, and the band covers the rest.
     """
     pair, made, _, generator = drive_of(SMALL, 0)
     found = found_of(pair, made, generator, loads=(20.0, 150.0), turns=1, loops=1)
@@ -148,9 +148,9 @@ def test_a_recorded_drive_is_moved_by_what_was_identified(record_property):
 @pytest.mark.slow(210)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_several_drives_in_every_case(seed):
-    """Whatever is wrong with what is known of a drive, no controller makes the joint worse.
+    """With any wrong knowledge of a drive, no controller makes the joint worse.
 
-    With a wrong index or another drive, not even for a moment where no index is stated: the band says what is left.
+    With a wrong index or another drive, not even for a moment where no index is stated: the band covers the rest.
     """
     for motion, case, controller, encoder, one in outcomes(SMALL, seed, profiles=("robot",)):
         assert one.rms < one.plain_rms, (motion, case, controller, encoder)

@@ -1,4 +1,4 @@
-"""Hysteresis loops among the data: play apart from friction, and what transmission errors alone can't tell."""
+"""Hysteresis loops in the data: play separate from friction, and effects that transmission errors can't separate."""
 
 import dataclasses
 import json
@@ -84,7 +84,7 @@ def test_the_play_and_its_derivatives_are_those_of_the_contact_model(made):
 
 @pytest.mark.slow(5)
 def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, made, loop):
-    """Without a common zero nothing says how the two sides of the teeth stand to each other, but the play does."""
+    """Without a common zero nothing relates the two sides of the teeth, but the play does."""
     curves = measured(1, each=12, zeros=(3e-4, -2e-4, 1e-4, 5e-5), common_zero=False)
     alone = {p.name: p for p in identify(curves, Drive(nominal), held_out=False, form=0.0).parameters}
     found = identify([*curves, *loop], Drive(nominal), form=0.0)
@@ -114,7 +114,7 @@ def test_a_plan_with_a_loop_foretells_what_it_adds(nominal):
 
 
 def test_the_crank_s_turn_is_found_by_an_absolute_output(made, measured):
-    """An input encoder that is absolute within one turn stands at 7.3 - 2π; the teeth in contact are those at 7.3."""
+    """An input encoder that is absolute within one turn reads 7.3 - 2π; the teeth in contact are those at 7.3."""
     recording = wound_up(made, friction=0.5, common_zero=True)
     short = dataclasses.replace(recording, input_angle=recording.input_angle - 2.0 * np.pi)
     curves = measured(1, each=12, zeros=(3e-4,) * 4)

@@ -1,4 +1,4 @@
-"""Drift, virgin branches and friction of loops, of a drive that is simulated by itself: play, spring, Maxwell slip."""
+"""Drift, virgin branches and friction of loops, of an independently simulated drive: play, spring, Maxwell slip."""
 
 import itertools
 
@@ -51,7 +51,7 @@ STRONG, STRONG_SPREAD = np.array([10.3]), np.linspace(0.6, 20.0, 20)
 
 
 def steady(play, thresholds):
-    """The figures by their definitions: of a loop that goes on for ever, without noise or drift, read off exactly."""
+    """The figures by their definitions: of an endless loop, without noise or drift, read off exactly."""
     torque = swung([1, -1, 1, -1])
     windup = wound(torque, play, thresholds)
     lobes = [slice(2 * EACH * n, 2 * EACH * (n + 1) + 1) for n in (2, 3)]

@@ -62,7 +62,7 @@ def test_the_ideal_loop_gives_what_it_was_made_of(rated, windup, play, friction,
     }
     for name, value in expected.items():
         assert found[name].value == pytest.approx(value, rel=1e-6), name
-        # The first loading branch of several is virgin; lost motion alone reads where friction may reach.
+        # The first loading branch of several is virgin; only lost motion is read where friction may reach.
         virgin = name == "lost_motion" and friction > 0.02 * rated
         if abs(friction / rated - 0.02) > 1e-9:
             assert found[name].count == (max(loops - 1, 1) if virgin else loops)
@@ -497,7 +497,7 @@ def test_phases_of_orders_count_from_crank_angle_zero():
 
 
 def started_at(levels):
-    """Crank angle and torque: the torque grows while the crank stands, which starts at these levels and runs on."""
+    """Crank angle and torque: the torque grows while the crank rests, which starts at these levels and runs on."""
     torque, angle, at = [], [], 0.0
     for start in levels:
         torque += [np.linspace(0, start, 400), np.full(400, 0.8 * start), np.zeros(200)]
@@ -589,7 +589,7 @@ def test_the_input_s_torque_is_read_from_a_table_and_survives_an_overview(comman
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["starting_torque"]["value"] == pytest.approx(0.04)
     assert json.loads(run.stdout)["starting_torque"]["starts"] == 3
-    monkeypatch.setattr("fitting.figures.survey._OVERVIEW", 1000)  # as if it were too long to be kept whole
+    monkeypatch.setattr("fitting.figures.survey._OVERVIEW", 1000)  # as if it were too long to be kept complete
     surveyed = survey(RecordingStream(tmp_path / "start.csv"), -39.0, None)
     assert surveyed.averaged == 2
     found = figures_of([surveyed], -39.0, None)

@@ -1,4 +1,4 @@
-"""The end of a new kind's way: what one file of its own defines is found in measurements."""
+"""The end of a new kind's path: an error defined in a file of its own is identified in measurements."""
 
 import numpy as np
 import pytest

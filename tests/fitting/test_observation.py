@@ -14,7 +14,7 @@ from fitting.model.observations import State, linearise, observations, spread_of
 @pytest.mark.parametrize("output", ["gear", "ring"])
 @pytest.mark.parametrize(("direction", "torque"), [(1, 60.0), (1, -60.0), (-1, 60.0)])
 def test_friction_acts_against_the_motion(nominal, output, direction, torque):
-    """What a drive with dry friction does is what the fit calls the same friction torque."""
+    """Dry friction of a drive has the effect of the same friction torque in the fit."""
     pair = nominal.replace(output=output)
     drive = DriveModel(pair, surface_of_pair(pair))
     drive.friction_torque, drive.torque = 5.0, torque

@@ -1,4 +1,4 @@
-"""Implausible samples are left out of every figure and counted, whoever recorded them."""
+"""Implausible samples are left out of every figure and counted, for recordings of any recorder."""
 
 import json
 

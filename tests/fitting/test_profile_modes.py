@@ -1,4 +1,4 @@
-"""The form that all teeth share: its derivatives, its way through a surface, and what it does to a fit."""
+"""The form shared by all teeth: its derivatives, its place in a surface, and its effect on a fit."""
 
 import numpy as np
 import pytest

@@ -255,7 +255,7 @@ CUTS = {
 
 @pytest.mark.parametrize("name", CUTS)
 def test_cut_files_give_what_they_hold_or_one_sentence(tmp_path, name):
-    """Cut anywhere: what is read is a beginning of the motion; else one sentence with the file's name, never more."""
+    """Cut anywhere: the reader returns a beginning of the motion, or one sentence with the file's name."""
     write, text = CUTS[name]
     write(tmp_path)
     whole = (tmp_path / name).read_bytes()
@@ -273,7 +273,7 @@ def test_cut_files_give_what_they_hold_or_one_sentence(tmp_path, name):
         assert found.time.size <= SAMPLES
         assert found.input_angle - found.input_angle[0] == pytest.approx(INPUT[: found.time.size], abs=6e-5)
     assert all("cut" in one and "\n" not in one for one in said), said
-    if name != "a.mf4":  # its index lies at the end
+    if name != "a.mf4":  # its index is at the end
         assert longest > 0.5 * SAMPLES
 
 
@@ -351,7 +351,7 @@ def test_a_late_output_angle_is_found_by_changes_of_speed_and_a_delay_takes_it_a
 
 
 def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
-    """Two groups of one MDF file, one stamped by a clock 100 ppm fast: the TE runs away until the mapping says so."""
+    """Two groups of one MDF file, one with a clock 100 ppm fast: the TE drifts until the mapping states the clock."""
     asammdf = pytest.importorskip("asammdf")
     time = 5.0 + np.arange(20000) / 100.0
     crank = 60.0 * time
@@ -367,7 +367,7 @@ def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
     assert f"by {100e-6 * 2 * np.pi * 206264.8:.3g}″ a turn" in note
     columns = "".join(f'[{n}]\ncolumn = "{n}"\n' for n in ("input_angle", "torque", "output_angle"))
     found = RecordingStream(tmp_path / "a.mf4", mapping(tmp_path, f"{columns}drift = 100e-6\n")).read()
-    # What is left is the error of interpolating a wave over steps of 0.6 rad.
+    # The remainder is the error of interpolating a wave over steps of 0.6 rad.
     assert found.output_angle + found.input_angle / 39 == pytest.approx(1e-4 * np.cos(found.input_angle), abs=6e-6)
     assert not any("drifts by" in n for n in fitting.curves(found, -39.0)[0].notes)
     with pytest.raises(edge.InputError, match=r"\[output_angle\] drift = 0.5: it should be less than 0.01"):

@@ -53,7 +53,7 @@ def test_what_the_gauge_removes_other_errors_and_the_output_s_zero_do(nominal, c
     np.testing.assert_allclose(does[:, 0] * size, columns[:, 0], rtol=0, atol=1e-6 * np.abs(columns[:, 0]).max())
     np.testing.assert_allclose(does[:, 3] * size, columns[:, 1], rtol=0, atol=1e-6 * np.abs(columns[:, 1]).max())
     np.testing.assert_allclose(does[:, 4:] * size, -columns[:, 2:], rtol=0, atol=2e-4 * np.abs(columns[:, 2]).max())
-    # A turn of all pins, or of all teeth, turns the output but for what the crank's angle has then moved on.
+    # A rotation of all pins, or of all teeth, turns the output, except for the change of the crank's angle.
     for turned in (does[:, 1], does[:, 2]):
         assert np.ptp(turned) < 5e-3 * np.abs(turned.mean())
 
@@ -81,7 +81,7 @@ def test_every_pin_and_tooth_of_a_ring_is_within_its_interval_and_as_near_as_the
 
 @pytest.mark.parametrize("scatter", [0.1e-6, 3e-6])
 def test_a_pin_that_no_curve_shows_is_held_and_no_other(small, scatter):
-    """Each pin and tooth seen to 0.02 µm but two, beside orders that nothing else tells."""
+    """Each pin and tooth known to 0.02 µm but two, and orders that nothing else determines."""
     chosen = [f"pin_radial_{k}_{w}" for k in (2, 3) for w in ("cos", "sin")]
     waves = np.zeros((47, 4))
     angle = 2.0 * np.pi * np.arange(12) / 12
@@ -106,7 +106,7 @@ def test_orders_are_those_of_the_elements(one_ring):
 
 
 def test_the_surface_says_the_same(one_ring, small):
-    """Drives drawn from the identified surface's covariance scatter, pin by pin, as the standard errors say."""
+    """Drives drawn from the identified surface's covariance scatter, pin by pin, with the standard errors."""
     found, _, _ = one_ring
     lever = found.realised.radius_lever
     drawn = np.array([displaced(small, one.surface, lever) for one in ensemble(found.drive, 400)])
@@ -145,7 +145,7 @@ def test_without_an_explanation_the_intervals_are_withheld_and_not_drawn(one_rin
 
 
 def test_a_plan_foretells_pins_and_teeth_and_the_run_that_helps(one_ring, small):
-    """The standard errors of the fit of such runs; none tells less, each as much as a plan with it says."""
+    """The standard errors of the fit of such runs; none is worse, each as good as a plan with it predicts."""
     found, _, _ = one_ring
     runs = {"turns": 2.0, "noise": 0.5 * ARCSEC, "scatter": 2e-6}
     forward, *_, last = fitting.plan(Drive(small), [20.0, 60.0], **runs)

@@ -1,4 +1,4 @@
-"""Recalibration in place: what is exact in it, its alarms, its file, its plan, and lives of drives it does not know."""
+"""Recalibration in place: its exact parts, its alarms, its file, its plan, and lives of drives unknown to it."""
 
 import dataclasses
 import json
@@ -55,7 +55,7 @@ def result(case):
 
 
 def narrow(pair, share=1e-3):
-    """A drive so well known that its model is linear as far as it is not known."""
+    """A drive so well known that its model is linear over its uncertainty."""
     drive, *_ = fitted(pair, np.random.default_rng(5))
     surface = drive.surface.replace(covariance=drive.surface.covariance * share**2)
     return Drive(pair, surface)
@@ -79,7 +79,7 @@ def test_without_data_and_turns_nothing_changes():
     known = known_of(drive)
     again = drifted(known, drive.pair, 0.0, 1e-6)
     assert np.array_equal(again.covariance, known.covariance)
-    # What tells nothing leaves all as it is: a lost motion known to a full turn.
+    # A measurement without information changes nothing: a lost motion known to a full turn.
     field = field_of([], [LostMotion(1e-3, 6.0, 6.0)], drive, known.errors)
     found = updated(drive, known, field)
     assert np.allclose(found.known.of_surface(), known.covariance, rtol=1e-6, atol=1e-24)
@@ -125,7 +125,7 @@ def test_two_updates_after_one_another_are_one_with_all_data():
     radius = deviation[known.errors.index("pin_radius")]
     assert two.drive.surface.pin_radius == pytest.approx(both.drive.surface.pin_radius, abs=0.05 * radius)
     assert abs(both.drive.surface.pin_radius - drive.surface.pin_radius) > 0.0
-    # Both have the friction of the same runs; the first update alone knows less.
+    # Both have the friction of the same runs; the first update by itself has less information.
     assert np.trace(two.known.of_surface()) < np.trace(one.known.of_surface()) < np.trace(known.covariance)
 
 
@@ -273,7 +273,7 @@ def test_a_lost_motion_alone_tells_the_play(case):
     true = backlash(drive.pair, made(drive.pair, values, scatter), 6.0)
     found = recalibrate(drive, lost_motions=[LostMotion(true, 2.0 * ARCSEC, 6.0)], crank_turns=TURNS)
     figure = found.figures["lost_motion"]
-    # The chain beside the gear pair gives way too, by what is known of it.
+    # The chain beside the gear pair is compliant too, as far as known.
     assert figure.standard_error == pytest.approx(2.0 * ARCSEC, rel=0.1)
     assert abs(figure.value - true) < 2.0 * ARCSEC
     assert found.remaining == found.told.size - 1
@@ -323,7 +323,7 @@ def test_a_plan_promises_what_a_visit_keeps(case, result):
     loads = (6.0, 120.0)
     visits = {one.runs: one for one in plan_visit(drive, loads, crank_turns=TURNS, bits=BITS, mark=10.0 * ARCSEC)}
     both = visits["120 and 6 N·m both ways"]
-    # Both directions cross the play; one alone does not, nor does a load at which the chain gives way.
+    # Both directions cross the play; one direction does not, nor does a load that deflects the chain.
     assert both.half_width[1] < visits["6 N·m both ways"].half_width[1] < visits["6 N·m one way"].half_width[1]
     assert visits["120 N·m one way"].half_width[100] > 5.0 * both.half_width[1]
     assert all(np.diff([*one.half_width.values()]).max() <= 0.0 for one in visits.values())

@@ -169,7 +169,7 @@ def error(angle):
 def drifting(path, *, seconds=100.0, rate=500.0, delay=1e-3, restart=False, both=False, source=""):
     """Output angles stamped by a clock that runs 100 ppm fast, reaching the host late; the crank's by the host's own.
 
-    With `restart` the output's clock starts anew half way, with `both` it stamps both angles at the same instants, with
+    With `restart` the output's clock restarts half way, with `both` it stamps both angles at the same instants, with
     a `source` that names a device it stamps both, each at its own.
     """
     rng = np.random.default_rng(3)
@@ -263,7 +263,7 @@ def test_angles_that_one_clock_stamped_stay_pairs(tmp_path):
 
 
 def test_timers_of_their_own_on_one_interface_are_put_on_the_host_s_clock_once(tmp_path):
-    """Both angles' frames are stamped by one CAN interface: what is not known of its clock moves both alike."""
+    """Both angles' frames are stamped by one CAN interface: the uncertainty of its clock moves both alike."""
     source = 'hardware clock: the CAN interface\'s stamp of the frame (pcan "PCAN_USBBUS{}")'
     runs = {}
     for name, said in (("one", source.format(1)), ("unknown", "host clock: arrival")):

@@ -25,7 +25,7 @@ def test_samples_of_other_turns_stay_where_they_were_taken(small):
         (curve,) = fitting.curves(run, small.ratio)
         assert curve.input_angle.size == pytest.approx(points, abs=20)
         assert curve.sample_count.sum() == round(33 * each)
-        # A hundredth of the way between pins, not the half of it that lies between samples.
+        # A hundredth of the rotation between pins, not the half of it between samples.
         assert np.sqrt(curve.angle_variance.max()) < 0.025 * 2.0 * np.pi / small.pins
 
 

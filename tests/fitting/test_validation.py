@@ -44,7 +44,7 @@ def test_a_soft_chain_is_stated_as_a_compliance(small):
 
 
 def test_an_error_that_is_held_widens_those_that_do_nearly_the_same(small):
-    """One load can't tell pin circle radius, which is held, from pin radius: neither is known to a micrometre."""
+    """One load can't separate pin circle radius, which is held, from pin radius: neither is known to a micrometre."""
     found, values = identified("none", small, 1, loads=(200.0, -200.0))
     stated = {p.name: p for p in found.parameters}
     circle, pin = stated["pin_circle_radius"], stated["pin_radius"]
@@ -81,7 +81,7 @@ def test_the_verdict_comes_first(floating, tmp_path):
 
 
 def test_the_noise_of_the_fit_is_no_yardstick(small):
-    """The load kept back leaves several times what stands between its orders; the fit calls all of it noise."""
+    """The load kept back leaves several times the noise between its orders; the fit calls all of it noise."""
     found, _ = identified("run-out 60″, orders 2 and 3", small, 0)
     assert found.held_out.noise == pytest.approx(0.5 * ARCSEC, rel=0.35)
     assert found.held_out.residual > 4.0 * found.held_out.noise

@@ -47,7 +47,7 @@ def test_a_recording_of_another_drive_is_refused(recorded, stated):
 
 @pytest.fixture(scope="module")
 def result():
-    """What is identified with a drive whose surface has form, of which the fit knows nothing."""
+    """The identification with a drive whose surface has a form unknown to the fit."""
     made, angle = DRIVE.replace(errors={"eccentricity": "3 um"}), np.linspace(0.0, 2.0 * np.pi * 9, 120)
     generator = np.random.default_rng(0)
 

@@ -1,4 +1,4 @@
-"""What the tests of the native FMU share: its interfaces, an instance of one, and how C is compiled beside it."""
+"""Shared by the tests of the native FMU: its interfaces, an instance of one, and compiling C for it."""
 
 import os
 import shutil
@@ -20,7 +20,7 @@ INTERFACES = {
     "inertia": Interface("compliant", 0.5, mesh_damping=0.0),
 }
 BUILT = {
-    **INTERFACES,  # what the C host knows
+    **INTERFACES,  # interfaces of the C host
     "joint": Interface("compliant", 2.0, INTERFACES["kinematic"].losses, crank_inertia=1e-3, mesh_damping=0.0),
 }
 
@@ -46,7 +46,7 @@ def compiled(target, sources, *flags, compiler=COMPILER):
 
 
 class Slave:
-    """A native FMI 2.0 FMU in fmpy; values by name, what was logged in `said`."""
+    """A native FMI 2.0 FMU in fmpy; values by name, log messages in `said`."""
 
     def __init__(self, path, folder):
         description = fmpy.read_model_description(str(path))

@@ -1,4 +1,4 @@
-"""Compensators of drives that nobody made, and ways to go with them: what the tests of their forms share."""
+"""Compensators of fictitious drives, and paths for them: shared by the tests of their forms."""
 
 import math
 
@@ -38,7 +38,7 @@ def compensator(seed=1, functions=3, temperatures=3, friction=True):
 def way(c, seed, count=300, *, index=0.4, measured=0.8, odd=0.02):
     """Rows (desired angle and speed, load, temperature, motor and output angle) with reversals.
 
-    An encoder shows the output of another drive, or nothing; some rows have what no controller should hand over.
+    An encoder shows the output of another drive, or nothing; some rows have values that no controller should pass.
     """
     random = np.random.default_rng(seed)
     speeds = random.choice([-1.0, 1.0], count // 20 + 1) * random.uniform(0.01, 2.0, count // 20 + 1)
@@ -59,7 +59,7 @@ def way(c, seed, count=300, *, index=0.4, measured=0.8, odd=0.02):
 
 
 def commands(c, rows, index, probability=1.0):
-    """What Python gives, holds as a number."""
+    """Python's result, holds as a number."""
     memory = Memory(index, probability)
     return np.array([[*step(c, memory, *row)] for row in rows.tolist()], dtype=float)
 

@@ -43,7 +43,7 @@ def built(drive, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def unpacked(built, tmp_path_factory):
-    """An unpacked FMU: its library, the place of its resources as its FMI version says it, guid and kind."""
+    """An unpacked FMU: its library, the path of its resources as its FMI version has it, guid and kind."""
     made = {}
 
     def one(kind="kinematic", version="2.0"):
@@ -65,7 +65,7 @@ def unpacked(built, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def host(tmp_path_factory):
-    """The C host: `host(unpacked, "run", 100)` returns what it prints; with `fails` why it failed, or its status."""
+    """The C host: `host(unpacked, "run", 100)` returns its output; with `fails` its error, or its status."""
     folder = tmp_path_factory.mktemp("host")
     programs = {
         version: compiled(

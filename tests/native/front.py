@@ -1,4 +1,4 @@
-"""Compile the library that stands before pythonfmu's in an FMU of FMI 2.0: `python tests/native/front.py`."""
+"""Compile the library in front of pythonfmu's in an FMU of FMI 2.0: `python tests/native/front.py`."""
 
 import hashlib
 import subprocess
@@ -25,7 +25,7 @@ def source_hash():
 def compiled_front(library):
     """Compile one of `LIBRARIES` and return its bytes: the same ones everywhere, with the same version of zig.
 
-    It is compiled under its own name: a DLL holds it, and another length of it moves what follows.
+    It is compiled under its own name: a DLL contains it, and another length of it moves the bytes that follow.
     """
     with tempfile.TemporaryDirectory() as folder:  # the linker leaves more there
         made = Path(folder, Path(library).name)

@@ -103,7 +103,7 @@ def _whole(value):
 
 
 def _value(kind, text, types, made):
-    """What a variable of a type begins with."""
+    """The initial value of a variable of a type."""
     kind = types.get(kind, kind)
     if array := re.match(r"ARRAY \[0\.\.(\d+)\] OF (\w+)", kind):
         words = re.findall(r"[^\s,\[\]]+", text or "") or [""] * (int(array[1]) + 1)

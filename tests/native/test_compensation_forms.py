@@ -78,7 +78,7 @@ def in_c(drive, tmp_path_factory):
 
 
 def test_the_ways_take_every_branch(drive):
-    """Else what follows would say little: held and not, learned and not, with gains that moved."""
+    """Otherwise the tests below would show little: held and not, learned and not, with gains that moved."""
     found = np.vstack([commands(drive, way(drive, seed), 0.4) for seed in range(4)])
     assert 0.1 < found[:, 4].mean() < 0.95
     assert np.ptp(found[found[:, 3] > 0.0, 3]) > 0.3
@@ -120,7 +120,7 @@ def test_every_compiler_gives_the_same_bits_without_a_warning(tmp_path, compiler
 
 @pytest.mark.parametrize("compiler", COMPILERS[:2])
 def test_no_processor_that_fuses_products_and_sums_changes_the_bits(drive, tmp_path, compiler):
-    """What this one offers may be used, GNU's C too, whose default is to fuse: the source forbids that itself."""
+    """Any option of this compiler may be used, GNU's C too, which fuses by default: the source forbids that itself."""
     fused = InC(drive, tmp_path, compiler, "-std=gnu99", "-O3", "-march=native")
     rows = way(drive, 3)
     assert np.array_equal(fused.commands(rows, 0.4), commands(drive, rows, 0.4))
@@ -270,7 +270,7 @@ def test_whatever_a_plc_hands_over_gives_a_number(drive, in_text, rows):
 
 
 def test_the_look_up_table_is_the_command_without_memory(tmp_path):
-    """Without friction, nothing learned: the motor's angle less that of an ideal drive, anywhere between the nodes."""
+    """Without friction, nothing learned: the motor's angle minus that of an ideal drive, anywhere between the nodes."""
     c = compensator(5, friction=False)
     c.inverse.__dict__["residual"] = 1e-5
     (path,) = write_compensator(c, tmp_path / "joint.csv", temperature=300.0)
@@ -504,7 +504,7 @@ def test_sources_in_the_fmu_compile_without_a_warning(fmus, tmp_path, compiler):
 
 @pytest.fixture
 def fit(tmp_path):
-    """What the command takes of an identification."""
+    """The part of an identification that the command uses."""
     path = tmp_path / "fit.json"
     bench = {"chain_compliance": 2e-6, "friction_torque": 3.0, "output_angle_offset": 1e-4}
     path.write_text(json.dumps({"format": "cycloid-identification/1", "bench": bench}))

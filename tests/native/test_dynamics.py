@@ -134,7 +134,7 @@ def test_work_done_is_stored_lost_or_given_back_through_reversals_and_impacts(jo
     for i in range(round(0.3 / step)):
         time = step * i
         goal = 0.5 * (1.0 - math.cos(40.0 * (time + step)))
-        # The angle is what it will be, at no speed: the crank is led there in one step.
+        # The angle is the final one, at no speed: the crank moves there in one step.
         found.put({"flange_a.phi": goal, "flange_a.w": 0.0, "flange_b.tau": 5.0 * math.sin(90.0 * time)})
         found.step(time, step)
         torque, reached, speed, elastic, lost = found.get(*OUTPUTS)
@@ -194,14 +194,14 @@ def test_an_arm_that_meets_the_locked_drive_peaks_as_scipy_has_it(joint, drive, 
     wanted = torques(time + 0.5 * step)[:, 0]
     assert np.abs(wanted).max() > 40.0
     assert np.abs(torque).max() == pytest.approx(np.abs(wanted).max(), rel=0.02)
-    # When it leaves again tells the frequency of arm on contacts.
+    # The time of its departure gives the frequency of arm on contacts.
     left, met = (np.interp(-0.5, -np.array(v[::-1]), time[::-1]) for v in (swing, exact(time + step)[3]))
     assert left == pytest.approx(met, rel=0.01)
 
 
 @pytest.mark.parametrize(("kind", "step"), [("exact", 1e-3), ("native", 1e-3), ("native", 1e-4)])
 def test_motor_and_arm_move_as_scipy_has_them(joint, drive, kind, step):
-    """With both inertias inside a host gives torques alone: through reversals and the play at its own steps."""
+    """With both inertias inside a host gives only torques: through reversals and the play at its own steps."""
     load, last = 20.0, 0.15
 
     def motor(time):

@@ -278,7 +278,7 @@ def test_adjoint_derivatives_are_the_transposed_ones(model, kind):
     assert np.allclose(adjoint, whole @ seeds, rtol=1e-12)
     mixed = random.normal(size=len(knowns))
     together = found.directional(unknowns, knowns, mixed)
-    # What is found by differences is linear to their accuracy.
+    # Derivatives by differences are linear to their accuracy.
     assert np.allclose(together, mixed @ whole, rtol=1e-5, atol=1e-9 * np.abs(whole).max())
 
 
@@ -294,7 +294,7 @@ def test_in_co_simulation_derivatives_are_those_at_the_step_made(model):
         sides.append(found.get(*unknowns))
     assert told == pytest.approx((sides[1] - sides[0]) / 2e-4, rel=1e-6)
     assert told[0] == pytest.approx(1.0 / found.get("torsional_stiffness")[0], rel=1e-6)
-    # Inertias inside move in the step alone.
+    # Inertias inside move only in the step.
     still = model("joint", slave=True)
     assert (still.directional(["flange_b.phi", "flange_b.w"], ["flange_b.tau"], [1.0]) == 0.0).all()
 
@@ -345,7 +345,7 @@ def test_a_state_of_model_exchange_comes_back_with_its_mode_and_memory(model, ki
 
 
 def test_a_trial_step_of_the_solver_leaves_no_mark_on_the_kinematic_play(model):
-    """At zero torque the output stands until a flank takes it: what counts is where steps ended."""
+    """At zero torque the output rests until a flank drives it: the ends of steps count."""
     found = model("kinematic")
     found.put({"flange_b.tau": 0.0, "flange_a.phi": 0.0})
     found.fmi.completedIntegratorStep()
@@ -410,7 +410,7 @@ def test_a_step_returns_early_at_an_impact_where_the_host_asks_for_it(model, bui
     _, energy, deviation = early[0]
     assert 0.0 < energy < 1e-3
     assert -2.2e-4 < deviation < -1e-4
-    # Where nobody asks, the whole step is made.
+    # Without a request for an early return the step is complete.
     other = model("joint", slave=True, **{"flange_b.tau": 20.0})
     other.put({"flange_b.tau": -60.0})
     for i in range(4):

@@ -78,7 +78,7 @@ def instantiate(library, location, guid=b"", functions=None):
 
 
 def seen(folder):
-    """What reached the library behind."""
+    """The calls that reached the library behind."""
     library = ctypes.CDLL(str(folder / "pythonfmu-export.so"))
     return SimpleNamespace(
         last=(ctypes.c_char * 64).in_dll(library, "last").value.decode(),
@@ -125,7 +125,7 @@ def test_every_call_goes_on_as_it_is(placed):
     library = opened(folder / "CycloidDrive.so")
     component = instantiate(library, b"/somewhere/resources")
     assert seen(folder).integers[1] == 1
-    assert seen(folder).integers[5:] == [0, 1]  # logging is on behind whatever the host says, and stays on
+    assert seen(folder).integers[5:] == [0, 1]  # logging is on behind, for any request of the host
     assert library.fmi2SetDebugLogging(component, 0, 0, None) == 0
     assert seen(folder).last == "fmi2Instantiate"
     called = 0

@@ -1,4 +1,4 @@
-"""The native FMU: against the model in Python, in hosts that share no code, and with what no host should hand it."""
+"""The native FMU: against the model in Python, in hosts that share no code, and with invalid input of hosts."""
 
 import ctypes
 import math
@@ -74,7 +74,7 @@ def slave(built, tmp_path):
 
 
 def against_the_exact_model(native, pair, surface, made, probes):
-    """Largest error of the transmission error (rad), and `tables.Errors` of what the library says.
+    """Largest error of the transmission error (rad), and `tables.Errors` of the library's results.
 
     At random crank angles and torques: evenly, and evenly in the logarithm. The crank turns at 1 rad/s.
     """
@@ -103,7 +103,7 @@ def against_the_exact_model(native, pair, surface, made, probes):
 
 
 def within(found, told):
-    """Hold errors against those told, as far as random draws agree about quantiles, means of squares and extremes."""
+    """Compare errors with those stated, as far as random draws agree about quantiles, mean squares and extremes."""
     assert found.stiffness[0] < 1.5 * told.stiffness[0]
     assert found.pressure[0] < 1.5 * told.pressure[0]
     assert found.speed < 1.2 * told.speed
@@ -187,7 +187,7 @@ def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_pe
     allowed = max(0.02 * ARCSEC, 1e-3 * np.ptp(error, axis=1).max())
     assert largest < allowed
     assert made.largest_error <= allowed
-    # What the FMU tells of itself holds at other places too, which find other extremes.
+    # The FMU's stated accuracy is valid at other places too, which find other extremes.
     assert largest <= 1.05 * made.largest_error
     within(errors, made.errors)
     assert errors.pressure[0] < 0.01
@@ -281,7 +281,7 @@ def moved(native, model, steps, swing):
 
 
 def stepped(native, model, i, angle, torque):
-    """A step of the kinematic interface: what both then say, SI."""
+    """A step of the kinematic interface: the outputs of both, SI."""
     model.crank_angle, model.crank_speed, model.torque = angle, math.cos(i), torque
     model.advance()
     exact = [
@@ -509,7 +509,7 @@ def test_reference_results_are_met(unpacked, host, reference):
 def test_reference_results_are_the_exact_analysis(drive, reference):
     """Loaded, each row is the contact's solution at its angle and torque, whose steps never were in a table.
 
-    At zero torque the output lies between the ends of the play, and stands where it stood or on the end that came by.
+    At zero torque the output is between the ends of the play, and remains where it was or on the end that passed it.
     """
     angle, torque, error = (reference[n] for n in ("flange_a.phi", "flange_b.tau", "transmission_error"))
     output = reference["flange_b.phi"]
@@ -687,7 +687,7 @@ def test_reset_is_a_new_beginning(slave):
     assert used.get("flange_b.phi", "friction_torque") == fresh.get("flange_b.phi", "friction_torque")
 
 
-# --- what no host should hand it ---
+# --- invalid input of hosts ---
 
 
 @pytest.mark.parametrize(("kind", "version"), EACH)
@@ -931,7 +931,7 @@ def test_what_is_no_place_of_resources_is_refused(unpacked, host):
     assert "can't be read" in host(unpacked(), "open", uri="file:///no/where", fails=True)
 
 
-# --- what C and Python share ---
+# --- shared by C and Python ---
 
 
 def test_no_constant_of_the_models_is_copied_into_c_by_hand():

@@ -88,7 +88,7 @@ def masing(path, most=1.0, angle=ANGLE):
     """Torque along a path from rest: Masing's rules, with a stack of the reversals that are remembered.
 
     A branch after a reversal is the first loading in twice the size; where it comes back to the reversal before, both
-    are forgotten, and the branch before goes on.
+    are forgotten, and the branch before continues.
     """
     reversals, torque, found, before, going = [], 0.0, [], 0.0, 0.0
     for z in path:
@@ -112,7 +112,7 @@ def masing(path, most=1.0, angle=ANGLE):
 
 
 def test_a_loop_follows_masing_s_rules_and_remembers_its_reversals():
-    """Loops within loops: each closes where it began, and the one around goes on as if it had not been."""
+    """Loops within loops: each closes where it began, and the outer one continues as if it had not been."""
     corners = ANGLE * np.array([0.0, 0.9, -0.7, 0.4, -0.2, 0.1, -0.2, 0.4, -0.7, 0.9, 0.5, 0.95, -0.95, 0.2])
     path = np.concatenate([np.linspace(a, b, 41)[1:] for a, b in itertools.pairwise(corners)])
     stiffness, strains, torques, lost, work, stored = 2.0 / (6.0 * ANGLE), [0.0] * 5, [], 0.0, 0.0, 0.0
@@ -127,7 +127,7 @@ def test_a_loop_follows_masing_s_rules_and_remembers_its_reversals():
 
 
 def test_what_slides_less_slips_back_and_never_gains():
-    """Load, speed and way at random: what elements give back was put in before."""
+    """Load, speed and displacement at random: elements give back only stored energy."""
     random = np.random.default_rng(2)
     law = Friction(coulomb=1.0, load_share=0.3, stribeck=0.5).law(0)
     strains, given, lost = [0.0] * 5, 0.0, 0.0
@@ -147,7 +147,7 @@ def test_what_slides_less_slips_back_and_never_gains():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_both_flanges_of_the_compliant_interface_loop_as_masing_has_it(opened, kind):
-    """Within the play the teeth give nothing: what is felt at a flange is its friction."""
+    """Within the play the teeth carry nothing: the torque at a flange is its friction."""
     found = opened(kind, Interface("compliant", mesh_damping=0.0, input_friction=Friction(coulomb=0.02),
                                    output_friction=Friction(coulomb=6.0, presliding_angle=1e-5)))  # fmt: skip
     found.start()
@@ -247,7 +247,7 @@ def test_a_motor_outside_stops_and_stands(opened, kind, step, late):
 
 @pytest.mark.parametrize("share", [0.64, 0.99, 1.01])
 def test_a_load_below_breakaway_is_held_without_creep(opened, share):
-    """Motor and arm inside, the motor's torque raised to a share of what breaks it away, then 100 s."""
+    """Motor and arm inside, the motor's torque raised to a share of its breakaway, then 100 s."""
     found = opened("native", Interface("compliant", 2.0, crank_inertia=1e-4, input_friction=Friction(coulomb=0.05),
                                        output_friction=Friction(coulomb=3.0)))  # fmt: skip
     found.start(series_compliance=5e-6)
@@ -267,7 +267,7 @@ def test_a_load_below_breakaway_is_held_without_creep(opened, share):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_friction_falls_with_the_temperature_and_takes_its_power(opened, kind):
-    """What slides without load: (C + S exp(-(w/w_s)²) + D w) exp(-β (T - T_ref)), and the loss table with it."""
+    """Sliding without load: (C + S exp(-(w/w_s)²) + D w) exp(-β (T - T_ref)), and the loss table with it."""
     law = Friction(coulomb=0.05, stribeck=0.03, stribeck_speed=20.0, viscous=1e-3, temperature_coefficient=0.02,
                    reference_temperature=300.0)  # fmt: skip
     found = opened(kind, Interface(losses=((0.0, 1.0, 1.0, 0.01, 0.01),), input_friction=law))

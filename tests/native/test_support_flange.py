@@ -1,4 +1,4 @@
-"""A housing that turns: exact and native, what turns along changes nothing, and no torque is lost."""
+"""A rotating housing: exact and native; a common rotation changes nothing, and no torque is lost."""
 
 import dataclasses
 import math
@@ -81,7 +81,7 @@ def instance(request, drive, tmp_path):
 
 
 def motion(kind, i, ratio):
-    """What goes into a drive whose housing stands still: angles, speeds, torques."""
+    """Inputs of a drive with a fixed housing: angles, speeds, torques."""
     t = 1e-3 * i
     crank, speed = 2.0 * math.sin(9.0 * t), 18.0 * math.cos(9.0 * t)
     off, rate = 4e-4 * math.sin(50.0 * t), 50.0 * 4e-4 * math.cos(50.0 * t)
@@ -96,7 +96,7 @@ OUTPUTS = ("flange_a.tau", "flange_b.tau", "transmission_error", "torsional_stif
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_turns_along_with_the_housing_changes_nothing(instance, drive, kind):
-    """Seen from a housing that turns evenly all goes as in one that stands; the three torques are in balance."""
+    """Seen from a housing that turns evenly all is as in a fixed one; the three torques are in balance."""
     turning, ratio = 3.0, drive.pair.ratio
     start = {name: value for name, value in motion(kind, 0, ratio).items() if not name.endswith("tau")}
     begun = (

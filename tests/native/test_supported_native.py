@@ -1,4 +1,4 @@
-"""Native FMUs of drives on bearings: the period of what repeats, their tables, and the compiled FMU."""
+"""Native FMUs of drives on bearings: their period, their tables, and the compiled FMU."""
 
 import math
 from types import SimpleNamespace
@@ -57,7 +57,7 @@ def held():
     ],
 )
 def test_all_repeats_after_a_period_and_not_before(kind, count, errors, pitches):
-    """Cranks stand anew against the pins when the carrier has gone on by one of them: z_c over the common divisor."""
+    """Cranks meet the pins in the same way when the carrier has moved by one of them: z_c over the common divisor."""
     pair = pair_on(kind, count, errors=errors, discs=2)
     surface = surface_of_pair(pair)
     assert tables.mesh_pitches(pair, surface) == pitches
@@ -129,7 +129,7 @@ def test_between_two_flanges_it_gives_the_exact_torques_and_keeps_its_energy(hel
         found = slave.get("flange_a.tau", "flange_b.tau")
         assert found == pytest.approx([by_crank, by_output], rel=1e-5, abs=1e-6)
         exact.crank_angle, exact.output_angle = crank, output
-        # What the tables err by turns into torque by the stiffness.
+        # Errors of the tables become torque by the stiffness.
         assert found[1] == pytest.approx(exact.torque, abs=0.5 * ARCSEC * 4.0 * stiffness + 5e-3 * abs(exact.torque))
         assert found[0] == pytest.approx(exact.crank_torque, abs=2e-2 * abs(exact.torque) / 9 + PLAY_LOAD * 40.0)
         pressed += abs(found[1]) > 5.0
