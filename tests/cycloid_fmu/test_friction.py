@@ -57,7 +57,7 @@ def test_the_command_takes_measured_losses_and_a_friction_file(tmp_path):
     friction.write_text((EXAMPLES / "friction.toml").read_text().replace("temperature_coefficient", "# "))
     done = CliRunner().invoke(app, [*words, "--friction", str(friction)])
     assert done.exit_code == 0, done.output
-    assert "% of the losses (root mean square); they go with exp(-0.01/K (T - 305 K))" in done.output
+    assert "% of the losses (rms), proportional to exp(-0.01/K (T - 305 K))" in done.output
     variables = {v.name: v for v in fmpy.read_model_description(str(out)).modelVariables}
     start = {name: float(v.start) for name, v in variables.items() if v.start not in (None, "false", "true")}
     assert start["loss_table[2,2]"] == pytest.approx(0.92, rel=1e-4)
