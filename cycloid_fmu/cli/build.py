@@ -52,8 +52,8 @@ def build(
         Path | None,
         typer.Option(
             metavar="LOSSES.csv",
-            help="Losses as in Modelica's LossyGear: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], "
-            "or measured: speed \\[rpm],torque [N*m],loss [N*m],temperature [K].",
+            help="Losses as in Modelica's LossyGear: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],"
+            "tau_bf2 [N*m]; or measured: speed \\[rpm],torque [N*m],loss [N*m],temperature [K].",
         ),
     ] = None,
     friction_file: Annotated[

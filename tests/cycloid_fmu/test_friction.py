@@ -99,7 +99,7 @@ def test_friction_that_is_none_is_refused_in_a_sentence(tmp_path, line, said):
 
 @pytest.mark.parametrize(
     ("rows", "said"),
-    [("", "needs points"), ("10,1,0.2,300\n", "fewer than two torques"), ("10,1,x,300\n", "line 2")],
+    [("", "needs measured points"), ("10,1,0.2,300\n", "fewer than two torques"), ("10,1,x,300\n", "line 2")],
 )
 def test_measured_losses_that_give_no_table_are_refused_in_a_sentence(tmp_path, rows, said):
     path = tmp_path / "bench.csv"
