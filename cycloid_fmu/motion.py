@@ -41,7 +41,7 @@ class Motion:
         Torques of the environment on the output, shape (torques,), N·m, counter-clockwise positive; crank angles, shape
         (angles,), rad.
     transmission_error
-                Transmission error, shape (torques, angles), rad.
+        Transmission error, shape (torques, angles), rad.
     curve_angle, curve
         Transmission error over a whole crank turn, shapes (points,) and (torques, points), rad.
     exaggeration
@@ -56,9 +56,9 @@ class Motion:
     ideal_rotation
         Rotation of each disc without errors, modification, load and play, shape (angles, discs), rad.
     pin_axis
-                Axis of each pin, shape (torques, angles, pins), m.
+        Axis of each pin, shape (torques, angles, pins), m.
     pin_radius
-                Radius of each pin, shape (pins,), m.
+        Radius of each pin, shape (pins,), m.
     gap, force, touching, direction
         Contacts of each pin on each disc, with the conjugate tooth and the one across the nearest root, shape (torques,
         angles, discs, pins, 2): gap (m, below zero if the bodies press on each other; infinite without a nearest
@@ -178,7 +178,7 @@ def motion_of(
         Torques of the environment on the output, counter-clockwise positive, N·m, shape (torques,); at 0 the output is
         in the middle of its play.
     crank_angle
-                Crank angles, rad, shape (angles,).
+        Crank angles, rad, shape (angles,).
     exaggeration
         Enlargement of the gaps; None for the largest round number for which all of them fit.
     with_curve

@@ -124,7 +124,7 @@ class OnBearings(Transmission):
     crank_bearing_force
         Force of each crank's bearings in carrier or housing, shape (torques, angles, cranks), N.
     main_bearing_force
-                Force of the main bearing, shape (torques, angles), N.
+        Force of the main bearing, shape (torques, angles), N.
     output_roller_force
         Force of each output roller, shape (torques, angles, discs, rollers), N; no rollers with cranks.
     """
@@ -325,7 +325,7 @@ class Sensitivity:
     Attributes
     ----------
     transmission_error
-                Transmission error, shape (angles,), rad.
+        Transmission error, shape (angles,), rad.
     by_displacement
         Derivative by all displacements (`structured.displacement_layout`), shape (angles, displacements), rad/m, for
         angles rad/rad.

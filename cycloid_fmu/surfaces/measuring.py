@@ -243,7 +243,7 @@ def outlying(surface: Integers, along: Array, z: Array, deviation: Array) -> tup
         Number of each point's tooth or pin, shape (points,).
     along, z
         Position along the profile and across the width, shape (points,), m.
-        deviation
+    deviation
         Deviation of each point, shape (points,), m.
 
     Returns
@@ -273,9 +273,9 @@ def element_means(
     surface, row, column
         Indices of each point's element: tooth or pin, along the profile, across the width; shape (points,).
     values
-                Value of each point, shape (points,).
+        Value of each point, shape (points,).
     shape
-                Shape of the result.
+        Shape of the result.
 
     Returns
     -------

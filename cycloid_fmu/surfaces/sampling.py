@@ -160,7 +160,7 @@ class Limits(Config):
         Largest backlash and lost motion over the crank angles, rad.
     interference
         Largest interference over the crank angles, m.
-        max_contact_pressure
+    max_contact_pressure
         Largest contact pressure, Pa, at every load.
     """
 
