@@ -31,7 +31,7 @@ from cycloid_fmu.supports.balance import (
 )
 from cycloid_fmu.supports.bearing import Bearing, push, stored
 
-# Number of results of `stand`.
+# Indices of the results of `stand`, and their number.
 X, STIFFNESS, ENERGY, BY_FLANGE, BY_ANGLE, CRANK_TORQUE, RATE, TORQUE = range(8)
 FOUND = 8
 

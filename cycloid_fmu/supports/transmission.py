@@ -34,11 +34,7 @@ _PART = 64  # crank angles that one thread solves at a time
 _LABELS = {
     "disc_shift_x": (("disc",), "m", "shift of each disc's centre from its ideal position along x"),
     "disc_shift_y": (("disc",), "m", "shift of each disc's centre from its ideal position along y"),
-    "turning_arm_force": (
-        ("disc", "crank"),
-        "N",
-        "force of the bearing of each crank, or of the eccentric, in each disc",
-    ),
+    "turning_arm_force": (("disc", "crank"), "N", "force of each crank's or the eccentric's bearing in each disc"),
     "crank_bearing_force": (("crank",), "N", "force of each crank's bearings in carrier or housing"),
     "main_bearing_force": ((), "N", "force of the carrier's bearing in the ring"),
     "output_roller_force": (("disc", "roller"), "N", "force of each output roller in each disc's hole"),
@@ -272,7 +268,7 @@ def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
 
 
 def play_loads(pair: Pair) -> list[float]:
-    """Return the torques whose tangents give the ends of the play, N·m; raise an `edge.InputError` if none is rated."""
+    """Return the torques whose tangents give the ends of the play, N·m; without a rated torque an `edge.InputError`."""
     if pair.rated_torque is None:
         raise edge.InputError(
             f"rated_torque is missing; with [supports] the play is computed from {PLAY_LOAD:g} of it."

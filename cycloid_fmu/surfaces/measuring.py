@@ -550,8 +550,8 @@ def _measured_pins(pair: Pair, points: MeasuredPoints, mask: Booleans, elements:
     error = ((centre - shift) * np.exp(-1j * rotation) - nominal) * direction.conj()
     if np.abs(error).max() > LARGEST_ELEMENT or np.abs(radius - g.pin_radius).max() > LARGEST_ELEMENT:
         raise edge.InputError(
-            f"{points.source}: aligned pins are up to {_length(float(np.abs(error).max()))} from their place and up to "
-            f"{_length(float(np.abs(radius - g.pin_radius).max()))} from their radius: check the pair, and "
+            f"{points.source}: aligned pins deviate by {_length(float(np.abs(error).max()))} in position and "
+            f"{_length(float(np.abs(radius - g.pin_radius).max()))} in radius: check the pair, and "
             "that pins are numbered counter-clockwise."
         )
     away = (at - centre[number]) * np.exp(-1j * rotation)

@@ -383,8 +383,8 @@ def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors
     The single pitches are independent with the stated distribution, under the conditions that the circle closes (they
     sum to zero), that each meets the single limit and their running sum the cumulative limit: the density is the
     product of theirs, truncated at the limits. It is sampled by a Markov chain from the error-free circle that
-    exchanges deviation between two pitches, alternating between neighbouring and distant ones, many times each. Nothing
-    is rejected until all limits hold, so a tight cumulative limit costs no more than a wide one.
+    exchanges deviation between two pitches, alternating between neighbouring and distant ones, many times each. There
+    is no rejection sampling, so a tight cumulative limit costs no more than a wide one.
     """
     if errors.single == 0.0:
         return np.zeros(teeth)
