@@ -266,7 +266,7 @@ def simulate_fmu(
 ) -> dict[str, Array]:
     """Run an FMU through given crank angles and torques and return its outputs at each.
 
-    For an example see `Drive.build_fmu`.
+    An example is that of `Drive.build_fmu`.
 
     Parameters
     ----------

@@ -480,9 +480,9 @@ def variables(
 
 
 def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
-    """Return the variables of a native FMU, {value reference: variable}.
+    """Return the variables of a native FMU, by value reference.
 
-    Values fixed in its tables are constants, and there are no values of single pins.
+    Values that are fixed in its tables are constants, and there are no values of single pins.
     """
     kept = {
         reference: dataclasses.replace(v, causality="local", variability="constant") if v.baked else v

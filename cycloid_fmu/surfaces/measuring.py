@@ -311,9 +311,9 @@ def _check_units(points: MeasuredPoints, mask: Booleans, pair: Pair, body: str) 
         values = getattr(points, name)[mask]
         found = 0.5 * float(np.subtract(*np.percentile(values, [98, 2])))
         if not 0.5 < found / reach < 2.0:
-            times = "a thousandfold, so " if 1.5 < abs(np.log10(max(found, 1e-12) / reach)) < 4.5 else ""
+            times = "a factor of 1000, so " if 1.5 < abs(np.log10(max(found, 1e-12) / reach)) < 4.5 else ""
             raise edge.InputError(
-                f"{points.source}: {name} of the {body} reaches {_length(found)} about its middle where the pair's is "
+                f"{points.source}: {name} of the {body} extends {_length(found)} from its middle, that of the pair "
                 f"{_length(reach)}: {times}check the unit of the column {name}."
             )
     z = points.z[mask]
@@ -321,7 +321,7 @@ def _check_units(points: MeasuredPoints, mask: Booleans, pair: Pair, body: str) 
     if found > 1.001 * reach:
         worst = points.line[mask][np.abs(z).argmax()]
         raise edge.InputError(
-            f"{points.source}: line {worst}: z is {_length(found)} from mid-width where the face ends at "
+            f"{points.source}: line {worst}: z is {_length(found)} from mid-width, but the face ends at "
             f"{_length(reach)}: check the unit of the column z and its zero."
         )
     if np.ptp(z) >= g.face_width / 100.0:
