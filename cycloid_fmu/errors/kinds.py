@@ -114,7 +114,7 @@ class ErrorKind:
     --------
     >>> from cycloid_fmu.errors.kinds import KINDS
     >>> KINDS["pin_radius"].description, KINDS["pin_radius"].unit
-    ("radius error of all pins, > 0 thicker", 'm')
+    ('radius error of all pins, > 0 thicker', 'm')
     """
 
     name: str
