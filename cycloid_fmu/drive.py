@@ -319,7 +319,7 @@ class Drive:
         angles, turns
             Number of crank angles, and of the crank turns that they span.
         workers, progress
-            As of `analyze`.
+            As for `analyze`.
 
         Raises
         ------
@@ -417,7 +417,7 @@ class Drive:
             `profile_deviation_1`; by default the kinds with one value and the orders 1 to 3. With supports also
             bearings: `turning_arm_stiffness` (by its logarithm, rad), `turning_arm_clearance` (rad/m) and so on.
         crank_angle, angles
-            As of `analyze`.
+            As for `analyze`.
 
         Returns
         -------

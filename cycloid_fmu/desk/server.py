@@ -27,7 +27,7 @@ def save(
     Parameters
     ----------
     desk, values
-        As of `look`.
+        As for `look`.
     folder, name
         Folder and name of the file; the name has no folder in it and ends in `.toml`.
     overwrite

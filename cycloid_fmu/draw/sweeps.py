@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def plot_sweep(data: xr.Dataset) -> Figure:
     """Every figure of a sweep: over one value as lines, one per torque; over two as maps, at the first torque.
 
-    Of more than two values, the first two that vary are drawn, at the first of each other one. Invalid combinations and
+    If more than two values vary, the first two are drawn, at the first value of the others. Invalid combinations and
     drives with interference are blank, in maps grey.
     """
     missing = int((data["reason"].values != "").sum())

@@ -23,9 +23,9 @@ class BenchLosses:
     Attributes
     ----------
     rows
-        As of `Interface.losses`.
+        As for `Interface.losses`.
     temperature_coefficient, reference_temperature
-        As of `Friction`, 1/K and K.
+        As for `Friction`, 1/K and K.
     misfit
         Root mean square of the residual losses over that of the measured losses, dimensionless.
     """

@@ -119,9 +119,9 @@ class CompliantModel(SteppedModel, CompliantState):
     Parameters
     ----------
     pair, surface, losses
-        As of `SteppedModel`.
+        As for `SteppedModel`.
     output_inertia, crank_inertia
-        As of `CompliantState`.
+        As for `CompliantState`.
     """
 
     def __init__(

@@ -91,7 +91,7 @@ def model_structure(
     Parameters
     ----------
     table, version, references
-        As of `model_variables`.
+        As for `model_variables`.
     states
         Names of the continuous states of Model Exchange, in order.
     """

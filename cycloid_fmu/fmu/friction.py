@@ -74,7 +74,7 @@ def yields(
     load, speed
         Torque of the teeth at that flange, N·m, and its speed, rad/s.
     temperature
-        K.
+        Temperature, K.
     table
         Loss table, at `flange_a`.
     """
@@ -228,7 +228,7 @@ def press(
 ) -> Pressed:
     """Return the state of the elements after a displacement (rad), at a speed (rad/s).
 
-    `time` is their damping over their stiffness, s; the others are as of `slide`.
+    `time` is their damping over their stiffness, s; the others are as for `slide`.
     """
     torque = power = stored = 0.0
     damped, low, high = stiffness * time * speed, SHARE * low, SHARE * high

@@ -90,7 +90,7 @@ class ReducerModel(_Staged, DriveModel, ReducerState):
     first_stage
         The first stage: its teeth and the plays around the cycloid stage.
     losses
-        As of `DriveModel`, at the sun.
+        As for `DriveModel`, at the sun.
     """
 
     def __init__(
@@ -196,7 +196,7 @@ class CompliantReducer(_Staged, CompliantModel):
     Parameters
     ----------
     pair, surface, losses, output_inertia, crank_inertia
-        As of `CompliantModel`; losses and inertia at the sun.
+        As for `CompliantModel`; losses and inertia at the sun.
     first_stage
         The first stage: its teeth and the plays around the cycloid stage.
     """

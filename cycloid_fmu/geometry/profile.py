@@ -47,7 +47,7 @@ def flank_points(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
 
 
 def flank_normals(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
-    """Unit normals of the nominal flank, out of the gear's material, the shape of `alpha` each."""
+    """Unit normals of the nominal flank, out of the gear's material, each component in the shape of `alpha`."""
     a = np.asarray(alpha, dtype=float)
     k, teeth = pair.shortening, pair.gear_teeth
     normal = np.arctan2(k * np.sin(teeth * a), 1.0 - k * np.cos(teeth * a))
@@ -55,7 +55,7 @@ def flank_normals(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
 
 
 def flank_curvature(pair: Pair, alpha: ArrayLike) -> Array:
-    """Curvature 1/ρ_c of the nominal flank, > 0 convex, 1/m, the shape of `alpha`.
+    """Curvature 1/ρ_c of the nominal flank, > 0 convex, 1/m, in the shape of `alpha`.
 
     The generating pin's centre moves on a path of curvature (1 + z_p K² - K (z_p + 1) cos z_c α)/(R S³); the flank is r
     inside it, so 1/ρ_c = κ/(1 - r κ).
@@ -70,7 +70,7 @@ def flank_curvature(pair: Pair, alpha: ArrayLike) -> Array:
 
 
 def flank_speed(pair: Pair, alpha: ArrayLike) -> Array:
-    """Arc length of the nominal flank per radian of the profile parameter, m, the shape of `alpha`.
+    """Arc length of the nominal flank per radian of the profile parameter, m, in the shape of `alpha`.
 
     The generating pin's centre moves R S per radian; the flank, r inside its path, is shorter by the factor 1 - r κ =
     1/(1 + r/ρ_c).
