@@ -51,7 +51,7 @@ _SETTINGS: dict[str, Any] = {
     "no_args_is_help": True, "add_completion": False, "pretty_exceptions_enable": False, "rich_markup_mode": "rich",
 }  # fmt: skip
 _QUIET, _LONGEST_QUIET = 10.0, 30.0  # seconds between the lines of a progress that is written to a file
-_SHORT = 0.5  # seconds: a shorter computation shows no bar, whose package is slow to load
+_SHORT = 0.5  # seconds: shorter computations show no bar, as its package is slow to load
 _WIDE = 40  # characters; longer cells may be wrapped at spaces in a narrow terminal
 
 
@@ -202,7 +202,7 @@ def run(app: typer.Typer) -> NoReturn:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     # Objects made on import are permanent: scanning them for garbage took a tenth of a short command.
     gc.set_threshold(100_000)
-    if not debug:  # logs of libraries and errors in their finalizers only repeat our own sentence
+    if not debug:  # logs and finalizer errors of libraries only repeat our own sentence
         logging.disable(logging.CRITICAL)
         sys.unraisablehook = lambda complaint: None
     shown = warnings.showwarning

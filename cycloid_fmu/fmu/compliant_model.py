@@ -61,8 +61,8 @@ class CompliantState(State):
         Damping of the contacts at the output, N·m·s/rad. Its torque is at most the contacts' own (as in Modelica's
         `ElastoBacklash2`): it acts in contact only and never pulls.
     output_inertia, crank_inertia
-        Internal moments of inertia, kg·m²; 0 for none. Within a step, a crank without inertia keeps the speed that it
-        has at the step's start.
+        Internal moments of inertia, kg·m²; 0 for none. Within a step, a crank without inertia moves linearly to the
+        position given by its angle and speed at the step's start.
     crank_angle_start, crank_speed_start
         Start values of a crank with an inertia, rad and rad/s.
     largest_step

@@ -22,30 +22,37 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 _FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
 _SUPPORT = "Modelica.Mechanics.Rotational.Interfaces.Support"
 DRIVE = "documentation/drive.toml"  # pair file of the FMU's drive
-_PAGE = """<!DOCTYPE html> <html lang="en"><head><meta charset="utf-8"><title>Cycloid drive</title>
-<style>body{font-family:sans-serif;max-width:60em;margin:2em auto;padding:0 1em} td,th{text-align:left;padding:.15em
-.8em .15em 0;border-bottom:1px solid #ccc;vertical-align:top}</style></head><body> <h1>Cycloid drive {{ g.gear_teeth
-}}/{{ g.pins }}, {{ interface.kind }} interface</h1> <p>Pin circle radius {{ '%g' % (g.pin_circle_radius * 1e3) }} mm,
-pin radius {{ '%g' % (g.pin_radius * 1e3) }} mm, eccentricity {{ '%g' % (g.eccentricity * 1e3) }} mm, ratio {{ '%g' %
-ratio }}{% if g.discs > 1 %}, {{ g.discs }} discs{% endif %}. Made by cycloid-fmu {{ version }}.</p> <p>Angles are
-counter-clockwise; torques are positive into the drive at their flange, as in Modelica.</p> {% if interface.kind ==
-"kinematic" %}<p>The drive is quasi-static: a step moves it to the inputs set before it, whatever its length. At zero
-torque the output floats within the backlash until a flank drives it; with friction it rests until torque or crank move
-it.</p> {% else %}<p>Both torques are derivatives of one energy stored in the contacts. Between communication points the
-flanges continue at their speeds, so set speeds consistent with the angles. A step longer than <code>largest_step</code>
-is divided internally. {% if interface.output_inertia %}The output's inertia is internal and solved in sub-steps that
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>Cycloid drive</title>
+<style>body{font-family:sans-serif;max-width:60em;margin:2em auto;padding:0 1em}
+td,th{text-align:left;padding:.15em .8em .15em 0;border-bottom:1px solid #ccc;vertical-align:top}</style></head><body>
+<h1>Cycloid drive {{ g.gear_teeth }}/{{ g.pins }}, {{ interface.kind }} interface</h1>
+<p>Pin circle radius {{ '%g' % (g.pin_circle_radius * 1e3) }} mm, pin radius {{ '%g' % (g.pin_radius * 1e3) }} mm,
+eccentricity {{ '%g' % (g.eccentricity * 1e3) }} mm, ratio {{ '%g' % ratio }}{% if g.discs > 1 %}, {{ g.discs }}
+discs{% endif %}. Made by cycloid-fmu {{ version }}.</p>
+<p>Angles are counter-clockwise; torques are positive into the drive at their flange, as in Modelica.</p>
+{% if interface.kind == "kinematic" %}<p>The drive is quasi-static: a step moves it to the inputs set before it,
+whatever its length. At zero torque the output floats within the backlash until a flank drives it; with friction it
+rests until torque or crank move it.</p>
+{% else %}<p>Both torques are derivatives of one energy stored in the contacts. Between communication points the flanges
+continue at their speeds, so set speeds consistent with the angles. A step longer than <code>largest_step</code> is
+divided internally. {% if interface.output_inertia %}The output's inertia is internal and solved in sub-steps that
 conserve the energy balance; <code>flange_a.tau</code> is the mean over the last step{% else %}The contacts are stiff:
 with a body of inertia J on the output, the step h must keep h &radic;(k/J) well below 1, with k =
-<code>torsional_stiffness</code>{% endif %}.</p>{% endif %} <p>A step that can't be made returns an error with a message
-and leaves the state unchanged.</p> <h2>Variables</h2> <table><tr><th>name<th>causality<th>unit<th>meaning</tr> {% for v
-in table %}<tr><td><code>{{ v.name }}</code><td>{{ v.causality }}<td>{{ v.unit or "" }}<td>{{ v.description }} </tr>{%
-endfor %}</table> <h2>Friction and losses</h2> <p>At each flange the sliding friction torque is (coulomb + load_share
-|load| + stribeck exp(-(w/stribeck_speed)&sup2;) + viscous |w|) exp(-temperature_coefficient (temperature -
-reference_temperature)); <code>friction_torque</code> is the output's Coulomb friction. Friction builds up over the
-presliding angle in springs that slip one after the other: it holds a load without creep, and its loops close at their
-reversals.</p> <p><code>loss_table</code> is <code>lossTable</code> of Modelica's LossyGear: speed of flange_a,
-efficiency from a to b and from b to a, friction torque at flange_a in the same two cases; linear between the rows,
-constant beyond the last.</p> </body></html>
+<code>torsional_stiffness</code>{% endif %}.</p>{% endif %}
+<p>A step that can't be made returns an error with a message and leaves the state unchanged.</p>
+<h2>Variables</h2>
+<table><tr><th>name<th>causality<th>unit<th>meaning</tr>
+{% for v in table %}<tr><td><code>{{ v.name }}</code><td>{{ v.causality }}<td>{{ v.unit or "" }}<td>{{ v.description }}
+</tr>{% endfor %}</table>
+<h2>Friction and losses</h2>
+<p>At each flange the sliding friction torque is (coulomb + load_share |load| + stribeck
+exp(-(w/stribeck_speed)&sup2;) + viscous |w|) exp(-temperature_coefficient (temperature - reference_temperature));
+<code>friction_torque</code> is the output's Coulomb friction. Friction builds up over the presliding angle in springs
+that slip one after the other: it holds a load without creep, and its loops close at their reversals.</p>
+<p><code>loss_table</code> is <code>lossTable</code> of Modelica's LossyGear: speed of flange_a, efficiency from a to b
+and from b to a, friction torque at flange_a in the same two cases; linear between the rows, constant beyond the last.</p>
+</body></html>
 """
 
 

@@ -29,7 +29,7 @@ def flank_points(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
     Returns
     -------
     x, y
-        m, the shape of `alpha`.
+        Coordinates, m, in the shape of `alpha`.
 
     Notes
     -----
