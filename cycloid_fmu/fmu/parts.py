@@ -51,7 +51,8 @@ exp(-(w/stribeck_speed)&sup2;) + viscous |w|) exp(-temperature_coefficient (temp
 <code>friction_torque</code> is the output's Coulomb friction. Friction builds up over the presliding angle in springs
 that slip one after the other: it holds a load without creep, and its loops close at their reversals.</p>
 <p><code>loss_table</code> is <code>lossTable</code> of Modelica's LossyGear: speed of flange_a, efficiency from a to b
-and from b to a, friction torque at flange_a in the same two cases; linear between the rows, constant beyond the last.</p>
+and from b to a, friction torque at flange_a in the same two cases; linear between the rows, constant beyond the
+last.</p>
 </body></html>
 """
 
