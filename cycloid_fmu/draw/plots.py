@@ -138,7 +138,7 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
 
 
 _ZOOMED = 3  # pin pitches
-_ALIKE = "one pin pitch, as all are equal"
+_ALIKE = "one pin pitch (all equal)"
 
 
 def title_of(data: xr.Dataset) -> str:
