@@ -30,7 +30,7 @@ def analyze(
     ] = None,
     output: Annotated[Path | None, commands.output_option((".nc",), "OUT.nc", "Write the dataset (netCDF).")] = None,
     surface_file: SurfaceFile = None,
-    angles: Annotated[int, typer.Option(min=1, help="Crank angles, evenly spaced from 0, end excluded.")] = ANGLES,
+    angles: Annotated[int, typer.Option(min=1, help="Number of crank angles from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
     slices: Annotated[
         int | None,

@@ -40,7 +40,7 @@ def sweep(
         ),
     ] = None,
     surface_file: SurfaceFile = None,
-    angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly spaced from 0, end excluded.")] = ANGLES,
+    angles: Annotated[int, typer.Option(min=20, help="Number of crank angles from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
     plot: commands.PlotFile = None,

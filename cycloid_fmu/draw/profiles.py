@@ -53,7 +53,11 @@ def plot_profile(profile: Profile) -> Figure:
     steps = np.concatenate([[0.0], np.cumsum(chord * 2.0 * np.arctan(bulge) / np.sin(2.0 * np.arctan(bulge)))])
     bent.stairs(4e-3 * bulge / (1.0 + bulge**2) / chord, steps * 1e3, baseline=None, color="C1", label="arcs")
     bent.plot(
-        table["arc_length"][first] * 1e3, table["curvature"][first] * 1e-3, "k", lw=0.9, label="flank without form"
+        table["arc_length"][first] * 1e3,
+        table["curvature"][first] * 1e-3,
+        "k",
+        lw=0.9,
+        label="flank without form deviation",
     )
     bent.set(xlabel="arc length [mm]", ylabel="curvature [1/mm]")
     bent.set_title(f"flank to arcs: at most {profile.largest_error * 1e6:.3g} µm", fontsize=9)
