@@ -71,12 +71,12 @@ class Drive:
     Parameters
     ----------
     pair
-        The gear pair; its stated errors are those of the drive unless a surface is given. Or an RV reducer: its cycloid
-        stage, errors and first stage.
+        The gear pair, whose stated errors are those of the drive unless a surface is given; or an RV reducer with its
+        cycloid stage, errors and first stage.
     surface
-        The actual errors, of the same pair.
+        The actual errors of the same pair.
     first_stage
-        The involute stage that turns the cranks, if it is not a motor.
+        The involute stage that turns the cranks; None if a motor turns them.
 
     Attributes
     ----------
@@ -85,8 +85,8 @@ class Drive:
     surface
         The drive's errors as an error surface.
     first_stage
-        The involute stage before the cranks: transmission error, stiffness and play are then those of the output with
-        the sun locked. None without one.
+        The involute stage before the cranks, or None. With it, transmission error, stiffness and play are those of the
+        output with the sun locked.
 
     Raises
     ------
@@ -159,20 +159,19 @@ class Drive:
         return drive_hash(self.pair, self.surface, "" if self.first_stage is None else self.first_stage.text)
 
     def replace(self, errors: Mapping[str, Any] | None = None, **changes: Any) -> Self:
-        """Return the drive with other values, checked as reading a file does.
+        """Return a copy with changed values, validated as a file is.
 
         Parameters
         ----------
         errors
-            The errors that change, by their keys in a pair file (`pin_radius_each`) or their names; the others are
-            kept.
+            The changed errors, by their keys in a pair file (`pin_radius_each`) or their names; all others are kept.
         changes
-            Values of the pair, `isometric` and `offset` of its modification among them, or `surface`.
+            Values of the pair, including `isometric` and `offset` of its modification, or `surface`.
 
         Raises
         ------
         edge.InputError
-            As `Pair` and `ErrorSurface` do.
+            As for `Pair` and `ErrorSurface`.
         """
         names = {kind.name: kind.file_key for kind in KINDS.values()}
         given = {names.get(name, name): value for name, value in (errors or {}).items()}
@@ -183,7 +182,7 @@ class Drive:
         changed = {kind.name for kind in KINDS.values() if kind.file_key in given}
         kept = {name: values for name, values in surface.errors.items() if name not in changed}
         values = {**kept, **stated_values(pair, stated)}
-        # What was fitted together with other values is not their covariance.
+        # The covariance of a fit does not apply to changed values.
         return type(self)(
             pair, surface.replace(pair=pair, errors=values, covariance=None, covariance_of=()), self.first_stage
         )
@@ -204,15 +203,15 @@ class Drive:
         Parameters
         ----------
         torque
-            Of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or several. At 0
-            the transmission error is the middle of the play.
+            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or
+            several. At 0 the transmission error is the middle of the play.
         crank_angle
-            Crank angles, rad; `angles` of them evenly over `turns` crank turns from 0, end excluded, where not given.
+            Crank angles, rad; by default `angles` of them, evenly spaced over `turns` crank turns from 0, end excluded.
         slices
-            Slices across the face width, with contact lines and the pressure on each element; by default as many as the
-            errors need, without these outputs.
+            Number of slices across the face width; adds contact lines and the pressure on each element. By default as
+            many as the errors need, without these outputs.
         workers
-            Threads; one for each core where not given.
+            Number of threads; by default one per core.
         progress
             Called with the number of crank angles (times loads) that were just finished.
 
@@ -246,18 +245,19 @@ class Drive:
         exaggeration: float | None = None,
         progress: Callable[[int], None] = lambda angles: None,
     ) -> Motion:
-        """Positions of discs, pins and contacts, and their forces: `cycloid_fmu.plot` draws them, `.html` as a page.
+        """Positions of discs, pins and contacts, and their forces; `cycloid_fmu.plot` draws them, in `.html` as a page.
 
         Parameters
         ----------
         torque
-            Of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or several. At 0
-            the output is in the middle of its play. Behind a first stage it is the torque on the cycloid stage's
-            output, and only that stage is included.
+            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or
+            several. At 0 the output is in the middle of its play. Behind a first stage it is the torque on the cycloid
+            stage's output, and only that stage is included.
         crank_angle
-            rad, or text with a unit; one or several, which a page animates.
+            Crank angle, rad or text with a unit; one, or several for an animated page.
         exaggeration
-            Enlargement of the gaps between discs and pins in pictures, 1 to 1000; None for a round number that fits.
+            Enlargement of the gaps between discs and pins in pictures, 1 to 1000; None for the largest round number
+            that fits.
         progress
             Called with the number of crank angles (times loads) that were just finished.
 
@@ -307,23 +307,24 @@ class Drive:
         workers: int | None = None,
         progress: Callable[[int], None] = lambda angles: None,
     ) -> Judged:
-        """Judge each limit: whether it is met, the margin and the worst place; with bearing lives and sliding.
+        """Judge each limit: whether it is met, the margin and the worst position; with bearing lives and sliding.
 
         Parameters
         ----------
         requirements
             The requirements of the application, or their file (cycloid-requirements/1).
         torque
-            Of the environment on the output, N·m or text with a unit; those of the duty are judged as well.
+            Torques of the environment on the output, counter-clockwise positive, N·m or text with a unit; those of the
+            duty are added.
         angles, turns
-            Crank angles, and the turns that they span.
+            Number of crank angles, and of the crank turns that they span.
         workers, progress
-            As of `analyze`.
+            As for `analyze`.
 
         Raises
         ------
         edge.InputError
-            If the file can't be read, there is no torque, one can't be carried, or the pair lacks something that a
+            If the file can't be read, there is no torque or one can't be carried, or the pair lacks a value that a
             limit needs.
 
         Examples
@@ -381,9 +382,9 @@ class Drive:
         Parameters
         ----------
         torque
-            Of the environment on the output, N·m or text with a unit.
+            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit.
         angles, turns
-            Crank angles, and the turns that they span.
+            Number of crank angles, and of the crank turns that they span.
 
         Raises
         ------
@@ -410,18 +411,18 @@ class Drive:
         Parameters
         ----------
         torque
-            Of the environment on the output, N·m or text with a unit; not 0.
+            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; not 0.
         errors
-            Names: kinds with one value, `pin_radial_1_cos` and so on, `profile_deviation_1`; by default the kinds with
-            one value and the orders 1 to 3. A drive with supports has its bearings too: `turning_arm_stiffness` (by its
-            logarithm, rad), `turning_arm_clearance` (rad/m) and so on.
+            Names of errors: kinds with one value, waves such as `pin_radial_1_cos`, orders such as
+            `profile_deviation_1`; by default the kinds with one value and the orders 1 to 3. With supports also
+            bearings: `turning_arm_stiffness` (by its logarithm, rad), `turning_arm_clearance` (rad/m) and so on.
         crank_angle, angles
-            As of `analyze`.
+            As for `analyze`.
 
         Returns
         -------
         xarray.DataArray
-            Over `error` and `crank_angle`; rad/m, rad/rad for misalignments.
+            Over `error` and `crank_angle`; rad/m, for misalignments rad/rad.
 
         Raises
         ------
@@ -459,14 +460,14 @@ class Drive:
         return xr.DataArray(jacobian.T, places, ("error", "crank_angle"), "sensitivity", units)
 
     def sample(self, tolerances: Tolerances | str | os.PathLike[str], seed: int) -> Self:
-        """Draw one drive within tolerances; the errors of this drive are not part of it.
+        """Draw one drive within tolerances; the errors of this drive are not included.
 
         Parameters
         ----------
         tolerances
             The tolerances, or their file.
         seed
-            The same seed draws the same drive.
+            Seed; the same seed draws the same drive.
 
         Raises
         ------
@@ -500,20 +501,20 @@ class Drive:
         workers: int | None = None,
         progress: Callable[[int], None] = lambda drives: None,
     ) -> Findings:
-        """Solve many drives within their tolerances: distributions and yields against limits.
+        """Solve many drives within their tolerances; return distributions and yields against limits.
 
         Parameters
         ----------
         tolerances
             The tolerances and limits, or their file.
         torque
-            Loads on the output, N·m or text with a unit; plus and minus the rated torque where not given.
+            Torques on the output, N·m or text with a unit; by default plus and minus the rated torque.
         samples, seed, angles
-            Number of drives, the seed that determines them, and crank angles of each.
+            Number of drives, seed that determines them, and number of crank angles of each.
         first_order
-            Solve to first order and confirm this share by the exact model.
+            Solve to first order, and confirm this share of the drives by the exact model.
         workers, progress
-            Processes, one for each core where not given; called with the number of drives just finished.
+            Number of processes, by default one per core; function called with the number of drives just finished.
 
         Raises
         ------
@@ -562,17 +563,18 @@ class Drive:
         ----------
         vary
             {name in a pair file: its values}, such as `{"pin_radius": "2.5:3.5:11 mm"}`, eleven values with both ends,
-            or `{"supports.turning_arm.clearance": ["0 um", "5 um"]}`; names are `isometric`, `errors.pin_radius`,
-            `temperature` of all bodies and the amplitude `errors.pin_radial.order_2`, too.
+            or `{"supports.turning_arm.clearance": ["0 um", "5 um"]}`; other names are `isometric`, `errors.pin_radius`,
+            `temperature` of all bodies, and the amplitude `errors.pin_radial.order_2`.
         torque
-            Loads on the output, N·m or text with a unit, not 0; the rated torque where not given.
+            Torques on the output, N·m or text with a unit, not 0; by default the rated torque.
         output
-            File for the result: netCDF, or a table in field units as CSV or Parquet, by the ending. Until then finished
-            drives are kept in a file of that name with `.checkpoint` appended, and the same call continues from there.
+            File for the result: netCDF, or a table in field units as CSV or Parquet, by the ending. Until it is
+            complete, finished drives are in a file of that name with `.checkpoint` appended, from which the same call
+            resumes.
         angles, turns
-            Crank angles of each drive, and the turns that they span.
+            Number of crank angles of each drive, and of the crank turns that they span.
         workers, progress
-            Processes, one for each core where not given; called with the number of drives just finished.
+            Number of processes, by default one per core; function called with the number of drives just finished.
 
         Returns
         -------
@@ -619,21 +621,22 @@ class Drive:
         workers: int | None = None,
         progress: Callable[[float], None] = lambda turns: None,
     ) -> WearRun:
-        """Wear flanks and pins over a life at one load, with the profile updated as it wears.
+        """Simulate wear of flanks and pins over a life at one load, with the profile updated as it wears.
 
         Parameters
         ----------
         law
             The wear law, or its file (cycloid-wear/1).
         torque, crank_turns
-            Torque of the environment on the output, N·m or text with a unit; crank turns of the life.
+            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; crank turns of
+            the life.
         workers, progress
-            Threads, one for each core where not given; called with the crank turns that are done.
+            Number of threads, by default one per core; function called with the crank turns done so far.
 
         Returns
         -------
         WearRun
-            Its `surface` is the worn drive's: `Drive(drive.pair.nominal, run.surface)`.
+            The run; the worn drive is `Drive(drive.pair.nominal, run.surface)`.
 
         Raises
         ------
@@ -678,30 +681,31 @@ class Drive:
         seed: int = 1,
         progress: Callable[[str], None] = lambda step: None,
     ) -> list[Design]:
-        """Search for the geometry and modification that keep the limits and are best for one goal, or two.
+        """Search for the geometry and modification that meet the limits and optimize one goal, or two.
 
         Parameters
         ----------
         goals
-            A figure or size to be as good as possible, or two for a Pareto front
-            (`cycloid_fmu.studies.design.GOALS`).
+            A figure or size to optimize, or two for a Pareto front (`cycloid_fmu.studies.design.GOALS`).
         vary
-            {name: (lowest, highest)} of `cycloid_fmu.studies.design.VARIABLES`, SI or text with a unit; all else stays.
+            {name: (lowest, highest)} of `cycloid_fmu.studies.design.VARIABLES`, SI or text with a unit; all other
+            values are fixed.
         limits, duty, friction_coefficient
-            The requirements, as in a requirements file; the torques are those of the duty, or the rated one.
+            Requirements as in a requirements file; the torques are those of the duty, or the rated torque.
         tolerances, required_yield
-            With tolerances the limits hold for this share of the drives within them, otherwise for the drive as drawn.
+            With tolerances, this share of the drives within them must meet the limits; otherwise the drive as drawn
+            must.
         starts, seed
             Starting points besides this drive; the same seed gives the same result.
         points
-            Drives of a Pareto front.
+            Number of drives on a Pareto front.
         progress
             Called with the name of each stage.
 
         Returns
         -------
         designs
-            One, or those of the front.
+            One design, or those of the Pareto front.
 
         Raises
         ------
@@ -726,7 +730,7 @@ class Drive:
 
         refuse_first_stage(self, "a search")
         if self.pair.errors or self.surface != surface_of_pair(self.pair):
-            raise edge.ArgumentError("drive", "has errors; a design is searched as drawn: give the drive without them")
+            raise edge.ArgumentError("drive", "has errors; a search needs the drive as drawn: give it without errors")
         if not duty and self.pair.rated_torque is not None:
             duty = ({"torque": self.pair.rated_torque, "output_speed": 0.0, "share": 1.0},)
         task = DesignTask(
@@ -748,7 +752,7 @@ class Drive:
         draws: int = 0,
         seed: int = 0,
     ) -> None:
-        """Build an FMU of the drive; a partial file is never left.
+        """Build an FMU of the drive; never a partial file.
 
         Parameters
         ----------
@@ -756,12 +760,12 @@ class Drive:
             The FMU file.
         interface
             "kinematic" takes crank motion and load and gives the output's motion; "compliant" takes both motions and
-            gives both torques; an `Interface` states inertia, friction and losses as well.
+            gives both torques; an `Interface` has inertia, friction and losses as well.
         fmi_version
             "2.0" or "3.0".
         native
-            Whether to build an FMU of C and tables that needs no Python, instead of the exact model; needs the extra
-            `native`.
+            Whether to build an FMU from C code and tables that needs no Python, instead of the exact model; needs the
+            extra `native`.
         largest_torque
             Largest torque of a native FMU's tables, N·m; None for 2.5 times the rated torque.
         draws, seed
@@ -816,21 +820,23 @@ class Drive:
         total: Callable[[int], None] = lambda angles: None,
         progress: Callable[[int], None] = lambda angles: None,
     ) -> Compensator:
-        """Return the compensator of the drive: it gives the motor angle for a desired output angle.
+        """Return the compensator of the drive, which gives the motor angle for a desired output angle.
 
         Parameters
         ----------
         friction
-            At the output: the torque through the teeth is the load without it.
+            Friction at the output; the torque through the teeth is the load without it.
         stiffness, series_compliance
-            Stiffness of the whole drive (N·m/rad), or compliance in series with it (rad/(N·m)), as of an `Interface`.
+            Stiffness of the whole drive (N·m/rad), or compliance in series with it (rad/(N·m)), as for an `Interface`.
         temperatures
-            Range of the table, the same for all bodies, K or text with a unit; None for the temperatures of the pair.
+            Temperature range of the table, the same for all bodies, K or text with a unit; None for the pair's
+            temperatures.
         torque_accuracy
-            Standard deviation of the load torque from the controller, N·m; None for 1 % of the rated torque. The flank
-            changes over this range.
+            Standard deviation of the load torque given by the controller, N·m; None for 1 % of the rated torque. The
+            change from one flank to the other is spread over this range.
         torque_share
-            Standard deviation of that torque's scale, 1; its effect on the wind-up is part of the band.
+            Standard deviation of that torque's scale factor, dimensionless; its effect on the wind-up is part of the
+            band.
         largest_torque
             Largest torque of the table, N·m; None for 2.5 times the rated torque.
         residual
@@ -838,15 +844,16 @@ class Drive:
         sensor
             Standard deviation of an output encoder, rad.
         tolerances
-            Where any drive of this kind may be moved, their tolerances or the file: how far the drives that they allow
-            are from this one goes into the band. Else the band is this drive's, with what its fit leaves open.
+            Tolerances, or their file, if the compensator is used for any drive within them: the band then includes the
+            scatter of these drives about this one. Otherwise the band is that of this drive, with the uncertainty of
+            its fit.
         workers, total, progress
-            Threads; called with the total number of solutions, and with the number just finished.
+            Number of threads; functions called with the total number of solutions, and with the number just finished.
 
         Returns
         -------
         cycloid_fmu.compensation.compensator.Compensator
-            Its method `step` is one step of a controller.
+            The compensator; its method `step` is one step of a controller.
 
         Raises
         ------
@@ -886,7 +893,7 @@ class Drive:
         )  # fmt: skip
 
     def profile(self, *, disc: int = 0, chord_error: float | str = 1e-7) -> Profile:
-        """Return a disc as made for CAD, CAM and measuring machines: its outline in arcs, holes, pins and pin circle.
+        """Return a disc as made for CAD, CAM and measuring machines: outline in arcs, holes, pins and pin circle.
 
         Parameters
         ----------
@@ -926,7 +933,7 @@ class Drive:
         Raises
         ------
         edge.InputError
-            If the ending is another, or a pair file can't store the drive's form and wear.
+            If the name has another ending, or a pair file can't store the drive's form and wear.
         """
         from cycloid_fmu.geometry.pair import write_pair
         from cycloid_fmu.surfaces.files import write_surface
@@ -942,14 +949,14 @@ class Drive:
 
 
 def refuse_first_stage(drive: Drive, what: str) -> None:
-    """Raise `edge.InputError` for a drive behind a first stage where `what` supports the cycloid stage alone."""
+    """Raise an `edge.InputError` for a drive with a first stage if `what` supports only the cycloid stage."""
     if drive.first_stage is not None:
         problem = f"has the first stage of an RV reducer, which {what} does not take into account yet"
-        raise edge.ArgumentError("drive", f"{problem}; give its pair alone")
+        raise edge.ArgumentError("drive", f"{problem}; give only its pair")
 
 
 def read_drive(path: str | os.PathLike[str], surface: str | os.PathLike[str] | None = None) -> Drive:
-    """Return the drive of a pair file or a reducer file, with the errors that it states or those of an error surface.
+    """Return the drive of a pair file or a reducer file, with its stated errors or those of an error surface.
 
     If a reducer file contradicts itself, an `edge.InputWarning` states the values used.
 

@@ -36,38 +36,39 @@ class Motion:
     Attributes
     ----------
     pair
-        The pair, at its temperatures.
+        The pair with the sizes at its temperatures.
     torque, crank_angle
-        Shapes (torques,), N·m of the environment on the output, and (angles,), rad.
+        Torques of the environment on the output, shape (torques,), N·m, counter-clockwise positive; crank angles, shape
+        (angles,), rad.
     transmission_error
-        Shape (torques, angles), rad.
+        Transmission error, shape (torques, angles), rad.
     curve_angle, curve
         Transmission error over a whole crank turn, shapes (points,) and (torques, points), rad.
     exaggeration
-        Enlargement of the gaps between discs and pins in pictures, 1.
+        Enlargement of the gaps between discs and pins in pictures, dimensionless.
     unmodified, drawn, normal
         Tooth 0 in its disc's frame from root to root, shape (profile,), m: without modification, as drawn, and the unit
         normals of the unmodified flank, out of the material.
     made
-        Every tooth as it was made, in its disc's frame, shape (discs, teeth, profile), m.
+        Every tooth as made, in its disc's frame, shape (discs, teeth, profile), m.
     centre, rotation
-        Of each disc, shape (torques, angles, discs), m and rad.
+        Centre (m) and rotation (rad) of each disc, shape (torques, angles, discs).
     ideal_rotation
-        Of each disc without errors, modification, load and play, shape (angles, discs), rad.
+        Rotation of each disc without errors, modification, load and play, shape (angles, discs), rad.
     pin_axis
-        Shape (torques, angles, pins), m.
+        Axis of each pin, shape (torques, angles, pins), m.
     pin_radius
-        Shape (pins,), m.
+        Radius of each pin, shape (pins,), m.
     gap, force, touching, direction
-        Of each pin on each disc, on the tooth that it is conjugate to and the one across the nearest root, shape
-        (torques, angles, discs, pins, 2): gap (m, below zero where the bodies press on each other; infinite without a
-        nearest point), force (N), the flank's point that is nearest to the pin (m), and the unit vector from the pin's
-        axis to it: the direction of the pin's force on the disc. Of several slices the place is that of the largest
+        Contacts of each pin on each disc, with the conjugate tooth and the one across the nearest root, shape (torques,
+        angles, discs, pins, 2): gap (m, below zero if the bodies press on each other; infinite without a nearest
+        point), force (N), the flank's point nearest to the pin (m), and the unit vector from the pin's axis to it, the
+        direction of the pin's force on the disc. With several slices, positions are those of the slice with the largest
         force or the smallest gap; forces are those of the whole width.
     pressure
         Largest contact pressure of each pin on each disc, shape (torques, angles, discs, pins), Pa.
     behind_first_stage
-        Whether it is only the cycloid stage of a reducer.
+        Whether this is only the cycloid stage of a reducer.
     """
 
     pair: Pair
@@ -102,7 +103,7 @@ class Motion:
     @property
     def nearest(self) -> Array:
         """Gap of each pin on each disc, shape (torques, angles, discs, pins), m; 0 without a nearest point."""
-        gap = self.gap.min(axis=4)  # it may touch two teeth
+        gap = self.gap.min(axis=4)  # a pin may touch two teeth
         return np.where(np.isfinite(gap), gap, 0.0)
 
     @property
@@ -123,9 +124,9 @@ class Motion:
         Parameters
         ----------
         load, angle, disc
-            Numbers of the torque, the crank angle and the disc.
+            Indices of the torque, the crank angle and the disc.
         factor
-            The enlargement, if it is not `exaggeration`.
+            The enlargement; None for `exaggeration`.
         """
         factor = self.exaggeration if factor is None else factor
         pins, pitch = self.pin_axis[load, angle], 2.0 * np.pi / self.pair.pins
@@ -133,7 +134,7 @@ class Motion:
         point = self.centre[load, angle, disc] + np.exp(1j * self.rotation[load, angle, disc]) * self.made[disc]
         crank = self.crank_angle[angle] + 2.0 * np.pi * disc / self.pair.discs
         unmoved = self.pair.eccentricity * np.exp(1j * crank) + ideal * teeth * self.unmodified
-        # Seen from the pins, which turn by the transmission error where the ring is the output.
+        # Relative to the pins, which turn by the transmission error if the ring is the output.
         turned = np.exp(-1j * self.transmission_error[load, angle]) if self.pair.output == "ring" else 1.0
         normal = (ideal * teeth * self.normal).ravel()
         point, opened = point.ravel(), -along((turned * point - unmoved).ravel(), normal)
@@ -153,7 +154,7 @@ def along(vector: Points, normal: Points) -> Array:
 
 
 def tooth_turns(pair: Pair) -> Points:
-    """Rotation of each tooth's place from that of tooth 0, shape (teeth,)."""
+    """Rotation of each tooth from tooth 0 as a complex number of magnitude 1, shape (teeth,)."""
     return np.asarray(np.exp(2j * np.pi * np.arange(pair.gear_teeth) / pair.gear_teeth))
 
 
@@ -172,15 +173,16 @@ def motion_of(
     Parameters
     ----------
     pair, surface
-        The nominal pair and its errors, on the bearings that it states.
+        The nominal pair, on its stated bearings, and its errors.
     torque
-        Of the environment on the output, N·m, shape (torques,); at 0 the output is in the middle of its play.
+        Torques of the environment on the output, counter-clockwise positive, N·m, shape (torques,); at 0 the output is
+        in the middle of its play.
     crank_angle
-        rad, shape (angles,).
+        Crank angles, rad, shape (angles,).
     exaggeration
-        Enlargement of the gaps; None for the largest round number for which all of them have room.
+        Enlargement of the gaps; None for the largest round number for which all of them fit.
     with_curve
-        Whether to solve the transmission error over a crank turn as well; empty otherwise.
+        Whether to solve the transmission error over a crank turn as well; otherwise `curve` is empty.
     progress
         Called with the number of crank angles (times loads) that were just finished.
 
@@ -248,7 +250,7 @@ def _profile(warm: Pair, sizes: dict[str, float], problem: contact.Problem) -> t
 def _flank(
     problem: contact.Problem, made: Pair, disc: Indices, slice_: Indices | int, tooth: Indices, along: Array
 ) -> Points:
-    """Points of teeth as made, in their disc's frame; `along` is the profile parameter from the tooth's first root."""
+    """Points of teeth as made, in their disc's frame, m; `along` is the profile parameter from the first root, rad."""
     point, normal = _points(made, along)
     if problem.deviations is not None:
         places, heights = problem.deviations.flank_alpha, problem.deviations.gear
@@ -279,10 +281,10 @@ def _contacts(
         here.shift_x[:], here.shift_y[:], here.turn[:] = shift[at].real, shift[at].imag, turned[at]
         contact.place(here, theta, x, rows, True, math.inf, math.inf)
         rows["force"] = 0.0
-        if found.pin_pressure[at].any():  # else it is free in its play
+        if found.pin_pressure[at].any():  # otherwise the output is free in its play
             _press(here, rows)
         by_slice = rows.reshape(warm.discs, slices, warm.pins, 2)
-        # Where nothing presses, the slice that comes closest.
+        # Without contact, the slice with the smallest gap.
         best = np.where(by_slice["force"].any(axis=1), by_slice["force"].argmax(axis=1), by_slice["gap"].argmin(axis=1))
         chosen = by_slice[disc, best, pin, side]
         gap[at], force[at] = chosen["gap"], by_slice["force"].sum(axis=1)
@@ -298,7 +300,7 @@ def _contacts(
 
 
 def _press(problem: contact.Problem, rows: contact.Rows) -> None:
-    """Write the force of every row, as `contact.equilibrium.load` does inside kernels."""
+    """Write the force of every row, as `contact.equilibrium.load` does within kernels."""
     for row in np.flatnonzero(rows["gap"] + problem.seat_gap < 0.0):
         _, _, pin = contact.disc_slice_pin(problem, int(row))
         rows["force"][row], _, _ = contact.hertz(
@@ -309,7 +311,7 @@ def _press(problem: contact.Problem, rows: contact.Rows) -> None:
 
 
 def _fitting(motion: Motion) -> float:
-    largest = float(np.abs(motion.nearest).max())  # where bodies interfere it is drawn so many times as well
+    largest = float(np.abs(motion.nearest).max())  # interference is enlarged as well
     if not largest * LARGEST_FACTOR > motion.room:
         return LARGEST_FACTOR
     return max(1.0, round_number(motion.room / largest))

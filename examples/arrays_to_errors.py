@@ -1,9 +1,8 @@
 """From arrays of your own bench to errors
 =======================================
 
-Another laboratory's bench, another file format: all that is needed are NumPy arrays of the crank's angle, the output's
-angle and the torque. Here a drive whose errors are known stands in for the measured one, so that the intervals can be
-set against the truth.
+If your file format is not supported, NumPy arrays of crank angle, output angle and torque are enough. Here a drive with
+known errors replaces the measured one, so that the intervals can be compared with the truth.
 """
 
 from pathlib import Path
@@ -20,9 +19,8 @@ OUT.mkdir(exist_ok=True)
 # %%
 # The drive as drawn
 # ------------------
-#
 # Signs first: torque is that of the environment on the output, and all angles are counter-clockwise seen from the same
-# side. With the gear as output the ratio is negative: this output turns backwards once in 39 crank turns.
+# side. With the gear as output the ratio is negative: this output turns once backwards in 39 crank turns.
 
 nominal = cy.Drive(cy.Pair(
     gear_teeth=39, pin_circle_radius=0.064, pin_radius=0.003, eccentricity=0.0013, face_width=0.010,
@@ -33,11 +31,10 @@ print(f"ratio {nominal.pair.ratio:g}")
 # %%
 # Four runs as arrays
 # -------------------
-#
-# Two loads, one low and one high, each in both directions: a low load shows the play and the single pins, a high one
-# the stiffness. Here a brake gives the torque: it opposes the output, which turns against the crank, so its sign is
-# that of the crank's motion. The output's encoder has an unknown zero, noise of 0.5 arcsec, and is mounted 0.2 µm
-# off-centre on a radius of 100 mm.
+# Two loads, one low and one high, each in both directions: a low load shows the play and single pins, a high one the
+# stiffness. Here a brake produces the torque: it opposes the output, which turns against the crank, so its sign is that
+# of the crank's motion. The output encoder has an unknown zero, noise of 0.5 arcsec, and an eccentricity of 0.2 µm on a
+# radius of 100 mm.
 
 truth = {"centre_distance_x": 4e-6, "centre_distance_y": -3e-6, "eccentricity": 2e-6, "pin_radius": -1e-6}
 made = nominal.replace(errors=truth)
@@ -60,10 +57,9 @@ print("shapes of one run:", [array.shape for array in arrays[20.0, 1]])
 # %%
 # Recordings
 # ----------
-#
-# A ``fitting.Run`` is a recording made of arrays; a single number holds for all samples. The two flags say what the
-# encoders know: ``common_zero`` that the output's zero was the same in all runs, ``known_index`` that crank angle 0 is
-# the crank at pin 0. Leave them out if you are not sure: then both are fitted.
+# A ``fitting.Run`` is a recording made of arrays; a single number applies to all samples. The two flags describe the
+# encoders: with ``common_zero`` the output's zero was the same in all runs, with ``known_index`` crank angle 0 is the
+# crank at pin 0. Leave them out if you are not sure; both are then fitted.
 
 runs = [
     fitting.Run(
@@ -75,11 +71,7 @@ runs = [
 curves = fitting.curves(runs, nominal)
 fitting.plot(curves, OUT / "curves.png")
 
-# %%
-# The errors
-# ----------
-#
-# Every structured error comes out with its 95 % interval, or is held with the reason.
+# %% The errors ---------- Every structured error is identified with its 95 % interval, or held fixed with the reason.
 
 result = fitting.identify(runs, nominal)
 fitted = [one for one in result.parameters if one.held is None]
@@ -89,15 +81,13 @@ for one in fitted:
 for one in result.parameters:
     if one.held is not None and "_cos" not in one.name and "_sin" not in one.name:
         print(f"{one.name} is held: {one.held}")
-print(f"rms left {result.residual * cy.ARCSEC:.2f} arcsec, noise {result.noise * cy.ARCSEC:.2f} arcsec")
+print(f"residual {result.residual * cy.ARCSEC:.2f} arcsec rms, noise {result.noise * cy.ARCSEC:.2f} arcsec")
 
-# %%
-# What is left between measurement and model is the encoder's noise:
+# %% The residual between measurement and model is the encoder's noise:
 
 fitting.plot(result, OUT / "identified.png")
 
-# %%
-# And the intervals against the truth:
+# %% The intervals compared with the truth:
 
 figure, axis = plt.subplots(figsize=(9, 0.28 * len(fitted) + 1), layout="constrained")
 for row, one in enumerate(fitted):
@@ -111,8 +101,7 @@ axis.grid(alpha=0.3)
 axis.legend(loc="lower left")
 figure.savefig(OUT / "intervals.png", dpi=150)
 
-# %%
-# The drive goes on from here like any other, into an FMU for example: ``result.drive.build_fmu("drive.fmu")``.
+# %% ``result.drive`` is a drive like any other; build an FMU of it with ``result.drive.build_fmu("drive.fmu")``.
 
 inside = sum(one.interval[0] <= truth.get(one.name, 0.0) <= one.interval[1] for one in fitted)
-print(f"{inside} of {len(fitted)} intervals hold the truth")
+print(f"{inside} of {len(fitted)} intervals contain the true value")

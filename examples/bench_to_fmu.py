@@ -1,9 +1,9 @@
 """From a bench run to the FMU of that very drive
 ==============================================
 
-A simulated bench stands in for the real one: it turns the FMU of a drive with known errors and sends CANopen encoder
-frames over a virtual CAN bus. From there on everything is what you would do with your own drive: record, make the
-transmission error curves, identify the errors, write the error surface, build the FMU, simulate it, compare.
+A simulated bench replaces the real one: it turns the FMU of a drive with known errors and sends CANopen encoder frames
+over a virtual CAN bus. All further steps are those for your own drive: record, make the transmission error curves,
+identify the errors, write the error surface, build the FMU, simulate it, compare.
 """
 
 from pathlib import Path
@@ -20,11 +20,11 @@ HERE, OUT = Path(__file__).parent, Path("bench_to_fmu_out")
 def main() -> None:
     OUT.mkdir(exist_ok=True)
 
-    print("1. The drive on the bench: an FMU of the drive as it was really made")
+    print("1. The drive on the bench: an FMU of the drive as made")
     as_made = cy.read_drive(HERE / "drive-39-40-as-made.toml")
     as_made.build_fmu(OUT / "as-made.fmu")
 
-    print("2. The bench runs at two loads in both directions, and the recorder writes what its encoders send")
+    print("2. The bench runs at two loads in both directions, and the recorder writes the encoder samples")
     nominal = cy.read_drive(HERE / "drive-39-40.toml")
     recordings = []
     for load in (20.0, 200.0):
@@ -38,7 +38,7 @@ def main() -> None:
             )  # fmt: skip
             with bench:
                 done = bench.record(path, wiring=OUT / "bench.toml")
-            print(f"   {path}: {min(done.samples.values())} samples a channel")
+            print(f"   {path}: {min(done.samples.values())} samples per channel")
             recordings.append(path)
 
     print("3. Transmission error curves, and the errors behind them")
@@ -48,9 +48,9 @@ def main() -> None:
     for one in found.parameters:
         if one.held is None and hasattr(as_made.surface, one.name):
             low, high, made = (1e6 * value for value in (*one.interval, getattr(as_made.surface, one.name)))
-            print(f"   {one.name}: {low:.2f} … {high:.2f} µm; it was made {made:.2f} µm")
+            print(f"   {one.name}: {low:.2f} … {high:.2f} µm; actual value {made:.2f} µm")
 
-    print("4. The FMU of this very drive, simulated beside the measurement")
+    print("4. The FMU of this drive, simulated and compared with the measurement")
     found.drive.write(OUT / "identified.nc")
     found.drive.build_fmu(OUT / "identified.fmu")
     zero = found.bench["output_angle_offset"]

@@ -1,9 +1,9 @@
 """A compensated joint
 ===================
 
-Record, identify, compensate, verify: a bench run of one drive becomes a compensator, and the motor that follows it
-brings the drive's output to where it should be, without an output encoder. A simulated bench and a simulated joint
-stand in for the real ones; both are FMUs of a drive with errors that the rest of the script does not know.
+Record, identify, compensate, verify: a compensator is made from a bench run of one drive. A motor that follows it moves
+the output to the desired angle, without an output encoder. A simulated bench and a simulated joint replace the real
+ones; both are FMUs of a drive with errors that the rest of the script does not know.
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ HERE, OUT = Path(__file__).parent, Path("compensated_joint_out")
 Array = NDArray[np.float64]
 AMBIENT = 293.15  # K
 FRICTION = cy.Friction(coulomb="2 N*m", load_share=0.01)
-INDEX = 1.9  # rad of the crank: where the joint's encoders have their zero
+INDEX = 1.9  # rad of the crank: zero of the joint's encoders
 ARM, WEIGHT = 2.0, 120.0  # kg·m², N·m
 SECONDS, MOVES = 1.5, (0.9, 0.2, 1.2, -0.1, 0.0)  # s for each move, rad at its end
 STEP = 2e-3  # s
@@ -61,20 +61,20 @@ def profile() -> tuple[Array, Array, Array, Array]:
 
 
 def output(joint: Path, motor_angle: Array, load: Array, ratio: float) -> Array:
-    """The real output angle: the joint's FMU, whose crank stands at the index where its encoders show zero."""
+    """The actual output angle from the joint's FMU, whose crank is at the index when its encoders show zero."""
     found = cy.simulate_fmu(joint, crank_angle=motor_angle + INDEX, torque=load)
     return motor_angle / ratio + found["transmission_error"]
 
 
 def searched(compensator: Compensator, joint: Path, ratio: float, random: np.random.Generator) -> float:
-    """Find the index with an output encoder that is there for commissioning: four crank turns under the weight."""
+    """Find the index with a temporary output encoder during commissioning: four crank turns under the weight."""
     motor = np.linspace(0.0, 8.0 * np.pi, 800)
     load = np.full(motor.size, WEIGHT)
     shown = output(joint, motor, load, ratio) + random.normal(0.0, 1.0, motor.size) / cy.ARCSEC
     found = find_index(compensator, motor, shown, load, AMBIENT)
     print(
-        f"   index at {found.angle:.3f} rad of the crank (it is at {INDEX} or whole turns of the gear on), sure to "
-        f"{found.probability:.4f}; {found.residual * cy.ARCSEC:.1f}″ are left"
+        f"   index at {found.angle:.3f} rad of the crank (true: {INDEX}, modulo turns of the gear), probability "
+        f"{found.probability:.4f}; residual {found.residual * cy.ARCSEC:.1f}″"
     )
     return found.angle
 
@@ -91,16 +91,16 @@ def main() -> None:
     identified = fitting.identify(runs, nominal)
     print(f"   {identified.verdict.sentence}")
 
-    print("2. The compensator of this very drive")
+    print("2. The compensator of this drive")
     compensator = identified.drive.compensator(friction=FRICTION)
     largest = compensator.inverse.residual * cy.ARCSEC
-    print(f"   {compensator.size / 1e3:.0f} kB of tables that err by at most {largest:.2f}″")
+    print(f"   {compensator.size / 1e3:.0f} kB of tables with errors of at most {largest:.2f}″")
     index = searched(compensator, OUT / "joint.fmu", nominal.ratio, random)
 
-    print("3. The joint moves, with and without it")
+    print("3. The joint moves, with and without compensation")
     time, angle, speed, acceleration = profile()
     load = WEIGHT * np.cos(3.0 * angle) - ARM * acceleration
-    # What the controller knows of the load: its gain is 2 % off, and it is noisy.
+    # The controller's value of the load, with a gain error of 2 % and noise.
     stated = 1.02 * load + random.normal(0.0, 0.5, load.size)
     memory = compensator.start(index)
     commands = [compensator.step(memory, *now, AMBIENT) for now in zip(angle, speed, stated, strict=True)]
@@ -119,7 +119,7 @@ def main() -> None:
     axes = figure.subplots(3, sharex=True)
     axes[0].plot(time, np.degrees(angle))
     axes[0].set(
-        ylabel="desired output angle [°]", title=f"Compensated joint: {plain:.0f}″ rms become {compensated:.1f}″"
+        ylabel="desired output angle [°]", title=f"Compensated joint: {plain:.0f}″ rms reduced to {compensated:.1f}″"
     )
     load_axis = axes[0].twinx()
     load_axis.plot(time, load, color="C3", lw=1.0)

@@ -1,11 +1,11 @@
-"""What each modification and error does to accuracy
+"""Effect of each modification and error on accuracy
 =================================================
 
 The error-surface paper's study, and which of its conclusions hold.
 
 One pair, one load, one error at a time. MTE and PPTE are the mean and peak-to-peak transmission error, MB and PPB those
 of the backlash, MCS the largest contact pressure; the last columns are the pins in contact. The paper's cases can't be
-rebuilt (its table of values is not in the text), so the amounts are chosen here: 10 µm, 1 mrad.
+reproduced (its table of values is not in the text), so the amounts are chosen here: 10 µm, 1 mrad.
 """
 
 from pathlib import Path
@@ -75,12 +75,12 @@ def main() -> None:
     mis, strong = change["misalignment"], [n for n in change if change[n]["PPTE"] > 0.2 * change[leading[0]]["PPTE"]]
     conclusions = {
         "negative isometric with negative offset avoids interference": np.isfinite(small["MB"]),
-        "negative isometric alone interferes": not np.isfinite(modifications["isometric -25"]["MB"]),
+        "negative isometric only interferes": not np.isfinite(modifications["isometric -25"]["MB"]),
         "more modification: fewer pins, higher stress": large["pins"] < small["pins"] and large["MCS"] > small["MCS"],
         "more modification: higher accuracy": abs(large["MTE"]) < abs(small["MTE"]) and large["PPTE"] < small["PPTE"],
-        "pitch leads PPTE": "pitch" in strong,
-        "centre distance leads PPTE": "centre distance" in strong,
-        "misalignment leads PPTE": "misalignment" in strong,
+        "pitch dominates PPTE": "pitch" in strong,
+        "centre distance dominates PPTE": "centre distance" in strong,
+        "misalignment dominates PPTE": "misalignment" in strong,
         "profile and pin circle act on the means": all(
             abs(change[n]["MTE"]) > change[n]["PPTE"] for n in ("profile deviation", "pin circle radius")
         ),

@@ -1,10 +1,10 @@
 """A joint as an SSP package
 =========================
 
-A robot joint from FMUs: motor, drive and arm as an SSP package, its path error, and the error compensated.
+A robot joint from FMUs: motor, drive and arm as an SSP package, its path error, and compensation of that error.
 
-The drive is the one of `bench_to_fmu.py`: as drawn, as identified on the bench, and as it really was made. A controller
-that knows the identified transmission error leads the real joint again. Last, two such joints make an arm.
+The drive is that of `bench_to_fmu.py`: as drawn, as identified on the bench, and as made. A controller that compensates
+the identified transmission error then moves the real joint. Finally, two such joints form an arm.
 """
 
 import subprocess
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 import cycloid_fmu as cy
 
 HERE, OUT = Path(__file__).parent, Path("joint_package_out")
-ARM = cy.Interface("compliant", output_inertia=2.0)  # kg·m², the arm's, beside the stiff contacts
+ARM = cy.Interface("compliant", output_inertia=2.0)  # kg·m², of the arm, in the FMU with the stiff contacts
 COMPONENTS = {"motor": "Motor.fmu", "drive": "drive.fmu", "arm": "Arm.fmu"}
 CONNECTIONS = (
     ("motor", "flange.phi", "drive", "flange_a.phi"), ("motor", "flange.w", "drive", "flange_a.w"),
@@ -78,7 +78,7 @@ def joint(drive: cy.Drive, path: Path) -> Path:
         for name in ("Motor", "Arm"):
             script = place / f"{name.lower()}_part.py"
             script.write_text(f"from joint_parts import {name} as Part\n\n\nclass {name}(Part):\n    pass\n")
-            # In a process of its own: the builder leaves the modules behind that it imported.
+            # In a separate process, because the builder leaves its imported modules loaded.
             words = ["build", "-f", script, "-d", place / f"{name}.fmu", HERE / "joint_parts.py"]
             subprocess.run([sys.executable, "-m", "pythonfmu", *map(str, words)], check=True, cwd=HERE)
         write_ssp(path, place)
@@ -86,7 +86,7 @@ def joint(drive: cy.Drive, path: Path) -> Path:
 
 
 def compensation(fmu: Path, load: float) -> dict[str, float]:
-    """The largest orders of a drive's transmission error over one turn of its output, as the motor's parameters."""
+    """Largest orders of a drive's transmission error over one output turn, as parameters of the motor."""
     turns, samples = 39, 64
     crank = 2.0 * np.pi * np.arange(turns * samples) / samples
     error = cy.simulate_fmu(fmu, crank, load, ("transmission_error",))["transmission_error"]
@@ -99,7 +99,7 @@ def compensation(fmu: Path, load: float) -> dict[str, float]:
 
 
 def correction(parameters: Mapping[str, float], crank: Array) -> Array:
-    """Transmission error at a crank angle as `compensation` has it, rad."""
+    """Transmission error at a crank angle from the orders of `compensation`, rad."""
     return sum(
         parameters[f"cosine_{i}"] * np.cos(parameters[f"order_{i}"] * crank)
         + parameters[f"sine_{i}"] * np.sin(parameters[f"order_{i}"] * crank)
@@ -108,7 +108,7 @@ def correction(parameters: Mapping[str, float], crank: Array) -> Array:
 
 
 def tip_error(fmu: Path, parameters: Mapping[str, float] | None) -> tuple[Array, Array]:
-    """Lead a two-joint arm's tip along a line; where it is (m) and how far from where it should be (µm)."""
+    """Move the tip of a two-joint arm along a line; return its position (m) and its error (µm)."""
     upper, lower, mass = 0.4, 0.35, 6.0
     line = np.linspace((0.35, -0.45), (0.6, -0.2), 1500)
     distance = np.hypot(*line.T)
@@ -150,30 +150,30 @@ def main() -> None:
     print("2. It moves by 90°")
     cases = {name: (path, {}) for name, path in packages.items()}
     cases["as made, identified error compensated"] = packages["as made"], known
-    # Each run has a process of its own: pythonfmu 0.7 does not instantiate another's parts twice in one.
+    # Each run has its own process: pythonfmu 0.7 can't instantiate different scripts of the same name in one.
     with ProcessPoolExecutor(2, get_context("spawn"), max_tasks_per_child=1) as pool:
         runs = dict(zip(cases, pool.map(moved, *zip(*cases.values(), strict=True)), strict=True))
 
-    print("3. Two such joints lead a tip along a line")
+    print("3. Two such joints move a tip along a line")
     line, before = tip_error(OUT / "as-made.fmu", None)
     _, after = tip_error(OUT / "as-made.fmu", known)
 
     figure = Figure(figsize=(9.0, 5.6), layout="constrained")
     axes = figure.subplots(2)
     for name, (time, error) in runs.items():
-        # What was identified lies on what was made: dashed, above it.
+        # The identified curve coincides with the actual one: drawn dashed, above it.
         style = {"ls": "--", "zorder": 3} if name == "as identified" else {}
         axes[0].plot(time, error * cy.ARCSEC, lw=1.0, label=name, **style)
         whole, rms = np.ptp(error[time > 0.1]) * cy.ARCSEC, error.std() * cy.ARCSEC
         print(f"   {name}: path error {whole:.1f}″ peak to peak, {rms:.1f}″ rms")
-    axes[0].set(xlabel="time [s]", ylabel="joint's path error [arcsec]")
+    axes[0].set(xlabel="time [s]", ylabel="path error of the joint [arcsec]")
     axes[0].legend(fontsize="small", ncols=4, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     along = np.hypot(*(line - line[0]).T) * 1e3
     for name, error in (("before", before), ("compensated", after)):
         size = np.hypot(*(error - error.mean(axis=0)).T)
         axes[1].plot(along, size, lw=1.0, label=name)
         print(f"   tip error about its mean, {name}: {np.sqrt(np.mean(size**2)):.1f} µm rms")
-    axes[1].set(xlabel="way along the line [mm]", ylabel="tip error [µm]")
+    axes[1].set(xlabel="position along the line [mm]", ylabel="tip error [µm]")
     axes[1].legend(fontsize="small")
     for axis in axes:
         axis.grid(alpha=0.3)

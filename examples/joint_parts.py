@@ -1,7 +1,7 @@
 """The parts of the joint around the drive
 =======================================
 
-What stands around the drive in a robot joint, as FMUs of their own: a servo motor and an arm's weight.
+The other parts of a robot joint as separate FMUs: a servo motor and the weight of an arm.
 """
 
 import math
@@ -16,7 +16,7 @@ CHAIN = {"series_compliance": 5e-6, "mesh_damping": 200.0}  # bearings, housing 
 
 
 class JointPart(Fmi2Slave):
-    """An FMU whose variables are attributes, a dot in their names written as two underscores."""
+    """An FMU whose variables are attributes, with two underscores for a dot in a name."""
 
     def variable(self, name: str, causality: Fmi2Causality, value: float = 0.0) -> None:
         setattr(self, name.replace(".", "__"), value)
@@ -32,7 +32,7 @@ class JointPart(Fmi2Slave):
 
 
 class Motor(JointPart):
-    """A servo motor: its controller leads the joint along a smooth path and may add what the drive will get wrong."""
+    """A servo motor: its controller moves the joint along a smooth path and can compensate the drive's error."""
 
     ORDERS = 8
 
@@ -54,12 +54,12 @@ class Motor(JointPart):
                 self.variable(f"{name}_{i}", Fmi2Causality.parameter)
 
     def reference(self, time: float) -> float:
-        """Joint angle wanted: a path with no jump in the acceleration (quintic)."""
+        """Desired joint angle: a path with continuous acceleration (quintic)."""
         s = min(max(time / self.duration, 0.0), 1.0)
         return self.target * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
     def crank(self, time: float) -> float:
-        """Motor angle that brings the joint there."""
+        """Motor angle for the desired joint angle."""
         crank = self.ratio * self.reference(time)
         error = 0.0
         for i in range(1, self.ORDERS + 1):
@@ -75,7 +75,7 @@ class Motor(JointPart):
             wanted = self.crank(t)
             speed = (self.crank(t + 1e-4) - self.crank(t - 1e-4)) / 2e-4
             acceleration = (self.crank(t + 1e-4) - 2.0 * wanted + self.crank(t - 1e-4)) / 1e-8
-            # The drive's torque, which the controller feels through a filter, is fed forward like the acceleration.
+            # The drive's torque, filtered, is fed forward, as is the acceleration.
             self.felt += (self.flange__tau - self.felt) * h / self.filter
             torque = self.stiffness * (wanted - self.flange__phi) + self.damping * (speed - self.flange__w)
             torque += self.inertia * acceleration + self.felt
@@ -86,7 +86,7 @@ class Motor(JointPart):
 
 
 class Arm(JointPart):
-    """The weight of an arm that hangs at angle 0; its inertia is in the drive's FMU, beside the stiff contacts."""
+    """The weight of an arm that hangs at angle 0; its inertia is in the drive's FMU with the stiff contacts."""
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)

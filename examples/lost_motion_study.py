@@ -1,11 +1,11 @@
 """The RV paper's tables and headline
 ==================================
 
-Its tables 5 and 10 and its headline, beside what its own formulas and the contact model give.
+Its tables 5 and 10 and its headline, compared with its own formulas and the contact model.
 
 rv-geometric-hysteresis: Liu et al. (2022). The paper takes the pressure angle of the first stage from simulated forces
-that it does not publish. What can be said all the same is which pressure angle its table 10 would need; no other term
-of equation 21 sees the tilt.
+that it does not publish. It is still possible to compute the pressure angle that its table 10 would need; no other
+term of equation 21 depends on the tilt.
 """
 
 from pathlib import Path
@@ -50,7 +50,7 @@ for shaft, own, printed in (("output", ours[0], output_tilt), ("input", ours[1],
     print(f"{shaft:6} │ {np.abs(own - printed).max():.1e}°")
 
 print("\nTable 10: lost motion over tilt")
-print("output disk │ input shaft │ paper   │ equation 21 at 20° │ difference │ pressure angle that it needs")
+print("output disk │ input shaft │ paper   │ equation 21 at 20° │ difference │ required pressure angle")
 plays = []
 for disk, tilt, paper in TABLE_10:
     total, involute = printed_at(tilt)
@@ -69,7 +69,7 @@ print(f"the paper's headline │ {'':8} │ {'':7} │ {'':8} │ {HEADLINE:.4f}
 moved = max(plays) - min(plays)
 print(
     f"The largest tilt of table 10 changes equation 21 by {moved:.1e}′, the paper's figure by "
-    f"{np.ptp(TABLE_10[:, 2]):.4f}′: the rise is not the tilt's geometry."
+    f"{np.ptp(TABLE_10[:, 2]):.4f}′: geometry of the tilt does not explain the rise."
 )
 
 figure = Figure(figsize=(9.0, 8.0), layout="constrained")
@@ -91,7 +91,7 @@ for k, (variant, label) in enumerate(
     axes[2].bar(
         place + (k - 1) * height, [found[variant][n] * cy.ARCMIN for n in lost_motion.TERMS], height, label=label
     )
-axes[2].set(ylabel="play [arcmin]", title="Tables 8 and 9: what each amount makes")
+axes[2].set(ylabel="play [arcmin]", title="Tables 8 and 9: play due to each amount")
 axes[2].set_xticks(place, [n.replace("_", " ") for n in lost_motion.TERMS], rotation=30, ha="right", fontsize=8)
 axes[2].legend(frameon=False)
 for axis in axes:

@@ -1,11 +1,10 @@
 """Tables of an FMU: size against accuracy
 =======================================
 
-What the tables take in a native FMU, and what they err against the exact model, by the accuracy asked
-for.
+Size of the tables in a native FMU, and their error relative to the exact model, for several accuracies.
 
-The first drive is without errors, so that it repeats from pin to pin; in the second the pins stand as they were made,
-and it repeats with every turn of the crank.
+The first drive has no errors, so that it repeats from pin to pin; the second has position errors of the pins and
+repeats with every crank turn.
 """
 
 import zlib
@@ -23,12 +22,12 @@ ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)  # arcsec
 
 nominal = cy.read_drive(Path(__file__).parent / "drive-39-40.toml")
 radial = 2e-6 * np.random.default_rng(1).normal(size=nominal.pair.pins)
-drives = {"pins and teeth alike": nominal, "pins as made": nominal.replace(errors={"pin_radial": radial})}
+drives = {"pins and teeth equal": nominal, "pins as made": nominal.replace(errors={"pin_radial": radial})}
 
 figure = Figure(figsize=(9.0, 3.2), layout="constrained")
 axes = figure.subplots()
 interface = cy.Interface()
-print("drive                │ asked for │ largest error │ size   │ loads × crank angles")
+print("drive                │ required  │ largest error │ size   │ loads × crank angles")
 for name, drive in drives.items():
     sizes, errors = [], []
     for asked in ASKED:
@@ -44,14 +43,14 @@ for name, drive in drives.items():
     for asked, size, error in zip(ASKED, sizes, errors, strict=True):
         axes.annotate(f"{asked:g}″", (size, error), xytext=(5, 4), textcoords="offset points", fontsize=8, color="0.3")
 axes.axhline(0.02, color="0.6", lw=0.8)
-axes.text(0.01, 0.02, "what FMUs are built to", transform=axes.get_yaxis_transform(), va="bottom", color="0.4")
+axes.text(0.01, 0.02, "default accuracy", transform=axes.get_yaxis_transform(), va="bottom", color="0.4")
 for axis, ticks in ((axes.xaxis, (1, 3, 10, 30, 100, 300, 1000)), (axes.yaxis, (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1))):
     axis.set_major_locator(FixedLocator(ticks))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter("")
 axes.set_xlabel("tables in the FMU [kB]")
 axes.set_ylabel("largest error [arcsec]")
-axes.set_title("error of the transmission error; beside each point what was asked for", fontsize=10)
+axes.set_title("error of the transmission error, with the required accuracy at each point", fontsize=10)
 axes.grid(alpha=0.3)
 axes.legend()
 figure.savefig("native_tables.png", dpi=150)

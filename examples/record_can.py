@@ -3,7 +3,7 @@
 
 Two CANopen encoders and a torque transducer, from Python.
 
-A simulated bench in a thread stands in for yours: leave it out, and name your own bus in bench.toml, such as
+A simulated bench in a thread replaces yours: leave it out, and state your bus in bench.toml, such as
 interface = "socketcan", channel = "can0".
 """
 
@@ -39,7 +39,7 @@ def main() -> None:
         print(f"{channel.name}: {len(samples)} samples in {channel.unit}; {channel.time_source}; {channel.identity}")
     angle, output = recording.samples["input_angle"], recording.samples["output_angle"]
     error = output.value - angle.value / -39.0  # both angles were latched by the same SYNC
-    print(f"TE {np.degrees(error.mean()) * 3600:.2f} arcsec in the mean; marks {done.marks}; {done.events} events")
+    print(f"TE {np.degrees(error.mean()) * 3600:.2f} arcsec mean; marks {done.marks}; {done.events} events")
 
 
 if __name__ == "__main__":

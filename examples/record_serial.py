@@ -1,10 +1,10 @@
 """Record over a serial port
 =========================
 
-A line-based counter, from Python, with its own clock put on the host's.
+A line-based counter, from Python, with its clock converted to the host's.
 
-A simulated counter on a pseudo-terminal stands in for yours: leave it out, and name your own port in bench.toml, such
-as url = "/dev/ttyUSB0". Its clock runs 50 ppm fast, and its lines are late by what the scheduler likes.
+A simulated counter on a pseudo-terminal replaces yours: leave it out, and state your port in bench.toml, such as
+url = "/dev/ttyUSB0". Its clock runs 50 ppm fast, and its lines are late by the delays of the scheduler.
 """
 
 from pathlib import Path
@@ -34,8 +34,8 @@ def main() -> None:
     if clock is not None:
         late = samples.time_host - recording.aligned_time("output_angle")
         print(
-            f"clock: drift {clock.drift * 1e6:+.1f} ppm, known to {clock.uncertainty * 1e6:.0f} us; "
-            f"lines came {np.median(late) * 1e6:.0f} us late in the median, {late.max() * 1e6:.0f} us at most"
+            f"clock: drift {clock.drift * 1e6:+.1f} ppm, uncertainty {clock.uncertainty * 1e6:.0f} us; "
+            f"delay of lines: median {np.median(late) * 1e6:.0f} us, largest {late.max() * 1e6:.0f} us"
         )
 
 

@@ -1,14 +1,14 @@
 """A robot joint against a stiff solver
 ====================================
 
-An RV reducer with friction and temperature between a motor and an arm, moved to and fro by a servo controller: the
-FMU, with both inertias inside, at 1 ms, against the same joint integrated by SciPy's stiff solver at 1e-10.
+An RV reducer with friction and temperature between a motor and an arm, moved back and forth by a servo controller: the
+FMU with both inertias and steps of 1 ms is compared with the same joint integrated by SciPy's stiff solver at 1e-10.
 
-A third run moves the joint with a compensator: its servo follows the motor angle at which the drive's output stands
-where it should.
+A third run moves the joint with a compensator: the servo follows the motor angle at which the drive's output has the
+desired angle.
 
-The reference takes from an FMU what teeth and first stage hold at given angles of both flanges, and nothing else; the
-motion of motor and arm, mesh damping and friction are stated here once more.
+The reference uses an FMU only for the torque of teeth and first stage at given angles of both flanges; the motion of
+motor and arm, mesh damping and friction are implemented here independently.
 """
 
 import math
@@ -32,12 +32,12 @@ HERE, OUT = Path(__file__).parent, Path("robot_joint_out")
 Array = NDArray[np.float64]
 MOTOR, ARM = 1e-3, 2.0  # kg·m²
 WEIGHT = -60.0  # N·m, of the arm on the output
-WAY, MOVE, REST = 0.1, 0.12, 0.07  # rad, s, s: to there, stand, back, stand
+WAY, MOVE, REST = 0.1, 0.12, 0.07  # rad, s, s: move, rest, move back, rest
 STEP = 1e-3  # s, of controller and FMU
 END = 2.0 * (MOVE + REST)
 WARM, COLD = 313.15, 283.15  # K
 STIFFNESS = 49.0 * 10800.0 / math.pi  # N·m/rad, of the catalogue
-# As in friction.toml, with what that leaves to the drive stated: the reference needs it as well.
+# As in friction.toml, with the defaults written out, because the reference needs them too.
 INPUT = cy.Friction(coulomb=0.02, stribeck=0.01, stribeck_speed=2.0, viscous=1e-4, presliding_angle=2e-3,
                     temperature_coefficient=0.015)  # fmt: skip
 OUTPUT = cy.Friction(coulomb=2.0, load_share=0.02, stribeck_speed=0.05, presliding_angle=2e-5)
@@ -61,12 +61,12 @@ class Run:
 
     @property
     def off(self) -> Array:
-        """How far the arm is from where it should be, rad."""
+        """Error of the arm's angle, rad."""
         return self.arm - np.array([path(float(at))[0] for at in self.time])
 
     @property
     def resonance(self) -> float:
-        """Frequency at which the arm swings once the motor stands, Hz, from where its speed turns round."""
+        """Frequency of the arm's oscillation with the motor at rest, Hz, from the reversals of its speed."""
         at = (self.time > MOVE + 0.005) & (self.time < MOVE + REST)
         t, w = self.time[at], self.arm_speed[at]
         i = np.flatnonzero(w[:-1] * w[1:] < 0.0)
@@ -75,7 +75,7 @@ class Run:
 
 
 def path(at: float) -> tuple[float, float, float]:
-    """Angle, speed and acceleration of the arm that are wanted at a time, a quintic to and fro."""
+    """Desired angle, speed and acceleration of the arm at a time: a quintic path back and forth."""
     back = at > MOVE + REST
     s = min(max((at - (MOVE + REST) * back) / MOVE, 0.0), 1.0)
     way = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
@@ -89,7 +89,7 @@ Target = Callable[[float], tuple[float, float]]
 
 
 def at_ratio(ratio: float) -> Target:
-    """The motor's angle of an ideal drive."""
+    """Motor angle for an ideal drive."""
 
     def target(at: float) -> tuple[float, float]:
         wanted, speed, _ = path(at)
@@ -99,7 +99,7 @@ def at_ratio(ratio: float) -> Target:
 
 
 def compensated(drive: cy.Drive, temperature: float) -> Target:
-    """The motor's angle that a compensator of the drive gives, for the torque that the motion takes."""
+    """Motor angle from a compensator of the drive, for the torque of the motion."""
     compensator = drive.compensator(friction=OUTPUT, stiffness=STIFFNESS, largest_torque=400.0, residual="2 arcsec")
     memory = compensator.start()
 
@@ -112,7 +112,7 @@ def compensated(drive: cy.Drive, temperature: float) -> Target:
 
 
 def controller(at: float, angle: float, speed: float, ratio: float, target: Target) -> float:
-    """Torque of the motor for the next step, N·m: what the motion takes, and a proportional-differential controller."""
+    """Torque of the motor for the next step, N·m: feedforward of the motion, and a PD controller."""
     wanted, wanted_speed = target(at)
     _, _, acceleration = path(at + 0.5 * STEP)
     forward = MOTOR * ratio * acceleration + (ARM * acceleration - WEIGHT) / ratio
@@ -120,7 +120,7 @@ def controller(at: float, angle: float, speed: float, ratio: float, target: Targ
 
 
 class Instance:
-    """An FMU in fmpy, its variables by name."""
+    """An FMU in fmpy, with its variables by name."""
 
     def __init__(self, fmu: Path, folder: str, **start: float) -> None:
         described = fmpy.read_model_description(str(fmu))
@@ -149,7 +149,7 @@ class Instance:
 
 
 def moved(fmu: Path, ratio: float, temperature: float, target: Target | None = None) -> tuple[Run, Array]:
-    """Move the joint's FMU; also what motor and weight have done, what moves, is stored and lost, and all work, J."""
+    """Move the joint's FMU; return the run, and work done, kinetic, stored, lost and passed energy over time, J."""
     with tempfile.TemporaryDirectory() as folder:
         joint = Instance(fmu, folder, **{"flange_b.tau": WEIGHT, "temperature": temperature})
         put = joint.writer(("flange_a.tau",))
@@ -177,19 +177,19 @@ def moved(fmu: Path, ratio: float, temperature: float, target: Target | None = N
 def rubbing(
     law: cy.Friction, strain: Array, speed: float, load: float, rated: float, temperature: float
 ) -> tuple[float, Array]:
-    """Friction's torque, and how fast the five springs are strained that hold before it slides (Iwan 1966)."""
+    """Friction torque, and strain rates of the five springs that hold before sliding (Iwan 1966)."""
     extra = law.stribeck * math.exp(-((speed / law.stribeck_speed) ** 2))
 
     warmth = math.exp(-law.temperature_coefficient * (temperature - law.reference_temperature))
     stiffness = (law.coulomb + law.load_share * rated + law.stribeck) / (3.0 * law.presliding_angle)
     limit = warmth * (law.coulomb + law.load_share * abs(load) + extra) * np.arange(1, 6) / 15.0 / stiffness
-    felt = strain + 2e-3 * speed  # with their damping
+    felt = strain + 2e-3 * speed  # including their damping
     beyond = strain - np.clip(strain, -limit, limit)
     return stiffness * np.clip(felt, -limit, limit).sum() + warmth * law.viscous * speed, speed - beyond / 1e-5
 
 
 def reference(law: Instance, ratio: float, rated: float, damping: float, begin: list[float], temperature: float) -> Run:
-    """Integrate the joint by SciPy's stiff solver, its controller sampled as the FMU's."""
+    """Integrate the joint by SciPy's stiff solver, with the controller sampled as for the FMU."""
     put = law.writer(("flange_a.phi", "flange_b.phi"))
     get = law.reader("flange_a.tau", "flange_b.tau")
 
@@ -217,7 +217,7 @@ def reference(law: Instance, ratio: float, rated: float, damping: float, begin: 
 
 
 def compared(fmus: Path) -> tuple[Run, Run, Array, Array]:
-    """The joint's run warm, the reference's, and where the energy of warm and cold runs goes (`moved`)."""
+    """The warm run of the joint, that of the reference, and the energies of the warm and cold runs (`moved`)."""
     drive = cy.read_drive(HERE / "rv-20e.toml")
     rated, friction = drive.pair.rated_torque or 0.0, {"input_friction": INPUT, "output_friction": OUTPUT}
     inside = cy.Interface("compliant", ARM, crank_inertia=MOTOR, stiffness=STIFFNESS, **friction)
@@ -241,7 +241,7 @@ def compared(fmus: Path) -> tuple[Run, Run, Array, Array]:
 
 def main() -> None:
     OUT.mkdir(exist_ok=True)
-    warnings.simplefilter("ignore", UserWarning)  # of where the reducer's file contradicts itself
+    warnings.simplefilter("ignore", UserWarning)  # about contradictions in the reducer's file
     warm, exact, energy, cold = compared(OUT)
     for name, unit, ours, theirs in (
         ("resonance", "Hz", warm.resonance, exact.resonance),
@@ -250,14 +250,14 @@ def main() -> None:
         print(f"{name}: FMU {ours:.2f} {unit}, SciPy {theirs:.2f} {unit}: {100.0 * (ours / theirs - 1.0):+.2f} %")
     done, kinetic, elastic, lost, passed = energy
     missed = np.abs(done - kinetic - elastic - lost).max()
-    print(f"energy: {passed[-1]:.1f} J passed, {lost[-1]:.2f} J lost; the balance misses {missed:.0e} J at most")
+    print(f"energy: {passed[-1]:.1f} J passed, {lost[-1]:.2f} J lost; balance within {missed:.0e} J")
     print(f"at {COLD - 273.15:.0f} °C {cold[3, -1]:.2f} J are lost")
     drive = cy.read_drive(HERE / "rv-20e.toml")
     exactly, _ = moved(OUT / "joint.fmu", drive.ratio, WARM, compensated(drive, WARM))
     off = {"motor at ratio times the desired angle": warm.off, "compensated": exactly.off}
     for name, one in off.items():
         rms, end = np.sqrt(np.mean(one**2)) * cy.ARCMIN, one[-1] * cy.ARCMIN
-        print(f"{name}: the arm is {rms:.2f}′ off, rms, and {end:+.2f}′ where it stands at the end")
+        print(f"{name}: error of the arm {rms:.2f}′ rms, {end:+.2f}′ at rest at the end")
 
     figure = Figure(figsize=(9.0, 10.0), layout="constrained")
     axes = figure.subplots(4, sharex=True)

@@ -1,10 +1,10 @@
 """Use from Python
 ===============
 
-The whole way as a notebook: a pair, its errors, a crank sweep, what a tolerance does, an FMU, and back from a bench
-run to the errors. Three imports are enough: ``cycloid_fmu`` knows the drive, ``drivers`` the encoders, ``fitting`` the
-measurements. Quantities are SI numbers or text with a unit everywhere; an impossible value is refused with a sentence
-that gives the reason.
+The whole toolkit as a notebook: a pair, its errors, a crank sweep, a tolerance study, an FMU, and back from a bench run
+to the errors. Three imports are enough: ``cycloid_fmu`` for the drive, ``drivers`` for encoders, ``fitting`` for
+measurements. Quantities are SI numbers or text with a unit everywhere; an impossible value raises an error with the
+reason.
 """
 
 from pathlib import Path
@@ -22,9 +22,8 @@ OUT.mkdir(exist_ok=True)
 # %%
 # A drive and its errors
 # ----------------------
-#
-# A pair is what is drawn; a drive is a pair and what was really made of it. Both are values: they do not change, they
-# are equal where their numbers are, and ``replace`` makes another, checked like a new one.
+# A pair is the design as drawn; a drive is a pair with the errors of the parts as made. Both are immutable and equal if
+# their values are; ``replace`` returns a changed copy, validated like a new one.
 
 pair = cy.Pair(
     gear_teeth=39, pin_circle_radius="64 mm", pin_radius=0.003,
@@ -52,8 +51,7 @@ data = made.analyze(torque=[20, "200 N*m"])
 shown = cy.field_units(data)
 print(shown)
 
-# %%
-# The picture that ``cycloid-fmu analyze --plot`` draws, and one of your own:
+# %% The picture of ``cycloid-fmu analyze --plot``, and a custom one:
 
 cy.plot(data, OUT / "sweep.png")
 
@@ -68,22 +66,21 @@ axis.legend(loc="upper right", ncols=2)
 figure.savefig(OUT / "as-made.png", dpi=150)
 
 # %%
-# What each error does
+# Effect of each error
 # --------------------
 #
-# Derivatives of the transmission error at a load. The mean over a turn is how far an error moves the output, the
-# largest deviation from it how much it makes the output waver.
+# Derivatives of the transmission error at a load. The mean over a turn is the shift of the output per unit of an error,
+# the largest deviation from the mean is the ripple that the error causes.
 
 slope = made.sensitivity("181 N*m", ["eccentricity", "pin_radius", "pin_circle_radius", "pin_radial_1_cos"])
 for name, row in zip(slope.error.values, slope.values * cy.ARCSEC * 1e-6, strict=True):
-    print(f"{name:18} {row.mean():+6.2f} arcsec/um in the mean, ± {np.ptp(row) / 2:.2f} over the crank turn")
+    print(f"{name:18} {row.mean():+6.2f} arcsec/um mean, ± {np.ptp(row) / 2:.2f} over the crank turn")
 
 # %%
 # Tolerances
 # ----------
-#
-# ``sample`` draws one drive that the tolerances allow, ``study`` solves many and sets them against limits. The 64
-# drives here are few, so the yield's 95 % interval is wide.
+# ``sample`` draws one drive within the tolerances, ``study`` solves many and compares them with limits. The 64 drives
+# here are few, so the yield's 95 % interval is wide.
 
 tolerances = cy.Tolerances(
     pin_radius={"tolerance": "2 um"}, eccentricity={"tolerance": "3 um"},
@@ -98,8 +95,7 @@ cy.plot(found, OUT / "study.png")
 # %%
 # An FMU
 # ------
-#
-# The FMU is the same model: at the same angles it gives the same numbers. ``interface="compliant"`` gives torques
+# The FMU contains the same model: at the same angles it gives the same numbers. ``interface="compliant"`` gives torques
 # instead of motion, ``native=True`` an FMU that needs no Python.
 
 made.build_fmu(OUT / "made.fmu")
@@ -111,9 +107,8 @@ print(f"FMU and analysis differ by {difference * cy.ARCSEC:.1e} arcsec at most")
 # %%
 # A bench run
 # -----------
-#
-# A simulated bench stands in for yours: it turns the FMU and sends CANopen encoder frames over a virtual bus. A real
-# bench is recorded by ``drivers.record("bench.toml", "run.arrows")``.
+# A simulated bench replaces yours: it turns the FMU and sends CANopen encoder frames over a virtual bus. Record a real
+# bench with ``drivers.record("bench.toml", "run.arrows")``.
 
 recordings = []
 for seed, (load, direction) in enumerate([(20, "forward"), (-20, "backward"), (200, "forward"), (-200, "backward")]):
@@ -130,22 +125,20 @@ for seed, (load, direction) in enumerate([(20, "forward"), (-20, "backward"), (2
 # %%
 # From the bench run to the errors
 # --------------------------------
-#
-# ``identify`` makes the transmission error curves, chooses the errors that the data resolve, fits them, and keeps one
-# load back to predict it. Errors that the data can't resolve are held, each with the reason.
+# ``identify`` makes the transmission error curves, selects the errors that the data resolve, fits them, and keeps one
+# load back for validation. Errors that the data can't resolve are held fixed, each with the reason.
 
 result = fitting.identify(fitting.read_recordings(recordings), nominal)
 for one in result.parameters:
     if one.held is None and one.data_share > 0.9:
         low, high = (1e6 * value for value in one.interval)
         print(f"{one.name:28} {low:+.2f} … {high:+.2f} um")
-print(f"kept back: {result.held_out.loads}: {result.held_out.residual * cy.ARCSEC:.2f} arcsec rms left")
+print(f"kept back: {result.held_out.loads}: {result.held_out.residual * cy.ARCSEC:.2f} arcsec rms residual")
 fitting.plot(result, OUT / "identified.png")
 
-# %%
-# ``result.drive`` is a drive like any other: it is analysed, sampled, written and built into an FMU.
+# %% ``result.drive`` is a drive like any other: you can analyse, sample and write it, and build an FMU of it.
 
 print(result.drive)
-print(f"eccentricity {result.drive.surface.eccentricity * 1e6:.2f} um; it was made 3 um too long")
+print(f"eccentricity {result.drive.surface.eccentricity * 1e6:.2f} um; the actual value is 3 um")
 result.drive.write(OUT / "identified.nc")
 result.drive.build_fmu(OUT / "identified.fmu", interface="compliant")

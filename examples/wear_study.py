@@ -1,7 +1,7 @@
 """The wear paper's figures and results
 ====================================
 
-Figures 4 to 11 redrawn, and its results beside ours with the cause of each deviation.
+Figures 4 to 11 redrawn, and its results compared with ours, with the cause of each deviation.
 
 loaded-contact-wear: Wang, Wei, Wang, Yang, Xu: Research on Loaded Contact Analysis and Tooth Wear Calculation Method of
 Cycloid-Pin Gear Reducer, Lubricants 11 (2023) 445.
@@ -43,7 +43,7 @@ for k in pins:
     axes[0].plot(wide[near], unloaded.pin_error[near, 0, k] * cy.ARCSEC, lw=0.7)
 axes[0].plot(wide, unloaded.transmission_error * cy.ARCSEC, "k", lw=1.5)
 axes[0].set(xlabel="crank angle [rad]", ylabel="TE [arcsec]", xlim=(-0.5, 0.5))
-axes[0].set_title("4: each pin's own curve unloaded, and the envelope")
+axes[0].set_title("4: unloaded curve of each pin, and the envelope")
 for error in drive.analyze([-200.0, -400.0, -800.0], crank_angle=wide).transmission_error:
     axes[1].plot(wide, error * cy.ARCSEC, lw=1, label=f"{float(error.torque):g} N·m")
 axes[1].set(xlabel="crank angle [rad]", ylabel="TE [arcsec]", xlim=(-0.5, 0.5))
@@ -91,17 +91,22 @@ span = np.ptp(tooth_contact.phase_of_pin(pair, theta[loaded.angle], loaded.disc,
 linear, updated, as_printed = found["linear"], found["updated"], found["as_printed"]
 um = 1e6
 compared = [
-    ("unloaded TE, peak to peak, ″", 0.036, np.ptp(own), "theirs fits 0.06 of the modification"),
+    ("unloaded TE, peak to peak, ″", 0.036, np.ptp(own), "the paper's fits 0.06 of the modification"),
     ("unloaded mesh interval, rad", 0.1571, abs(np.diff(passing.crank_angle)).mean(), "one pin pitch"),
-    ("contact ratio at 400 N·m", 8.94, tooth_contact.contact_ratio(loaded), "theirs fits 0.347 of the modification"),
-    ("mesh of one pin, rad", 1.4043, span, "as the contact ratio"),
+    (
+        "contact ratio at 400 N·m",
+        8.94,
+        tooth_contact.contact_ratio(loaded),
+        "the paper's fits 0.347 of the modification",
+    ),
+    ("mesh of one pin, rad", 1.4043, span, "same cause as the contact ratio"),
     ("gear, deepest, as printed, µm", 60.0, as_printed["gear_depth_max"] * um, "α chosen for it"),
     ("gear, deepest, bounded, µm", None, linear["gear_depth_max"] * um, "the pressure's own width"),
     ("pin, deepest, as printed, µm", 100.0, pin_printed.max() * um, "a pole: set by the grid"),
     ("pin, deepest, bounded, µm", None, linear["pin_depth_max"] * um, "finite, any grid"),
     ("pin, mean, as printed, µm", 21.0, as_printed["pin_depth_mean_off_pole"] * um, "off the pole"),
     ("pin free to turn, µm", 4.69, even * um, "21 µm x 1.4043/2π: a mesh angle for a pin arc"),
-    ("gear, deepest, updated, µm", None, updated["gear_depth_max"] * um, "the load leaves what is worn"),
+    ("gear, deepest, updated, µm", None, updated["gear_depth_max"] * um, "the load moves away from worn areas"),
     ("pin, deepest, updated, µm", None, updated["pin_depth_max"] * um, "gap and curvature change"),
     ("backlash, new, ″", None, found["life"]["backlash"][0] * cy.ARCSEC, "play of one pin pitch, mean"),
     ("backlash, worn, ″", None, found["life"]["backlash"][-1] * cy.ARCSEC, "both flanks of the play"),
@@ -113,5 +118,5 @@ for name, paper, here, why in compared:
     stated, deviation = ("–", "–") if paper is None else (f"{paper:.4g}", f"{here / paper - 1.0:+.1%}")
     print(f"{name:30} │ {stated:>6} │ {here:9.4g} │ {deviation:>9} │ {why}")
 halved = found["step"]["halving_difference"] * um
-print(f"{len(run.states) - 1} steps; halving all of them changes the depth by {halved:.3f} µm at most.")
+print(f"{len(run.states) - 1} steps; halving all steps changes the depth by at most {halved:.3f} µm.")
 print("wear_study.png shows figures 4 to 11.")

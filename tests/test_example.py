@@ -127,7 +127,7 @@ def test_use_from_python(tmp_path, example):
 def test_arrays_to_errors(tmp_path, example):
     """Intervals of 95 % around errors from arrays: at most two of some twenty miss the truth."""
     said = example("arrays_to_errors.py")
-    inside, all_of = (int(n) for n in re.search(r"(\d+) of (\d+) intervals hold the truth", said).groups())
+    inside, all_of = (int(n) for n in re.search(r"(\d+) of (\d+) intervals contain the true value", said).groups())
     assert all_of >= 15
     assert inside >= all_of - 2
     assert "isometric is held: it moves the transmission errors as -1.00 pin_radius" in said
@@ -137,9 +137,9 @@ def test_what_each_error_does(tmp_path, example):
     """The study of the error-surface paper: its conclusions as docs/theory/papers.md reports them."""
     said = example("error_study.py")
     lines = {line.strip("│ ").split("  ")[0]: "does not hold" not in line for line in said.splitlines()}
-    assert lines["pitch leads PPTE"]
-    assert lines["centre distance leads PPTE"]
-    assert not lines["misalignment leads PPTE"]
+    assert lines["pitch dominates PPTE"]
+    assert lines["centre distance dominates PPTE"]
+    assert not lines["misalignment dominates PPTE"]
     assert_page_agrees("theory-paper-error-surface", "hold", said)
     assert (tmp_path / "error_study.png").stat().st_size > 10000
 

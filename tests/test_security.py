@@ -169,9 +169,9 @@ def test_what_a_file_names_is_not_opened_where_it_is_no_file(tmp_path, command):
         bound.bind(str(tmp_path / "socket.dbc"))
         (tmp_path / "zero.dbc").symlink_to("/dev/zero")
         for name, kind in (("pipe.toml", "a pipe"), ("socket.dbc", "a socket"), ("zero.dbc", "a device")):
-            with pytest.raises(edge.InputError, match=f"{name}: this is {kind}; only files are read"):
+            with pytest.raises(edge.InputError, match=f"{name}: this is {kind}; only regular files are read"):
                 edge.read_text(tmp_path / name)
-    with pytest.raises(edge.InputError, match="only files are read"):
+    with pytest.raises(edge.InputError, match="only regular files are read"):
         edge.existing("/proc/self/status")
     with pytest.raises(edge.InputError, match="a pipe"):
         read_pair(tmp_path / "pipe.toml")
@@ -674,7 +674,7 @@ def occupied(tmp_path):
 @posix
 @pytest.mark.parametrize("kind", ["pipe", "link", "dangling", "device", "folder", "socket"])
 def test_nothing_is_written_over_or_through_what_is_no_file(tmp_path, occupied, kind):
-    said = "only plain files are written"
+    said = "only regular files are written"
     recording = tmp_path / "run.arrows"
     with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, samples_per_turn=8, interface="virtual") as bench:
         bench.record(recording)

@@ -1,8 +1,8 @@
-"""A closed curve as circular arcs with common tangents, within a stated distance of the curve.
+"""Fit a closed curve by circular arcs with continuous tangents, within a stated distance.
 
-Each span of the curve becomes a biarc: two arcs that have the curve's tangents at the span's ends and a common one
-where they meet (Bolton, Biarc curves, Computer-Aided Design 7 (1975) 89-92; here with tangents of equal length).
-Machines follow arcs and CAD stores them exactly; the offset of an arc by a tool radius is an arc again.
+Each span of the curve becomes a biarc: two arcs with the curve's tangents at the span's ends and a common tangent where
+they meet (Bolton, Biarc curves, Computer-Aided Design 7 (1975) 89-92; here with tangents of equal length). Machines
+follow arcs and CAD stores them exactly; the offset of an arc by a tool radius is an arc again.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 
 from cycloid_fmu.cad.outline import Array, Points, Tooth
 
-_SAMPLES = 17  # of a span, besides the knots of the form in it
-_AIM = 0.8  # of the limit: what lies between the samples stays below it
-_SHORTEST = 1e-7  # of a tooth
+_SAMPLES = 17  # points checked in a span, besides the knots of its form deviation
+_AIM = 0.8  # of the limit at the samples, so that the curve between them stays within it
+_SHORTEST = 1e-7  # shortest span, as a share of a tooth
 
 
 def bulges_of(start: Points, end: Points, tangent: Points) -> Array:
-    """Return the bulges of arcs between points with tangents at the first ones, as in DXF.
+    """Return the bulges, as in DXF, of arcs between two points with a tangent at the first.
 
     A bulge is the tangent of a quarter of the arc's angle, > 0 counter-clockwise.
     """
@@ -34,7 +34,7 @@ def biarc(start: complex, along: complex, end: complex, at_end: complex) -> tupl
     start, end
         Ends of the span.
     along, at_end
-        Unit tangents there.
+        Unit tangents at these ends.
     """
     way, both = end - start, along + at_end
     onto = (way * both.conjugate()).real
@@ -68,10 +68,10 @@ def arcs_of(teeth: Sequence[Tooth], limit: float) -> tuple[Points, Array, float]
     Returns
     -------
     start, bulge
-        Start of each arc, counter-clockwise, shape (arcs,); the last one ends at the first start. m, and as in
-        `bulges_of`.
+        Start of each arc, m, counter-clockwise, and its bulge as in `bulges_of`, shape (arcs,); the last arc ends at
+        the first start.
     largest
-        Largest distance in a search of each span eight times as fine as the fit, m.
+        Largest distance of the outline from the arcs, m, in a search eight times as fine as in the fit.
     """
     aim, nodes = _AIM * limit, _joints(teeth)
     alike = all(_same(tooth, teeth[0]) for tooth in teeth)
@@ -96,7 +96,7 @@ def _same(one: Tooth, other: Tooth) -> bool:
 
 
 def _joints(teeth: Sequence[Tooth]) -> list[tuple[complex, complex]]:
-    """Points where each tooth begins, and the mean of both sides' tangents there."""
+    """Points where each tooth begins, and the mean of the tangents on both sides."""
     found = []
     for before, after in zip([teeth[-1], *teeth[:-1]], teeth, strict=True):
         point = 0.5 * complex(before.points(before.high) + after.points(after.low))
@@ -108,7 +108,7 @@ def _joints(teeth: Sequence[Tooth]) -> list[tuple[complex, complex]]:
 def _fitted(
     tooth: Tooth, first: tuple[complex, complex], last: tuple[complex, complex], aim: float
 ) -> tuple[Points, Points, float]:
-    """Start points of the arcs of one tooth, their tangents there, and the largest distance in a finer search."""
+    """Start points of one tooth's arcs, the tangents there, and the largest distance in a finer search."""
     places, tangents, largest = list[complex](), list[complex](), 0.0
     at, (point, tangent) = tooth.low, first
     step = 0.02 * (tooth.high - tooth.low)

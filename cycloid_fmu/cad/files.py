@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from cycloid_fmu.cad.profile import Profile
 
 _COLOURS = {"DISC": "#000000", "PINS": "#0060c0", "RING": "#808080", "HOLES": "#c00000"}
-_INDICES = {"DISC": 7, "PINS": 5, "RING": 8, "HOLES": 1}  # of AutoCAD's colours
-# Columns of the table: the unit in the file, None for a number without one, and how many are one in SI.
+_INDICES = {"DISC": 7, "PINS": 5, "RING": 8, "HOLES": 1}  # AutoCAD colour indices
+# Columns of the table: unit in the file, None for a number without unit, and its factor from SI.
 _COLUMNS = {
     "tooth": (None, 1.0), "arc_length": ("mm", MM), "angle": ("deg", 180.0 / math.pi), "x": ("mm", MM), "y": ("mm", MM),
     "normal_x": (None, 1.0), "normal_y": (None, 1.0), "curvature": ("1/mm", 1.0 / MM),
 }  # fmt: skip
-_FLAT = 1e-9  # bulge below which an arc is a line: it stands off its chord by less than 1e-9 of the chord
+_FLAT = 1e-9  # bulge below which an arc is written as a line: its sagitta is below 1e-9 of the chord
 
 
 def write(profile: Profile, path: str | os.PathLike[str]) -> None:
-    """Write a profile in the format of the name's ending, as `Profile.write`."""
+    """Write a profile in the format given by the ending of the name, as `Profile.write` does."""
     target = edge.output_path(path, "path", WRITERS)
     needs, writer = WRITERS[target.suffix.lower()]
     if needs is not None:
@@ -40,8 +40,8 @@ def write(profile: Profile, path: str | os.PathLike[str]) -> None:
 
 
 def check_library(module: str, extra: str, target: Path) -> None:
-    """Raise `edge.ArgumentError`, naming the extra, for a format whose library is missing."""
-    other = "; .svg and .csv need nothing more" if extra == "cad" else "; .dxf and .svg do without it"
+    """Raise an `edge.ArgumentError` that names the extra if the library of a format is missing."""
+    other = "; .svg and .csv need no extra" if extra == "cad" else "; .dxf and .svg do not need it"
     with edge.needs_extra(extra, lambda said: edge.ArgumentError("path", said + other, target)):
         importlib.import_module(module)
 
@@ -77,7 +77,7 @@ def _write_dxf(profile: Profile, path: Path) -> None:
     low, high = (MM * corner for corner in corners(profile))
     space.reset_extents((low.real, low.imag, 0.0), (high.real, high.imag, 0.0))
     middle = 0.5 * (low + high)
-    document.set_modelspace_vport(1.05 * abs(high - low), (middle.real, middle.imag))  # it opens in full
+    document.set_modelspace_vport(1.05 * abs(high - low), (middle.real, middle.imag))  # the view at opening
     document.saveas(path)
 
 

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 LAYERS = ("DISC", "PINS", "RING", "HOLES")
 MM = 1e3
-_CROSS = 0.01  # of the pin circle's radius: half of the cross of a hole whose radius is not stated
+_CROSS = 0.01  # of the pin circle's radius: half the size of the cross at a hole whose radius is not stated
 
 
 def about(profile: Profile) -> dict[str, str]:
-    """Return the description of the profile in a file."""
+    """Return the description of a profile for its file, {name: text}."""
     return {
         "pair": profile.pair.hash,
         "disc": str(profile.disc),
@@ -29,7 +29,7 @@ def about(profile: Profile) -> dict[str, str]:
 
 
 def crosses(profile: Profile) -> Iterator[tuple[complex, complex]]:
-    """Yield the lines, in mm, that mark the centres of holes whose radius is not stated."""
+    """Yield the ends, in mm, of the lines that mark the centres of holes whose radius is not stated."""
     arm = MM * _CROSS * profile.ring_radius
     for place, radius in zip(MM * profile.hole_place, profile.hole_radius, strict=True):
         if math.isnan(radius):

@@ -1,7 +1,7 @@
-"""The outline of one disc as it was made: the curve that files for CAD are fitted to.
+"""The outline of one disc as made: the curve to which the arcs of CAD files are fitted.
 
-Points are complex numbers, x + iy, in m: the origin is the disc's axis, and the axes are those of the frame at crank
-angle 0, so the first disc's tooth 0 has its root on +x.
+Points are complex numbers, x + iy, in m. The origin is the disc's axis, the axes are those of the frame at crank angle
+0: tooth 0 of the first disc has its root on +x.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ class Tooth:
     pair
         The pair with the actual modification, at 20 °C.
     turned
-        The tooth's place: the rotation from tooth 0 of an ideal gear, a complex number of magnitude 1.
+        The tooth's rotation from tooth 0 of an ideal gear, as a complex number of magnitude 1.
     low, high
-        Profile parameters, as of tooth 0, where it meets its neighbours, rad.
+        Profile parameters, relative to tooth 0, where it meets its neighbours, rad.
     knots, heights
-        Parameters between which the form deviation is linear, rad, and its values there, > 0 material added, m; of size
-        0 if the form is nominal.
+        Profile parameters between which the form deviation is linear, rad, and its values there, m, > 0 material added;
+        empty if the form is nominal.
     """
 
     pair: Pair
@@ -52,7 +52,7 @@ class Tooth:
         return np.asarray(self.turned * (x + 1j * y + self._height(alpha) * self._normals(alpha)))
 
     def tangents(self, alpha: ArrayLike) -> Points:
-        """Unit tangents, counter-clockwise; at a knot that of the side behind it."""
+        """Unit tangents, counter-clockwise; at a knot that of the side after it."""
         along = self._along(alpha)
         return np.asarray(along / np.abs(along))
 
@@ -85,9 +85,9 @@ class Tooth:
 def teeth_of(pair: Pair, surface: ErrorSurface, disc: int) -> list[Tooth]:
     """Return the teeth of a disc as made, counter-clockwise, each ending where the next one begins.
 
-    A tooth with a pitch error is turned as a whole about the disc's axis; it meets its neighbour on the ray between
-    their roots, where both flanks are equally far from the axis. Deviations of the form are those at mid-width, linear
-    in the profile parameter from one element's middle to the next, across the roots too.
+    A tooth with a pitch error is rotated as a whole about the disc's axis; it meets its neighbour on the ray between
+    their roots, where both flanks have the same distance from the axis. Form deviations are those at mid-width, linear
+    in the profile parameter from the middle of one element to the next, also across the roots.
 
     Raises
     ------
@@ -105,8 +105,8 @@ def teeth_of(pair: Pair, surface: ErrorSurface, disc: int) -> list[Tooth]:
     knots, heights = _form(pair, surface, disc)
     turn = made["tooth_turn"][disc]
     clocked = -2.0 * math.pi * disc / pair.discs / count
-    ahead = 0.5 * (np.roll(turn, -1) - turn)  # from a tooth's second root to where it meets the next tooth
-    # At a root the polar angle grows by this for each radian of the profile parameter.
+    ahead = 0.5 * (np.roll(turn, -1) - turn)  # from a tooth's second root to its end at the next tooth
+    # Change of the polar angle per radian of the profile parameter at a root.
     rate = float(flank_speed(flank, 0.0)) / abs(complex(*map(float, flank_points(flank, 0.0))))
     return [
         Tooth(
@@ -118,7 +118,7 @@ def teeth_of(pair: Pair, surface: ErrorSurface, disc: int) -> list[Tooth]:
 
 
 def _form(pair: Pair, surface: ErrorSurface, disc: int) -> tuple[Array, Array]:
-    """Profile parameters of a tooth's elements and of a neighbour's on either side, and the heights of every tooth."""
+    """Profile parameters (rad) of a tooth's elements and one on either side, and heights (m) of every tooth."""
     flanks = surface.gear_deviation
     if flanks is None:
         return np.empty(0), np.empty((pair.gear_teeth, 0))

@@ -18,16 +18,16 @@ from cycloid_fmu.surfaces.structured import dimensions
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 CHORD_ERROR = 1e-7
-_LEAST, _MOST = 1e-9, 1e-4  # chord errors: a nanometre is what the contact model is checked to
-_BETWEEN = 8  # places between two points of the table that are checked
+_LEAST, _MOST = 1e-9, 1e-4  # chord errors, m: the contact model is verified to a nanometre
+_BETWEEN = 8  # points checked between two points of the table
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """A disc as made, drawn at 20 °C at crank angle 0: the disc's axis is the origin, axes are those of the frame.
+    """A disc as made, at 20 °C and crank angle 0: the disc's axis is the origin, the axes are those of the frame.
 
-    Points are complex numbers x + iy, m. The first disc's tooth 0 has its root on +x; another disc's teeth are clocked
-    as in the drive, so its holes and pins are at their places at crank angle 0 too.
+    Points are complex numbers x + iy, m. Tooth 0 of the first disc has its root on +x; other discs have the
+    orientation, holes and pins of the drive at crank angle 0.
 
     Attributes
     ----------
@@ -39,12 +39,12 @@ class Profile:
         Start of each arc of the outline, counter-clockwise, shape (arcs,), and its bulge as in DXF: the tangent of a
         quarter of its angle, > 0 counter-clockwise. The last arc ends at the first start.
     pin_place, pin_radius
-        Axes and radii of the pins, shape (pins,).
+        Axes and radii of the pins, shape (pins,), m.
     ring_place, ring_radius
-        Axis and radius of the pin circle.
+        Axis and radius of the pin circle, m.
     hole_place, hole_radius
-        Axes of the holes for cranks or output rollers and of the eccentric's, and their radii, NaN if the pair does not
-        state them, shape (holes,).
+        Axes of the holes for cranks or output rollers and for the eccentric, and their radii, NaN if the pair does not
+        state them; shape (holes,), m.
     notes
         One sentence for each size that the pair does not state.
     """
@@ -83,7 +83,7 @@ class Profile:
 
     @functools.cached_property
     def table(self) -> dict[str, Array]:
-        """Points of the flank; straight lines between them stay within the chord error, in SI.
+        """Points of the flank, SI; straight lines between them stay within the chord error.
 
         Returns
         -------
@@ -117,7 +117,7 @@ class Profile:
         Raises
         ------
         edge.InputError
-            If the ending is another, no file may be written there, or the library for the format is missing.
+            If the ending is not one of these, the file can't be written, or the library for the format is missing.
         """
         from cycloid_fmu.cad.files import write
 
@@ -142,7 +142,7 @@ def profile_of(pair: Pair, surface: ErrorSurface, disc: int = 0, chord_error: fl
         If there is no such disc, the chord error is out of range, the drive is impossible or a hole cuts the flank.
     """
     if not 0 <= disc < pair.discs:
-        allowed = f"it must be between 0 and {pair.discs - 1}" if pair.discs > 1 else "the pair has one, 0"
+        allowed = f"it must be between 0 and {pair.discs - 1}" if pair.discs > 1 else "the pair has only disc 0"
         raise edge.ArgumentError("disc", allowed, disc)
     if not _LEAST <= chord_error <= _MOST:
         given = edge.format_quantity(chord_error, "m", "um")
@@ -188,7 +188,7 @@ def _holes(pair: Pair, made: dict[str, Array], disc: int) -> tuple[Points, Array
     if roller is None or roller.radius is None:
         notes.append(_unstated("output_roller", "radius", "holes for the output rollers"))
     else:
-        # What the contact of rollers and holes is defined by: the roller runs round the hole at the eccentricity.
+        # Definition of the contact of rollers and holes: the roller's axis orbits in the hole at the eccentricity.
         radius = roller.radius + pair.eccentricity + 0.5 * roller.clearance + made["hole_play"][disc]
     if bore is None:
         notes.append(_unstated("turning_arm", "raceway_diameter", "hole for the eccentric"))
@@ -197,14 +197,14 @@ def _holes(pair: Pair, made: dict[str, Array], disc: int) -> tuple[Points, Array
 
 def _unstated(table: str, key: str, holes: str) -> str:
     what = f"the {holes} have no radius" if holes.startswith("holes") else f"the {holes} has no radius"
-    return f"[supports.{table}] {key} is not stated, so {what}: DXF and SVG mark centres by crosses, STEP has no hole."
+    return f"[supports.{table}] {key} is not stated, so {what}: DXF and SVG mark centres, STEP has no hole."
 
 
 def _dense(tooth: Tooth, limit: float) -> Array:
     """Profile parameters of points whose chords stay within a limit, both ends included."""
     inside = tooth.knots[(tooth.knots > tooth.low) & (tooth.knots < tooth.high)]
     fine = np.linspace(tooth.low, tooth.high, 2001)
-    # The sagitta of a chord l is l²/8ρ; where the flank is nearly straight points still stand a tooth's 50th apart.
+    # The sagitta of a chord l is l²/8ρ; where the flank is nearly straight, points are at most a 50th of a tooth apart.
     need = tooth.speed(fine) * np.sqrt(np.abs(tooth.curvature(fine)) / (8.0 * limit)) + 50.0 / (tooth.high - tooth.low)
     grown = np.concatenate([[0.0], np.cumsum(0.5 * (need[1:] + need[:-1]) * np.diff(fine))])
     count = math.ceil(grown[-1])

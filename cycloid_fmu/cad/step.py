@@ -1,4 +1,4 @@
-"""Profiles as bodies in STEP (ISO 10303-214), by Open CASCADE (`pip install 'cycloid-fmu[step]'`)."""
+"""Profiles as bodies in STEP (ISO 10303-214), written by Open CASCADE (`pip install 'cycloid-fmu[step]'`)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cycloid_fmu.cad.layers import MM, circles
 if TYPE_CHECKING:
     from cycloid_fmu.cad.profile import Profile
 
-_FLAT = 1e-7  # bulge below which an arc is a line: its three points stand on one to a nanometre's thousandth
+_FLAT = 1e-7  # bulge below which an arc is a line: its three points are collinear within a picometre
 
 
 def write_step(profile: Profile, path: Path) -> None:
-    """Write the disc, with the holes whose radius is stated, and the pins as bodies, and the pin circle as a wire."""
+    """Write the disc with the holes whose radius is stated, the pins as bodies, and the pin circle as a wire."""
     from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge, BRepBuilderAPI_MakeFace, BRepBuilderAPI_MakeWire
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeCylinder, BRepPrimAPI_MakePrism
     from OCP.GC import GC_MakeArcOfCircle
@@ -45,7 +45,7 @@ def write_step(profile: Profile, path: Path) -> None:
     bodies: list[tuple[str, Any]] = []
     for layer, place, radius in circles(profile):
         if layer == "HOLES":
-            face.Add(ring(place, radius, up=-1.0))  # clockwise, as what a face leaves out is bounded
+            face.Add(ring(place, radius, up=-1.0))  # clockwise, the direction of inner boundaries
         elif layer == "PINS":
             axis = gp_Ax2(at(place), gp_Dir(0.0, 0.0, 1.0))
             bodies.append((f"PINS {len(bodies)}", BRepPrimAPI_MakeCylinder(axis, radius, width, 2.0 * math.pi).Shape()))

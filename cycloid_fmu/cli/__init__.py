@@ -1,4 +1,4 @@
-"""The command `cycloid-fmu`: one module a command, loaded when it runs."""
+"""The command `cycloid-fmu`: one module per subcommand, loaded when it runs."""
 
 from cycloid_fmu.edge import commands
 

@@ -25,24 +25,24 @@ def analyze(
     torque: Annotated[
         list[float] | None,
         commands.quantity_option(
-            "N*m", 'Torque on the output, such as "-181 N*m"; may be repeated. Those of a duty are taken as well.'
+            "N*m", 'Torque on the output, such as "-181 N*m"; repeatable. Those of a duty are added.'
         ),
     ] = None,
     output: Annotated[Path | None, commands.output_option((".nc",), "OUT.nc", "Write the dataset (netCDF).")] = None,
     surface_file: SurfaceFile = None,
-    angles: Annotated[int, typer.Option(min=1, help="Crank angles, evenly from 0, end excluded.")] = ANGLES,
-    turns: Annotated[int, typer.Option(min=1, help="Crank turns covered by the crank angles.")] = 1,
+    angles: Annotated[int, typer.Option(min=1, help="Number of crank angles from 0, end excluded.")] = ANGLES,
+    turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
     slices: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Slices across the face, with contact lines and element pressures.", show_default=False
+            min=1, help="Slices across the face width; adds contact lines and element pressures.", show_default=False
         ),
     ] = None,
     temperature: Annotated[
         str | None,
         typer.Option(
             metavar='"ring = 50 degC, discs = 60 degC"',
-            help="Temperatures of ring, pins, discs, carrier and crank, or one for all. Default: the pair file's.",
+            help="Temperatures of ring, pins, discs, carrier and crank, or one for all. Default: as in the file.",
         ),
     ] = None,
     limits_file: LimitsFile = None,
@@ -96,7 +96,7 @@ def analyze(
     supported = drive.pair.supports is not None and drive.pair.rated_torque is not None
     shares = drive.compliance() if supported and (plot is not None or not as_json) else []
     if output is not None or plot is not None or as_json:
-        # Only here: xarray takes longer to load than the sweep.
+        # Imported here, because loading xarray takes longer than the sweep.
         whole = finished == angles
         data = transmission.labelled(drive.pair, drive.surface, drive.first_stage, found, used, complete=whole)
         if judged is not None:
@@ -177,7 +177,7 @@ def _print_bearings(drive: Drive, found: Transmission, shares: list[Share]) -> N
                      f"{share.lost_motion * edge.ARCMIN:.3f}′"])  # fmt: skip
     left = figures.remaining(drive.pair.supports, shares)
     if not math.isnan(left):
-        rows.append(["rest to the catalogue", f"{left * 1e6:.4f}", f"{1.0 / (whole + left) / edge.ARCMIN:.1f}", ""])
+        rows.append(["rest, up to catalogue", f"{left * 1e6:.4f}", f"{1.0 / (whole + left) / edge.ARCMIN:.1f}", ""])
     commands.print_table(
         "Shares of compliance and lost motion, as drawn"
         + ("" if drive.pair.temperature is None else ", at 20 °C"),

@@ -23,7 +23,7 @@ def budget(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Lost motion budget of an RV reducer: every term by the closed form and by the contact model, and its scatter.
+    """Lost motion budget of an RV reducer: each term by closed form and by the contact model, and the scatter.
 
     Example: [cyan]cycloid-fmu budget rv.toml --plot budget.png[/]
     """
@@ -76,13 +76,13 @@ def budget(
     exact = found["geometric"]
     if exact["interference"] > 0.0:
         typer.echo(
-            f"Interference: no free position at {exact['interfering']:.0%} of the crank angles, by up to "
+            f"Interference: no free position at {exact['interfering']:.0%} of the crank angles, up to "
             f"{exact['interference'] * 1e6:.2f} µm."
         )
     for name, remark in remarks.items():
         typer.echo(f"{name}: {remark}.")
     if stack is None:
-        typer.echo("No deviation has a tolerance, so nothing is varied.")
+        typer.echo("No deviation has a tolerance, so there is no Monte Carlo stack.")
     else:
         _print_stack(stack, samples)
     for warning in warnings:
@@ -108,4 +108,4 @@ def _print_stack(stack: Stack, samples: int) -> None:
         )  # fmt: skip
     columns = ["stack", "from", "to", "mean", "interference (95 %)"]
     commands.print_table("Total play within the tolerances [arcmin]", columns, rows)
-    typer.echo(f"Monte Carlo: {samples} reducers, the central 99.73 %; geometric with the sun locked.")
+    typer.echo(f"Monte Carlo: {samples} reducers, their central 99.73 %; geometric: with the sun locked.")

@@ -34,28 +34,26 @@ def build(
         float,
         commands.quantity_option(
             "kg*m^2",
-            "Inertia on the output inside a compliant FMU, which then takes the load.",
+            "Internal inertia on the output of a compliant FMU, whose output then takes a torque.",
             show_default=False,
         ),
     ] = 0.0,
     crank_inertia: Annotated[
         float,
         commands.quantity_option(
-            "kg*m^2", "Inertia on the crank inside as well: that flange too then takes a torque.", show_default=False
+            "kg*m^2", "Internal inertia on the crank too, which then takes a torque as well.", show_default=False
         ),
     ] = 0.0,
     support_flange: Annotated[
         bool,
-        typer.Option(
-            "--support-flange", help="For a rotating housing: its motion is an input, the torque on it an output."
-        ),
+        typer.Option("--support-flange", help="For a rotating housing: its motion is an input, its torque an output."),
     ] = False,
     losses: Annotated[
         Path | None,
         typer.Option(
             metavar="LOSSES.csv",
-            help="Losses: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear; "
-            "or measured: speed \\[rpm],torque [N*m],loss [N*m],temperature [K].",
+            help="Losses as in Modelica's LossyGear: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],"
+            "tau_bf2 [N*m]; or measured: speed \\[rpm],torque [N*m],loss [N*m],temperature [K].",
         ),
     ] = None,
     friction_file: Annotated[
@@ -66,7 +64,7 @@ def build(
         float | None,
         commands.quantity_option(
             "N*m/rad",
-            'Stiffness of the whole drive, such as a catalogue\'s "49 N*m/arcmin"; the rest is put in series.',
+            'Stiffness of the whole drive, such as a catalogue\'s "49 N*m/arcmin"; sets the compliance in series.',
             show_default=False,
         ),
     ] = None,
@@ -74,7 +72,7 @@ def build(
         Path | None,
         typer.Option(
             metavar="FIGURES.json",
-            help="Stiffness and dry friction from a measured loop: the figures that cycloid-fit metrics -o writes.",
+            help="Stiffness and dry friction of a measured loop: figures written by cycloid-fit metrics -o.",
         ),
     ] = None,
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.", "--fmi")] = "2.0",
@@ -85,14 +83,14 @@ def build(
     largest_torque: Annotated[
         float | None,
         commands.quantity_option(
-            "N*m", "With --native: how far the tables reach; 2.5 times rated_torque by default.", show_default=False
+            "N*m", "With --native: largest torque of the tables; 2.5 times rated_torque by default.", show_default=False
         ),
     ] = None,
     draws: Annotated[
         int,
         typer.Option(
             min=0,
-            help="Drives drawn from the fit of an identified drive and added to the FMU; parameter draw selects one.",
+            help="Number of drives drawn from the fit of an identified drive; the parameter draw selects one.",
             show_default=False,
         ),
     ] = 0,
@@ -116,11 +114,11 @@ def build(
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
 
     if platforms and not native:
-        raise edge.InputError("--platform: only a --native FMU has platforms; an FMU in Python runs where Python does.")
+        raise edge.InputError("--platform is only for --native; an FMU in Python runs wherever Python does.")
     if largest_torque is not None and not native:
-        raise edge.InputError("--largest-torque: only a --native FMU has tables; an FMU in Python solves every torque.")
+        raise edge.InputError("--largest-torque is only for --native; an FMU in Python solves every torque.")
     if loop is not None and stiffness is not None:
-        raise edge.InputError("--loop: it has a stiffness; leave out --stiffness, or give the stiffness alone.")
+        raise edge.InputError("--loop and --stiffness both state a stiffness; give one of them.")
     drive = read_drive(pair_file, surface_file)
     table, friction = LOSSLESS, FrictionTables()
     if friction_file is not None:
@@ -147,7 +145,7 @@ def build(
 
     if drive.pair.rated_torque is None and largest_torque is None:
         raise edge.InputError(
-            f"{pair_file}: [pair] rated_torque is missing; state it: tables reach {LARGEST_LOAD:g} times as far, or "
+            f"{pair_file}: [pair] rated_torque is missing; state it (tables reach {LARGEST_LOAD:g} times as far) or "
             "give --largest-torque."
         )
     names = platforms or platforms_of(fmi_version)  # type: ignore[arg-type]
@@ -167,20 +165,20 @@ def build(
 
 
 def _measured(losses: Path, ratio: float, friction: FrictionTables) -> tuple[tuple[LossRow, ...], FrictionTables]:
-    """Loss table of a bench's measured losses, and friction with its temperature coefficient at the input."""
+    """Loss table fitted to measured losses, and the friction with their temperature coefficient at the input."""
     from cycloid_fmu.fmu.bench_losses import read_bench_losses
 
     found, at = read_bench_losses(losses, ratio), friction.input
-    warm = f"; they go with exp(-{found.temperature_coefficient:.4g}/K (T - {found.reference_temperature:.5g} K))"
+    warm = f", proportional to exp(-{found.temperature_coefficient:.4g}/K (T - {found.reference_temperature:.5g} K))"
     typer.echo(
-        f"{losses}: the loss table leaves {100.0 * found.misfit:.2g} % of the losses (root mean square)"
+        f"{losses}: the loss table's residual is {100.0 * found.misfit:.2g} % of the losses (rms)"
         f"{warm if found.temperature_coefficient != 0.0 else ''}."
     )
     if found.temperature_coefficient == 0.0:
         return found.rows, friction
     if at.temperature_coefficient != 0.0:
         raise edge.InputError(
-            f"[friction.input] temperature_coefficient = {at.temperature_coefficient:g} 1/K: {losses} states one as "
+            f"[friction.input] temperature_coefficient = {at.temperature_coefficient:g} 1/K: {losses} has one as "
             "well; remove one of them."
         )
     temperature = {name: getattr(found, name) for name in ("temperature_coefficient", "reference_temperature")}

@@ -21,7 +21,7 @@ def compare(
 ) -> None:
     """Run two FMUs, or an FMU and a recorded drive, through the same motion and report the differences.
 
-    A recording (CSV, as `cycloid-bench export` and `simulate -o` write it) has the motion itself.
+    A recording (CSV from `cycloid-bench export` or `simulate -o`) contains the motion itself.
 
     Example: [cyan]cycloid-fmu compare exact.fmu native.fmu --input motion.csv --plot differences.png[/]
     """
@@ -32,7 +32,7 @@ def compare(
 
     recorded = other.suffix != ".fmu"
     if not recorded and motion is None:
-        raise edge.InputError("compare needs --input with the inputs over time, unless it compares with a recording.")
+        raise edge.InputError("two FMUs need --input with the inputs over time; a recording contains them.")
     source = motion or other
     runs = 1 if recorded else 2
     with commands.progress("samples", runs * (run.read_inputs(source, fmu_file)[0].size - 1)) as progress:

@@ -28,13 +28,13 @@ def design(
         Path | None,
         typer.Option(
             "--output", "-o", metavar="FOLDER", file_okay=False,
-            help="Folder for a pair file of each drive, a surface file if its flanks have a form, and designs.json.",
+            help="Folder for a pair file of each drive, a surface file if its flanks have form, and designs.json.",
         ),
     ] = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:  # fmt: skip
-    """Search for the geometry and modification that meet given limits and are best for one goal, or for two.
+    """Search for the geometry and modification that meet given limits and optimize one goal, or two.
 
     Example: [cyan]cycloid-fmu design design.toml -o found --plot found.png[/]
     """
@@ -70,18 +70,18 @@ def _print(one: Design, task: DesignTask, title: str) -> None:
         low, high = (shown(name, end)[0] for end in task.vary[name])
         rows.append([name.replace("_", " "), *shown(name, value), f"{low} … {high}"])
     commands.print_table(title, ["", "value", "unit", "range"], [*goals, *rows])
-    print_verdicts("Limits, of the drive as drawn", one.verdicts, [])
+    print_verdicts("Limits for the drive as drawn", one.verdicts, [])
     if one.binding:
         (goal, *_) = one.goals
         held = [
             [b.name.replace("_", " "), " ".join(shown(b.name, b.value)), " ".join(shown(goal, b.of_a_tenth))]
             for b in one.binding
         ]
-        better = f"relaxed by a tenth: {goal.replace('_', ' ')} better by"
+        better = f"gain in {goal.replace('_', ' ')} if relaxed by 10 %"
         commands.print_table("Binding constraints", ["limit or end of a range", "at", better], held)
     if one.required_yield is not None:
         whole = one.yields["all"]
         typer.echo(
-            f"{whole['share']:.1%} of sampled drives keep all limits ({whole['low']:.1%} … {whole['high']:.1%}); "
-            f"asked for {one.required_yield:.1%}."
+            f"{whole['share']:.1%} of sampled drives meet all limits ({whole['low']:.1%} … {whole['high']:.1%}); "
+            f"required {one.required_yield:.1%}."
         )

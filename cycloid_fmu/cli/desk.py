@@ -20,11 +20,11 @@ def desk(
         ),
     ] = None,
 ) -> None:
-    """Change a pair's values in the browser and see drawing, transmission error, backlash, pressure and verdicts.
+    """Edit a pair in the browser, with live drawing, transmission error, backlash, pressure and verdicts.
 
     Example: [cyan]cycloid-fmu desk pair.toml --limits requirements.toml[/]
 
-    The page is for this machine only. It saves pair files in the folder of the one that is given.
+    The page is served to this machine only. It saves pair files in the folder of the given one.
     """
     from cycloid_fmu.desk.server import DeskServer
 

@@ -12,7 +12,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import PairFile, SurfaceFile
 from cycloid_fmu.edge import commands
 
-_FRAMES = 180  # crank angles of a page that moves
+_FRAMES = 180  # crank angles of an animated page
 
 
 def draw(
@@ -41,10 +41,10 @@ def draw(
         ),
     ] = None,
 ) -> None:
-    """Draw discs, pins, contacts and forces, with enlarged gaps: a picture, or a page that plays a crank turn.
+    """Draw discs, pins, contacts and forces, with enlarged gaps: a picture, or a page that animates a crank turn.
 
-    With one torque a page also has its half, none, and both against it. One tooth is drawn close up, with its
-    modification and its deviations, worn ones too.
+    A page with one torque also shows half of it, zero, and both with the opposite sign. One tooth is drawn enlarged,
+    with its modification and deviations, including wear.
 
     Example: [cyan]cycloid-fmu draw pair.toml --torque "181 N*m" --crank-angle "30 deg" -o drive.html[/]
     """
@@ -66,7 +66,7 @@ def draw(
     loads, first, angles = torque, 0, np.array([crank_angle])
     if moves:
         if len(torque) == 1 and torque[0] != 0.0:
-            # On bearings the play is known beside a rated torque alone.
+            # On bearings the play is defined only with a rated torque.
             none = [0.0] if drive.pair.supports is None or drive.pair.rated_torque is not None else []
             loads = sorted([-torque[0], -0.5 * torque[0], *none, 0.5 * torque[0], torque[0]])
             first = loads.index(torque[0])

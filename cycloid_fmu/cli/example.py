@@ -20,7 +20,7 @@ def example(
         Path | None, commands.output_option(_ENDINGS, "FILE", "File to write. Default: the example's own name.")
     ] = None,
 ) -> None:
-    """Write an example file to begin with: a pair, tolerances, limits, wear, a reducer and others.
+    """Write an example file to start from: a pair, tolerances, limits, wear, a reducer and others.
 
     Example: [cyan]cycloid-fmu example drive-39-40.toml -o drive.toml[/]
     """
@@ -34,13 +34,13 @@ def example(
         raise edge.InputError(f"{name} is not an example; {near or 'see cycloid-fmu example.'}")
     target = output or Path(name)
     if target.exists():
-        raise edge.ArgumentError("output", "this file exists already and is kept; give another name", target)
+        raise edge.ArgumentError("output", "this file exists and is not overwritten; give another name", target)
     with edge.written_whole(target) as part:
         part.write_bytes(found[name].read_bytes())
 
 
 def _folder() -> Path:
-    """Return where the examples are: inside an installed package, beside it in the repository."""
+    """Return the folder of the examples: inside an installed package, next to it in the repository."""
     package = Path(cycloid_fmu.__file__).parent
     inside = package / "examples"
     return inside if inside.is_dir() else package.parent / "examples"

@@ -8,7 +8,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import FmuFile
 from cycloid_fmu.edge import commands
 
-_NOTHING = 1e-15  # in SI: a start value below is rounding
+_NOTHING = 1e-15  # SI: smaller start values are rounding errors
 
 
 def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:

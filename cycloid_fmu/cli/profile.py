@@ -58,7 +58,7 @@ def profile(
         ["arcs", str(made.bulge.size)],
         ["flank to arcs, largest", f"{made.largest_error * 1e6:.3g} µm"],
         ["length of the flank", f"{made.length * 1e3:.6f} mm"],
-        ["area inside it", f"{made.area * 1e6:.4f} mm²"],
+        ["area inside the flank", f"{made.area * 1e6:.4f} mm²"],
         ["holes", str(made.hole_place.size)],
         ["pins", str(made.pin_place.size)],
     ]

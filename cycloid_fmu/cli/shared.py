@@ -1,4 +1,4 @@
-"""Options that several commands have."""
+"""Options shared by several commands."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MotionFile = Annotated[
     typer.Option(
         "--input",
         metavar="MOTION.csv",
-        help="The inputs over time: time \\[s] and a column each, such as flange_a.phi \\[rad]; or a recording.",
+        help="Inputs over time: time \\[s] and one column per input, such as flange_a.phi \\[rad]; or a recording.",
     ),
 ]
 LimitsFile = Annotated[
@@ -35,7 +35,7 @@ LimitsFile = Annotated[
     typer.Option(
         "--limits",
         metavar="REQUIREMENTS.toml",
-        help="Requirements of the application (cycloid-requirements/1): judge each limit; status 4 if one is not met.",
+        help="Requirements of the application (cycloid-requirements/1), all judged; exit code 4 if one is not met.",
     ),
 ]
 TolerancesFile = Annotated[
@@ -44,14 +44,14 @@ TolerancesFile = Annotated[
 
 
 def with_measured(friction: Friction, coulomb: float, option: str) -> Friction:
-    """Return friction at the output with the dry friction (N·m) that an option's file has; only one may state it."""
+    """Return the output's friction with the dry friction (N·m) of an option's file; refuse a second value."""
     if friction.coulomb > 0.0:
-        raise edge.InputError(f"{option}: it has a dry friction; remove coulomb from [friction.output].")
+        raise edge.InputError(f"{option}: it states the dry friction; remove coulomb from [friction.output].")
     return friction.replace(coulomb=coulomb)
 
 
 def print_verdicts(title: str, verdicts: Sequence[Verdict], not_judged: Sequence[str]) -> None:
-    """Print each limit's verdict, margin and place, and the limits that this command does not judge."""
+    """Print verdict, margin and position for each limit, and the limits that this command does not judge."""
     from cycloid_fmu.studies.limits import HEAD, row_of
 
     if verdicts:
@@ -62,17 +62,17 @@ def print_verdicts(title: str, verdicts: Sequence[Verdict], not_judged: Sequence
 
 
 def print_judged(judged: Judged, title: str) -> None:
-    """Print the verdicts, and before them the bearings' lives and the sliding over the duty."""
+    """Print bearing lives and sliding over the duty, and then the verdicts."""
     from cycloid_fmu.studies.verdicts import LIVES_HEAD, SLIDING_HEAD, life_rows, sliding_rows
 
     if judged.lives:
         commands.print_table("Bearings over the duty", LIVES_HEAD, life_rows(judged))
     if judged.sliding:
-        commands.print_table("Sliding of flanks on pins, the largest", SLIDING_HEAD, sliding_rows(judged))
+        commands.print_table("Largest sliding of flanks on pins", SLIDING_HEAD, sliding_rows(judged))
     print_verdicts(title, judged.verdicts, judged.not_judged)
 
 
 def leave(verdicts: Sequence[Verdict]) -> None:
-    """If a limit is not met, end the command with the exit status for it."""
+    """End the command with its exit code if a limit is not met."""
     if not all(one.met for one in verdicts):
         raise typer.Exit(edge.NOT_MET)

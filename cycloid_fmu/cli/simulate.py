@@ -34,7 +34,7 @@ def simulate(
     from cycloid_fmu.fmu import run
 
     if (torque is None) == (motion is None):
-        raise edge.InputError("simulate needs --torque, or --input with the inputs over time.")
+        raise edge.InputError("simulate needs --torque, or --input with inputs over time.")
     if torque is not None:
         if speed <= 0.0:
             raise edge.ArgumentError("speed", "it must be above zero; turn backwards with turns below zero", speed)

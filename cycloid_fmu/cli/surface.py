@@ -18,7 +18,7 @@ surface = commands.subcommands("Make error surfaces.")
 SurfaceOutput = Annotated[Path, commands.output_option((".nc",), "SURFACE.nc", "The surface file (netCDF).")]
 Profile = Annotated[int, typer.Option(min=1, help="Elements along a tooth's profile.")]
 Width = Annotated[int, typer.Option(min=1, help="Elements across the width.")]
-Angle = Annotated[int, typer.Option(min=1, help="Elements round the half of a pin.")]
+Angle = Annotated[int, typer.Option(min=1, help="Elements around the inner half of a pin.")]
 
 
 def _write(made: ErrorSurface, output: Path, plot: Path | None) -> None:
@@ -82,7 +82,7 @@ def measured(
     angle: Angle = 25,
     plot: commands.PlotFile = None,
 ) -> None:
-    """Fit an error surface to the points of a coordinate measuring machine: aligned, without outliers, averaged.
+    """Fit an error surface to points of a coordinate measuring machine: alignment, outlier removal, averaging.
 
     Example: [cyan]cycloid-fmu surface measured pair.toml --points cmm.csv -o surface.nc --plot surface.png[/]
     """
@@ -97,7 +97,7 @@ def measured(
     found = report.alignments
     rows = [
         ["points", *(str(a.points) for a in found)],
-        ["outliers left out", *(str(a.outliers) for a in found)],
+        ["outliers removed", *(str(a.outliers) for a in found)],
         ["frame, x", *(f"{a.x * 1e3:.4f} mm" for a in found)],
         ["frame, y", *(f"{a.y * 1e3:.4f} mm" for a in found)],
         ["frame, turn", *(f"{np.degrees(a.rotation):.5f}°" for a in found)],
@@ -108,7 +108,7 @@ def measured(
     for outlier in report.outliers:
         typer.echo(
             f"{points_file.name}: line {outlier.line}: {outlier.place} is {outlier.distance * 1e6:.1f} µm from its "
-            "neighbours and was left out."
+            "neighbours and was removed."
         )
     for note in report.notes:
         typer.echo(note)

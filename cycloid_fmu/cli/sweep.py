@@ -24,31 +24,31 @@ def sweep(
         list[str],
         typer.Option(
             metavar='"NAME=2.5:3.5:11 mm"',
-            help="A value of the pair file with its range and number of steps, or a list "
-            '"NAME=2.5, 3 mm"; may be repeated.',
+            help="A value of the pair file with its range and number of values, or a list "
+            '"NAME=2.5, 3 mm"; repeatable.',
         ),
     ],
     torque: Annotated[
-        list[float] | None, commands.quantity_option("N*m", "Torque on the output; may be repeated. Default: rated.")
+        list[float] | None, commands.quantity_option("N*m", "Torque on the output; repeatable. Default: rated.")
     ] = None,
     output: Annotated[
         Path | None,
         commands.output_option(
             (".csv", ".parquet", ".nc"),
             "TABLE.csv|parquet|nc",
-            "Write it; until then partial results are kept beside it.",
+            "Output file; until it is complete, partial results are in a file next to it.",
         ),
     ] = None,
     surface_file: SurfaceFile = None,
-    angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly from 0, end excluded.")] = ANGLES,
-    turns: Annotated[int, typer.Option(min=1, help="Crank turns covered by the crank angles.")] = 1,
+    angles: Annotated[int, typer.Option(min=20, help="Number of crank angles from 0, end excluded.")] = ANGLES,
+    turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Solve a drive with every combination of several values of its pair file: figures in a table, lines and maps.
+    """Solve a drive for every combination of several values of its pair file; gives a table, lines and maps.
 
-    With an output, the same command continues after an interruption or a kill.
+    With an output file, repeating the command resumes an interrupted run.
 
     Example: [cyan]cycloid-fmu sweep pair.toml --vary "pin_radius=2.5:3.5:11 mm" --torque "181 N*m" -o table.csv[/]
     """
@@ -110,4 +110,4 @@ def _print(data: xr.Dataset, title: str) -> None:
     if reasons := list(dict.fromkeys(str(reason) for reason in every.ravel() if reason)):
         rest = f" ({len(reasons) - 1} more in the output)" if len(reasons) > 1 else ""
         missing = f"{int((every != '').sum())} of {every.size}"
-        typer.echo(f"{missing} drives are left out here or incomplete: {reasons[0]}{rest}.", err=True)
+        typer.echo(f"{missing} drives are not shown or incomplete: {reasons[0]}{rest}.", err=True)

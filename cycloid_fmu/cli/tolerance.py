@@ -24,25 +24,25 @@ def tolerance(
     tolerances_file: TolerancesFile,
     torque: Annotated[
         list[float] | None,
-        commands.quantity_option("N*m", "Torque on the output; may be repeated. Default: ± rated."),
+        commands.quantity_option("N*m", "Torque on the output; repeatable. Default: ± rated."),
     ] = None,
-    samples: Annotated[int, typer.Option(min=2, help="Drives to solve.")] = 1000,
+    samples: Annotated[int, typer.Option(min=2, help="Number of drives.")] = 1000,
     seed: Annotated[int, typer.Option(help="The same seed draws the same drives.")] = 1,
     design: Annotated[
         str,
         commands.choice_option(
-            ("sobol", "latin-hypercube", "saltelli"), "How drives are drawn; saltelli gives Sobol indices as well."
+            ("sobol", "latin-hypercube", "saltelli"), "Sampling method; saltelli also gives Sobol indices."
         ),
     ] = "sobol",
-    angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly from 0, end excluded.")] = ANGLES,
-    turns: Annotated[int, typer.Option(min=1, help="Crank turns covered by the crank angles.")] = 1,
+    angles: Annotated[int, typer.Option(min=20, help="Number of crank angles from 0, end excluded.")] = ANGLES,
+    turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
     scheduler: Annotated[
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="Use a dask cluster instead of this machine's cores.")
     ] = None,
     screen: Annotated[
         float | None,
-        typer.Option(metavar="SHARE", help="Solve all drives to first order, and this share with the exact kernel."),
+        typer.Option(metavar="SHARE", help="Solve all drives to first order, and this share with the exact model."),
     ] = None,
     target: Annotated[
         float | None,
@@ -51,7 +51,7 @@ def tolerance(
     output: Annotated[
         Path | None,
         commands.output_option(
-            (".nc",), "STUDY.nc", "Write the study (netCDF); until then partial results are kept beside it."
+            (".nc",), "STUDY.nc", "Write the study (netCDF); until it is complete, partial results are next to it."
         ),
     ] = None,
     limits_file: LimitsFile = None,
@@ -60,7 +60,7 @@ def tolerance(
 ) -> None:
     """Solve many drives within their tolerances: distributions, yields against limits, sensitivities.
 
-    With an output, the same command continues after an interruption or a kill.
+    With an output file, repeating the command resumes an interrupted run.
 
     Example: [cyan]cycloid-fmu tolerance pair.toml --tolerances tolerances.toml --samples 10000 -o study.nc[/]
     """
@@ -105,7 +105,7 @@ def tolerance(
     if allocation is not None:
         _print_allocation(found, allocation)
     if asked is not None and limits_file is not None:
-        title = f"Limits of {limits_file.name}, the worst drive: met where every drive keeps them"
+        title = f"Limits of {limits_file.name}, worst drive: met if every drive meets them"
         print_verdicts(title, verdicts, not_judged(asked, verdicts))
     leave(verdicts)
 
@@ -122,7 +122,7 @@ def _plot(found: Findings, allocation: Allocation | None, verdicts: list[Verdict
     if found.indices:
         plots.save(plots.plot_indices(factors, found.indices), plot.with_stem(f"{plot.stem}-indices"))
     if allocation is not None:
-        title = f"{allocation.exact_yield:.2%} of the drives keep all limits, as stated {allocation.stated_yield:.2%}"
+        title = f"{allocation.exact_yield:.2%} of the drives meet all limits, {allocation.stated_yield:.2%} as stated"
         drawn = plots.plot_allocation(factors, allocation.scale, title)
         plots.save(drawn, plot.with_stem(f"{plot.stem}-allocation"))
 
@@ -150,7 +150,7 @@ def _print_figures(found: Findings, title: str) -> None:
     if rows:
         whole = found.yields["all"]
         rows.append(["all", "", f"{whole['share']:.2%} ({whole['low']:.2%} … {whole['high']:.2%})"])
-        commands.print_table("Yield", ["limit", "largest allowed", "keep it (95 % interval)"], rows)
+        commands.print_table("Yield", ["limit", "largest allowed", "yield (95 % interval)"], rows)
     for label, indices in found.indices.items():
         kinds = ("first_order", "total")
         rows = [
@@ -164,7 +164,7 @@ def _print_figures(found: Findings, title: str) -> None:
             for name, worst in found.screened.difference.items()
         )
         typer.echo(
-            f"To first order; {found.screened.confirmed.size} drives confirmed by the exact kernel, "
+            f"First order; {found.screened.confirmed.size} drives confirmed by the exact model, "
             f"{found.screened.changed} of them with a different verdict; largest differences: {differences}."
         )
 
@@ -185,5 +185,5 @@ def _print_allocation(found: Findings, allocation: Allocation) -> None:
     commands.print_table("Cheapest tolerances", ["tolerance", "", "stated", "allocated", "cost"], rows)
     typer.echo(
         f"Yield {allocation.exact_yield:.2%} (as stated {allocation.stated_yield:.2%}), cost {allocation.cost:.4g} "
-        f"(as stated {allocation.stated_cost:.4g}), cost as 1/width, confirmed by the exact kernel."
+        f"(as stated {allocation.stated_cost:.4g}), cost inverse to the width, confirmed by the exact model."
     )

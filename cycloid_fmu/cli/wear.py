@@ -91,11 +91,11 @@ def wear(
 
 
 def _print(figures: dict[str, Any], name: str) -> None:
-    kinds = {"linear": "at the new profile's rate", "updated": "profile updated"}
+    kinds = {"linear": "without update", "updated": "profile updated"}
     rows = [
         [f"{body}, {text}", *(f"{figures[kind][f'{body}_depth_{key}'] * 1e6:.3f} µm" for kind in kinds)]
         for body in ("gear", "pin")
-        for key, text in (("max", "deepest"), ("mean", "mean of the worn area"))
+        for key, text in (("max", "deepest"), ("mean", "mean over the worn area"))
     ]
     commands.print_table(f"{name}, {figures['crank_turns']:g} crank turns", ["wear depth", *kinds.values()], rows)
     life = figures["life"]
@@ -111,8 +111,8 @@ def _print(figures: dict[str, Any], name: str) -> None:
         for key in ("gear_depth_max", "pin_depth_max")
     )
     typer.echo(
-        f"Steps: {step['count']}; halving all of them changes the depth by at most "
-        f"{step['halving_difference'] * 1e6:.3f} µm, the deepest of gear and pin by {deepest}."
+        f"Steps: {step['count']}; halving all steps changes the depth by at most "
+        f"{step['halving_difference'] * 1e6:.3f} µm, the largest depth of gear and pin by {deepest}."
     )
     typer.echo(f"Sliding work at friction coefficient 1: {figures['sliding_work']:.4g} J per crank turn.")
     if "sliding_loss" in figures:

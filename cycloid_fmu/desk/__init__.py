@@ -1,1 +1,1 @@
-"""The designer's desk: values of a pair file in, drawing, curves, figures and verdicts out; in Python and as a page."""
+"""The designer's desk: drawing, curves, figures and verdicts for a pair file's values, in Python and as a page."""

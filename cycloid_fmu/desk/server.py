@@ -1,4 +1,4 @@
-"""The desk as a page in the browser: it requests the results for its fields' values, and saves them."""
+"""The desk as a page in the browser, which requests the results for the values in its fields and saves the values."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from cycloid_fmu.desk.view import FIELDS, Desk, View, look, open_desk, pair_of, 
 from cycloid_fmu.edge.page_server import PageHandler, PageServer
 from cycloid_fmu.geometry.pair import write_pair
 
-_MOST_BYTES = 1 << 16  # of what a page sends
+_MOST_BYTES = 1 << 16  # of a request
 _ANSWER_SECONDS = 120.0  # for large drives on slow machines
 
 
 def save(
     desk: Desk, values: Mapping[str, str], folder: str | os.PathLike[str], name: str, overwrite: bool = False
 ) -> str | None:
-    """Write the pair of the fields into a file of the desk's folder; never a partial file.
+    """Write the pair with the fields' values to a file in the desk's folder; never a partial file.
 
     Parameters
     ----------
     desk, values
-        As of `look`.
+        As for `look`.
     folder, name
-        Of the file; the name has no folder in it and ends in `.toml`.
+        Folder and name of the file; the name has no folder in it and ends in `.toml`.
     overwrite
         Whether a file of this name may be replaced.
 
     Returns
     -------
     question
-        Question before a file is replaced, None if the pair was written.
+        The question to confirm before an existing file is replaced; None if the pair was written.
 
     Raises
     ------
     edge.InputError
-        If a value or the name can't be used, or the file can't be written.
+        If a value or the name is invalid, or the file can't be written.
     """
     pair = pair_of(desk, values)
-    # A file that begins with a dot is hidden; a colon names a stream or a drive of Windows.
+    # A leading dot hides a file; on Windows a colon separates a stream or drive.
     if not name.isprintable() or name.startswith(".") or any(c in name for c in '/\\:*?"<>|'):
         raise edge.ArgumentError("file name", 'write a name without folders, such as "pair-2.toml"', name)
     target = edge.output_path(Path(folder) / name, "file name", (".toml",))
@@ -55,7 +55,7 @@ def save(
 
 
 class DeskServer(PageServer):
-    """Server of the page and its requests, on this machine only; a context manager that serves from its creation.
+    """Server of the page and its requests, on this machine only; it serves from its creation and is a context manager.
 
     Parameters
     ----------
@@ -67,13 +67,13 @@ class DeskServer(PageServer):
     Raises
     ------
     edge.InputError
-        If a file can't be used.
+        If a file can't be read or is invalid.
     """
 
     def __init__(self, path: str | os.PathLike[str], limits: str | os.PathLike[str] | None = None) -> None:
         self.desk, self.path = open_desk(path, limits), Path(path)
         self.busy = threading.Lock()  # solving takes all cores
-        self.first = look(self.desk, self.desk.values)  # kernels are compiled or loaded before somebody waits
+        self.first = look(self.desk, self.desk.values)  # compiles or loads the kernels before the first request
         super().__init__(_Handler, "127.0.0.1", 0, secrets.token_urlsafe(16))
 
 
@@ -109,7 +109,7 @@ class _Handler(PageHandler):
             self._json(self._look(asked) if path == "/look" else self._save(asked))
 
     def _asked(self) -> dict[str, Any] | None:
-        """Return the page's data; None if it was refused."""
+        """Return the data of a request; None if it was refused."""
         length = self.headers.get("Content-Length") or ""
         if not (length.isascii() and length.isdecimal()):
             self.send_error(411)
@@ -128,7 +128,7 @@ class _Handler(PageHandler):
     def _look(self, asked: dict[str, Any]) -> dict[str, Any]:
         try:
             return look(self.server.desk, asked["values"]).numbers()
-        except Exception as problem:  # the page must say why it stands still
+        except Exception as problem:  # the page must show why it does not change
             return View({"": f"Failed: {type(problem).__name__}: {problem}"}).numbers()
 
     def _save(self, asked: dict[str, Any]) -> dict[str, Any]:
@@ -139,7 +139,7 @@ class _Handler(PageHandler):
             return {"problem": str(problem)}
         except edge.InputError as problem:
             return {"problem": " ".join(placed(desk, problem).values())}
-        except OSError as problem:  # no room, or a name that the system does not take
+        except OSError as problem:  # a full disk, or an invalid name on this system
             return {"problem": f"{name}: this can't be written: {problem.strerror or problem}."}
         return {"question": question} if question else {"saved": f"{name} is saved."}
 

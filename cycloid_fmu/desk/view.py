@@ -1,4 +1,4 @@
-"""Results of the desk for the values in its fields: figures, curves, pictures, verdicts, or sentences."""
+"""Results of the desk for the values in its fields: figures, curves, pictures and verdicts, or error messages."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Field(NamedTuple):
     label
         Its label.
     hint
-        Meaning of an empty field, or the notation.
+        Placeholder: the meaning of an empty field, or the notation.
     choices
         Permitted words; empty for free text.
     """
@@ -73,18 +73,18 @@ def _fields() -> dict[str, Field]:
 
 
 FIELDS = _fields()
-"""Those of the pair file, by their keys; the number of pins follows from the teeth."""
+"""Fields of the pair file by their keys; the number of pins follows from the teeth."""
 _WHOLE = ("pair.gear_teeth", "pair.discs")
 
 
 @dataclasses.dataclass(frozen=True)
 class Desk:
-    """The unchanged part of a desk.
+    """The fixed part of a desk.
 
     Attributes
     ----------
     source
-        Name of the pair file, for sentences.
+        Name of the pair file, for messages.
     tables
         Its tables as they are in the file.
     requirements, limits_source
@@ -98,7 +98,7 @@ class Desk:
 
     @property
     def values(self) -> dict[str, str]:
-        """The text of every field as in the file, empty if missing."""
+        """Text of every field as in the file, empty if it is not stated."""
         found = {}
         for key, field in FIELDS.items():
             table, name = key.split(".")
@@ -107,7 +107,7 @@ class Desk:
 
     @property
     def kept(self) -> list[str]:
-        """Tables of the file without fields; they are part of the drive and of the saved file."""
+        """Names of the file's tables without fields; they remain part of the drive and of the saved file."""
         return [name for name in self.tables if name in _TABLES and name != "modification"]
 
 
@@ -146,14 +146,14 @@ def open_desk(path: str | os.PathLike[str], limits: str | os.PathLike[str] | Non
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """Results of the desk; with problems nothing else.
+    """Results of the desk; if there are problems, nothing else is set.
 
     Attributes
     ----------
     problems
         A sentence for each field with an invalid value, by its key; "" for other problems.
     pair
-        The drive's, None with problems.
+        The pair; None if there are problems.
     torque
         Torque of the curves and pictures, N·m.
     crank_angle, transmission_error, backlash, pressure
@@ -162,7 +162,7 @@ class View:
     figures
         Names and values in field units.
     verdicts, not_judged
-        One for each judged limit, and the limits that are not judged.
+        Verdicts, one for each judged limit, and the names of the other limits.
     notes
         Notes on results outside the range of the model.
     drive, tooth
@@ -213,7 +213,7 @@ def pair_of(desk: Desk, values: Mapping[str, str]) -> Pair:
     Parameters
     ----------
     desk
-        For everything without a field.
+        The desk, for everything without a field.
     values
         Text of fields by their keys, with units; an empty one is left out of the file.
 
@@ -240,7 +240,7 @@ def pair_of(desk: Desk, values: Mapping[str, str]) -> Pair:
 
 
 def placed(desk: Desk, problem: edge.InputError) -> dict[str, str]:
-    """Return the sentences of a problem by the fields that they name; "" for others."""
+    """Return the sentences of a problem by the fields that they name; those that name no field have the key ""."""
     keys = {key.split(".")[-1]: key for key in (*FIELDS, "torque", "crank_angle")}
     found = dict[str, str]()
     for line in str(problem).split("\n"):
@@ -312,7 +312,7 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
     )  # fmt: skip
 
 
-@functools.lru_cache(maxsize=4)  # turning the crank solves nothing again
+@functools.lru_cache(maxsize=4)  # so that moving the crank needs no new solution
 def _swept(pair: Pair, asked: Requirements, loads: tuple[float, ...]) -> tuple[Transmission, Judged]:
     surface, workers = surface_of_pair(pair), os.cpu_count() or 1
     turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)

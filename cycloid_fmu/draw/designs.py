@@ -1,4 +1,4 @@
-"""Drives that a search found: the front of two goals, or how much room each limit leaves."""
+"""Results of a design search: the Pareto front of two goals, or the margin to each limit."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def plot_designs(found: Sequence[Design], task: DesignTask, title: str) -> Figur
     Parameters
     ----------
     found, task
-        What `cycloid_fmu.studies.design.search` returned, and its task.
+        Result of `cycloid_fmu.studies.design.search`, and its task.
     title
-        Of the picture.
+        Title of the picture.
     """
     figure, axes = new_figure(1, 2)
     left, right = axes
@@ -57,7 +57,7 @@ def _margins(axes: Axes, one: Design) -> None:
     axes.barh(names, shares, color=["C0" if share >= 0.0 else "tab:red" for share in shares])
     axes.axvline(0.0, color="0.3", lw=0.8)
     goal = ", ".join(f"{name.replace('_', ' ')} {' '.join(shown(name, value))}" for name, value in one.goals.items())
-    axes.set(xlabel="room to the limit [% of the limit, 100 at most]", title=goal)
+    axes.set(xlabel="margin to the limit [% of the limit, at most 100]", title=goal)
 
 
 def _ranges(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
@@ -75,7 +75,7 @@ def _ranges(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
               for n in names]  # fmt: skip
     axes.set_yticks(at, labels, fontsize=8)
     axes.set(
-        xlabel="place in the range [%]", xlim=(-5.0, 105.0), ylim=(len(names) - 0.5, -0.7), title="searched values"
+        xlabel="position in the range [%]", xlim=(-5.0, 105.0), ylim=(len(names) - 0.5, -0.7), title="searched values"
     )
     if len(found) > 1:
         axes.legend(title="design", fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -18,7 +18,7 @@ from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.motion import Motion, round_number, tooth_turns
 
 ENDINGS = (".html", ".svg", *edge.PICTURES)
-"""Of files with a drive's picture."""
+"""Endings of files with a picture of a drive."""
 
 
 def _pairs(points: np.ndarray, digits: int) -> Any:
@@ -37,7 +37,7 @@ def _contacts(motion: Motion, load: int, angle: int) -> list[list[float]]:
 
 
 def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
-    """Return what the page draws, in mm, rad, N, MPa, arcsec, gaps in µm; it begins with this load and crank angle."""
+    """Return the data of the page in mm, rad, N, MPa and arcsec, gaps in µm; `load` and `angle` are shown first."""
     pair = motion.pair
     nearest = motion.gap.min(axis=4) * 1e6
     curve = motion.curve * ARCSEC
@@ -94,7 +94,7 @@ def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
 
 
 def _tooth(motion: Motion) -> dict[str, Any]:
-    """The close-up of `drive_picture.close_up` in mm."""
+    """The close-up from `drive_picture.close_up`, in mm."""
     found = drive_picture.close_up(motion)
     curves = [
         {"label": one.label, "colour": one.colour, "dashed": one.dashed, "points": _pairs(one.points * 1e3, 4)}
@@ -104,19 +104,19 @@ def _tooth(motion: Motion) -> dict[str, Any]:
 
 
 def motion_page(motion: Motion, load: int = 0, angle: int = 0) -> str:
-    """Return the page; `load` and `angle` are those it begins with."""
+    """Return the page; `load` and `angle` are the numbers of those shown first."""
     page = importlib.resources.files("cycloid_fmu.draw").joinpath("drive.html").read_text(encoding="utf-8")
     data = json.dumps(page_data(motion, load, angle), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return page.replace("/*DATA*/", data.replace("<", "\\u003c"))
 
 
 def write_motion(motion: Motion, path: str | os.PathLike[str], load: int = 0, angle: int = 0) -> None:
-    """Write a picture of the drive at a load and crank angle, or a page animated from there; never a partial file.
+    """Write a picture of the drive at a load and crank angle, or an animated page; never a partial file.
 
     Raises
     ------
     edge.InputError
-        If the name's ending is none of `ENDINGS`.
+        If the name does not end in one of `ENDINGS`.
     """
     import matplotlib
 
@@ -125,10 +125,10 @@ def write_motion(motion: Motion, path: str | os.PathLike[str], load: int = 0, an
         page = motion_page(motion, load, angle)
     elif target.suffix.lower() == ".svg":
         written = io.StringIO()
-        # The same drive gives the same file.
+        # Without a date, so that the same drive gives the same file.
         with matplotlib.rc_context({"svg.hashsalt": "cycloid"}):
             drive_picture.plot_motion(motion, load, angle).savefig(written, format="svg", metadata={"Date": None})
-        # Hundredths of a point are fine enough, but not of a scale, and most of the rest is indentation.
+        # Hundredths of a point are precise enough, except in scale factors; indentation is most of the remaining size.
         page = re.sub(r"\s+", " ", re.sub(r"(?<![\d.])(?<!scale\()(\d+\.\d\d)\d+", r"\1", written.getvalue()))
     else:
         save(drive_picture.plot_motion(motion, load, angle), target)

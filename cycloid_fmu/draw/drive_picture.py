@@ -1,4 +1,4 @@
-"""The drive as a picture: discs, pins, supports, contacts and forces, with errors and gaps exaggerated."""
+"""A picture of the drive: discs, pins, supports, contacts and forces, with exaggerated gaps and errors."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ PRESSURES = ("#ffe9a8", "#fdb94d", "#ee6a33", "#bf1f2e", "#5c0d2b")
 FREE, STEEL, EDGE, BEHIND = "#ffffff", "#dfe5ec", "#46525f", "#7d8ea3"
 _ARROW = "simple,tail_width=1.4,head_width=5,head_length=6"
 LONGEST_ARROW = 0.3  # of the pin circle's radius
-_CLOSE_UP = 0.4  # of the tooth's height: as large as the largest deviation of a close-up is drawn
+_CLOSE_UP = 0.4  # of the tooth's height: drawn size of the largest deviation of a close-up
 
 
 class Circle(NamedTuple):
-    """A circle of what holds the discs: centre and radius, m, and whether it is a hole in the front disc."""
+    """A circle of the disc supports: centre and radius, m, and whether it is a hole in the front disc."""
 
     centre: complex
     radius: float
@@ -36,7 +36,7 @@ class Circle(NamedTuple):
 def holders(motion: Motion, load: int, angle: int) -> list[Circle]:
     """Return the supports of the front disc: cranks or output rollers in its holes, and the eccentric.
 
-    A size that is not stated is chosen to fit.
+    Sizes that are not stated are chosen to fit.
     """
     pair, theta = motion.pair, motion.crank_angle[angle]
     supports, e = pair.supports, pair.eccentricity
@@ -63,7 +63,7 @@ def holders(motion: Motion, load: int, angle: int) -> list[Circle]:
 
 
 def hole_radius(motion: Motion) -> float:
-    """Radius of the holes for cranks or output rollers, m: as stated, or so that they fit in."""
+    """Radius of the holes for cranks or output rollers, m: as stated, or chosen to fit."""
     pair, supports = motion.pair, motion.pair.supports
     assert supports is not None
     roller, raceway = supports.output_roller, supports.turning_arm.raceway_diameter
@@ -77,7 +77,7 @@ def hole_radius(motion: Motion) -> float:
 
 
 def sizes_are_stated(motion: Motion) -> bool:
-    """Whether the pair states the sizes of what `holders` returns."""
+    """Whether the pair states the sizes of the circles that `holders` returns."""
     supports = motion.pair.supports
     return (
         supports is not None and supports.kind == "cranks" and supports.turning_arm.raceway_diameter is not None
@@ -85,10 +85,10 @@ def sizes_are_stated(motion: Motion) -> bool:
 
 
 def drive_name(motion: Motion) -> str:
-    """Name the drive."""
+    """Return the name of the drive for titles."""
     pair = motion.pair
     many = f", {pair.discs} discs" if pair.discs > 1 else ""
-    return f"Cycloid drive {pair.gear_teeth}/{pair.pins}{many}" + (", pin ring turns" if pair.output == "ring" else "")
+    return f"Cycloid drive {pair.gear_teeth}/{pair.pins}{many}" + (", ring output" if pair.output == "ring" else "")
 
 
 def caption_of(motion: Motion) -> str:
@@ -96,13 +96,13 @@ def caption_of(motion: Motion) -> str:
     said = f"Gaps between disc and pins × {motion.exaggeration:g}"
     if motion.exaggeration * motion.nearest.max() > motion.room:
         said += f", up to {motion.room * 1e3:.2g} mm as drawn"
-    said += "; pins, discs and angles to scale. Arrows: forces of the pins on the disc. Dash-dotted: the crank."
+    said += "; pins, discs and angles are to scale. Arrows: forces of the pins on the disc. Dash-dotted: the crank."
     if motion.pair.discs > 1:
-        said += " Filled: front disc; dashed, hollow arrows: discs behind."
+        said += " Front disc filled; discs behind dashed, with hollow arrows."
     if motion.behind_first_stage:
-        said += " The cycloid stage alone: the torque is on its output."
+        said += " Only the cycloid stage: the torque is on its output."
     if not sizes_are_stated(motion):
-        said += " Shafts and bearings: not to scale."
+        said += " Shafts and bearings are not to scale."
     return said
 
 
@@ -194,7 +194,7 @@ def draw_error(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> Non
 
 
 class ToothCurve(NamedTuple):
-    """A curve of a close-up: its name with the deviations that it spans, colour, dashes, points (m, tip upwards)."""
+    """A curve of a close-up: its name with the range of its deviations, colour, dashes, points (m, tip upwards)."""
 
     label: str
     colour: str

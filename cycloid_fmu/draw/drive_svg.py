@@ -17,7 +17,7 @@ _LINE = 'fill="none" vector-effect="non-scaling-stroke"'
 
 
 def pressure_colour(part: float) -> str:
-    """Return the colour of a pressure, given as a part of the largest, 0 to 1."""
+    """Return the colour of a pressure, given as a fraction of the largest, 0 to 1."""
     channels = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in PRESSURES])
     places = np.linspace(0.0, 1.0, len(PRESSURES))
     return "#" + "".join(f"{round(float(np.interp(part, places, channel))):02x}" for channel in channels.T)
@@ -26,7 +26,7 @@ def pressure_colour(part: float) -> str:
 def _path(points: Points, closed: bool = False) -> str:
     """Points, m, as an SVG path in mm."""
     places = (points * 1e3).ravel()
-    # One format of all points takes half as long as one of each.
+    # One format string for all points takes half as long as one per point.
     return "M" + "L".join(["%.3f %.3f"] * places.size) % tuple(places.view(float).tolist()) + "Z" * closed
 
 
@@ -38,7 +38,7 @@ def _circle(centre: complex, radius: float, fill: str, more: str = "", inside: s
 
 
 def _arrow(begin: complex, step: complex, rim: float) -> str:
-    """Return an arrow from a point by a step, its head no longer than a twentieth of the rim's radius."""
+    """Return an arrow with a start, a vector and a head of at most a twentieth of the rim's radius."""
     length = abs(step)
     head = min(0.35 * length, 0.05 * rim)
     neck, wide, thin = length - head, 0.5 * head, 0.22 * head
@@ -48,7 +48,7 @@ def _arrow(begin: complex, step: complex, rim: float) -> str:
 
 
 def _svg(name: str, box: tuple[float, float, float, float], title: str, drawn: list[str]) -> str:
-    """Frame what is drawn in mm with y upwards; the box is its left, lower, width and height, mm."""
+    """Frame drawn elements, in mm with y upwards; `box` is left, lower, width and height, mm."""
     left, low, width, height = box
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" id="{name}" role="img" aria-label="{html.escape(title)}" '
@@ -59,9 +59,9 @@ def _svg(name: str, box: tuple[float, float, float, float], title: str, drawn: l
 
 
 def drive_svg(motion: Motion, load: int = 0, angle: int = 0) -> str:
-    """Return the drive at one load and crank angle: discs, pins, what holds them, forces; gaps exaggerated.
+    """Return the drive at one load and crank angle: discs, pins, supports and forces, with exaggerated gaps.
 
-    Pins have the colour of their pressure, from `PRESSURES`, and a title with force and pressure, or gap.
+    Pins are coloured by pressure (`PRESSURES`) and have a tooltip with force and pressure, or gap.
     """
     pair = motion.pair
     pressure, forces, gaps = motion.pressure[load, angle], motion.force[load, angle], motion.nearest[load, angle]
@@ -96,7 +96,7 @@ def drive_svg(motion: Motion, load: int = 0, angle: int = 0) -> str:
 
 
 def tooth_svg(motion: Motion) -> str:
-    """Return the tooth that deviates most: without modification, as drawn and as made, exaggerated."""
+    """Return the tooth with the largest deviation: without modification, as drawn and as made, exaggerated."""
     found = close_up(motion)
     drawn = []
     for one in found.curves:

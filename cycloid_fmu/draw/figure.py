@@ -1,4 +1,4 @@
-"""Figures as all plots have them: their frame, legend and file."""
+"""Common parts of all plots: figure, legend and file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def save(figure: Figure, path: str | os.PathLike[str], endings: Collection[str] = edge.PICTURES) -> None:
-    """Write a figure by its name's ending, one of `endings`, whole or not at all."""
+    """Write a figure in the format of the name's ending, one of `endings`; never a partial file."""
     with edge.written_whole(edge.output_path(path, "path", endings)) as temporary:
         figure.savefig(temporary, dpi=150)
 
@@ -36,5 +36,5 @@ def new_figure(rows: int = 1, columns: int = 1, *, sharex: bool = False) -> tupl
 
 
 def show_legend(axis: Axes, **options: Any) -> None:
-    """Show what the lines are, on a ground that keeps it readable where they pass below it."""
+    """Show the legend on a background that keeps it readable over lines."""
     axis.legend(**{"fontsize": 8, "framealpha": 0.85, "edgecolor": "none", **options})

@@ -1,4 +1,4 @@
-"""Plots of what this package computes; every function returns a matplotlib figure."""
+"""Plots of the results of this package; every function returns a matplotlib figure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.draw.figure import new_figure, show_legend
-from cycloid_fmu.draw.figure import save as save  # commands write what they draw
+from cycloid_fmu.draw.figure import save as save  # re-exported for the commands
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Raises
     ------
     TypeError
-        If it is another type.
+        If the result has another type.
     edge.InputError
         If the path has another ending.
 
@@ -110,7 +110,7 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
             axis.plot(angle, force, lw=1.0, label=which if values.shape[1] > 1 else None)
         if 1 < values.shape[1] <= 9:
             show_legend(axis, ncols=3, fontsize=7, loc="upper center")
-            axis.set_ylim(top=axis.get_ylim()[1] * (1.3 if values.shape[1] > 3 else 1.15))  # room above the curves
+            axis.set_ylim(top=axis.get_ylim()[1] * (1.3 if values.shape[1] > 3 else 1.15))  # space for the legend
         axis.set(xlabel="crank angle [°]", ylabel="force [N]", title=f"{name}, {float(first['torque']):g} N·m")
         axis.title.set_fontsize(9)
     for disc in data["disc"].values:
@@ -123,7 +123,7 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
     soft = {share.part: share.compliance * 1e6 for share in shares}
     left = math.nan if pair.supports is None else remaining(pair.supports, shares)
     if soft and not math.isnan(left):
-        soft["rest to the catalogue"] = left * 1e6
+        soft["rest, up to catalogue"] = left * 1e6
     lost = {share.part: share.lost_motion * ARCMIN for share in shares}
     for axis, lengths, label in ((axes[4], soft, "compliance [µrad/(N·m)]"), (axes[5], lost, "lost motion [arcmin]")):
         axis.barh(list(lengths), list(lengths.values()), color="#4c78a8")
@@ -138,7 +138,7 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
 
 
 _ZOOMED = 3  # pin pitches
-_ALIKE = "one pin pitch: all are alike"
+_ALIKE = "one pin pitch (all equal)"
 
 
 def title_of(data: xr.Dataset) -> str:
@@ -151,11 +151,11 @@ def title_of(data: xr.Dataset) -> str:
 
 
 def _repeats(data: xr.Dataset, name: str) -> bool:
-    """Whether a figure does the same in each pin pitch: then a few of them show all."""
+    """Whether a figure repeats in each pin pitch, so that one pitch shows everything."""
     angle, pitch = data["crank_angle"].values, 2.0 * math.pi / data.sizes["pin"]
     if angle.size < 100 or angle[-1] - angle[0] < 2 * _ZOOMED * pitch:
         return False
-    # Neighbours in one folded pitch are from pitches far apart: where these differ it goes up and down all the time.
+    # Neighbours in one folded pitch are from pitches far apart: if these differ, the folded curve is jagged.
     folded = data[name].values[:, np.argsort(angle % pitch)]
     return bool((np.abs(np.diff(folded)).sum(axis=1) <= 10.0 * np.ptp(folded, axis=1)).all())
 
@@ -163,7 +163,8 @@ def _repeats(data: xr.Dataset, name: str) -> bool:
 def plot_analysis(data: xr.Dataset) -> Figure:
     """Transmission error about its mean, backlash, contacts, pressure and stiffness over the crank, load of each pin.
 
-    What is the same in each pin pitch is drawn over one, with the points of all, the rest over all crank angles.
+    Figures that repeat in each pin pitch are drawn over one pitch, with the points of all; others over all crank
+    angles.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -179,9 +180,9 @@ def plot_analysis(data: xr.Dataset) -> Figure:
             error = data["transmission_error"].sel(torque=torque).values * ARCSEC
             label = f"{torque:g} N·m: mean {error.mean():.2f}″, peak to peak {np.ptp(error):.2f}″"
             axis.plot(at[shown], error[shown] - error.mean(), lw=1.0, label=label)
-        axis.set(xlabel="crank angle [°]", ylabel="TE - its mean [arcsec]")
+        axis.set(xlabel="crank angle [°]", ylabel="TE - mean [arcsec]")
     axes[0].set_title("transmission error (TE) about its mean", fontsize=9)
-    zoom = f"transmission error (TE) about its mean, {_ALIKE}" if alike else f"its first {_ZOOMED} pin pitches"
+    zoom = f"transmission error (TE) about its mean, {_ALIKE}" if alike else f"the first {_ZOOMED} pin pitches"
     axes[1].set_title(zoom, fontsize=9)
     figure.legend(
         *axes[0].get_legend_handles_labels(), title=title_of(data), title_fontsize=11, loc="outside upper center",
@@ -190,7 +191,7 @@ def plot_analysis(data: xr.Dataset) -> Figure:
     if alike:
         figure.delaxes(axes[0])
         axes[1].set_subplotspec(axes[1].get_subplotspec().get_gridspec()[0, :])
-    alone = "" if "turning_arm_force" in data else " of the mesh alone"
+    alone = "" if "turning_arm_force" in data else " of the mesh only"
     panels: tuple[tuple[str, str, str, float], ...] = (
         ("backlash", "backlash", "[arcsec]", ARCSEC),
         ("max_contact_pressure", "largest contact pressure", "[MPa]", 1e-6),
@@ -224,7 +225,7 @@ def plot_analysis(data: xr.Dataset) -> Figure:
 
 
 def plot_lines(data: xr.Dataset) -> Figure:
-    """Contact lines at one crank angle, the load around the pin circle, and the pressures that elements have seen."""
+    """Contact lines at one crank angle, the load around the pin circle, and the largest pressure of each element."""
     from matplotlib.ticker import MaxNLocator
 
     figure, axes = new_figure(2, 2)
@@ -252,13 +253,13 @@ def plot_lines(data: xr.Dataset) -> Figure:
     pins = data["pin_element_pressure"].isel(torque=0).max("pin").values * 1e-6
     edges = [z.min() - 1e-9, z.max() + 1e-9]
     for axis, image, extent, label in (
-        (axes[2], flank, [*edges, 0.0, 1.0], "tooth: share of the arc"),
+        (axes[2], flank, [*edges, 0.0, 1.0], "tooth: fraction of the arc"),
         (axes[3], pins, [*edges, -90.0, 90.0], "pin: angle from the centre [°]"),
     ):
         loaded = np.flatnonzero(image.max(axis=1) > 0.0)
         shown = axis.imshow(image, extent=extent, origin="lower", aspect="auto", cmap="magma", interpolation="nearest")
         axis.set(xlabel="across the face [mm]", ylabel=label)
-        if loaded.size:  # where nothing ever presses there is nothing to see
+        if loaded.size:  # nothing to show without contact
             span = (extent[3] - extent[2]) / image.shape[0]
             low, high = (extent[2] + span * (edge + side) for edge, side in ((loaded[0], 0.0), (loaded[-1], 1.0)))
             axis.set_ylim(max(low - 0.2 * (high - low), extent[2]), min(high + 0.2 * (high - low), extent[3]))
@@ -274,7 +275,7 @@ def plot_lines(data: xr.Dataset) -> Figure:
 def plot_surface(surface: object) -> Figure:
     """Position and radius errors of the pins, cumulative pitch of the teeth, and the elements' deviations if any.
 
-    Of the flanks the mean of all teeth and tooth 0 of disc 0 are drawn, of the pins the mean and pin 0.
+    Deviations are drawn as the mean of all teeth, for tooth 0 of disc 0, as the mean of all pins and for pin 0.
     """
     from cycloid_fmu.surfaces.surface import ErrorSurface
 
@@ -303,7 +304,7 @@ def plot_surface(surface: object) -> Figure:
             elements.T * 1e6, origin="lower", aspect="auto", extent=(*ends, -0.5, 0.5), cmap="RdBu_r", vmin=-largest,
             vmax=largest,
         )  # fmt: skip
-        axis.set(xlabel=label, ylabel="part of the width")
+        axis.set(xlabel=label, ylabel="fraction of the width")
         axis.set_title(f"deviation, {title}", fontsize=9)
         axis.grid(False)
         figure.colorbar(image, ax=axis, label="µm")
@@ -314,7 +315,7 @@ def plot_surface(surface: object) -> Figure:
 
 
 def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) -> Figure:
-    """Terms of a lost motion budget by size, closed form and contact model, and below the distribution of the total.
+    """Terms of a lost motion budget by size, by closed form and contact model; distribution of the total below.
 
     `stack` is a `reducer.Stack` or None.
     """
@@ -333,7 +334,7 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
             place + shift,
             [terms[n] * ARCMIN for n in names],
             0.38,
-            label=f"{label}: {terms['total'] * ARCMIN:.3f}′ in all",
+            label=f"{label}: {terms['total'] * ARCMIN:.3f}′ in total",
         )
     axis.axhline(0.0, color="k", lw=0.8)
     axis.set(ylabel="play at the output [arcmin]")
@@ -356,14 +357,14 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
     return figure
 
 
-# unit of a tolerance study's figures: for people, with its factor
+# SI unit of a tolerance study's figures: (unit shown, its factor)
 SHOWN = {"rad": ("arcsec", ARCSEC), "Pa": ("MPa", 1e-6), "m": ("µm", 1e6)}
 
 
 def plot_tolerance(result: object) -> Figure:
-    """Distribution of every figure of a tolerance study, with its limit and the share of drives that keep it.
+    """Distribution of every figure of a tolerance study, with its limit and the share of drives that meet it.
 
-    A figure without limit that is the same in all drives is left out.
+    Figures without a limit that are the same in all drives are not drawn.
     """
     from cycloid_fmu.studies.tolerance import FIGURES, PER_TORQUE, Result, yields
 
@@ -378,7 +379,7 @@ def plot_tolerance(result: object) -> Figure:
     for axis, name in zip(axes, names, strict=False):
         unit, factor = SHOWN[FIGURES[name][0]]
         values = result.figure(name)[result.independent] * factor
-        signed = name == "mean_transmission_error"  # that of both directions together would leave a gap between them
+        signed = name == "mean_transmission_error"  # both directions together would have a gap between them
         for k, column in enumerate(values.reshape(len(values), -1).T):
             label = f"{study.torque[k]:g} N·m" if name in PER_TORQUE else None
             column = column * np.sign(study.torque[k] or 1.0) if signed else column
@@ -386,7 +387,7 @@ def plot_tolerance(result: object) -> Figure:
         axis.set(xlabel=f"{name.replace('_', ' ')}{', along the load' if signed else ''} [{unit}]", ylabel="drives")
         if name in limits:
             _show_limit(
-                axis, limits[name] * factor, f"limit {limits[name] * factor:g}: {kept[name]['share']:.1%} keep it"
+                axis, limits[name] * factor, f"limit {limits[name] * factor:g}: {kept[name]['share']:.1%} meet it"
             )
         if axis.get_legend_handles_labels()[0]:
             show_legend(axis, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
@@ -396,7 +397,7 @@ def plot_tolerance(result: object) -> Figure:
 
 
 def _show_limit(axis: Axes, limit: float, label: str) -> None:
-    """Show a limit as a line; where it is far from all drives as an arrow, so that these are not squeezed."""
+    """Show a limit as a line, or as an arrow if it is so far from all drives that these would be squeezed."""
     low, high = axis.get_xlim()
     if low - 0.5 * (high - low) <= limit <= high + 0.5 * (high - low):
         axis.axvline(limit, color="k", ls="--", lw=1, label=label)
@@ -409,7 +410,7 @@ def _show_limit(axis: Axes, limit: float, label: str) -> None:
 
 
 def plot_indices(factors: Sequence[str], indices: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> Figure:
-    """First-order and total Sobol index of each tolerance for each figure, with their 95 % intervals."""
+    """First-order and total Sobol indices of each tolerance for each figure, with their 95 % intervals."""
     figure, axes = new_figure((len(indices) + 1) // 2, 2)
     for axis in axes[len(indices) :]:
         figure.delaxes(axis)
@@ -427,7 +428,7 @@ def plot_indices(factors: Sequence[str], indices: Mapping[str, Mapping[str, NDAr
 
 
 def plot_allocation(factors: Sequence[str], scale: NDArray[np.float64], title: str) -> Figure:
-    """Width of each allocated tolerance relative to the stated one; narrower to the left of the line, wider beyond."""
+    """Width of each allocated tolerance relative to the stated one: narrower left of the line, wider right of it."""
     figure, axes = new_figure(2)
     figure.delaxes(axes[1])
     axis = axes[0]
@@ -446,7 +447,7 @@ def plot_allocation(factors: Sequence[str], scale: NDArray[np.float64], title: s
 
 
 def plot_simulation(results: Mapping[str, NDArray[np.float64]], title: str) -> Figure:
-    """Output angle's error, backlash and largest pressure of an FMU's run over time; the title names FMU and load."""
+    """Transmission error, backlash and largest pressure of an FMU's run over time; `title` names FMU and load."""
     figure, axes = new_figure(3, sharex=True)
     time = results["time"]
     for axis, (name, label, factor) in zip(
@@ -465,7 +466,7 @@ def plot_simulation(results: Mapping[str, NDArray[np.float64]], title: str) -> F
     return figure
 
 
-# What differences of an FMU's variables are shown in.
+# Units in which differences of an FMU's variables are shown.
 DIFFERENCE_UNITS = {
     "flange_a.phi": ("arcsec", ARCSEC), "flange_b.phi": ("arcsec", ARCSEC), "transmission_error": ("arcsec", ARCSEC),
     "backlash": ("arcsec", ARCSEC), "flange_a.w": ("rad/s", 1.0), "flange_b.w": ("rad/s", 1.0),
@@ -481,7 +482,7 @@ def plot_comparison(
     one: str,
     other: str,
 ) -> Figure:
-    """Difference of each variable that two FMUs, or an FMU and a recording, have in common, over time."""
+    """Difference over time of each variable that two FMUs, or an FMU and a recording, have in common."""
     equal = [name for name, (first, second) in pairs.items() if np.array_equal(first, second)]
     pairs = {name: both for name, both in pairs.items() if name not in equal} or pairs
     figure, axes = new_figure((len(pairs) + 1) // 2, 2, sharex=True)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def plot_profile(profile: Profile) -> Figure:
-    """The disc with its holes, pins and the pin circle; tooth 0 with the ends of its arcs; its and their curvature."""
+    """The disc with holes, pins and pin circle; tooth 0 with the ends of its arcs; curvature of tooth and arcs."""
     figure, axes = new_figure(2, 2)
     for axis in axes:
         figure.delaxes(axis)
@@ -52,9 +52,15 @@ def plot_profile(profile: Profile) -> Figure:
     chord, bulge = np.abs(np.diff(arcs)), profile.bulge[: arcs.size - 1]
     steps = np.concatenate([[0.0], np.cumsum(chord * 2.0 * np.arctan(bulge) / np.sin(2.0 * np.arctan(bulge)))])
     bent.stairs(4e-3 * bulge / (1.0 + bulge**2) / chord, steps * 1e3, baseline=None, color="C1", label="arcs")
-    bent.plot(table["arc_length"][first] * 1e3, table["curvature"][first] * 1e-3, "k", lw=0.9, label="flank, no form")
+    bent.plot(
+        table["arc_length"][first] * 1e3,
+        table["curvature"][first] * 1e-3,
+        "k",
+        lw=0.9,
+        label="flank without form deviation",
+    )
     bent.set(xlabel="arc length [mm]", ylabel="curvature [1/mm]")
-    bent.set_title(f"flank to arcs: {profile.largest_error * 1e6:.3g} µm at most", fontsize=9)
+    bent.set_title(f"flank to arcs: at most {profile.largest_error * 1e6:.3g} µm", fontsize=9)
     show_legend(bent)
     figure.set_size_inches(12.0, 6.4)
     return figure

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 def plot_sweep(data: xr.Dataset) -> Figure:
-    """Every figure of a sweep: over one value as lines, one a torque; over two as maps, at the first torque.
+    """Every figure of a sweep: over one value as lines, one per torque; over two as maps, at the first torque.
 
-    Of more than two the first two that take several values are drawn, at the first values of the others. Invalid
-    combinations and drives with interference are left blank, grey in maps.
+    If more than two values vary, the first two are drawn, at the first value of the others. Invalid combinations and
+    drives with interference are blank, in maps grey.
     """
     missing = int((data["reason"].values != "").sum())
     size, data = data["reason"].size, with_free_positions(data)
@@ -60,7 +60,7 @@ def plot_sweep(data: xr.Dataset) -> Figure:
     if len(several) > 1:
         held.insert(0, f"{float(data['torque'].values[0]):g} N·m")
     if missing:
-        held.append(f"{missing} of {size} drives left out: no drive, or interference")
+        held.append(f"{missing} of {size} drives not shown: invalid, or interference")
     figure.suptitle(", ".join(held), fontsize=9)
     return figure
 

@@ -1,4 +1,4 @@
-"""Verdicts below a picture, in red where a limit is not met; sliding and bearing lives over a duty."""
+"""Verdicts below a picture, red if a limit is not met; sliding and bearing lives over a duty."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LINE = 0.17  # inch
 
 
 def show_verdicts(figure: Figure, verdicts: Sequence[Verdict]) -> Figure:
-    """Add a line for each verdict below a figure, which grows by them, and return it."""
+    """Add a line for each verdict below a figure, enlarge it accordingly, and return it."""
     if not verdicts:
         return figure
     width, height = figure.get_size_inches()
@@ -34,7 +34,7 @@ def show_verdicts(figure: Figure, verdicts: Sequence[Verdict]) -> Figure:
 
 
 def plot_duty(judged: Judged) -> Figure:
-    """Sliding and friction power of the pins over the crank at each row of a duty, and the bearings' lives over it."""
+    """Sliding speed and friction power of the pins over the crank for each row of a duty, and the bearing lives."""
     rows = len(judged.sliding)
     figure, axes = new_figure(rows + bool(judged.lives), 2)
     angle = np.degrees(judged.crank_angle)
@@ -50,7 +50,7 @@ def plot_duty(judged: Judged) -> Figure:
             density = found.friction_power_density.max(axis=(1, 2)) * 1e-6
             beside = worst.twinx()
             beside.plot(angle, density, "C1", lw=1.0)
-            beside.set_ylabel("friction power over\nits contact [W/mm²]", color="C1")
+            beside.set_ylabel("friction power per\ncontact area [W/mm²]", color="C1")
             beside.set_ylim(0.0, 1.1 * beside.get_ylim()[1])
             worst.yaxis.label.set_color("C0")
         disc = int(values.max(axis=(0, 2)).argmax())

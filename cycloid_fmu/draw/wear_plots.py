@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures: Mapping[str, Any]) -> Figure:
-    """Mesh of one pin when new, wear depth over both bodies, and depth and accuracy over life."""
+    """Contact of one pin when new, wear depth over both bodies, and depth and accuracy over life."""
     from cycloid_fmu.contact.tooth_contact import loaded_contacts
     from cycloid_fmu.contact.transmission import drive_of
     from cycloid_fmu.wear.progress import contact_coefficients
@@ -37,7 +37,7 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
             ("force [N]", [("", contacts.force)]),
             ("pressure [MPa]", [("", contacts.pressure * 1e-6)]),
             ("half width [µm]", [("", contacts.half_width * 1e6)]),
-            ("velocity [mm/rad of the ring]",
+            ("velocity [mm per rad of the ring]",
              [("along pin", speed.pin * 1e3), ("along gear", speed.gear * 1e3), ("sliding", speed.sliding * 1e3)]),
             ("slip coefficient", [("gear", speed.gear_slip), ("pin", speed.pin_slip)]),
             ("k_0 [m²/N]", [("", coefficient)]),
@@ -45,15 +45,15 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
         for axis, (label, curves) in zip(axes, mesh, strict=False):
             for name, values in curves:
                 axis.plot(phase, values[order], ".", ms=2, label=name)
-            axis.set(xlabel="pin's angle from the crank [rad]", ylabel=label)
+            axis.set(xlabel="angle of the pin from the crank [rad]", ylabel=label)
             if curves[0][0]:
                 show_legend(axis, markerscale=4)
         axes[0].set_title(f"new, {torque:g} N·m", fontsize=9)
         axes[4].set_ylim(-12.0, 12.0)
-        axes[4].set_title("the pin's has a pole where the contact reverses", fontsize=9)
+        axes[4].set_title("slip of the pin: pole where the contact reverses", fontsize=9)
     turns = states[-1].crank_turns
     for axis, body, along, label in (
-        (axes[6], "gear", np.linspace(0.0, 1.0, model.unworn.gear.shape[2]), "tooth's arc, root to root"),
+        (axes[6], "gear", np.linspace(0.0, 1.0, model.unworn.gear.shape[2]), "arc of the tooth, root to root"),
         (
             axes[7],
             "pin",
@@ -74,13 +74,13 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
             margin = 0.1 * (along[worn[-1]] - along[worn[0]])
             axis.set_xlim(along[worn[0]] - margin, along[worn[-1]] + margin)
         axis.set(xlabel=label, ylabel="depth [µm]")
-        axis.set_title(f"{body}: each step, deepest of all", fontsize=9)
+        axis.set_title(f"{body}: each step, largest of all", fontsize=9)
         show_legend(axis)
     life = figures["life"]
     at = np.array(life["crank_turns"]) * 1e-6
     for body in ("gear", "pin"):
         axes[8].plot(at, np.array(life[f"{body}_depth_max"]) * 1e6, ".-", ms=4, lw=1, label=body)
-    axes[8].set(xlabel="million crank turns", ylabel="deepest [µm]")
+    axes[8].set(xlabel="million crank turns", ylabel="largest depth [µm]")
     show_legend(axes[8])
     for axis, name, label in (
         (axes[9], "transmission_error", "mean TE [arcsec]"),

@@ -1,7 +1,7 @@
-"""What all three packages share where the world comes in.
+"""Input and output shared by all three packages.
 
-Quantities with units, configuration whose errors name file and field, files that appear whole or not at all, and exit
-codes. What command lines share is in `edge.commands`. Nothing here knows gears, measurements or encoders.
+Quantities with units, configuration whose errors name file and field, atomic writing of files, and exit codes. The
+shared parts of command lines are in `edge.commands`. Nothing here depends on gears, measurements or encoders.
 """
 
 from cycloid_fmu.edge.config import (

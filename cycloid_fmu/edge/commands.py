@@ -1,7 +1,7 @@
-"""What the command lines share: their frame, options, tables, progress and exit codes.
+"""Shared parts of the command lines: entry point, options, tables, progress and exit codes.
 
-A command line is a package with one module a command; each module has one function named as the command, or a
-`typer.Typer` of further commands. Only the module of the command that runs is imported.
+A command line is a package with one module per command; each module has one function with the command's name, or a
+`typer.Typer` of subcommands. Only the module of the executed command is imported.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ _SETTINGS: dict[str, Any] = {
     "no_args_is_help": True, "add_completion": False, "pretty_exceptions_enable": False, "rich_markup_mode": "rich",
 }  # fmt: skip
 _QUIET, _LONGEST_QUIET = 10.0, 30.0  # seconds between the lines of a progress that is written to a file
-_SHORT = 0.5  # seconds: what takes no longer shows no bar, whose package takes a while to load
-_WIDE = 40  # characters of a cell that may be wrapped at its blanks where the terminal is narrow
+_SHORT = 0.5  # seconds: shorter computations show no bar, as its package is slow to load
+_WIDE = 40  # characters; longer cells may be wrapped at spaces in a narrow terminal
 
 
 class _Group(typer.core.TyperGroup):
-    """A group of commands that names options, not arguments, in the errors of the library."""
+    """A group of commands; errors of the library name options here, not function arguments."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         if args[0] not in self.commands and not args[0].startswith("-"):
@@ -80,7 +80,7 @@ class _Group(typer.core.TyperGroup):
 
 
 def _flag(command: Any, argument: str) -> str:
-    """Return what a command's user writes for an argument of the library."""
+    """Return the option or argument of a command that sets an argument of the library."""
     for parameter in command.params:
         options = [o for o in parameter.opts if o.startswith("--")]
         if argument == parameter.name or "--" + argument.replace("_", "-") in options:
@@ -89,14 +89,14 @@ def _flag(command: Any, argument: str) -> str:
 
 
 def _typed(words: Sequence[str], flag: str) -> str | None:
-    """Return the text with a unit that an option was given once; None for other options."""
+    """Return the value of an option as typed, if it is given exactly once and ends in a unit; otherwise None."""
     given = [after for word, after in pairwise(words) if word == flag]
     given += [word.removeprefix(f"{flag}=") for word in words if word.startswith(f"{flag}=")]
     return given[0] if len(given) == 1 and re.search(r"\d.*[a-z]$", given[0]) else None
 
 
 class _Lazy(MutableMapping[str, Any]):
-    """The commands of a package by name, each imported when it is asked for."""
+    """The commands of a package by name, each imported on first access."""
 
     def __init__(self, package: str, names: Sequence[str]) -> None:
         self._package = package
@@ -129,19 +129,19 @@ class _Lazy(MutableMapping[str, Any]):
 
 
 def command_line(name: str, help: str, package: str = "", names: Sequence[str] = ()) -> typer.Typer:
-    """Return a command line; more commands than those of the package are added with `@….command()`.
+    """Return a command line; commands from elsewhere are added with `@….command()`.
 
     Parameters
     ----------
     name
-        What its user types, such as "cycloid-fmu".
+        Name of the program, such as "cycloid-fmu".
     help
         One sentence for the help page.
     package
-        The package whose modules are commands: each has a function of its own name (or with `_` behind it) or a
-        `typer.Typer` made by `subcommands`.
+        The package whose modules are commands: each has a function with the module's name (a trailing `_` is allowed)
+        or a `typer.Typer` from `subcommands`.
     names
-        Its commands in the order of the help page.
+        Names of the commands in the order of the help page.
     """
 
     class Group(_Group):
@@ -156,7 +156,7 @@ def command_line(name: str, help: str, package: str = "", names: Sequence[str] =
 
 
 def subcommands(help: str) -> typer.Typer:
-    """Return a `typer.Typer` for commands of two words, to which its module adds them with `@….command()`."""
+    """Return a `typer.Typer` for subcommands, which its module adds with `@….command()`."""
     return typer.Typer(cls=_Group, help=help, **_SETTINGS)
 
 
@@ -176,8 +176,8 @@ def _version_of(name: str) -> Callable[..., None]:
 
 
 def main(app: typer.Typer) -> NoReturn:
-    """Be a process that runs a command line and ends with it."""
-    # Threads of OpenBLAS wait in a loop from when NumPy is loaded: an analysis took 1.3 times as much processor time.
+    """Run a command line and end the process with its exit code."""
+    # Idle OpenBLAS threads spin once NumPy is loaded: an analysis took 1.3 times as much processor time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     status = list[int]()
     atexit.register(_leave, status)
@@ -189,7 +189,7 @@ def main(app: typer.Typer) -> NoReturn:
 
 
 def _leave(status: list[int]) -> None:
-    """End the process, after all that others do at exit: taking every module to pieces was a third of a command."""
+    """End the process after all other exit handlers: finalizing every module took a third of a short command."""
     if status:
         sys.stdout.flush()
         sys.stderr.flush()
@@ -197,12 +197,12 @@ def _leave(status: list[int]) -> None:
 
 
 def run(app: typer.Typer) -> NoReturn:
-    """Run a command line: bad input exits 2 with its sentence, an interrupt 130, a failure in the middle 1."""
+    """Run a command line; the exit code is 2 after invalid input, 130 after an interrupt and 1 after a failure."""
     debug = bool(os.environ.get("CYCLOID_TRACEBACK"))
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    # What modules make when they are loaded stays: looking through it for garbage took a tenth of a short command.
+    # Objects made on import are permanent: scanning them for garbage took a tenth of a short command.
     gc.set_threshold(100_000)
-    if not debug:  # what libraries log, and what their half-made objects complain of, is in our own sentence
+    if not debug:  # logs and finalizer errors of libraries only repeat our own sentence
         logging.disable(logging.CRITICAL)
         sys.unraisablehook = lambda complaint: None
     shown = warnings.showwarning
@@ -241,7 +241,7 @@ def run(app: typer.Typer) -> NoReturn:
 
 
 def _usage(problem: Any) -> str:
-    """Return a sentence for words that the command line does not understand."""
+    """Return a sentence for invalid options and arguments."""
     said = str(problem.format_message()).strip()
     where = problem.ctx.command_path if problem.ctx is not None else ""
     if isinstance(problem, _Refused) and problem.param is not None:
@@ -252,7 +252,7 @@ def _usage(problem: Any) -> str:
         options = [o for p in problem.ctx.command.params for o in p.opts if o.startswith("--")]
         near = did_you_mean(unknown, options)
         return f"{unknown} is not an option of {where}; {near or f'see {where} --help.'}"
-    if "\n" in said or not said:  # a help page, or one that is printed already
+    if "\n" in said or not said:  # a help page, or a message that is already printed
         return said
     return f"{said.rstrip('.')}; see {where} --help."
 
@@ -263,7 +263,7 @@ def _say(text: str) -> None:
 
 
 class _Refused(typer.BadParameter):
-    """A value of an option that can't be used, with the reason as the library says it."""
+    """An invalid value of an option, with the library's reason."""
 
     def __init__(self, given: str, reason: str) -> None:
         super().__init__(reason)
@@ -271,18 +271,18 @@ class _Refused(typer.BadParameter):
 
 
 def quantity_option(si: str, help: str, *names: str, **settings: Any) -> Any:
-    """Return an option that is typed with its unit and is a number in SI units to the command.
+    """Return an option whose value is typed with its unit and passed to the command in SI units.
 
     Parameters
     ----------
     si
         The SI unit, as pint writes it.
     help
-        What it is.
+        Help text of the option.
     names
-        The option's names where they differ from the parameter's.
+        Names of the option, if they differ from the parameter's.
     settings
-        More for `typer.Option`, such as `show_default="600 rpm"`.
+        Further arguments of `typer.Option`, such as `show_default="600 rpm"`.
 
     Examples
     --------
@@ -302,7 +302,7 @@ def quantity_option(si: str, help: str, *names: str, **settings: Any) -> Any:
 
 
 def choice_option(choices: Collection[str], help: str, *names: str, **settings: Any) -> Any:
-    """Return an option that takes one of some words."""
+    """Return an option whose value is one of the given words."""
 
     def parse(text: str) -> str:
         if text in choices:
@@ -315,7 +315,7 @@ def choice_option(choices: Collection[str], help: str, *names: str, **settings: 
 
 
 def output_option(endings: Collection[str], metavar: str, help: str, *names: str) -> Any:
-    """Return an option for a file to write; another ending or a missing folder is refused before the command runs."""
+    """Return an option for an output file; a wrong ending or a missing folder is refused before the command runs."""
 
     def check(param: typer.CallbackParam, value: Path | None) -> Path | None:
         return value if value is None else output_path(value, param.opts[0], endings)
@@ -333,18 +333,18 @@ def zip_argument(metavar: str, what: str, help: str) -> Any:
 
 
 PlotFile = Annotated[Path | None, output_option(PICTURES, "FILE.png|pdf", "Draw the result.", "--plot")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scripts: SI, names as in the files.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON: SI units, names as in the files.")]
 
 
 def print_json(data: Any) -> None:
-    """Print a result for scripts: SI units, NaN as null."""
+    """Print a result as JSON: SI units, NaN as null."""
     typer.echo(json_text(data))
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table for people, numbers set to the right. Nothing is cut, however narrow the terminal is.
+    """Print a table with right-aligned numbers. Nothing is cut, however narrow the terminal is.
 
-    Sentences in the last column are wrapped at blanks where a terminal is too narrow for them.
+    Sentences in the last column are wrapped at spaces if the terminal is too narrow for them.
     """
     lines = [[without_controls(str(cell)) for cell in row] for row in (columns, *rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -378,14 +378,14 @@ def _is_number(cell: str) -> bool:
 
 
 class Bar:
-    """How far a computation is: on a terminal a bar, otherwise a line every ten seconds or more, on standard error.
+    """Progress of a computation on standard error: a bar on a terminal, otherwise a line every ten seconds or more.
 
     Parameters
     ----------
     what
-        What is counted, such as "crank angles".
+        The items counted, such as "crank angles".
     total
-        How many there are; None while it is not known.
+        Number of items; None while it is unknown.
     """
 
     def __init__(self, what: str, total: float | None) -> None:
@@ -395,13 +395,13 @@ class Bar:
         self._rich: Progress | None = None
 
     def advance(self, done: float = 1.0) -> None:
-        """Count `done` more."""
+        """Add `done` items to those finished."""
         self.update(completed=self._done + done)
 
     def update(
         self, *, completed: float | None = None, total: float | None = None, description: str | None = None
     ) -> None:
-        """Say how many are done, how many there are, or what is counted now."""
+        """Set the number of items done, their total or their name."""
         self._done = self._done if completed is None else completed
         self._total = self._total if total is None else total
         self._what = self._what if description is None else description
@@ -441,14 +441,14 @@ class Bar:
 
 @contextmanager
 def progress(what: str, total: float | None) -> Iterator[Callable[[float], None]]:
-    """Show how far a computation is; yields what its `progress` argument calls with how many more are done."""
+    """Show the progress of a computation; yields the function for its `progress` argument."""
     with Bar(what, total) as bar:
         yield bar.advance
 
 
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
-    """Show on a terminal what is being done; yields what a `progress` argument calls."""
+    """Show the current stage on a terminal; yields the function for a `progress` argument."""
     from rich.console import Console
 
     with Console(stderr=True).status("starting …") as shown:

@@ -1,4 +1,4 @@
-"""Configuration: models whose quantities have units, and whose errors name file, field, value and what is allowed."""
+"""Configuration: models whose quantities have units, and whose errors name file, field, value and allowed values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 else:
 
     class _Construction(type(pydantic.BaseModel)):
-        """Construction in Python raises an `InputError` of one sentence a problem, as reading a file does."""
+        """Construction in Python raises an `InputError` with one sentence per problem, as reading a file does."""
 
         def __call__(cls, *args: Any, **values: Any) -> Any:
             try:
@@ -28,21 +28,22 @@ else:
 
 
 def quantity(value: object, si: str, info: pydantic.ValidationInfo | None = None) -> float:
-    """Return a quantity in SI units: a number or text with its unit in Python, only such text in a file.
+    """Return a quantity in SI units, given as text with its unit; from Python, a number in SI units is accepted too.
 
     Parameters
     ----------
     value
-        What was given.
+        The given value.
     si
         The SI unit, as pint writes it: "m", "rad", "N*m".
     info
-        What pydantic gives a validator; its context says whether a file is read (`validated`). None in Python.
+        Pydantic's validation information; its context states whether the value is from a file (`validated`). None for
+        values from Python.
 
     Raises
     ------
     ValueError
-        If it is neither; the message says how to write it.
+        If it is neither; the message shows the correct form.
     """
     in_file = info is not None and info.context is not None
     if not in_file and isinstance(value, numbers.Real) and not isinstance(value, bool):
@@ -85,26 +86,26 @@ _WORDS = {
     "list_type": _LIST, "tuple_type": _LIST, "dict_type": "a table", "model_type": "a table",
     "float_type": _NUMBER, "float_parsing": _NUMBER, "string_type": "text in quotes",
 }  # fmt: skip
-"""What pydantic's kinds of problems ask for, in words of the file."""
+"""Expected entries for pydantic's error types, in TOML's terms."""
 
 
 class Config(pydantic.BaseModel, metaclass=_Construction):
-    """Base of everything read from TOML: unknown keys are refused, values can't be changed afterwards.
+    """Base class of data from TOML: unknown keys are refused, instances are immutable.
 
     Raises
     ------
     InputError
-        If a value can't be used; one sentence a problem.
+        If a value is invalid; one sentence per problem.
     """
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, validate_default=False)
 
     def replace(self, **changes: Any) -> Self:
-        """Return the model with other values, checked as constructing it does."""
+        """Return a copy with changed values, validated as in construction."""
         return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """As `replace`: there is no way to a value that was not checked."""
+        """As `replace`, so that no copy skips validation."""
         return self.replace(**(update or {}))
 
 
@@ -112,7 +113,7 @@ Model = TypeVar("Model", bound=Config)
 
 
 def unit_of_field(field: Any) -> str | None:
-    """Return the SI unit of a model's field, None where it has none."""
+    """Return the SI unit of a model's field; None if it has none."""
     if isinstance(extra := getattr(field, "json_schema_extra", None), dict) and "si" in extra:
         return str(extra["si"])
     parts = [*get_args(getattr(field, "annotation", field)), *getattr(field, "__metadata__", ())]
@@ -127,7 +128,7 @@ def _models(annotation: Any) -> Iterator[type[pydantic.BaseModel]]:
 
 
 def _keys(model: type[pydantic.BaseModel], place: Sequence[int | str]) -> list[str]:
-    """Return the keys that a model knows at a place."""
+    """Return the valid keys at a location in a model."""
     models = [model]
     for part in place:
         fields = [m.model_fields[part] for m in models if isinstance(part, str) and part in m.model_fields]
@@ -136,7 +137,7 @@ def _keys(model: type[pydantic.BaseModel], place: Sequence[int | str]) -> list[s
 
 
 def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
-    """Say one of pydantic's findings as a sentence that names file, field, value and what is allowed."""
+    """Return one of pydantic's errors as a sentence that names file, field, value and allowed values."""
     place, kind, message = error["loc"], error["type"], error["msg"]
     tables = [str(p) for p in place[:-1] if not isinstance(p, int)]
     field = "".join(f"[{i}]" if isinstance(i, int) else f".{i}" for i in place).lstrip(".")
@@ -158,14 +159,14 @@ def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
     message += "" if message.endswith("?") else "."
     if not field:
         return f"{source}: {message}"
-    if isinstance(error["input"], Mapping):  # a table: what is in it is seen in the file
+    if isinstance(error["input"], Mapping):  # a table: its contents can be read in the file
         return f"{source}: [{cut('.'.join(map(str, place)), 100)}]: {message}"
     return f"{source}: {field} = {shown(error['input'])}: {message}"
 
 
 def _input_error(problems: pydantic.ValidationError, model: type[pydantic.BaseModel], source: str) -> InputError:
     found = problems.errors(include_url=False, include_context=False)
-    # Entries that can't be used don't count, for pydantic, but that there are too few of them is no news.
+    # Pydantic does not count invalid entries; "too few entries" because of them would only repeat their errors.
     entries = {e["loc"][:-1] for e in found if e["loc"]} | {e["loc"][:-2] for e in found if len(e["loc"]) > 1}
     found = [e for e in found if not (e["type"] == "too_short" and e["loc"] in entries)]
     said = [_sentence(e, model, source) for e in found[:5]]
@@ -175,12 +176,12 @@ def _input_error(problems: pydantic.ValidationError, model: type[pydantic.BaseMo
 
 
 def validated(model: type[Model], data: dict[str, Any], source: str) -> Model:
-    """Return `data` of a file checked by `model`: quantities need their units there.
+    """Return the data of a file, validated by `model`; every quantity needs its unit.
 
     Raises
     ------
     InputError
-        One sentence a problem, each naming `source`.
+        One sentence per problem, each naming `source`.
     """
     try:
         return model.model_validate(data, context={"file": source})

@@ -1,4 +1,4 @@
-"""Files: text, TOML, JSON, tables with units that are read, and files that appear whole or not at all."""
+"""Files: reading text, TOML, JSON and tables with units; writing without ever leaving a partial file."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from typing import Any
 from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
-MOST_BYTES = 4 << 30  # of what is unpacked or loaded as a whole
+MOST_BYTES = 4 << 30  # largest size of data unpacked or loaded as a whole
 _LONGEST_XML = 64 << 20
 PICTURES = (".png", ".pdf")
-"""Endings of files with a plot."""
+"""Endings of plot files."""
 
 
 def check_format(given: object, wanted: str, source: str) -> None:
-    """Refuse, in one sentence, a file whose `format` is not the one that this version reads."""
+    """Raise an `InputError` if a file's `format` is not the one that this version reads."""
     if given is None:
         raise InputError(f'{source}: format is missing; the first line must be format = "{wanted}".')
     if given != wanted:
@@ -46,12 +46,12 @@ def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
 
 
 def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> dict[str, Any]:
-    """Return the table of a JSON file of the wanted format; `what` it should hold, for the message, such as "figures".
+    """Return the table of a JSON file of the wanted format; `what` names its contents in messages, such as "figures".
 
     Raises
     ------
     InputError
-        If it can't be read, is no JSON or no table, or is of another format.
+        If it can't be read, is not a JSON object, or has another format.
     """
     text = read_text(path)
     with parsed_by_others(path, "this is not JSON"):
@@ -63,7 +63,7 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
 
 
 def format_of(path: str | os.PathLike[str]) -> object:
-    """Return the `format` of a TOML file, None where it has none or is no TOML (its reader then says so)."""
+    """Return the `format` of a TOML file; None if it has none or is not TOML, which its reader reports."""
     try:
         return tomllib.loads(read_text(path)).get("format")
     except InputError:
@@ -73,7 +73,7 @@ def format_of(path: str | os.PathLike[str]) -> object:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Return a UTF-8 text file; an `InputError` where it can't be read or is a device, a pipe or a socket."""
+    """Return the text of a UTF-8 file; raise an `InputError` if it can't be read or is a device, a pipe or a socket."""
     try:
         return existing(path).read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -83,10 +83,10 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a file that can be read; an `InputError` where there is none.
+    """Return the path of a readable file or folder; raise an `InputError` if there is none.
 
-    Devices, pipes and sockets are refused before they are opened: to open some of them does something, and others never
-    end.
+    Devices, pipes and sockets are refused before they are opened: opening a device can have side effects, and reading
+    may never end.
     """
     try:
         mode = Path(path).stat().st_mode
@@ -94,14 +94,14 @@ def existing(path: str | os.PathLike[str]) -> Path:
         if stat.S_ISDIR(mode) or (stat.S_ISREG(mode) and not kernels):
             with Path(path).open("rb"):
                 return Path(path)
-    except (OSError, ValueError) as problem:  # a ValueError where a name holds a zero byte
+    except (OSError, ValueError) as problem:  # a ValueError if a name contains a null byte
         raise InputError(f"{cut(str(path), 300)}: {getattr(problem, 'strerror', None) or problem}.") from None
-    kind = "a part of the kernel" if stat.S_ISREG(mode) else _kind(mode)
-    raise InputError(f"{path}: this is {kind}; only files are read.")
+    kind = "a virtual file of the kernel" if stat.S_ISREG(mode) else _kind(mode)
+    raise InputError(f"{path}: this is {kind}; only regular files are read.")
 
 
 def _kind(mode: int) -> str:
-    """Return what something in a folder is that is no plain file, for a sentence."""
+    """Return the kind of a directory entry that is not a regular file, as words for a message."""
     kinds = {stat.S_ISLNK: "a link", stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a pipe", stat.S_ISSOCK: "a socket"}
     return next((name for is_one, name in kinds.items() if is_one(mode)), "a device")
 
@@ -147,7 +147,7 @@ def unit_columns(
 
 
 def finite(cell: str, field: str) -> float:
-    """Return the number in a cell of a table; an `InputError` that begins with `field` if it is not a number."""
+    """Return the number in a cell of a table; raise an `InputError` that begins with `field` if it is not a number."""
     try:
         value = float(cell)
     except ValueError:
@@ -158,7 +158,7 @@ def finite(cell: str, field: str) -> float:
 
 
 def csv_rows(path: str | os.PathLike[str]) -> Iterator[list[str]]:
-    """Yield the cells of a CSV file's lines; an `InputError` where it can't be read."""
+    """Yield the cells of a CSV file's lines; raise an `InputError` if it can't be read."""
     rows = csv.reader(read_text(path).splitlines())
     while True:
         with parsed_by_others(path, "this is not a CSV table"):
@@ -183,7 +183,7 @@ def number_rows(
     Raises
     ------
     InputError
-        If it can't be read, a column or its unit is missing, or a cell is no finite number; it names the line.
+        If it can't be read, a column or its unit is missing, or a cell is not a finite number; it names the line.
     """
     lines = csv_rows(path)
     columns = unit_columns(next(lines, []), wanted, str(path), optional)
@@ -199,8 +199,8 @@ def output_path(path: str | os.PathLike[str], argument: str, endings: Collection
     Raises
     ------
     ArgumentError
-        If the name has another ending than the format's, its folder does not exist, or a folder, link, device, pipe or
-        socket has the name; it names `argument`.
+        If the name does not have the format's ending, its folder does not exist, or a folder, link, device, pipe or
+        socket has the name; the error names `argument`.
     """
     target = Path(path)
     if target.suffix.lower() not in endings:
@@ -211,7 +211,7 @@ def output_path(path: str | os.PathLike[str], argument: str, endings: Collection
 
 
 def _unwritable(target: Path) -> str:
-    """Return the reason why no file may be written under this name, or ""."""
+    """Return the reason why no file can be written under this name, or ""."""
     try:
         if not target.parent.is_dir():
             return f"the folder {target.parent} does not exist"
@@ -220,11 +220,11 @@ def _unwritable(target: Path) -> str:
         return ""
     except (OSError, ValueError) as problem:
         return f"this can't be written: {getattr(problem, 'strerror', None) or problem}"
-    return "" if stat.S_ISREG(mode) else f"{_kind(mode)} has this name; only plain files are written"
+    return "" if stat.S_ISREG(mode) else f"{_kind(mode)} has this name; only regular files are written"
 
 
 def writable(path: str | os.PathLike[str]) -> Path:
-    """Return a path that is a plain file or free; an `InputError` names anything else found there."""
+    """Return a path that is free or a regular file; raise an `InputError` for anything else found there."""
     if problem := _unwritable(Path(path)):
         raise InputError(f"{path}: {problem}.")
     return Path(path)
@@ -232,7 +232,7 @@ def writable(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def naming(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Add the file's name to an `OSError` while writing: those of a write have none."""
+    """Add the file's name to an `OSError` while writing: failed writes do not include it."""
     try:
         yield
     except OSError as problem:
@@ -274,7 +274,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 _LEFT = ".cycloid-part"  # ending of folders with a file being written
-_LOCK = "lock"  # in each; it is held while somebody writes
+_LOCK = "lock"  # in each folder; held while its file is being written
 
 
 def _own_folder(target: Path) -> tuple[Path, int]:
@@ -283,7 +283,7 @@ def _own_folder(target: Path) -> tuple[Path, int]:
         folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name[:40]}.", suffix=_LEFT))
         try:
             lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR, 0o600)
-        except FileNotFoundError:  # taken for one that was left, before its lock was there
+        except FileNotFoundError:  # another process removed it as abandoned, before it was locked
             continue
         except OSError:
             folder.rmdir()
@@ -294,9 +294,9 @@ def _own_folder(target: Path) -> tuple[Path, int]:
 
 
 def _remove_left(folder: Path) -> None:
-    """Remove unfinished files in a folder whose writer has ended: its lock has ended with it."""
+    """Remove the unfinished files of a writer that has ended, which released its lock."""
     for left in folder.glob(f".*{_LEFT}"):
-        with contextlib.suppress(OSError):  # another's, or removed by another meanwhile
+        with contextlib.suppress(OSError):  # in use, or just removed by another process
             if left.is_symlink():
                 continue
             if not any(left.iterdir()):
@@ -308,12 +308,12 @@ def _remove_left(folder: Path) -> None:
                     shutil.rmtree(left, ignore_errors=True)
             finally:
                 os.close(lock)
-            if free:  # Windows removes no open file
+            if free:  # Windows can't remove an open file
                 shutil.rmtree(left, ignore_errors=True)
 
 
 def _locked(descriptor: int) -> bool | None:
-    """Take the lock of an open file, which ends with the process.
+    """Lock an open file; the lock is released when the process ends.
 
     Returns
     -------
@@ -349,8 +349,8 @@ def zip_archive(path: str | os.PathLike[str], what: str, description: str | None
     Raises
     ------
     InputError
-        If it is no archive, unpacks to more than 4 GiB, or its XML file is longer than 64 MiB or has a document type,
-        whose entities can grow without end or stand for other files.
+        If it is not an archive, unpacks to more than 4 GiB, or its XML file is longer than 64 MiB or has a document
+        type declaration, whose entities can expand without limit or include other files.
     """
     if not zipfile.is_zipfile(existing(path)):
         raise InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
@@ -366,11 +366,11 @@ def zip_archive(path: str | os.PathLike[str], what: str, description: str | None
 
 def _check_xml(data: bytes, what: str) -> None:
     def refuse(*_: object) -> None:
-        raise InputError(f"{what} has a document type (DOCTYPE); such a file needs none.")
+        raise InputError(f"{what} has a document type declaration (DOCTYPE), which is not allowed.")
 
     parser = xml.parsers.expat.ParserCreate()
     parser.StartDoctypeDeclHandler = refuse
-    with contextlib.suppress(xml.parsers.expat.ExpatError):  # who reads it says what is wrong
+    with contextlib.suppress(xml.parsers.expat.ExpatError):  # reported when it is read
         parser.Parse(data, True)
 
 

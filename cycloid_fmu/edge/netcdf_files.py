@@ -1,4 +1,4 @@
-"""netCDF files: read by Python alone, written so that a full disk is an `OSError`."""
+"""netCDF files: read in pure Python, written so that a full disk raises an `OSError`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cycloid_fmu.edge.problems import InputError, parsed_by_others, shown
 if TYPE_CHECKING:
     import xarray as xr
 
-_CONTIGUOUS, _NOWHERE = 1, (1 << 64) - 1  # HDF5's number of that layout, and its address of nothing
+_CONTIGUOUS, _NOWHERE = 1, (1 << 64) - 1  # HDF5's code for contiguous layout, and its undefined address
 
 
 def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
@@ -24,14 +24,14 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
     Raises
     ------
     InputError
-        If it can't be read, is no netCDF, or is of another format.
+        If it can't be read, is not netCDF, or has another format.
     """
     import h5netcdf
     import xarray as xr
     from xarray.backends import H5NetCDFStore
 
     existing(path)
-    # Python alone reads it: in a damaged file HDF5's own library may never come to an end, or crash.
+    # Read in pure Python: on a damaged file HDF5's own library may hang or crash.
     refusing = parsed_by_others(path, "this is not a netCDF file, or it is damaged")
     with refusing, h5netcdf.File(str(path), "r", backend="pyfive") as file:
         _check_contained(Path(path), file.variables)
@@ -54,10 +54,10 @@ def _check_contained(path: Path, names: Collection[str]) -> None:
         for name in names:
             stored = file[name]
             if stored.size and stored.id.layout_class == _CONTIGUOUS and stored.id.data_offset == _NOWHERE:
-                raise InputError(f"{path}: it holds no data of {name}; they must not be in another file.")
+                raise InputError(f"{path}: it holds no data of {name}; data in other files are not read.")
             total += stored.size * stored.dtype.itemsize
     if total > MOST_BYTES:
-        raise InputError(f"{path}: its variables are longer than {MOST_BYTES >> 30} GiB.")
+        raise InputError(f"{path}: its variables take more than {MOST_BYTES >> 30} GiB.")
 
 
 def write_netcdf(
@@ -68,7 +68,7 @@ def write_netcdf(
     Raises
     ------
     InputError
-        If no file may be written there.
+        If no file can be written there.
     OSError
         If the disk is full; it names the file.
     """

@@ -20,7 +20,7 @@ import time
 import urllib.parse
 from typing import Any, ClassVar
 
-CONNECTIONS = 16  # at a time: each is a thread
+CONNECTIONS = 16  # at a time; each has a thread
 REQUEST_SECONDS = 10.0  # for a whole request and its answer
 _LOCAL = ("localhost", "127.0.0.1", "[::1]")
 
@@ -111,7 +111,7 @@ class PageServer(http.server.ThreadingHTTPServer):
     def server_close(self) -> None:
         """Stop serving and listening."""
         self._stopping.set()
-        if self._serving is not None:  # else the address could not be listened on
+        if self._serving is not None:  # None if listening failed
             self.shutdown()
         super().server_close()
 
@@ -133,7 +133,7 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
     """Serves the page at `/`; other paths are served by `answer`."""
 
     server: PageServer
-    timeout = REQUEST_SECONDS  # of a client that takes nothing
+    timeout = REQUEST_SECONDS  # for a client that does not read
     package: ClassVar[str]
     """The package with `page.html`."""
     name: ClassVar[str]
@@ -161,7 +161,7 @@ class PageHandler(http.server.BaseHTTPRequestHandler):
             return None
         token = self.server.token
         known = token is None or hmac.compare_digest(query.get("token", [""])[0].encode(), token.encode())
-        # A foreign page may have its own name resolved to this machine; the name it calls gives it away.
+        # DNS rebinding: a foreign page may resolve its own name to this machine, but the Host header shows that name.
         called = (self.headers.get("Host") or "").rsplit(":", 1)[0]
         if not known or (self.server.local and called not in _LOCAL):
             self.send_error(403)

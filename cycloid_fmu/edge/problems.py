@@ -59,7 +59,7 @@ class ArgumentError(InputError):
 
 @contextlib.contextmanager
 def parsed_by_others(source: object, problem: str) -> Iterator[None]:
-    """Refuse, in one sentence, a file on which another library fails with any exception.
+    """Turn any exception of a library that reads a file into an `InputError` with one sentence.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def parsed_by_others(source: object, problem: str) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except Exception as failure:  # a parser raises whatever it trips over: no list of classes is complete
+    except Exception as failure:  # parsers raise exceptions of any class
         raise InputError(f"{source}: {problem} ({first_line(failure)}).") from None
 
 
@@ -90,7 +90,7 @@ def missing_package(package: str, extra: str) -> str:
 def needs_extra(
     extra: str, refuse: Callable[[str], InputError] = lambda said: InputError(f"{said}.")
 ) -> Iterator[None]:
-    """Import, inside, packages of an extra; one that is not installed is refused in one sentence that names the extra.
+    """Guard imports of packages of an extra: for a missing one, raise an error with one sentence that names the extra.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def cut(text: str, length: int) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value as it is written in a sentence: in one line, text in quotes, anything long but a path cut."""
+    """Return a value as text for a sentence: in one line, text in quotes, long values except paths cut."""
     if isinstance(value, os.PathLike):
         return str(value)
     return cut(f'"{value}"' if isinstance(value, str) else str(value), 60)

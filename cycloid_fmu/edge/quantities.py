@@ -21,7 +21,7 @@ _NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"((?>{_NUMBER}))(?: |(?=[^\W\d]|[°%]))(\S.*)")
 _NEWTON_METRE = re.compile(r"([mkM]?)N(m|mm|cm)")
 _LONGEST = 60  # characters of a unit, and of a number
-_EXPONENT = 9  # largest of a unit
+_EXPONENT = 9  # largest exponent of a unit
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
 _SYMBOL = re.compile(r"(?:\*\*|\^)\s*(?P<exponent>[+-]?\d+)|(?P<sign>[*·⋅×/()])|(?P<unit>[°%]?[^\W\d]\w*|[°%1])|\s+")
 EXAMPLES = {
@@ -63,7 +63,7 @@ _CELSIUS, _ICE = ("degC", "°C"), 273.15  # the one unit with an offset: a tempe
 
 @functools.cache
 def units() -> pint.UnitRegistry[Any]:
-    """Return the one unit registry (pint, imported on first use because it takes half a second)."""
+    """Return the shared unit registry (pint, imported on first use because this takes half a second)."""
     import pint
 
     return pint.UnitRegistry()
@@ -76,7 +76,7 @@ def _factors(text: str) -> list[tuple[str, int]]:
     text = re.sub("[⁻⁺]?[⁰¹²³⁴-⁹]+", lambda raised: f"**{raised[0].translate(_RAISED)}", text)
     place, side, follows, opened = 0, 1, False, list[tuple[int, int]]()
     found: list[tuple[str, int]] = []
-    last = (0, 0)  # factors of what an exponent behind it raises
+    last = (0, 0)  # range of factors to which a following exponent applies
     while place < len(text):
         symbol = _SYMBOL.match(text, place)
         if symbol is None:
@@ -117,7 +117,7 @@ def _factors(text: str) -> list[tuple[str, int]]:
 def parse_unit(text: str) -> pint.Unit:
     """Return the unit that a text names: units of pint's registry, multiplied, divided and raised to whole numbers.
 
-    Pint evaluates the text: `m**9**9**9` would take for ever.
+    Limits are needed because pint evaluates the text: `m**9**9**9` would never finish.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def parse_unit(text: str) -> pint.Unit:
             continue
         try:
             unit = unit * units().Unit(name) ** power
-        except Exception as problem:  # pint raises many for what is no unit
+        except Exception as problem:  # pint raises various classes for an invalid unit
             raise ValueError(f"{name} is not a unit") from problem
     return unit
 
@@ -155,7 +155,7 @@ def unit_scale(unit: str, si: str) -> float:
         return usual
     example = EXAMPLES[si].split(" ", 1)[1] if si in EXAMPLES else shown(si).strip('"')
     try:
-        parsed, wanted = parse_unit(unit), parse_unit(si)  # FMUs and encoders' tables say both
+        parsed, wanted = parse_unit(unit), parse_unit(si)  # both come from files: FMUs and tables of encoders
         zero, one = (float(units().Quantity(x, parsed).to(wanted).magnitude) for x in (0.0, 1.0))
     except Exception as problem:
         reason = "measures something else" if "convert" in str(problem) else "is not a known unit"
@@ -170,7 +170,7 @@ def unit_scale(unit: str, si: str) -> float:
 def parse_quantity(value: object, si: str) -> float:
     """Return a quantity written as text, such as "64 mm", in SI units.
 
-    Pint alone is too generous here: it reads "1,5 mm" as 15 mm, "0.3" as radians, "nan mm" and "2*3 mm".
+    Pint by itself accepts too much: it reads "1,5 mm" as 15 mm, "0.3" as radians, "nan mm" and "2*3 mm".
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def parse_quantity(value: object, si: str) -> float:
     Raises
     ------
     ValueError
-        If the text is anything else; the message says how to write it.
+        If the text is anything else; the message shows the correct form.
 
     Examples
     --------
@@ -194,12 +194,12 @@ def parse_quantity(value: object, si: str) -> float:
     match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if match is None or len(match[1]) > _LONGEST:
         raise ValueError(how)
-    # In decimals: "1.3 mm" is 0.0013 and not a last bit beside it, as the same value written in metres is.
+    # In decimal arithmetic, so that "1.3 mm" gives the same float as "0.0013 m", not one that differs in the last bit.
     celsius = si == "K" and match[2].strip() in _CELSIUS
     scale, offset = (1.0, _ICE) if celsius else (unit_scale(match[2].strip(), si), 0.0)
     try:
         number = float(Decimal(match[1]) * Decimal(repr(scale)) + Decimal(repr(offset)))
-    except DecimalException:  # beyond any number
+    except DecimalException:  # out of range
         raise ValueError(how) from None
     if not math.isfinite(number):
         raise ValueError(how)

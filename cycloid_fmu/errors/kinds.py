@@ -1,9 +1,9 @@
 """The kinds of error, each defined once: `KINDS`.
 
 A kind states the name of an error in files, datasets, FMUs and identifications, its unit, sign and limit, the
-displacements it causes, the parts it makes different, and its name in tolerance files. Everything else follows from it:
+displacements it causes, the parts it makes unequal, and its name in tolerance files. Everything else follows from it:
 the keys of a pair file's `[errors]`, the variables of an error surface, the contact problem, the columns of its
-sensitivities, the FMU's parameters, what a tolerance study samples and what an identification looks for.
+sensitivities, the FMU's parameters, the samples of tolerance studies and the unknowns of an identification.
 `register_error_kind` adds a kind.
 """
 
@@ -30,7 +30,7 @@ class Sizes(Protocol):
 
     @property
     def places(self) -> Mapping[str, tuple[int, ...]]:
-        """Shapes of the arrays with one value each, by the words of `ErrorKind.of`."""
+        """Shape of an error's values by `ErrorKind.of`: {"pin": (40,), …}."""
 
     @property
     def pin_circle_radius(self) -> float:
@@ -42,7 +42,7 @@ Displacement = Callable[[Sizes, Array], Array]
 Of = Literal["drive", "pin", "tooth", "hole", "crank", "eccentric", "roller", "roller_hole"]
 
 LARGEST_DEVIATION = 1e-3
-ORDERS = (1, 2, 3)  # of the waves that are parameters of FMUs and of sensitivities
+ORDERS = (1, 2, 3)  # orders of the waves among the FMU's parameters and the sensitivities
 LARGEST_MISALIGNMENT = 0.02
 BODIES = (
     "centre_x", "centre_y", "tilt_x", "tilt_y", "crank_throw", "generating_pin_radius", "generating_circle_radius",
@@ -50,15 +50,15 @@ BODIES = (
 """Displacements by one value: the gear's centre at mid-width (m), the tilt of its axis (rad), the crank's eccentricity,
 and radius and circle radius of the generating pin, from which the flank is made (m)."""
 EACH_PIN = ("pin_radial", "pin_tangential", "pin_radius")
-"""Displacements of each pin: its place outwards and counter-clockwise, as arc at the pin circle radius, and its
-radius, m. Behind these, the turn of each tooth about the gear's centre, `tooth_turn`, rad."""
+"""Displacements of each pin: its place outwards and counter-clockwise, as arc at the pin circle radius, and its radius,
+m. After these comes the rotation of each tooth about the gear's centre, `tooth_turn`, rad."""
 EACH_SUPPORT = {
     "hole_x": "hole", "hole_y": "hole", "carrier_x": "support", "carrier_y": "support", "eccentric_throw": "eccentric",
     "eccentric_phase": "eccentric", "hole_play": "roller_hole",
 }  # fmt: skip
-"""Displacements of each part of the supports, with its places: holes in the disc's axes, cranks or
-rollers in the carrier's, throw and phase of each eccentric, and by how much a hole leaves its roller free; m, phases
-rad. They come last."""
+"""Displacements of each part of the supports, with the parts concerned: holes in the disc's frame, cranks or
+rollers in the carrier's frame, throw and phase of each eccentric, and the additional radial play of a roller in its
+hole; m, phases in rad. They come last."""
 
 
 @dataclass(frozen=True)
@@ -92,15 +92,15 @@ class ErrorKind:
     text, sign
         Its meaning, and the meaning of a value above zero.
     of
-        The objects with one value each: the drive, each pin, each tooth of each disc; with supports each hole of each
-        disc, each crank (cranks) or roller (output rollers) in the carrier, each eccentric and each output roller's
-        hole of each disc.
+        The parts that have one value each: the drive, each pin, each tooth of each disc; with supports each hole of
+        each disc, each crank (cranks) or roller (output rollers) in the carrier, each eccentric and each output
+        roller's hole of each disc.
     displaces
         By the names of `BODIES`, `EACH_PIN`, "tooth_turn" and `EACH_SUPPORT`: the displacement (m, or rad for tilts and
         turns) as a linear function of the pair and the error's values, shape () or (pins,) or (..., teeth).
     breaks
-        The parts that are no longer equal when it is not zero ("frame": the parts at rest) or not the same for all
-        ("pins", "teeth"); "" if all stay equal.
+        The parts whose symmetry it breaks: "frame" (the parts at rest) if it is not zero, "pins" or "teeth" if it is
+        not the same for all of them; "" if all stay equal.
     unit
         "m" or "rad".
     key
@@ -114,7 +114,7 @@ class ErrorKind:
     --------
     >>> from cycloid_fmu.errors.kinds import KINDS
     >>> KINDS["pin_radius"].description, KINDS["pin_radius"].unit
-    ("error of all pins' radius, > 0 thicker", 'm')
+    ('radius error of all pins, > 0 thicker', 'm')
     """
 
     name: str
@@ -259,12 +259,12 @@ def kind_of(name: str) -> ErrorKind | None:
 
 for _kind in (
     ErrorKind(
-        "centre_distance_x", "offset of the gear's centre", "> 0 along +x", "drive", {"centre_x": _same}, "frame",
-        tolerance=Tolerance("centre_distance_x"),
+        "centre_distance_x", "position error of the gear's centre", "> 0 along +x", "drive", {"centre_x": _same},
+        "frame", tolerance=Tolerance("centre_distance_x"),
     ),
     ErrorKind(
-        "centre_distance_y", "offset of the gear's centre", "> 0 along +y", "drive", {"centre_y": _same}, "frame",
-        tolerance=Tolerance("centre_distance_y"),
+        "centre_distance_y", "position error of the gear's centre", "> 0 along +y", "drive", {"centre_y": _same},
+        "frame", tolerance=Tolerance("centre_distance_y"),
     ),
     ErrorKind(
         "misalignment_xz", "tilt of the gear's axis about mid-width", "> 0 its +z end towards +x", "drive",
@@ -283,7 +283,7 @@ for _kind in (
         tolerance=Tolerance("pin_circle_diameter", share=0.5),
     ),
     ErrorKind(
-        "pin_radius", "error of all pins' radius", "> 0 thicker", "drive", {"pin_radius": _all_pins},
+        "pin_radius", "radius error of all pins", "> 0 thicker", "drive", {"pin_radius": _all_pins},
         tolerance=Tolerance("pin_radius"),
     ),
     ErrorKind(
@@ -315,43 +315,45 @@ for _kind in (
     register_error_kind(_kind)
 
 FIRST_KINDS = tuple(KINDS)
-"""The kinds that every surface file holds; one that came later is zero where a file does not name it."""
+"""The kinds that every surface file contains; a kind added later is zero if a file does not contain it."""
 
 for _kind in (
     ErrorKind(
-        "hole_x", "place of each disc's hole for a crank or output roller", "> 0 along +x of the disc at crank angle 0",
+        "hole_x", "position error of each disc's hole for a crank or output roller",
+        "> 0 along +x of the disc at crank angle 0",
         "hole", {"hole_x": _same}, tolerance=Tolerance("hole_x"),
     ),
     ErrorKind(
-        "hole_y", "place of each disc's hole for a crank or output roller", "> 0 along +y of the disc at crank angle 0",
+        "hole_y", "position error of each disc's hole for a crank or output roller",
+        "> 0 along +y of the disc at crank angle 0",
         "hole", {"hole_y": _same}, tolerance=Tolerance("hole_y"),
     ),
     ErrorKind(
-        "crank_x", "place of each crank's bearings in the carrier", "> 0 along +x of the carrier at crank angle 0",
-        "crank", {"carrier_x": _same}, tolerance=Tolerance("crank_x"),
+        "crank_x", "position error of each crank's bearings in the carrier",
+        "> 0 along +x of the carrier at crank angle 0", "crank", {"carrier_x": _same}, tolerance=Tolerance("crank_x"),
     ),
     ErrorKind(
-        "crank_y", "place of each crank's bearings in the carrier", "> 0 along +y of the carrier at crank angle 0",
-        "crank", {"carrier_y": _same}, tolerance=Tolerance("crank_y"),
+        "crank_y", "position error of each crank's bearings in the carrier",
+        "> 0 along +y of the carrier at crank angle 0", "crank", {"carrier_y": _same}, tolerance=Tolerance("crank_y"),
     ),
     ErrorKind(
-        "roller_x", "place of each output roller in the carrier", "> 0 along +x of the carrier at crank angle 0",
-        "roller", {"carrier_x": _same}, tolerance=Tolerance("roller_x"),
+        "roller_x", "position error of each output roller in the carrier",
+        "> 0 along +x of the carrier at crank angle 0", "roller", {"carrier_x": _same}, tolerance=Tolerance("roller_x"),
     ),
     ErrorKind(
-        "roller_y", "place of each output roller in the carrier", "> 0 along +y of the carrier at crank angle 0",
-        "roller", {"carrier_y": _same}, tolerance=Tolerance("roller_y"),
+        "roller_y", "position error of each output roller in the carrier",
+        "> 0 along +y of the carrier at crank angle 0", "roller", {"carrier_y": _same}, tolerance=Tolerance("roller_y"),
     ),
     ErrorKind(
-        "crank_throw", "throw of each crank's eccentric for each disc", "> 0 longer", "eccentric",
+        "crank_throw", "throw error of each crank's eccentric for each disc", "> 0 longer", "eccentric",
         {"eccentric_throw": _same}, tolerance=Tolerance("crank_throw"),
     ),
     ErrorKind(
-        "crank_phase", "phase of each crank's eccentric for each disc", "> 0 counter-clockwise", "eccentric",
+        "crank_phase", "phase error of each crank's eccentric for each disc", "> 0 counter-clockwise", "eccentric",
         {"eccentric_phase": _same}, unit="rad", tolerance=Tolerance("crank_phase"),
     ),
     ErrorKind(
-        "hole_radius", "radius of each output roller's hole beyond the roller's", "> 0 larger", "roller_hole",
+        "hole_radius", "radius error of each output roller's hole relative to its roller", "> 0 larger", "roller_hole",
         {"hole_play": _same}, tolerance=Tolerance("hole_radius"),
     ),
 ):  # fmt: skip

@@ -17,7 +17,7 @@ _ORDER = re.compile(r"order_([1-9]\d{0,8})")
 
 
 def limited(value: float, kind: ErrorKind) -> float:
-    """Return the value of an error; a ValueError if its magnitude is above the kind's limit."""
+    """Return the value of an error, m or rad; raise a `ValueError` if its magnitude exceeds the kind's limit."""
     if abs(value) > kind.limit:
         if kind.unit == "rad":
             raise ValueError("misalignments must be between -20 mrad and 20 mrad")
@@ -43,7 +43,7 @@ def _orders(table: Mapping[Any, Any], kind: ErrorKind, in_file: bool) -> dict[in
         except ValueError as problem:
             raise ValueError(f"{key}: {problem}") from None
         found[int(match[1])] = (amplitude, phase)
-    # In the order of their orders: what is summed in another order differs in its last bit.
+    # Sorted by order: a sum in another sequence would differ in its last bit.
     return dict(sorted(found.items()))
 
 
@@ -58,7 +58,7 @@ def _each(values: Any, kind: ErrorKind, in_file: bool) -> tuple[float, ...]:
 
 
 def _value(given: Any, kind: ErrorKind, in_file: bool) -> Any:
-    """Check one stated error: a number, {order: (amplitude, phase)}, one value each, or lists for discs."""
+    """Check and return one stated error: a number, {order: (amplitude, phase)}, one value each, or a list per disc."""
     if kind.of == "drive":
         return limited(_quantity(given, kind.unit, in_file), kind)
     if isinstance(given, Mapping) and not kind.of_supports:
@@ -78,7 +78,7 @@ def _value(given: Any, kind: ErrorKind, in_file: bool) -> Any:
 
 
 def _is_none(stated: Any) -> bool:
-    """Whether an error is zero: a number, no waves, an empty list, or nothing but zeros for each disc."""
+    """Whether a stated error is zero: the number 0, no waves, an empty list, or only zeros for each disc."""
     return stated in (0.0, (), {}) or (
         isinstance(stated, tuple) and all(isinstance(row, tuple) and not any(row) for row in stated)
     )
@@ -88,7 +88,7 @@ class Errors(Mapping[str, Any]):
     """The stated errors of a drive, by their keys in a pair file; others are zero.
 
     A kind with one value has a float (m or rad); one of pins or teeth has {order: (amplitude, phase)}, a tuple with one
-    value each, or for teeth a tuple of these for each disc. `errors.pin_radius` is the value, zero or () if not stated.
+    value each, or for teeth one such tuple for each disc. `errors.pin_radius` is the value, zero or () if not stated.
     Immutable, equal by value.
 
     Parameters
@@ -131,7 +131,7 @@ class Errors(Mapping[str, Any]):
                 problems.append(f"{where}{key} = {edge.shown(given)}: {problem}.")
         if problems:
             raise edge.InputError("\n".join(problems))
-        # Zero and nothing are the same drive as what is not stated, and -0 is 0.
+        # A stated zero is the same drive as an error that is not stated, and -0 is 0.
         kept = {key: values[key] for key in kinds if key in values and not _is_none(values[key])}
         object.__setattr__(self, "_values", kept)
 
@@ -173,7 +173,7 @@ def values_of(kind: ErrorKind, stated: Any, shape: tuple[int, ...]) -> NDArray[n
 
 
 def _one_circle(stated: Any, count: int) -> NDArray[np.float64]:
-    """Values around one circle: from {order: (amplitude, phase)}, or one each."""
+    """Values around one circle, shape (count,), m or rad, from {order: (amplitude, phase)} or one value each."""
     if isinstance(stated, Mapping):
         index = np.arange(count)
         waves = [a * np.cos(2.0 * np.pi * k * index / count - phase) for k, (a, phase) in stated.items()]

@@ -13,7 +13,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
 from cycloid_fmu.fmu.variables import LossRow
 
-_LARGEST_COEFFICIENT = 0.1  # 1/K, of temperature
+_LARGEST_COEFFICIENT = 0.1  # 1/K, bound of the temperature coefficient
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,11 @@ class BenchLosses:
     Attributes
     ----------
     rows
-        As of `Interface.losses`.
+        As for `Interface.losses`.
     temperature_coefficient, reference_temperature
-        As of `Friction`, 1/K and K.
+        As for `Friction`, 1/K and K.
     misfit
-        Residual of the measured losses: root mean square over that of the losses, 1.
+        Root mean square of the residual losses over that of the measured losses, dimensionless.
     """
 
     rows: tuple[LossRow, ...]
@@ -44,25 +44,25 @@ def fitted_losses(
 ) -> BenchLosses:
     """Return the loss table nearest to measured losses, by least squares.
 
-    At each speed the lost torque of Modelica's `LossyGear` is linear in the torque of the teeth, with other
-    coefficients where `flange_b` drives; all losses are proportional to exp(-β(T - T_ref)). Without measurements with
-    `flange_b` driving the same losses are used there. Below the lowest speed the losses are constant.
+    At each speed the lost torque of Modelica's `LossyGear` is linear in the torque of the teeth, with different
+    coefficients when `flange_b` drives; all losses are proportional to exp(-β(T - T_ref)). Without measurements with
+    `flange_b` driving, it gets the same losses. Below the lowest speed the losses are constant.
 
     Parameters
     ----------
     speed
-        Of flange_a, rad/s, one value for each point of a set speed; shapes all (points,).
+        Speed of flange_a, rad/s; points measured at one set speed have the same value. All shapes are (points,).
     torque
         Torque of the teeth at flange_a, N·m: the load over the ratio, above 0 where flange_a drives.
     loss
-        Lost torque there, N·m.
+        Lost torque at flange_a, N·m.
     temperature
-        K; None where it was not measured.
+        Temperature, K; None if it was not measured.
 
     Raises
     ------
     ValueError
-        If a speed has fewer than two torques with flange_a driving, or nothing was measured; one sentence.
+        If a speed has fewer than two torques with flange_a driving, or there are no losses; the text is one sentence.
 
     Examples
     --------
@@ -76,14 +76,14 @@ def fitted_losses(
     from scipy.optimize import minimize_scalar, nnls
 
     if speed.size == 0 or not (loss > 0.0).any():
-        raise ValueError("a table of losses needs points, and losses above 0 among them")
+        raise ValueError("a loss table needs measured points with losses above 0")
     reference = REFERENCE_TEMPERATURE if temperature is None else float(np.mean(temperature))
     warmer = np.zeros(speed.size) if temperature is None else temperature - reference
     speeds = np.unique(np.abs(speed))
     for one in speeds:
         if np.unique(torque[(np.abs(speed) == one) & (torque >= 0.0)]).size < 2:
             raise ValueError(
-                f"at {one:g} rad/s there are fewer than two torques with flange_a driving: a loss and an efficiency "
+                f"at {one:g} rad/s there are fewer than two torques with flange_a driving: friction and efficiency "
                 "need two"
             )
 
@@ -120,14 +120,14 @@ def fitted_losses(
 
 
 def read_bench_losses(path: str | os.PathLike[str], ratio: float) -> BenchLosses:
-    """Return the loss table for measured losses: CSV, `speed [rpm],torque [N*m],loss [N*m]`, maybe `temperature [K]`.
+    """Return the loss table of a CSV file `speed [rpm],torque [N*m],loss [N*m]`, optionally with `temperature [K]`.
 
     Parameters
     ----------
     path
         The file: speed and loss at flange_a, torque at the output, above 0 where flange_a drives.
     ratio
-        Of the drive.
+        Ratio of the drive, signed: angle of flange_a over that of the output.
 
     Raises
     ------

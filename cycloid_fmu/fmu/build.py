@@ -1,4 +1,4 @@
-"""From a pair and its error surface to an FMU file."""
+"""Build an FMU file from a pair and its error surface."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pa
 _LIBRARIES = {"2.0": "pythonfmu", "3.0": "pythonfmu3"}
 _SCRIPTS = {"2.0": "cycloid_drive.py", "3.0": "cycloid_drive3.py"}
 MOST_DRAWS = 10000
-# FMI 2.0's library stands before pythonfmu's, which does not decode the resources' URI (front/front.c).
+# The FMI 2.0 library wraps pythonfmu's, which does not decode the URI of the resources (front/front.c).
 _FRONT = Path(__file__).with_name("front")
 _FRONTS = {
     "binaries/linux64/CycloidDrive.so": "binaries/linux64/pythonfmu-export.so",
@@ -76,7 +76,7 @@ def whole_drive(drive: AnyDrive, surface: ErrorSurface | None) -> tuple[Pair, Er
 
 
 def ratio_of(pair: Pair, first_stage: FirstStage | None) -> float:
-    """Return the driven shaft's angle over the output's."""
+    """Return the ratio of the driven shaft's angle (crank or sun) to the output's, signed."""
     return pair.ratio if first_stage is None else first_stage.ratio(pair.gear_teeth)
 
 
@@ -99,7 +99,7 @@ def build_fmu(
     path
         The FMU file.
     surface
-        Errors of the pair, of a reducer's cycloid stage; those that the drive states by default.
+        Errors of the pair, or of a reducer's cycloid stage; by default those of the drive.
     interface
         The interface: "kinematic", "compliant", or an `Interface`.
     fmi_version
@@ -160,7 +160,8 @@ def build_fmu(
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
         contents |= parts(pair, surface, interface, table, fmi_version, [library])
         contents |= reference_files(pair, surface, interface, first_stage)
-        write_archive(temporary, dict(sorted(contents.items())))  # the library lists a folder in any order
+        # Sorted, because the library's order depends on the file system.
+        write_archive(temporary, dict(sorted(contents.items())))
 
 
 def surfaces_of_draws(pair: Pair, surface: ErrorSurface, draws: int, seed: int) -> list[ErrorSurface]:
@@ -169,29 +170,29 @@ def surfaces_of_draws(pair: Pair, surface: ErrorSurface, draws: int, seed: int) 
     Raises
     ------
     edge.ArgumentError
-        If there are too many, or the surface has no covariance.
+        If there are too many draws, or the surface has no covariance.
     """
     if not 0 <= draws <= MOST_DRAWS:
         raise ArgumentError("draws", f"it must be between 0 and {MOST_DRAWS}", draws)
     if draws > 0 and surface.covariance is None:
         raise ArgumentError(
-            "draws", "the drive's errors have no covariance of a fit to draw from; give a surface of identify", draws
+            "draws", "the drive's errors have no covariance to draw from; give a surface written by identify", draws
         )  # fmt: skip
     return drawn_surfaces(pair, surface, draws, seed) if draws > 0 else []
 
 
 def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstStage | None) -> Interface:
-    """Return the interface for an FMU of this drive; an `InputError` names contradictions."""
+    """Return the interface for an FMU of this drive; raise an `InputError` that names contradictions."""
     interface = Interface(interface) if isinstance(interface, str) else interface
     if interface.kind not in INTERFACES:
         raise ArgumentError("interface", f"it must be one of {', '.join(INTERFACES)}", interface.kind)
     if interface.output_inertia != 0.0 and interface.kind == "kinematic":
-        raise ArgumentError("output_inertia", "is for the compliant interface; the kinematic one has none")
+        raise ArgumentError("output_inertia", "is only for the compliant interface")
     for name, unit in (("output_inertia", "kg*m^2"), ("crank_inertia", "kg*m^2"), ("mesh_damping", "N*m*s/rad")):
         if not 0.0 <= (getattr(interface, name) or 0.0) < math.inf:
             raise ArgumentError(name, f"it must be finite and not below zero ({unit})", getattr(interface, name))
     if interface.crank_inertia > 0.0 and interface.output_inertia == 0.0:
-        raise ArgumentError("crank_inertia", "goes together with an output_inertia, on which the mesh then acts")
+        raise ArgumentError("crank_inertia", "needs an output_inertia as well")
     try:
         check_losses(interface.losses)
     except ValueError as problem:
@@ -211,7 +212,7 @@ def completed(
     """
     checked = checked_interface(interface, first_stage)
     if pair.supports is not None:
-        play_loads(pair)  # refused without a rated torque
+        play_loads(pair)  # raises without a rated torque
     return with_damping(with_chain(checked, pair, surface, first_stage), pair, surface)
 
 

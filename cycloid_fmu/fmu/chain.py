@@ -1,4 +1,4 @@
-"""The compliance in series with the drive of an FMU: stated, from a catalogue's stiffness or from a measured loop."""
+"""Compliance in series with the drive of an FMU: stated, or from a catalogue's stiffness or a measured loop."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 FIGURES = "cycloid-figures/1"
 _ANGLES = 90
-_SAME = 1e-6  # share by which a drive may be softer than stated: digits
+_SAME = 1e-6  # share by which the drive may be softer than stated, for rounding
 
 
 def own_stiffness(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None = None) -> float:
-    """Return the drive's stiffness between half its rated torque and all of it, mean over the crank angle, N·m/rad.
+    """Return the stiffness between half and full rated torque, averaged over the crank angle, N·m/rad.
 
-    Catalogues state it so; behind a first stage with the sun locked. NaN without a rated torque.
+    Catalogues define it in this way; with a first stage the sun is locked. NaN without a rated torque.
     """
     if pair.rated_torque is None:
         return math.nan
@@ -44,13 +44,13 @@ def with_chain(
 ) -> Interface:
     """Return an interface with the drive's own stiffness and the compliance in series with it.
 
-    A compliant first stage is included at the output: s²/(z_c² κ) with its stiffness κ at the cranks. The crank is then
-    where a rigid stage would put it, some hundredths of a mesh pitch from its actual place.
+    A compliant first stage is included at the output: s²/(z_c² κ) with its stiffness κ at the cranks. The crank keeps
+    the position that a rigid stage would give it, some hundredths of a mesh pitch from the actual one.
 
     Raises
     ------
     edge.InputError
-        If a stated stiffness is above that of the drive, or can't be compared with it.
+        If a stated stiffness exceeds that of the drive, or can't be compared with it.
     """
     series = interface.series_compliance
     if not 0.0 <= series < math.inf:
@@ -62,19 +62,19 @@ def with_chain(
     own = own_stiffness(pair, surface, first_stage)
     if interface.stiffness is not None:
         if interface.series_compliance > 0.0:
-            raise ArgumentError("stiffness", "give it or series_compliance: one follows from the other")
+            raise ArgumentError("stiffness", "give either this or series_compliance: one follows from the other")
         if not 0.0 < interface.stiffness < math.inf:
             raise ArgumentError("stiffness", "it must be finite and above zero (N*m/rad)", interface.stiffness)
         if math.isnan(own):
             raise edge.InputError(
-                "rated_torque is missing; the stiffness is compared with the drive's own between half of it and all."
+                "rated_torque is missing; the drive's own stiffness is that between half and full rated torque."
             )
         series = 1.0 / interface.stiffness - 1.0 / own
         if series < -_SAME / own:
             raise ArgumentError(
                 "stiffness",
-                f"it must not be above the drive's own of {own / edge.ARCMIN:.4g} N*m/arcmin, with which the rest of "
-                "the chain is in series",
+                f"it must not be above the drive's own of {own / edge.ARCMIN:.4g} N*m/arcmin, to which the rest of "
+                "the drive adds compliance",
                 f"{interface.stiffness / edge.ARCMIN:.4g} N*m/arcmin",
             )
     return dataclasses.replace(
@@ -85,7 +85,7 @@ def with_chain(
 def read_loop(path: str | os.PathLike[str]) -> tuple[float, float]:
     """Return stiffness (N·m/rad) and dry friction (N·m) of a measured loop, from the file of `cycloid-fit metrics`.
 
-    Loading and unloading branch are apart by 2 T_f/K, which is the loop's hysteresis loss minus its backlash
+    The loading and unloading branches are 2 T_f/K apart, which is the loop's hysteresis loss minus its backlash
     (docs/theory/measurement.md).
 
     Raises

@@ -2,9 +2,9 @@
 
 Contacts, series compliance and friction store one energy E(θ, φ_b) whose derivatives are the torques, so a closed cycle
 gains no energy; damping, losses and sliding friction only dissipate. Between communication points the flanges continue
-at their speeds: the torques at the end of a step are not a step late. With inertias inside their motion is solved here,
-in sub-steps that keep the energy's balance (a discrete gradient: O. Gonzalez, Time integration and discrete Hamiltonian
-systems, J. Nonlinear Sci. 6, 1996).
+at their speeds, so that the torques at the end of a step are not a step late. The motion of internal inertias is solved
+here, in sub-steps that conserve the energy balance (a discrete gradient: O. Gonzalez, Time integration and discrete
+Hamiltonian systems, J. Nonlinear Sci. 6, 1996).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from cycloid_fmu.fmu.variables import LARGEST_STEP, LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
-# What a quasi-static drive at the same place has of the state.
+# Fields of the state that are copied to a quasi-static drive at the same position.
 _SHARED = (
     "errors", "pin_arrays", "_crank_turns_worn", "_age", "_wear_factor", "_draw", "crank_angle", "crank_speed",
     "series_compliance", "backlash_on",
@@ -55,19 +55,20 @@ class CompliantState(State):
     Attributes
     ----------
     output_angle, output_speed
-        Of the output, rad and rad/s: inputs, or with an output inertia its state.
+        Angle and speed of the output, rad and rad/s, counter-clockwise positive: inputs, or states of an output
+        inertia.
     mesh_damping
         Damping of the contacts at the output, N·m·s/rad. Its torque is at most the contacts' own (as in Modelica's
         `ElastoBacklash2`): it acts in contact only and never pulls.
     output_inertia, crank_inertia
-        Moments of inertia inside, kg·m²; 0 for none. A crank without inertia moves, within a step, linearly to the
-        place given by its angle and speed at the step's start.
+        Internal moments of inertia, kg·m²; 0 for none. Within a step, a crank without inertia moves linearly to the
+        position given by its angle and speed at the step's start.
     crank_angle_start, crank_speed_start
         Start values of a crank with an inertia, rad and rad/s.
     largest_step
-        Longest step inside, s: `advance` divides a longer one.
+        Longest internal step, s: `advance` divides longer ones.
     dissipated_energy
-        J since the start.
+        Energy dissipated since the start, J.
     """
 
     output_angle: float = 0.0
@@ -79,19 +80,19 @@ class CompliantState(State):
     crank_speed_start: float = 0.0
     largest_step: float = LARGEST_STEP
     dissipated_energy: float = 0.0
-    _load_torque: float = 0.0  # on the output's inertia, N·m
-    _driving_torque: float = 0.0  # on the crank's, N·m
-    _turned: float = 0.0  # where the crank stands, as its angle may be set to where it goes next, rad
-    _mean_torque: float = 0.0  # of the crank in the last step, N·m
-    _mean_loss: float = 0.0  # likewise, W
-    _mean_output: float = 0.0  # likewise, of the output, N·m
-    _seen: float = 0.0  # the output angle that friction has followed to, rad
+    _load_torque: float = 0.0  # load on the output's inertia, N·m
+    _driving_torque: float = 0.0  # torque on the crank's inertia, N·m
+    _turned: float = 0.0  # present crank angle, rad: `crank_angle` may already be set to the next one
+    _mean_torque: float = 0.0  # mean crank torque in the last step, N·m
+    _mean_loss: float = 0.0  # mean power loss in the last step, W
+    _mean_output: float = 0.0  # mean output torque in the last step, N·m
+    _seen: float = 0.0  # output angle up to which friction is evaluated, rad
     _solved_at: Sequence[float] = ()
     _solved: Sequence[float] = ()
 
 
 class Place(NamedTuple):
-    """Contacts and series compliance at a place: energy (J), derivatives by crank and output angle, stiffness."""
+    """Contacts and series compliance: energy (J), its derivatives by crank and output angle (N·m), and stiffness."""
 
     energy: float
     by_angle: float
@@ -102,9 +103,9 @@ class Place(NamedTuple):
 def _mean_over(
     way: float, shortest: float, difference: float, at_start: float, at_end: float, slope: float
 ) -> tuple[float, float]:
-    """Mean slope: a difference over a displacement, and its derivative by the end of the displacement.
+    """Mean slope over a displacement as a difference quotient, and its derivative by the displacement's end.
 
-    Over a displacement too short for a difference it is the mean of both ends.
+    For a displacement too short for a difference it is the mean of the slopes at both ends.
     """
     if abs(way) > shortest:
         value = difference / way
@@ -118,9 +119,9 @@ class CompliantModel(SteppedModel, CompliantState):
     Parameters
     ----------
     pair, surface, losses
-        As of `SteppedModel`.
+        As for `SteppedModel`.
     output_inertia, crank_inertia
-        As of `CompliantState`.
+        As for `CompliantState`.
     """
 
     def __init__(
@@ -133,7 +134,7 @@ class CompliantModel(SteppedModel, CompliantState):
     ) -> None:
         super().__init__(pair, surface, losses)
         self._held, self._led = output_inertia == 0.0, crank_inertia == 0.0
-        self._geared = 1.0  # the crank's turns of one of the driven shaft
+        self._geared = 1.0  # turns of the crank per turn of the driven shaft
         self.output_inertia, self.crank_inertia = output_inertia, crank_inertia
 
     def _rebuild(self) -> None:
@@ -150,7 +151,7 @@ class CompliantModel(SteppedModel, CompliantState):
             )
 
     def _gear_compliance(self) -> float:
-        """The compliance in series, seen from the gears, rad/(N·m)."""
+        """The compliance in series, referred to the gear's torque and angle, rad/(N·m)."""
         return self.series_compliance
 
     def _still(self) -> DriveModel:
@@ -158,7 +159,7 @@ class CompliantModel(SteppedModel, CompliantState):
         return DriveModel(self.pair, self.surface)
 
     def _contact(self, theta: float, deviation: float) -> tuple[float, float, float]:
-        """Energy of contacts and series compliance, with its derivatives by crank and output angle."""
+        """Energy of contacts and series compliance (J), with its derivatives by crank and output angle (N·m)."""
         self._check_deviation(deviation)
         flange, rate = deviation, 0.0
         self._play = self._crank = self._sharing = None
@@ -182,7 +183,7 @@ class CompliantModel(SteppedModel, CompliantState):
         self.dissipated_energy += energy
 
     def _solve(self) -> Sequence[float]:
-        """Energy and torques at a and b of the contacts, with their damping, at the flanges' present place."""
+        """Energy and torques of the contacts at flanges a and b, with damping, at the flanges' present position."""
         crank = self.crank_angle if self._held else self._turned
         crank_speed, output, speed = self.crank_speed, self.output_angle, self.output_speed
         at = [
@@ -198,7 +199,7 @@ class CompliantModel(SteppedModel, CompliantState):
         return self._solved
 
     def _pressing(self, flange: int) -> Pressed:
-        """Friction of a flange at the present place and speed."""
+        """Friction of a flange at its present position and speed."""
         _, transmitted, torque, _ = self._solve()
         if flange == 0:
             way = self.crank_angle - self._crank_seen if self._held else 0.0
@@ -206,7 +207,7 @@ class CompliantModel(SteppedModel, CompliantState):
         return self._press(1, self.output_angle - self._seen, self.output_speed, torque)
 
     def forget_history(self) -> None:
-        """Make the next step start without history: friction unstrained and an inertia at rest under the load."""
+        """Remove the history before the next step: friction unstrained, inertias at rest under the load."""
         self._strains, self.dissipated_energy = [list(UNSTRAINED), list(UNSTRAINED)], 0.0
         if not self._held:
             if not self._led:
@@ -220,7 +221,8 @@ class CompliantModel(SteppedModel, CompliantState):
             still.advance()
             self.output_angle, self.output_speed = still.output_angle, still.output_speed
             for _ in range(5 if self._load_torque != 0.0 else 0):
-                # The energy's torque and that of the quasi-static balance differ a little (`contact.elastic_energy`).
+                # The torque from the energy differs slightly from that of the quasi-static balance
+                # (`contact.elastic_energy`).
                 torque = self._contact(self._reduced(self.crank_angle), self.transmission_error)[2]
                 if self._stiffness > 0.0:
                     self.output_angle += (self._load_torque - torque) * (1.0 / self._stiffness + self.series_compliance)
@@ -253,7 +255,7 @@ class CompliantModel(SteppedModel, CompliantState):
                     f"a step of {step:g} s is divided into more than {MOST_SUB_STEPS} parts: make it shorter"
                 )
             loads = self._solve()[1:3]
-        # Friction follows to where the flanges were put.
+        # Friction follows a flange whose position was set.
         for flange, way in ((0, self.crank_angle - self._crank_seen), (1, self.output_angle - self._seen)):
             if flange in rubbing:
                 self._move_on(flange, self._rub(flange, way, 0.0, loads[flange]))
@@ -281,7 +283,7 @@ class CompliantModel(SteppedModel, CompliantState):
         return self._solve()[3] * (self.output_speed - self.crank_speed / self._ratio)
 
     def _longest(self, crank_speed: float) -> float:
-        """The longest sub-step: a share of the fastest oscillation and of the mesh period, s."""
+        """The longest sub-step, s: a fraction of the fastest oscillation's period and of the mesh period."""
         if self._stiffest == 0.0:
             largest = LARGEST_LOAD * (self.pair.rated_torque or 100.0)
             _, self._stiffest = self._made_teeth().equilibrium(0.0, largest, 0.0)
@@ -294,7 +296,7 @@ class CompliantModel(SteppedModel, CompliantState):
         )
 
     def _swing(self, step: float) -> None:
-        """Move the inertias under the torques on them and the contacts; a crank without inertia follows its input."""
+        """Move the inertias under external torques and contacts; a crank without inertia follows its input."""
         goal, before, left = self.crank_angle + self.crank_speed * step, self.dissipated_energy, step
         speed_before = self.output_speed
         if self._led and step == 0.0:
@@ -332,11 +334,11 @@ class CompliantModel(SteppedModel, CompliantState):
         return at.by_angle + at.by_rotation / self._ratio
 
     def _sub_step(self, part: float, turn: float, at: Place) -> tuple[float, float, Place] | None:
-        """One sub-step by the implicit midpoint rule with means in place of derivatives.
+        """One sub-step by the implicit midpoint rule, with mean slopes in place of derivatives.
 
-        The crank moves by half of its rotation at the same deviation, the deviation changes, the crank moves by the
-        other half: the work done is stored or dissipated. Returned are the crank's rotation (rad; the given one without
-        inertia), its torque (N·m) and the place at the end; None if the sub-step is too long to be solved.
+        The crank makes half of its rotation at constant deviation, the deviation changes, the crank makes the other
+        half; all work done is stored or dissipated. Returns the crank's rotation (rad; the given one without inertia),
+        its torque (N·m) and the position at the end; None if the sub-step is too long to be solved.
         """
         ratio, led, start, speed = self._ratio, self._led, self._turned, self.output_speed
         rubs_crank, rubs_output = self._rubs
@@ -405,7 +407,7 @@ class CompliantModel(SteppedModel, CompliantState):
 
     @property
     def crank_torque(self) -> float:
-        """Torque into the drive at the crank, N·m; with an inertia inside its mean over the last step."""
+        """Torque into the drive at the crank, N·m; with an internal inertia, its mean over the last step."""
         if not self._held:
             return self._mean_torque
         transmitted = self._solve()[1]
@@ -417,7 +419,7 @@ class CompliantModel(SteppedModel, CompliantState):
 
     @property
     def torque(self) -> float:
-        """Torque into the drive at the output, N·m; with an output inertia the load on that."""
+        """Torque into the drive at the output, N·m; with an output inertia, the load on it."""
         if not self._held:
             return self._load_torque
         _, _, torque, damping = self._solve()
@@ -429,7 +431,7 @@ class CompliantModel(SteppedModel, CompliantState):
 
     @property
     def support_torque(self) -> float:
-        """Torque into the drive at the housing, N·m; with an inertia inside its mean over the last step."""
+        """Torque into the drive at the housing, N·m; with an internal inertia, its mean over the last step."""
         return -(self.crank_torque + (self.torque if self._held else self._mean_output))
 
     def _turn_housing(self, angle: float, speed: float) -> None:
@@ -450,7 +452,7 @@ class CompliantModel(SteppedModel, CompliantState):
 
     @property
     def power_loss(self) -> float:
-        """Power of damping, losses and sliding friction, W; with an inertia inside its mean over the last step."""
+        """Power lost to damping, losses and sliding friction, W; the mean over the last step with an inertia."""
         if not self._held:
             return self._mean_loss
         return self._damping_power() + sum(self._pressing(flange).power for flange in (0, 1) if self._rubs[flange])

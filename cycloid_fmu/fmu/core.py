@@ -1,7 +1,7 @@
 """Common part of the slaves of FMI 2.0 and 3.0: model, variables by reference, state.
 
-An invalid value is refused without an exception, which the slaves' library would make fatal: it is not set, a message
-states it, and steps are refused until a valid value is set.
+An invalid value is refused without an exception, which the slaves' library would turn into a fatal status: the value is
+not set, a message reports it, and steps are refused until a valid value is set.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import Ageing, ErrorSurface, Life
 
 NUMBERS, SURFACE, DRAWS, SUMS = "pair.json", "surface.npz", "draws.npz", "SHA256SUMS"
-FORMAT = 3  # of these files
+FORMAT = 3  # of the resource files
 MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 7
-# Phases of an instance, as messages name them; the native FMU's are the same (native/sources/instance.c).
+# Phases of an instance as named in messages; the native FMU has the same (native/sources/instance.c).
 INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
     "before initialization", "during initialization", "while stepping", "after termination",
 )  # fmt: skip
@@ -47,12 +47,12 @@ _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the res
 
 
 def sums_of(files: Mapping[str, bytes]) -> bytes:
-    """Return the checksums of files by name, as `sha256sum` writes and checks them."""
+    """Return the checksums of files, {name: content}, in the format of `sha256sum`."""
     return "".join(f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in files.items()).encode()
 
 
 def checked_resources(resources: Path) -> dict[str, bytes]:
-    """Return the files of an FMU's resources that have a checksum.
+    """Return the files of an FMU's resources that have a checksum, {name: content}.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def checked_resources(resources: Path) -> dict[str, bytes]:
 
 
 def variables_hash(table: Sequence[Variable]) -> str:
-    """Return the fingerprint of the variables that a model description names by their references."""
+    """Return the fingerprint of the variables in a model description, their order and references included."""
     told = [(v.name, v.kind, v.causality, v.variability, v.dimensions) for v in table]
     return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
@@ -117,20 +117,20 @@ class Core:
     resources
         The FMU's folder.
     version
-        Of FMI.
+        Version of FMI.
 
     Attributes
     ----------
     model
         The drive.
     interface
-        What the FMU offers.
+        The interface of the FMU.
     table
         Its variables by reference.
     told
-        Its stated stiffness.
+        Its stiffness as text, for the model description.
     faults
-        Refused values that were not corrected since: a sentence for each variable's reference.
+        Refused values not yet corrected: {reference of the variable: sentence}.
     phase
         `INSTANTIATED`, `INITIALIZING`, `STEPPING` or `TERMINATED`.
 
@@ -170,7 +170,7 @@ class Core:
         accesses = {reference: self._access(variable) for reference, variable in self.table.items()}
         self.getters = {reference: getter for reference, (getter, _) in accesses.items()}
         self._setters = {reference: setter for reference, (_, setter) in accesses.items()}
-        # What is set at each step: setters of scalars with their limits, which are finite.
+        # Variables set at each step: setters of scalars with their finite limits.
         self._quick = {
             reference: (setter, -_LARGEST if v.least is None else v.least, _LARGEST if v.most is None else v.most)
             for reference, v in self.table.items()
@@ -219,7 +219,7 @@ class Core:
         return [self.getters[reference]() for reference in references]
 
     def put(self, reference: int, value: Any, kind: Kind | None = None) -> str:
-        """Set a variable; an invalid value is refused with a sentence, otherwise the answer is empty.
+        """Set a variable; return the reason if the value is refused, or "".
 
         Raises
         ------
@@ -311,7 +311,7 @@ class Core:
         self.phase = TERMINATED
 
     def state(self) -> dict[str, Any]:
-        """Return the state, of plain values."""
+        """Return the state as plain values."""
         phase = STEPPING if self.phase == TERMINATED else self.phase
         return {"drive": self._hash.hex(), "time": self.time, "phase": phase, "model": self.model.state()}
 
@@ -325,7 +325,7 @@ class Core:
 
 
 def state_to_bytes(state: dict[str, Any]) -> bytes:
-    """Return a state as bytes that any process on any machine reads: magic, version, checksum, drive, length, JSON."""
+    """Return a state as bytes, the same on every machine: magic, version, checksum, drive, length, JSON."""
     body = json.dumps(state, separators=(",", ":")).encode()
     return _HEAD.pack(MAGIC, STATE_VERSION, zlib.crc32(body), bytes.fromhex(state["drive"]), len(body)) + body
 
@@ -336,7 +336,7 @@ def state_from_bytes(data: bytes) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If the bytes are something else, damaged, or of another version; the text is one sentence.
+        If the bytes are not a state, damaged, or of another version; the text is one sentence.
     """
     if len(data) < _HEAD.size or data[: len(MAGIC)] != MAGIC:
         raise ValueError("these bytes are not the state of a cycloid drive")

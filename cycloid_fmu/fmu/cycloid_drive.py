@@ -1,9 +1,9 @@
-"""The script inside an FMI 2.0 FMU: it finds the slave in the installed package, where numba's kernels are cached."""
+"""The script inside an FMI 2.0 FMU: it imports the slave from the installed package with its cached numba kernels."""
 
 import ctypes
 
-# At each instantiation pythonfmu 0.7.0 runs this script once more in a namespace of its own, and then gives back a
-# reference to the module's globals that it never took.
+# At each instantiation pythonfmu 0.7.0 runs this script again in a separate namespace, and then releases a reference to
+# the module's globals that it never took.
 if locals() is not globals():
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 

@@ -1,4 +1,4 @@
-"""The script inside an FMI 3.0 FMU: it finds the slave in the installed package."""
+"""The script inside an FMI 3.0 FMU: it imports the slave from the installed package."""
 
 try:
     from cycloid_fmu.fmu.slave3 import DriveSlave3 as Fmi3Slave

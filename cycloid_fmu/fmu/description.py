@@ -1,4 +1,4 @@
-"""The model description's parts that come from the table of variables, of FMI 2.0 and 3.0, for any kind of FMU."""
+"""Parts of the model description generated from the table of variables, for FMI 2.0 and 3.0 and every kind of FMU."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _TYPES = {
 }
 
 
-_SPACE = uuid.UUID("6a1f3b0e-51c4-4a52-9c1c-0c2b6a7d39e4")  # the names of this package's FMUs
+_SPACE = uuid.UUID("6a1f3b0e-51c4-4a52-9c1c-0c2b6a7d39e4")  # namespace of this package's FMUs
 
 
 def token_of(content: str) -> str:
-    """Return an FMU's `guid` or `instantiationToken`, which depends on its content alone."""
+    """Return an FMU's `guid` or `instantiationToken`, which depends only on its content."""
     return f"{{{uuid.uuid5(_SPACE, content)}}}"
 
 
@@ -31,7 +31,7 @@ def _text(variable: Variable, value: float) -> str:
 
 
 def _places(table: Sequence[Variable], version: Version, references: Sequence[int] | None) -> dict[str, int]:
-    """Return the number of each variable in a model description: its place in FMI 2.0, its reference in 3.0."""
+    """Return the number of each variable in a model description: its index in FMI 2.0, its reference in 3.0."""
     numbers = range(1, len(table) + 1) if version == "2.0" else references or range(len(table))
     return {v.name: number for v, number in zip(table, numbers, strict=True)}
 
@@ -49,7 +49,7 @@ def unit_definitions(table: Sequence[Variable]) -> Element:
 
 
 def model_variables(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
-    """Return `<ModelVariables>`; the place in the table is the value reference where none are given."""
+    """Return `<ModelVariables>`; by default the value reference is the index in the table."""
     root = Element("ModelVariables")
     places = _places(table, version, references)
     for reference, variable in zip(references or range(len(table)), table, strict=True):
@@ -86,14 +86,14 @@ def model_structure(
     references: Sequence[int] | None = None,
     states: Sequence[str] = (),
 ) -> Element:
-    """Return `<ModelStructure>`: outputs and derivatives with what they depend on, and initially with the parameters.
+    """Return `<ModelStructure>`: outputs and derivatives with their dependencies, which initially include parameters.
 
     Parameters
     ----------
     table, version, references
-        As of `model_variables`.
+        As for `model_variables`.
     states
-        Names of Model Exchange's continuous states, in their order.
+        Names of the continuous states of Model Exchange, in order.
     """
     root = Element("ModelStructure")
     places = _places(table, version, references)

@@ -1,11 +1,11 @@
-"""Friction at a flange: sliding friction, and elements that stick before it slides.
+"""Friction at a flange: sliding friction, and elements that stick before sliding begins.
 
-Sliding takes F = (Coulomb + share |load| + Stribeck extra · exp(-(w/w_s)²)) · exp(-β(T - T_ref)), at `flange_a` with
-Modelica's loss table as well (`losses`), and a viscous torque in addition. Before it slides, Maxwell-slip elements in
-parallel stick (W. D. Iwan, J. Appl. Mech. 33 (1966) 893; F. Al-Bender, V. Lampaert and J. Swevers, IEEE Trans. Autom.
-Control 50 (2005) 1883): each a spring that slides where its force reaches its share of F. A reversal is remembered
-until it is passed again, a load below F is held for ever, and where F falls the springs slip back, so no energy is
-gained.
+The sliding friction torque is F = (Coulomb + share |load| + Stribeck extra · exp(-(w/w_s)²)) · exp(-β(T - T_ref)), at
+`flange_a` plus Modelica's loss table (`losses`); a viscous torque with the same temperature factor is added. Before
+sliding, Maxwell-slip elements in parallel stick (W. D. Iwan, J. Appl. Mech. 33 (1966) 893; F. Al-Bender, V. Lampaert
+and J. Swevers, IEEE Trans. Autom. Control 50 (2005) 1883): each is a spring that slides when its torque reaches its
+share of F. A reversal is remembered until the motion passes it again, a load below F is held without creep, and the
+springs slip back when F falls, so no energy is gained.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from cycloid_fmu.fmu.constants import (
 )
 from cycloid_fmu.fmu.losses import Row, lost_torque
 
-# Springs alike whose yield strains are evenly spaced up to the presliding angle (Iwan's uniform distribution): torque
-# over strain is a parabola, F (1 - (1 - z/z_p)²), in chords.
+# Equal springs whose yield strains are evenly spaced up to the presliding angle (Iwan's uniform distribution): torque
+# over strain is a piecewise linear parabola, F (1 - (1 - z/z_p)²).
 SHARE = 2.0 / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0))
-"""Share of the first element in what sliding takes; of the others twice, three times, … that."""
+"""Share of the first element in the sliding friction torque; the others have twice, three times, … as much."""
 LOSSLESS = (1.0, 1.0, 0.0, 0.0)  # a row of the loss table, without its speed
 UNSTRAINED = (0.0,) * FRICTION_ELEMENTS
 
@@ -49,7 +49,7 @@ class Law(NamedTuple):
 
 
 FLANGES = ("input", "output")
-"""What `flange_a` and `flange_b`, 0 and 1, are called where both have the same."""
+"""Prefixes of the variables that both `flange_a`, 0, and `flange_b`, 1, have."""
 NO_FRICTION = (
     Law(0.0, 0.0, 0.0, INPUT_STRIBECK_SPEED, 0.0, 0.0, REFERENCE_TEMPERATURE, INPUT_PRESLIDING_ANGLE),
     Law(0.0, 0.0, 0.0, OUTPUT_STRIBECK_SPEED, 0.0, 0.0, REFERENCE_TEMPERATURE, OUTPUT_PRESLIDING_ANGLE),
@@ -57,7 +57,7 @@ NO_FRICTION = (
 
 
 def factor(law: Law, temperature: float) -> float:
-    """Return the factor of a temperature (K) on a law's torques."""
+    """Return the factor, dimensionless, by which a temperature (K) multiplies a law's torques."""
     coefficient = law.temperature_coefficient
     return 1.0 if coefficient == 0.0 else math.exp(-coefficient * (temperature - law.reference_temperature))
 
@@ -70,11 +70,11 @@ def yields(
     Parameters
     ----------
     law
-        Of the flange.
+        Friction of the flange.
     load, speed
         Torque of the teeth at that flange, N·m, and its speed, rad/s.
     temperature
-        K.
+        Temperature, K.
     table
         Loss table, at `flange_a`.
     """
@@ -90,7 +90,7 @@ def yields(
 
 
 def element_stiffness(law: Law, load: float, table: Sequence[Row] | None = None) -> float:
-    """Stiffness of each element, N·m/rad: sliding at rest under a load is reached over the presliding angle."""
+    """Stiffness of each element, N·m/rad: from rest under a load (N·m), all slide after the presliding angle."""
     cold = law._replace(temperature_coefficient=0.0)
     torque = max(yields(cold, load, 0.0, law.reference_temperature, table))
     return 2.0 * torque / (law.presliding_angle * (FRICTION_ELEMENTS + 1))
@@ -102,9 +102,9 @@ class Slid(NamedTuple):
     Attributes
     ----------
     strains
-        At its end, rad.
+        Strains at its end, rad.
     torque, slope
-        Mean torque against the displacement, N·m, and its derivative by the end, N·m/rad.
+        Mean torque against the displacement, N·m, and its derivative by the displacement's end, N·m/rad.
     stored, lost
         Increase of the stored energy, and lost energy, J: their sum is torque times displacement.
     """
@@ -117,16 +117,16 @@ class Slid(NamedTuple):
 
 
 def slide(strains: Sequence[float], way: float, time: float, stiffness: float, low: float, high: float) -> Slid:
-    """Move a flange's elements on.
+    """Return the result of a displacement of a flange's elements.
 
     Parameters
     ----------
     strains
-        Of the elements, rad.
+        Strains of the elements, rad.
     way, time
         Rotation of the flange (rad), and its duration (s), for the damping; 0 without damping.
     stiffness
-        Of each element, N·m/rad.
+        Stiffness of each element, N·m/rad.
     low, high
         Torques at which all of them slide, from `yields`, N·m.
     """
@@ -163,7 +163,7 @@ def slide(strains: Sequence[float], way: float, time: float, stiffness: float, l
 def held_strains(
     strains: Sequence[float], way: float, stiffness: float, low: float, high: float
 ) -> tuple[list[float], float]:
-    """Return the strains after a displacement of any duration, and the stiffness of the sticking elements, N·m/rad."""
+    """Return the strains after a slow displacement (rad), and the stiffness of the sticking elements, N·m/rad."""
     found, held = [], 0
     low, high = SHARE * low / stiffness, SHARE * high / stiffness
     for i, strain in enumerate(strains, start=1):
@@ -187,17 +187,17 @@ def balanced(
     Parameters
     ----------
     missing
-        The function with its derivative.
+        The function, which returns its value and derivative.
     low, high, start
-        Bounds, and where to begin.
+        Bounds, and the start.
     accuracy
-        A step this short is the last.
+        Length of a step after which the iteration ends.
     """
     at, before, step = min(max(start, low), high), high - low, high - low
     for _ in range(FRICTION_ITERATIONS):
         value, slope = missing(at)
         low, high = (low, at) if value > 0.0 else (at, high)
-        # Newton's steps must halve: between two slides they would go to and fro for ever.
+        # Newton's steps must halve, or they could alternate for ever between two sliding states.
         if slope > 0.0 and low <= at - value / slope <= high and abs(2.0 * value) <= before * slope:
             following = at - value / slope
         else:
@@ -210,7 +210,7 @@ def balanced(
 
 
 class Pressed(NamedTuple):
-    """Elements at a place and speed: torque against the flange (N·m), lost power (W), stored energy (J)."""
+    """Elements at a position and speed: torque against the flange (N·m), lost power (W), stored energy (J)."""
 
     torque: float
     power: float
@@ -228,7 +228,7 @@ def press(
 ) -> Pressed:
     """Return the state of the elements after a displacement (rad), at a speed (rad/s).
 
-    `time` is their damping over their stiffness, s; the others are as of `slide`.
+    `time` is their damping over their stiffness, s; the others are as for `slide`.
     """
     torque = power = stored = 0.0
     damped, low, high = stiffness * time * speed, SHARE * low, SHARE * high
@@ -239,16 +239,16 @@ def press(
         reached = elastic + damped
         found = least if reached < least else most if reached > most else reached
         torque += found
-        # What its damping makes slide counts as sliding, for it soon does.
+        # An element that slides only by its damping counts as sliding, as it soon does.
         near = FRICTION_ROUNDING * (most - least)
         power += speed * (found if (reached >= most - near if speed > 0.0 else reached <= least + near) else damped)
-        held = strain if way == 0.0 else elastic / stiffness  # what yields less now is not lost yet
+        held = strain if way == 0.0 else elastic / stiffness  # at rest, energy above a reduced yield is not lost yet
         stored += 0.5 * stiffness * held * held
     return Pressed(torque, power, stored)
 
 
 class FrictionState:
-    """Friction of both flanges in a model's state: `rub` moves it, `press` evaluates it.
+    """Friction of both flanges as part of a model's state: `_rub` moves it, `_press` evaluates it.
 
     A model has `friction`, `loss_table`, `temperature` and `_strains` (`stepped_model.State`).
     """
@@ -263,7 +263,7 @@ class FrictionState:
     _table: Sequence[Row] | None
 
     def _settle_friction(self, loads: tuple[float, float]) -> None:
-        """Compute the values that follow from the laws; `loads` are the rated torque at both flanges, N·m."""
+        """Compute the values that depend on the laws; `loads` is the rated torque at both flanges, N·m."""
         self._laws = Law(*self.friction[0]), Law(*self.friction[1])
         self._table = self.loss_table if any(row[1:] != list(LOSSLESS) for row in self.loss_table) else None
         self._elements = (
@@ -281,7 +281,7 @@ class FrictionState:
         return law.viscous * factor(law, self.temperature) if law.viscous > 0.0 else 0.0
 
     def _rub(self, flange: int, way: float, time: float, load: float) -> Slid:
-        """Friction of a flange over a displacement (rad) in a time (s), under a load (N·m); the state is unchanged."""
+        """Friction of a flange over a displacement (rad) in a time (s) under a load (N·m); the state is unchanged."""
         speed, stiffness, viscous = way / time if time > 0.0 else 0.0, self._elements[flange], self._viscous(flange)
         if stiffness > 0.0:
             found = slide(self._strains[flange], way, time, stiffness, *self._yields(flange, load, speed))
@@ -296,7 +296,7 @@ class FrictionState:
         return found
 
     def _press(self, flange: int, way: float, speed: float, load: float, time: float = PRESLIDING_TIME) -> Pressed:
-        """Friction of a flange at a displacement (rad) from its last place, at a speed (rad/s)."""
+        """Friction of a flange displaced from its last position (rad), at a speed (rad/s), under a load (N·m)."""
         stiffness, viscous = self._elements[flange], self._viscous(flange) * speed
         if stiffness == 0.0:
             return Pressed(viscous, viscous * speed, 0.0)

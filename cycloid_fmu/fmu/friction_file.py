@@ -1,4 +1,4 @@
-"""Friction input: for both flanges in a friction file `cycloid-friction/1`, or as measured losses."""
+"""Input of friction for both flanges: the friction file `cycloid-friction/1`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cycloid_fmu.fmu.constants import MOST_LOAD_SHARE, REFERENCE_TEMPERATURE
 from cycloid_fmu.fmu.friction import NO_FRICTION, Law
 
 FORMAT = "cycloid-friction/1"
-# Of each number: unit, least, most, and a typical size.
+# {number: (unit, smallest value, largest value, typical size)}
 LIMITS: dict[str, tuple[str, float, float | None, float]] = {
     "coulomb": ("N.m", 0.0, None, 1.0),
     "load_share": ("1", 0.0, MOST_LOAD_SHARE, 0.1),
@@ -39,16 +39,16 @@ class Friction(Config):
     coulomb
         Sliding friction torque without load, N·m.
     load_share
-        Additional friction torque per N·m of the teeth's torque at that flange, 1.
+        Additional friction torque per N·m of the teeth's torque at that flange, dimensionless.
     stribeck
         Additional friction torque at rest, N·m; proportional to exp(-(w/`stribeck_speed`)²).
     stribeck_speed
-        rad/s of that flange; None for 2 rad/s at flange_a, 0.05 rad/s at flange_b.
+        Speed of that flange, rad/s; None for 2 rad/s at flange_a, 0.05 rad/s at flange_b.
     viscous
-        Torque over speed, N·m·s/rad.
+        Viscous torque over speed, N·m·s/rad.
     temperature_coefficient, reference_temperature
-        β (1/K) and T_ref (K): all of it, at flange_a the losses too, is multiplied by exp(-β(T - T_ref)). If β is not 0
-        an FMU has the input `temperature`.
+        β (1/K) and T_ref (K): all friction torques, at flange_a the losses too, are multiplied by exp(-β(T - T_ref)).
+        If β is not 0, an FMU has the input `temperature`.
     presliding_angle
         Angle of that flange over which friction builds up from rest, under the rated torque, rad; None for 2 mrad at
         flange_a, 20 µrad at flange_b.
@@ -81,7 +81,7 @@ class FrictionTables(Config):
     Attributes
     ----------
     input, output
-        At `flange_a`, the crank or a reducer's sun, and at `flange_b`.
+        Friction at `flange_a`, the crank or a reducer's sun, and at `flange_b`, the output.
     """
 
     input: Friction = Friction()
@@ -93,7 +93,7 @@ class _FrictionFile(Config):
 
 
 def read_friction(path: str | os.PathLike[str]) -> FrictionTables:
-    r"""Return the friction at both flanges in a friction file; an `edge.InputError` names the invalid entries.
+    r"""Return the friction at both flanges in a friction file; raise an `edge.InputError` that names invalid entries.
 
     Examples
     --------

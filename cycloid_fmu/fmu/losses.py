@@ -10,7 +10,7 @@ Row = Sequence[float]
 
 
 def interpolated(table: Sequence[Row], speed: float) -> tuple[float, float, float, float]:
-    """Efficiencies and friction torques at a speed: linear between the rows, constant beyond the last."""
+    """Efficiencies (1) and friction torques (N·m) at a speed: linear between the rows, constant beyond the last."""
     speed = abs(speed)
     last, a, b, c, d = table[-1]
     if speed < last:
@@ -32,15 +32,15 @@ def lost_torque(table: Sequence[Row], speed: float, asked: float) -> float:
     table
         Rows of |w|, η_mf1, η_mf2, τ_bf1, τ_bf2 (`Interface.losses`).
     speed
-        Of flange_a, rad/s, of any sign.
+        Speed of flange_a, rad/s, of any sign.
     asked
-        τ, N·m.
+        Torque τ of the teeth, N·m.
     """
-    # With one row, which holds everywhere, nothing is interpolated: this is asked at every step.
+    # A single row is used directly, for speed: this runs at every step.
     forward, backward, friction_forward, friction_backward = (
         table[0][1:] if len(table) == 1 else interpolated(table, speed)
     )
-    # Which side drives is told by flange_a's torque beside the bearings' part there, `tau_bf_a`.
+    # Modelica decides which side drives by flange_a's torque without the bearings' part, `tau_bf_a`.
     if forward == 1.0 and backward == 1.0:
         bearing = 0.5 * friction_forward
     else:
@@ -51,12 +51,12 @@ def lost_torque(table: Sequence[Row], speed: float, asked: float) -> float:
 
 
 def check_losses(rows: Sequence[Row]) -> None:
-    """Refuse an invalid loss table.
+    """Check a loss table.
 
     Raises
     ------
     ValueError
-        If speeds don't ascend from 0, an efficiency is not between 0 and 1 or a torque is below 0; the text is one
+        If speeds do not ascend from 0, an efficiency is not between 0 and 1 or a torque is below 0; the text is one
         sentence.
     """
     for i, (speed, forward, backward, *torques) in enumerate(rows, start=1):

@@ -1,4 +1,4 @@
-"""The contacts behind a model's flanges, which keep their state: the model keeps its history and no contact rows."""
+"""The contacts of a model, with the state of their solver; the model itself holds only its history."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cycloid_fmu.contact.transmission import balances, carried
 
 
 class StepError(ValueError):
-    """A step that the model refuses; the text is one sentence."""
+    """A step that can't be made; the text is one sentence."""
 
 
 @structref.register
@@ -27,7 +27,7 @@ class _BoxType(types.StructRef):  # type: ignore[misc]
 
 
 class _Box(structref.StructRefProxy):  # type: ignore[misc]
-    """A drive as one pointer: passing its thirty fields to a kernel takes longer than a warm solution."""
+    """A contact problem as one pointer: passing its thirty fields to a kernel takes longer than a warm solution."""
 
 
 structref.define_proxy(_Box, _BoxType, ["drive"])
@@ -79,18 +79,18 @@ def _load_sharing(box: _Box, rows: Rows, pin_force: Array, pin_pressure: Array) 
 
 
 class ContactTeeth:
-    """Gear and pins at a crank angle θ (rad), the output off its ideal place by x (rad) and under a torque (N·m).
+    """Gear and pins at a crank angle θ (rad), an output deviation x from its ideal angle (rad) and a torque (N·m).
 
-    Each solution is the start of the next; where a method takes `x`, the search starts there. `crank_side`, `torque`,
-    `sharing`, `pin_force` and `pin_pressure` are of what `equilibrium`, `behind` or `press` solved last. A torque or
-    place without a solution raises a `StepError`.
+    Each solution is the start of the next; methods with `x` start their search there. `crank_side`, `torque`,
+    `sharing`, `pin_force` and `pin_pressure` refer to the last solution of `equilibrium`, `behind` or `press`. A torque
+    or position without a solution raises a `StepError`.
 
     Parameters
     ----------
     drive
         The contact problem.
     pins
-        Discs, and pins of each.
+        Number of discs, and number of pins.
     """
 
     def __init__(self, drive: Problem, pins: tuple[int, int]) -> None:
@@ -104,11 +104,11 @@ class ContactTeeth:
         self._moved = self._play_moved = True
 
     def _view_bytes(self) -> None:
-        """See the rows as bytes, which NumPy copies ten times as fast as records."""
+        """View the rows as bytes, which NumPy copies ten times as fast as records."""
         self._bytes, self._play_bytes = self._rows.view(np.uint8), self._play_rows.view(np.uint8)
 
     def play(self, theta: float, x: float) -> tuple[float, float, float]:
-        """Return the ends of the free rotation (rad), and the interference (m), above 0 if there is none."""
+        """Return both ends of the free rotation (rad) and the interference (m), which is above 0 if there is none."""
         self._keep_play()
         found = _play(self._drive, theta, x, self._play_rows, self._play_cold)
         self._play_cold = math.isnan(found[0])
@@ -120,12 +120,12 @@ class ContactTeeth:
             self._play_moved = True
 
     def touch_rate(self, theta: float, x: float, side: float) -> float:
-        """Return dφ_b/dθ (1) of the end x of the play on a side (±1)."""
+        """Return dφ_b/dθ (dimensionless) at the end x (rad) of the play on a side (±1)."""
         self._keep_play()
         return _touch_rate(self._drive, theta, x, self._play_rows, self._play_cold, side)
 
     def _start(self) -> bool:
-        """Keep the rows before the first solution of a step; return whether they are still empty."""
+        """Save the rows before the first solution of a step; return whether they are still empty."""
         if not self._moved:
             np.copyto(self._spare, self._bytes)
             self._moved = True
@@ -133,34 +133,34 @@ class ContactTeeth:
         return cold
 
     def equilibrium(self, theta: float, torque: float, x: float) -> tuple[float, float]:
-        """Return deviation (rad) and stiffness (N·m/rad) under a torque; at torque 0 where there is no play."""
+        """Return deviation (rad) and stiffness (N·m/rad) under a torque (N·m), which is 0 only without play."""
         cold = self._start()
         found: tuple[float, float] = _equilibrium(self._drive, theta, torque, x, self._rows, cold)
-        falling = torque != 0.0 and not found[1] > 0.0  # as on worn flanks, or where nothing can balance the torque
+        falling = torque != 0.0 and not found[1] > 0.0  # as with worn flanks, or if nothing can balance the torque
         if not math.isfinite(found[0]) or (falling and not balances(torque, self.torque)):
             self._cold = True
             raise StepError(f"flange_b.tau = {torque:g} N.m: no contacts of this pair can balance it")
         return found
 
     def behind(self, theta: float, flange: float, compliance: float, x: float) -> tuple[float, float]:
-        """Return the same of the teeth, the flange held at a deviation (rad) behind a compliance (rad/(N·m))."""
+        """Return deviation and stiffness of the teeth for a flange at a deviation behind a compliance, rad/(N·m)."""
         return _behind(self._drive, theta, flange, compliance, x, self._rows, self._start())
 
     def press(
         self, theta: float, flange: float, compliance: float, x: float
     ) -> tuple[float, float, float, float, float]:
-        """Return the same, and the stored energy (J) with its derivatives by θ and φ_b (N·m)."""
+        """Return the same as `behind`, and the stored energy (J) with its derivatives by θ and φ_b (N·m)."""
         cold = self._start()
         found: tuple[float, float, float, float, float] = _press(
             self._drive, theta, flange, compliance, x, self._rows, cold
         )
         if not math.isfinite(found[4]):
             self._cold = True
-            raise StepError("the contacts could not be solved at this place of the flanges")
+            raise StepError("the contacts could not be solved at these flange angles")
         return found
 
     def crank_side(self, theta: float, x: float) -> tuple[float, float]:
-        """Return the torque required at the crank (N·m), and dφ_b/dθ at constant torque (1)."""
+        """Return the torque required at the crank (N·m), and dφ_b/dθ at constant torque (dimensionless)."""
         return _crank_side(self._drive, theta, x, self._rows)
 
     @property
@@ -169,24 +169,24 @@ class ContactTeeth:
         return float(carried(self._rows))
 
     def sharing(self) -> tuple[int, float]:
-        """Return the pins in contact, and the largest pressure (Pa)."""
+        """Return the number of pins in contact, and the largest pressure (Pa)."""
         return _load_sharing(self._drive, self._rows, self._pin_force, self._pin_pressure)
 
     def pin_force(self) -> list[float]:
-        """Return the force on each pin after `sharing`, disc by disc, N."""
+        """Return the force on each pin, disc by disc, N; valid after `sharing`."""
         return self._pin_force.ravel().tolist()
 
     def pin_pressure(self) -> list[float]:
-        """Return the largest pressure on each pin after `sharing`, disc by disc, Pa."""
+        """Return the largest pressure on each pin, disc by disc, Pa; valid after `sharing`."""
         return self._pin_pressure.ravel().tolist()
 
     def begin(self) -> None:
-        """Keep the state for `undo`; rows are kept when they are first solved."""
+        """Save the state for `undo`; rows are saved when they are first solved."""
         self._before = self._cold, self._play_cold
         self._moved = self._play_moved = False
 
     def undo(self) -> None:
-        """Return to the state at `begin`."""
+        """Restore the state saved by `begin`."""
         self._cold, self._play_cold = self._before
         if self._moved:
             np.copyto(self._bytes, self._spare)
@@ -202,12 +202,12 @@ class ContactTeeth:
         return other
 
     def state(self) -> dict[str, Any]:
-        """Return the state, as plain values."""
+        """Return the state as plain values."""
         arrays = {name: base64.b64encode(getattr(self, name).tobytes()).decode() for name in _ARRAYS}
         return {"cold": self._cold, "play_cold": self._play_cold, **arrays}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Return to a state given by `state`."""
+        """Restore a state returned by `state`."""
         self._cold, self._play_cold = state["cold"], state["play_cold"]
         for name in _ARRAYS:
             kept = getattr(self, name)

@@ -1,8 +1,9 @@
-"""The drive in a system model: inputs and parameters in, output angle with its history out.
+"""The quasi-static drive in a system model: inputs and parameters in, output angle with its history out.
 
-This module does not depend on FMI; every slave wraps this class. Friction and play are one rate-independent hysteresis:
-the output is where teeth and friction elements balance the torque. Once all elements slide it is carried along, at its
-place for torque - friction or torque + friction. At zero torque without friction these ends are the ends of the play.
+This module does not depend on FMI; the slaves wrap its class. Friction and play form one rate-independent hysteresis:
+the output is where teeth and friction elements balance the torque. Once all elements slide, the output is carried
+along, at its position for torque - friction or torque + friction. At zero torque without friction these two limits are
+the ends of the play.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ class DriveState(State):
     Attributes
     ----------
     torque
-        Input: of the environment on the output, N·m.
+        Input: torque of the environment on the output, counter-clockwise positive, N·m.
     """
 
     torque: float = 0.0
     _output_angle: float | None = None  # rad; None before the first step
-    _deviation: float = 0.0  # of the output from its ideal place, rad
-    _pushed: float = 0.0  # side that carries the output, 0 where it stands
+    _deviation: float = 0.0  # of the output from its ideal angle, rad
+    _pushed: float = 0.0  # side that carries the output, ±1; 0 if the output rests
 
 
 class DriveModel(SteppedModel, DriveState):
@@ -41,25 +42,25 @@ class DriveModel(SteppedModel, DriveState):
 
     def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
         super().__init__(pair, surface, losses)
-        self._lever = 1.0  # of the driven shaft on the crank's torque
+        self._lever = 1.0  # torque at the driven shaft per torque at the crank
 
     def _rebuild(self) -> None:
         super()._rebuild()
         self._pushed = 0.0
 
     def _pressed(self, theta: float, x: float, teeth: Teeth | None = None) -> tuple[float, float]:
-        """Torque of the crank by teeth in contact, the model's own or others, and dφ_b/dθ at constant torque."""
+        """Crank torque (N·m) of teeth in contact, by default the model's own, and dφ_b/dθ at constant torque."""
         teeth = teeth or self._teeth
         torque, rate = teeth.crank_side(theta, x)
         if not self.backlash_on:
-            # The flange is pressed by its deviation and by the play that is not there.
+            # The flange is pressed by its deviation and by the disabled play.
             gone = self._shift_rate(self._side, teeth, theta)
             torque += gone * teeth.torque
             rate -= gone
         return torque, rate
 
     def _elastic(self, torque: float, end: float) -> float:
-        """Flange deviation at a torque through the teeth; at torque 0 the given end of the play (-1, 0, 1)."""
+        """Flange deviation (rad) at a torque (N·m) of the teeth; at 0 an end (±1) or the middle (0) of the play."""
         if torque == 0.0:
             low, high, interference = self._solve_play()
             if interference == 0.0:
@@ -73,7 +74,7 @@ class DriveModel(SteppedModel, DriveState):
         return deviation if self.backlash_on else deviation - self._shift(self._side)
 
     def _hold(self, deviation: float) -> None:
-        """Find the teeth's state when the flange is at rest at a deviation inside the hysteresis."""
+        """Solve the teeth with the flange at rest at a deviation (rad) inside the hysteresis."""
         if not self.backlash_on:
             low, high, _ = self._solve_play()
             self._side = 1.0 if deviation > 0.5 * (low + high) else -1.0
@@ -81,7 +82,7 @@ class DriveModel(SteppedModel, DriveState):
         self._x, self._stiffness = self._teeth.behind(self._theta, deviation, self.series_compliance, self._x)
 
     def forget_history(self) -> None:
-        """Make the next step start without history: at zero torque from the middle of the play."""
+        """Remove the history before the next step: at zero torque the output starts in the middle of the play."""
         self._output_angle = None
         self._strains = [list(UNSTRAINED), list(UNSTRAINED)]
 
@@ -120,7 +121,7 @@ class DriveModel(SteppedModel, DriveState):
         self._crank_seen = self.crank_angle
 
     def _floating(self, before: float) -> float:
-        """Place of the output at zero torque, rad from the ideal: its last place, limited to the ends of the play."""
+        """Deviation of the output at zero torque, rad: its last one, limited to the ends of the play."""
         self._pushed = 0.0
         high = self._elastic(0.0, 1.0)
         if before > high:
@@ -136,10 +137,11 @@ class DriveModel(SteppedModel, DriveState):
         return low
 
     def _carried(self, before: float) -> float:
-        """Place of the output with friction, from `before`: M + f(displacement) = T, M of the teeth, f of friction.
+        """Deviation of the output with friction (rad), from `before`: M + f(displacement) = T, teeth M, friction f.
 
-        Where all elements slide the friction follows from the torque. Otherwise it is found in between: the teeth have
-        one place x at T - f, which decreases with f, and the elements one f at each place, which increases with it.
+        If all elements slide, the friction follows from the torque. Otherwise it is in between: the teeth have one
+        deviation x at T - f, which decreases with f, and the elements have one f at each deviation, which increases
+        with it.
         """
         load, stiffness = self.torque - self._viscous(1) * self._output_pace(), self._elements[1]
         self._pushed = 1.0
@@ -147,7 +149,7 @@ class DriveModel(SteppedModel, DriveState):
             return self._elastic(load, 0.0) if load != 0.0 else self._floating(before)
 
         def held(deviation: float, borne: float) -> tuple[float, float]:
-            """Friction and its slope with the output at a place, while the teeth bear a torque."""
+            """Friction and its slope with the output at a deviation, while the teeth carry a torque."""
             strains, slope = held_strains(
                 self._strains[1], deviation - before, stiffness, *self._yields(1, borne, self._output_pace())
             )
@@ -170,7 +172,7 @@ class DriveModel(SteppedModel, DriveState):
                 self._pushed = side
                 return kept()
         if low < load < high:
-            # Friction may bear all of the torque: within the play, or between teeth that press each other alone.
+            # Friction may carry all of the torque: within the play, or between teeth that press only on each other.
             places = [self._elastic(0.0, side) for side in (-1.0, 1.0)]
             ends = [held(place, 0.0)[0] for place in places]
             if ends[0] <= load <= ends[1]:
@@ -197,7 +199,7 @@ class DriveModel(SteppedModel, DriveState):
         return kept()
 
     def _output_pace(self) -> float:
-        """The ideal speed of the output, used for its friction, rad/s."""
+        """Ideal speed of the output, rad/s, at which its friction is evaluated."""
         return self.crank_speed / self._ratio
 
     def _sliding(self, towards: float) -> float:
@@ -238,7 +240,7 @@ class DriveModel(SteppedModel, DriveState):
 
     @property
     def output_speed(self) -> float:
-        """dφ_b/dt at the present torque, rad/s; 0 while friction or play hold the output."""
+        """Output speed dφ_b/dt at the present torque, rad/s; 0 while friction or play holds the output."""
         if self.crank_speed == 0.0:
             return 0.0
         rate = (self._crank or self._crank_side())[1]

@@ -1,4 +1,4 @@
-"""A drive on its bearings behind a model's flanges: the interface of `mesh.ContactTeeth` for floating discs."""
+"""A drive on its bearings in a model: the interface of `mesh.ContactTeeth` for discs that float on bearings."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from cycloid_fmu.supports.bearing import CENTRING
 from cycloid_fmu.supports.transmission import assembly_of, play_loads, problem_of
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
-_STIFFEST = 1e12  # N·m/rad: what stands for a flange without compliance; it turns by some 1e-5″
-_PRESSED_CENTRING = 1e4  # N/m: between two flanges discs pass their clearances at every reversal
-_BALANCED = 1e-6  # N: less is lost in the digits of what is stepped
-_NEAR = 1.0  # rad: a place solved farther away says nothing
-_CRANK_STEP = 1e-5  # rad: over which an end of the play is differentiated
+_STIFFEST = 1e12  # N·m/rad: in place of a flange without compliance; it turns by some 1e-5″
+_PRESSED_CENTRING = 1e4  # N/m: with two prescribed flanges the discs cross their clearances at every reversal
+_BALANCED = 1e-6  # N: smaller residuals are within rounding
+_NEAR = 1.0  # rad: a solution farther away is no useful start
+_CRANK_STEP = 1e-5  # rad: crank step for the derivative of an end of the play
 _PLACE = ("place", "pose", "moved")
 
 
 class _Stand:
-    """The last solution of the drive, where the next one starts."""
+    """The last solution of the drive, from which the next one starts."""
 
     def __init__(self, pair: Pair, surface: ErrorSurface, slices: int) -> None:
         shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
@@ -40,7 +40,7 @@ class _Stand:
     def _make(self, work: Any) -> None:
         self.work, room = work, energy.room(work.place.size)
         self.box = energy.held(self._drive, self._assembly, work, *room)
-        # As bytes, which NumPy copies ten times as fast as records.
+        # Bytes, which NumPy copies ten times as fast as records.
         self._seen = [self.rows.view(np.uint8), self.found, *(getattr(work, name) for name in _PLACE)]
         self._spare = [array.copy() for array in self._seen]
         self._before = self.theta
@@ -48,7 +48,7 @@ class _Stand:
     def solve(
         self, theta: float, torque: float, spring: float = 0.0, flange: float = 0.0, pressed: bool = False
     ) -> bool:
-        """Solve a place; return whether it was found."""
+        """Solve a position of the flanges; return whether a solution was found."""
         cold = not abs(theta - self.theta) < _NEAR
         centring = _PRESSED_CENTRING if pressed else CENTRING
         self.theta = theta
@@ -88,15 +88,16 @@ class _Stand:
 class SupportedTeeth:
     """Gear, pins and bearings at a crank angle θ (rad), with the methods and units of `mesh.ContactTeeth`.
 
-    Below `PLAY_LOAD` of the rated torque the output follows the tangent there, so the play remains at zero torque
-    (`supports.transmission.play_loads`). `press` solves every torque, which is smaller than that inside the play.
+    Below the share `PLAY_LOAD` of the rated torque, the output follows the tangent at that share, so that the play
+    remains at zero torque (`supports.transmission.play_loads`). `press` solves every torque; inside the play, torques
+    are smaller than that.
 
     Parameters
     ----------
     pair, surface
         The pair with its supports and a rated torque, and its errors.
     slices
-        Across the face width.
+        Number of slices across the face width.
 
     Raises
     ------
@@ -109,7 +110,7 @@ class SupportedTeeth:
         self._ratio = pair.ratio
         self._main = _Stand(pair, surface, slices)
         self._ends = {-1.0: self._main.copy(), 1.0: self._main.copy()}
-        self._side, self._share = 0.0, 1.0  # of the end whose tangent holds, 0 for none; and of its torque
+        self._side, self._share = 0.0, 1.0  # side (±1) of the tangent in use, 0 for none; fraction of its torque
         self._pin_force, self._pin_pressure = (np.zeros((pair.discs, pair.pins)) for _ in range(2))
         self._before = self._side, self._share
 
@@ -118,7 +119,7 @@ class SupportedTeeth:
         return self._main if self._side == 0.0 else self._ends[self._side]
 
     def _end(self, theta: float, side: float) -> tuple[float, float]:
-        """End of the play on a side, and the stiffness there."""
+        """End of the play on a side (±1), rad, and the stiffness there, N·m/rad."""
         stand = self._ends[side]
         if stand.theta != theta and not stand.solve(theta, side * self._load):
             raise StepError(f"flange_b.tau = {side * self._load:g} N.m: no contacts of this drive can balance it")
@@ -126,20 +127,20 @@ class SupportedTeeth:
         return float(stand.found[energy.X]) - side * self._load / stiffness, stiffness
 
     def play(self, theta: float, x: float) -> tuple[float, float, float]:
-        """Return the ends of the free rotation (rad), and above 0 that there is none."""
+        """Return both ends of the free rotation (rad), and a number that is above 0 if there is no free rotation."""
         low, high = self._end(theta, -1.0)[0], self._end(theta, 1.0)[0]
         middle = 0.5 * (low + high)
         return (low, high, 0.0) if low < high else (middle, middle, math.ulp(1.0))
 
     def touch_rate(self, theta: float, x: float, side: float) -> float:
-        """Return dφ_b/dθ (1) of the end of the play on a side (±1); NaN for none (0)."""
+        """Return dφ_b/dθ (dimensionless) at the end of the play on a side (±1); NaN for side 0."""
         if side == 0.0:
             return math.nan
         before, after = (self._end(theta + step, side)[0] for step in (-_CRANK_STEP, _CRANK_STEP))
         return 1.0 / self._ratio + (after - before) / (2.0 * _CRANK_STEP)
 
     def equilibrium(self, theta: float, torque: float, x: float) -> tuple[float, float]:
-        """Return deviation (rad) and stiffness (N·m/rad) under a torque; at torque 0 where there is no play."""
+        """Return deviation (rad) and stiffness (N·m/rad) under a torque (N·m), which is 0 only without play."""
         self._side, self._share = 0.0, 1.0
         if abs(torque) >= self._load:
             if not self._main.solve(theta, torque):
@@ -157,7 +158,7 @@ class SupportedTeeth:
         return float(self._main.found[energy.X]), float(self._main.found[energy.STIFFNESS])
 
     def behind(self, theta: float, flange: float, compliance: float, x: float) -> tuple[float, float]:
-        """Return the same of the teeth, the flange held at a deviation (rad) behind a compliance (rad/(N·m))."""
+        """Return deviation and stiffness of the teeth for a flange at a deviation behind a compliance, rad/(N·m)."""
         low, high, interference = self.play(theta, x)
         side = 1.0 if flange > 0.5 * (low + high) else -1.0
         if interference == 0.0 and low <= flange <= high:
@@ -174,12 +175,12 @@ class SupportedTeeth:
         self._side, self._share = 0.0, 1.0
         spring = min(1.0 / compliance, _STIFFEST) if compliance > 0.0 else _STIFFEST
         if not self._main.solve(theta, 0.0, spring, flange, pressed):
-            raise StepError("the contacts could not be solved at this place of the flanges")
+            raise StepError("the contacts could not be solved at these flange angles")
 
     def press(
         self, theta: float, flange: float, compliance: float, x: float
     ) -> tuple[float, float, float, float, float]:
-        """Return the same, and the stored energy (J) with its derivatives by θ and φ_b (N·m)."""
+        """Return the same as `behind`, and the stored energy (J) with its derivatives by θ and φ_b (N·m)."""
         self._press(theta, flange, compliance, True)
         found = self._main.found.tolist()
         return (
@@ -188,7 +189,7 @@ class SupportedTeeth:
         )  # fmt: skip
 
     def crank_side(self, theta: float, x: float) -> tuple[float, float]:
-        """Return the torque required at the crank (N·m), and dφ_b/dθ at constant torque (1)."""
+        """Return the torque required at the crank (N·m), and dφ_b/dθ at constant torque (dimensionless)."""
         found = self._now.found
         rate = float(found[energy.RATE])
         if self._side == 0.0:
@@ -203,20 +204,20 @@ class SupportedTeeth:
         return self._share * float(self._now.found[energy.TORQUE])
 
     def sharing(self) -> tuple[int, float]:
-        """Return the pins in contact, and the largest pressure (Pa)."""
+        """Return the number of pins in contact, and the largest pressure (Pa)."""
         now = self._now
         count, pressure = energy.shared(now.box, now.rows, self._pin_force, self._pin_pressure)
-        # Along the tangent forces grow with the torque, pressures with its root.
+        # Along the tangent, forces are proportional to the torque and pressures to its square root.
         self._pin_force *= self._share
         self._pin_pressure *= math.sqrt(self._share)
         return count, pressure * math.sqrt(self._share)
 
     def pin_force(self) -> list[float]:
-        """Return the force on each pin after `sharing`, disc by disc, N."""
+        """Return the force on each pin, disc by disc, N; valid after `sharing`."""
         return self._pin_force.ravel().tolist()
 
     def pin_pressure(self) -> list[float]:
-        """Return the largest pressure on each pin after `sharing`, disc by disc, Pa."""
+        """Return the largest pressure on each pin, disc by disc, Pa; valid after `sharing`."""
         return self._pin_pressure.ravel().tolist()
 
     @property
@@ -224,13 +225,13 @@ class SupportedTeeth:
         return self._main, self._ends[-1.0], self._ends[1.0]
 
     def begin(self) -> None:
-        """Keep the state for `undo`."""
+        """Save the state for `undo`."""
         self._before = self._side, self._share
         for stand in self._stands:
             stand.begin()
 
     def undo(self) -> None:
-        """Return to the state at `begin`."""
+        """Restore the state saved by `begin`."""
         self._side, self._share = self._before
         for stand in self._stands:
             stand.undo()
@@ -243,12 +244,12 @@ class SupportedTeeth:
         return other
 
     def state(self) -> dict[str, Any]:
-        """Return the state, as plain values."""
+        """Return the state as plain values."""
         pins = [self._pin_force.tolist(), self._pin_pressure.tolist()]
         return {"stands": [s.state() for s in self._stands], "tangent": [self._side, self._share], "pins": pins}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Return to a state given by `state`."""
+        """Restore a state returned by `state`."""
         self._side, self._share = state["tangent"]
         self._pin_force[...], self._pin_pressure[...] = state["pins"]
         for stand, kept in zip(self._stands, state["stands"], strict=True):

@@ -21,7 +21,7 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
 _SUPPORT = "Modelica.Mechanics.Rotational.Interfaces.Support"
-DRIVE = "documentation/drive.toml"  # the drive that the FMU was built from, as a pair file
+DRIVE = "documentation/drive.toml"  # pair file of the FMU's drive
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>Cycloid drive</title>
 <style>body{font-family:sans-serif;max-width:60em;margin:2em auto;padding:0 1em}
@@ -31,27 +31,28 @@ td,th{text-align:left;padding:.15em .8em .15em 0;border-bottom:1px solid #ccc;ve
 eccentricity {{ '%g' % (g.eccentricity * 1e3) }} mm, ratio {{ '%g' % ratio }}{% if g.discs > 1 %}, {{ g.discs }}
 discs{% endif %}. Made by cycloid-fmu {{ version }}.</p>
 <p>Angles are counter-clockwise; torques are positive into the drive at their flange, as in Modelica.</p>
-{% if interface.kind == "kinematic" %}<p>The drive is quasi-static: a step moves it to the inputs that stand when it is
-made, whatever its length. At zero torque the output stays inside its play until a flank pushes it; with
-friction it stands until torque or crank carry it.</p>
-{% else %}<p>Contacts store one energy whose derivatives are both torques. Between communication points the flanges move
-on at their speeds, so give speeds that belong to the angles. A step longer than <code>largest_step</code> is divided
-inside. {% if interface.output_inertia %}The output's inertia is inside and solved in sub-steps, in which the energy's
-balance is kept; <code>flange_a.tau</code> is the mean over the last step{% else %}The contacts are stiff: with a body
-of inertia J on the output, steps h must keep h &radic;(k/J) well below 1, k being <code>torsional_stiffness</code>
-{% endif %}.</p>{% endif %}
-<p>A step that can't be made is an error with a message and leaves everything as it was.</p>
+{% if interface.kind == "kinematic" %}<p>The drive is quasi-static: a step moves it to the inputs set before it,
+whatever its length. At zero torque the output floats within the backlash until a flank drives it; with friction it
+rests until torque or crank move it.</p>
+{% else %}<p>Both torques are derivatives of one energy stored in the contacts. Between communication points the flanges
+continue at their speeds, so set speeds consistent with the angles. A step longer than <code>largest_step</code> is
+divided internally. {% if interface.output_inertia %}The output's inertia is internal and solved in sub-steps that
+conserve the energy balance; <code>flange_a.tau</code> is the mean over the last step{% else %}The contacts are stiff:
+with a body of inertia J on the output, the step h must keep h &radic;(k/J) well below 1, with k =
+<code>torsional_stiffness</code>{% endif %}.</p>{% endif %}
+<p>A step that can't be made returns an error with a message and leaves the state unchanged.</p>
 <h2>Variables</h2>
 <table><tr><th>name<th>causality<th>unit<th>meaning</tr>
 {% for v in table %}<tr><td><code>{{ v.name }}</code><td>{{ v.causality }}<td>{{ v.unit or "" }}<td>{{ v.description }}
 </tr>{% endfor %}</table>
 <h2>Friction and losses</h2>
-<p>At each flange sliding takes (coulomb + load_share |load| + stribeck exp(-(w/stribeck_speed)&sup2;))
-exp(-temperature_coefficient (temperature - reference_temperature)) + viscous |w|; <code>friction_torque</code> is the
-output's Coulomb friction. It builds up over the presliding angle by springs that slip one after the other: it holds
-without creep, and its loops remember their reversals.</p>
+<p>At each flange the sliding friction torque is (coulomb + load_share |load| + stribeck
+exp(-(w/stribeck_speed)&sup2;) + viscous |w|) exp(-temperature_coefficient (temperature - reference_temperature));
+<code>friction_torque</code> is the output's Coulomb friction. Friction builds up over the presliding angle in springs
+that slip one after the other: it holds a load without creep, and its loops close at their reversals.</p>
 <p><code>loss_table</code> is <code>lossTable</code> of Modelica's LossyGear: speed of flange_a, efficiency from a to b
-and from b to a, friction torque at flange_a in the same two cases; linear between the rows, held beyond the last.</p>
+and from b to a, friction torque at flange_a in the same two cases; linear between the rows, constant beyond the
+last.</p>
 </body></html>
 """
 
@@ -65,7 +66,7 @@ def documentation(pair: Pair, interface: Interface, table: Sequence[Variable]) -
 
 
 def terminals(interface: Interface) -> bytes:
-    """Return `terminalsAndIcons.xml` of FMI 3.0: both flanges as Modelica's, the torque flowing in."""
+    """Return `terminalsAndIcons.xml` of FMI 3.0: both flanges as in Modelica, with the torque as inflow."""
     root = Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     graphical = SubElement(root, "GraphicalRepresentation")
     corners = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
@@ -112,7 +113,7 @@ def icon(pair: Pair) -> bytes:
 
 
 def licences(packages: Sequence[str]) -> str:
-    """Return the licence texts of this package and of others whose files are in the FMU."""
+    """Return the licence texts of this package and of other packages with files in the FMU."""
     found = []
     for package in ("cycloid-fmu", *packages):
         texts = [f.read_text() for f in metadata.files(package) or [] if f.name.upper().startswith("LICENSE")]
@@ -135,7 +136,7 @@ def parts(
     pair, surface, interface, table, version
         Content of the FMU.
     packages
-        Installed packages whose files are in the FMU, for their licences.
+        Installed packages with files in the FMU, for their licences.
     """
     found = {
         "documentation/index.html": documentation(pair, interface, table).encode(),
@@ -152,6 +153,6 @@ def write_archive(path: str | os.PathLike[str], contents: Mapping[str, bytes]) -
     """Write an FMU of these files, {path in the archive: content}; the same contents give the same bytes."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in contents.items():
-            entry = zipfile.ZipInfo(name)  # without the time of day
+            entry = zipfile.ZipInfo(name)  # without a time stamp
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(entry, content)

@@ -1,4 +1,4 @@
-"""The only module that uses internals of pythonfmu and pythonfmu3, which have no public way for this."""
+"""The only module that uses internals of pythonfmu and pythonfmu3, which have no public interface for this."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def build_archive(library: str, script: Path, files: Sequence[Path], folder: Pat
     library
         "pythonfmu" or "pythonfmu3".
     script
-        Defines the class `CycloidDrive`.
+        The script, which defines the class `CycloidDrive`.
     files
         Further files in the FMU's `resources/`.
     folder
-        Where to build; the FMU's name there is returned.
+        Folder of the FMU, whose path is returned.
     """
     builder: Any = importlib.import_module(f"{library}.builder")
-    # An FMU that ran in this process has brought its own copy of the library, which has no binaries for another.
+    # An FMU that ran in this process loaded its own copy of the library, which lacks the binaries for another FMU.
     builder.HERE = Path(str(metadata.distribution(library).locate_file(library)))
     script = Path(shutil.copy(script, folder))
     try:
@@ -35,7 +35,8 @@ def build_archive(library: str, script: Path, files: Sequence[Path], folder: Pat
             canGetAndSetFMUState=True, canSerializeFMUState=True,
         )  # fmt: skip
     finally:
-        # The builder leaves the script's folder and module behind, and the next build would find the old one.
+        # The builder leaves the script's folder in the path and its module loaded; the next build would find the old
+        # one.
         sys.path[:] = [p for p in sys.path if p != str(folder)]
         sys.modules.pop(script.stem, None)
     return folder / "CycloidDrive.fmu"

@@ -1,11 +1,11 @@
 """The whole RV reducer in a system model: the drive with an involute stage before it and its crank bearings.
 
 The sun turns the planets, the planets the cranks, and the cycloid discs turn the carrier, in which the planets are
-mounted: so the crank angle is θ = a φ_b - b (φ_a + δ) with b = z_1/z_2, a = 1 + b and δ the sun's place within its
+mounted: so the crank angle is θ = a φ_b - b (φ_a + δ) with b = z_1/z_2, a = 1 + b and δ the sun's position within its
 play, and depends on the output angle that it causes. With s = 1/(1 + a/z_c) the output deviates by φ_b - φ_a/i = δ/i +
-s (x(θ)
-- β) from the ideal reducer, x the gear's deviation at its own torque and β the carrier's place in the crank bearings.
-Virtual work gives the torques: T = M + a τ at the output and -b τ at the sun, M at the gear and τ at the crank.
+s (x(θ) - β) from the ideal reducer, with x the gear's deviation at its own torque and β the carrier's position in the
+crank bearings. Virtual work gives the torques: T = M + a τ at the output and -b τ at the sun, with M at the gear and τ
+at the crank.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
-_FREE = 1e-7  # J: no more is stored where the plays around the gears leave them free
+_FREE = 1e-7  # J: largest stored energy of gears that are free in the plays around them
 
 
 class _Staged(SteppedModel):
@@ -44,17 +44,17 @@ class _Staged(SteppedModel):
 
     @property
     def _outer(self) -> float:
-        """Half of the play of sun and bearings at the output, rad."""
+        """Half of the play of sun and bearings, referred to the output, rad."""
         return 0.5 * (self._sun_play / self._ratio + self._s * self._stage.bearing_play) if self.backlash_on else 0.0
 
     def _crank_at(self, sun: float, deviation: float, side: float) -> float:
-        """Crank angle for a sun angle (reduced) and an output deviation, the sun's play on the given side."""
+        """Crank angle (rad) for a reduced sun angle and an output deviation, with the sun's play on a side (±1)."""
         ideal = -sun * self.pair.gear_teeth / self._ratio
         return ideal + self._a * deviation - 0.5 * self._b * side * self._sun_play
 
     @property
     def backlash(self) -> float:
-        """Free rotation of the output with the sun locked, rad; that of the outer stages where the gears have none."""
+        """Free rotation of the output with the sun locked, rad; without play in the gears, that of the other stages."""
         self._settle()
         if not self.backlash_on:
             return 0.0
@@ -77,7 +77,7 @@ class _Staged(SteppedModel):
 class ReducerState(DriveState):
     """State of a whole reducer; `crank_angle` and `crank_speed` are the sun's."""
 
-    _torque_rate: float | None = None  # of the crank's torque with its angle, N·m/rad
+    _torque_rate: float | None = None  # derivative of the crank's torque by its angle, N·m/rad
 
 
 class ReducerModel(_Staged, DriveModel, ReducerState):
@@ -88,9 +88,9 @@ class ReducerModel(_Staged, DriveModel, ReducerState):
     pair, surface
         The cycloid stage and its errors; its output is the gear.
     first_stage
-        Teeth and plays around it.
+        The first stage: its teeth and the plays around the cycloid stage.
     losses
-        As of `DriveModel`, at the sun.
+        As for `DriveModel`, at the sun.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class ReducerModel(_Staged, DriveModel, ReducerState):
         self._lever = -self._b
 
     def _turn_crank(self, deviation: float, side: float) -> None:
-        """Set the crank angle for the sun and an output deviation, the sun's play on the given side."""
+        """Set the crank angle for the sun and an output deviation (rad), with the sun's play on the given side (±1)."""
         self._theta = self._crank_at(self._reduced(self.crank_angle), deviation, side)
         self._forget()
 
@@ -150,7 +150,7 @@ class ReducerModel(_Staged, DriveModel, ReducerState):
         self._x, self._stiffness = self._teeth.behind(self._theta, flange, compliance, self._x)
 
     def _crank_torque_rate(self) -> float:
-        """Change of the crank's torque with its angle at constant torque on the gear, N·m/rad."""
+        """Derivative of the crank's torque by its angle at constant torque on the gear, N·m/rad."""
         if self._torque_rate is None:
             gear_torque, teeth, found = self._teeth.torque, self._teeth.copy(), []
             for step in (-STAGE_DIFFERENCE, STAGE_DIFFERENCE):
@@ -162,7 +162,7 @@ class ReducerModel(_Staged, DriveModel, ReducerState):
 
     @property
     def output_speed(self) -> float:
-        """dφ_b/dt at the present torque, rad/s; 0 while friction or play hold the output."""
+        """Output speed dφ_b/dt at the present torque, rad/s; 0 while friction or play holds the output."""
         if self.crank_speed == 0.0 or self._pushed == 0.0:
             self._settle()
             return 0.0
@@ -170,7 +170,7 @@ class ReducerModel(_Staged, DriveModel, ReducerState):
         if math.isnan(rate):
             return 0.0
         if self._stiffness > 0.0:
-            # The gear's torque changes with the crank's: ∂τ/∂M = -∂φ/∂θ (Maxwell).
+            # The gear's torque changes with the crank's: ∂τ/∂M = -∂φ/∂θ (Maxwell's reciprocity).
             rate -= self._a * self._crank_torque_rate() / ((1.0 - self._a * rate) * self._stiffness)
         rate *= -self._b / (1.0 - self._a * rate)
         return self.crank_speed * rate * self._yielding(rate)
@@ -189,16 +189,16 @@ class ReducerModel(_Staged, DriveModel, ReducerState):
 class CompliantReducer(_Staged, CompliantModel):
     """An RV reducer between two flanges, those of the sun and of the output.
 
-    The cycloid stage's energy E(θ, φ) is the reducer's under a linear change of coordinates, and the torques are its
-    derivatives. Within the plays the massless crank is where the energy is smallest: at an end of them, or where
+    The reducer's energy is the cycloid stage's energy E(θ, φ) under a linear change of coordinates, and the torques are
+    its derivatives. Within the plays the massless crank takes the position of least energy: at an end of them, or where
     nothing is pressed.
 
     Parameters
     ----------
     pair, surface, losses, output_inertia, crank_inertia
-        As of `CompliantModel`; losses and inertia at the sun.
+        As for `CompliantModel`; losses and inertia at the sun.
     first_stage
-        Teeth and plays around the stage.
+        The first stage: its teeth and the plays around the cycloid stage.
     """
 
     def __init__(
@@ -221,7 +221,7 @@ class CompliantReducer(_Staged, CompliantModel):
         return self.series_compliance / self._s**2
 
     def _contact(self, theta: float, deviation: float) -> tuple[float, float, float]:
-        """Energy of contacts and series compliance, with its derivatives by the sun's and the output's angle."""
+        """Energy of contacts and series compliance (J), with its derivatives by sun and output angle (N·m)."""
         self._check_deviation(deviation)
         first = 1.0 if deviation >= 0.0 else -1.0
         found = self._within_plays(theta, deviation, first if self.backlash_on else 0.0)
@@ -232,7 +232,7 @@ class CompliantReducer(_Staged, CompliantModel):
             return other[:3]
         if min(found[0], other[0]) <= _FREE:
             return (other if other[0] <= found[0] else self._within_plays(theta, deviation, first))[:3]
-        # Pressed gears between free plays: where the energy is least.
+        # Pressed gears between free plays: the position of least energy.
         ends = [(-first, other[3]), (first, found[3])]
         for _ in range(STAGE_ITERATIONS):
             (a, rate_a), (b, rate_b) = ends
@@ -245,7 +245,7 @@ class CompliantReducer(_Staged, CompliantModel):
         return found[:3]
 
     def _within_plays(self, sun: float, deviation: float, side: float) -> tuple[float, float, float, float]:
-        """The same with the plays at a share of their range (-1 to 1), and the derivative by that share."""
+        """As `_contact` with the plays at a fraction of their range (-1 to 1), and the derivative by that fraction."""
         teeth, outer = self.pair.gear_teeth, self._outer
         theta = self._crank_at(sun, deviation, side)
         energy, by_angle, gear = super()._contact(theta, (deviation - side * outer) / self._s)

@@ -1,8 +1,8 @@
-"""A reference run in every FMU with its result by the exact model, for a first test in a new tool.
+"""A reference run in every FMU, with results of the exact model, for a first test in a new tool.
 
 The files follow the layered standard FMI-LS-REF (Modelica Association, 1.0.0-alpha.1: manifest with roles, experiments
-with stimuli and references). The compared values do not depend on a tool's interpolation of inputs between samples:
-inputs are constant where references are taken, or throughout.
+with stimuli and references). The compared values do not depend on how a tool interpolates inputs: the inputs are
+constant around each reference sample, or throughout.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
-TOLERANCE = 5e-3  # of the largest reference of a variable
+TOLERANCE = 5e-3  # relative to the variable's largest reference
 _NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 _ABOUT = "Layered Standard providing information on related files included in an FMU."
 _STEP = 1e-3  # s
@@ -118,9 +118,7 @@ def reference_files(
         As `run`.
     """
     stimuli, references = run(pair, surface, interface, first_stage)
-    told = (
-        f"computed by the exact model; a value may differ from its reference by {TOLERANCE:g} of the variable's largest"
-    )
+    told = f"computed by the exact model; tolerance {TOLERANCE:g} of the variable's largest reference"
     experiments = Element("Experiments", name="Smoke test", description=f"One run of the drive, {told}.")
     one = SubElement(
         experiments, "Experiment", name=interface.kind, description=f"The drive under load, {told}.", startTime="0.0",
@@ -134,7 +132,7 @@ def reference_files(
         f"{{{_NAMESPACE}}}fmi-ls-version": "1.0.0-alpha.1", f"{{{_NAMESPACE}}}fmi-ls-description": _ABOUT,
     })  # fmt: skip
     for source, kind, role, text in (
-        ("smoke-test.exp", "application/x-ma-hs-experiments", "experiment/smoke-test", "A run to test the FMU with"),
+        ("smoke-test.exp", "application/x-ma-hs-experiments", "experiment/smoke-test", "A test run of the FMU"),
         ("smoke-test-in.csv", "text/csv", "other", "Its inputs over time (s, SI units)"),
         ("smoke-test-ref.csv", "text/csv", "result", f"Its outputs, {told}"),
         ("../../documentation/index.html", "text/html", "document", "Interface, variables and losses"),

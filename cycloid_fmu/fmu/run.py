@@ -1,4 +1,4 @@
-"""Inspect FMUs of drives, run them through a motion and compare them, with fmpy; FMI 2.0 and 3.0."""
+"""Inspect, simulate and compare FMUs of drives with fmpy; FMI 2.0 and 3.0."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OUTPUTS = (
     "flange_b.phi", "flange_b.w", "flange_a.tau", "transmission_error", "backlash", "torsional_stiffness",
     "max_contact_pressure",
 )  # fmt: skip
-# What a bench calls the flanges' variables.
+# Names of the flanges' variables in bench recordings.
 RECORDED = {"input_angle": "flange_a.phi", "output_angle": "flange_b.phi", "torque": "flange_b.tau"}
 
 
@@ -91,14 +91,14 @@ def _description(path: str | os.PathLike[str]) -> Any:
 
 
 class Fmu:
-    """One instance of a co-simulation FMU, its variables by name; made by `open_fmu`.
+    """One instance of a Co-Simulation FMU, with access to its variables by name; made by `open_fmu`.
 
     Attributes
     ----------
     path
         The file.
     variables
-        fmpy's descriptions by name.
+        fmpy's descriptions of the variables by name.
     """
 
     def __init__(self, path: str | os.PathLike[str], description: Any, slave: Any, said: list[str]) -> None:
@@ -132,7 +132,7 @@ class Fmu:
         return lambda values: put(references, values)
 
     def initialize(self, values: Mapping[str, float] | None = None) -> None:
-        """Set start values and leave initialization."""
+        """Set start values, {name: SI value}, and complete the initialization."""
         if not self._new:
             self.slave.setupExperiment(startTime=0.0)
         try:
@@ -143,14 +143,14 @@ class Fmu:
             self._raise("the start", problem)
 
     def step(self, time: float, step: float) -> None:
-        """Make a step, s; an `edge.InputError` has the FMU's message if it refuses it."""
+        """Make a step at a time, of a length, s; a refused one raises an `edge.InputError` with the FMU's message."""
         try:
             self.slave.doStep(time, step)
         except FMICallException as problem:
             self._raise(f"the step from {time:g} s", problem)
 
     def _raise(self, what: str, problem: Exception) -> NoReturn:
-        # A slave in Python shows an exception with its class.
+        # Messages of a Python slave begin with the exception's class.
         why = re.sub(r"""^\w+\((['"])(.*)\1\)$""", r"\2", self._said[-1] if self._said else str(problem))
         raise edge.InputError(f"{self.path}: {what} was refused: {why.rstrip('.')}.") from None
 
@@ -167,7 +167,7 @@ def open_fmu(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: 
     Raises
     ------
     edge.InputError
-        If the file is not a co-simulation FMU, lacks a variable or does not instantiate.
+        If the file is not a Co-Simulation FMU, lacks a variable or can't be instantiated.
     """
     import fmpy
     from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
@@ -199,8 +199,8 @@ def open_fmu(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: 
     try:
         try:
             slave.instantiate(loggingOn=True, **logging)
-        except Exception as problem:  # fmpy has no class for it
-            why = re.sub(r"^\w+\((['\"])(.*)\1\)$", r"\2", said[-1]) if said else str(problem)  # of Python's exceptions
+        except Exception as problem:  # fmpy has no specific class
+            why = re.sub(r"^\w+\((['\"])(.*)\1\)$", r"\2", said[-1]) if said else str(problem)  # strip its class
             raise edge.InputError(f"{path}: this FMU can't be instantiated: {why.rstrip('.')}.") from None
         yield Fmu(path, description, slave, said)
         slave.terminate()
@@ -221,15 +221,15 @@ def simulate(
 ) -> dict[str, Array]:
     """Run an FMU through given values of its inputs and return outputs at each.
 
-    If angle and speed of a flange are given, both are set at the start of each step, from which the FMU continues;
-    other inputs are those at the step's end.
+    If angle and speed of a flange are given, both are set to their values at the start of each step, from which the FMU
+    extrapolates; other inputs are set to their values at its end.
 
     Parameters
     ----------
     inputs
         {name: shape (samples,)}, SI; the first sample is the initial state.
     outputs, time
-        Names of real outputs; s, shape (samples,), ascending.
+        Names of real outputs; time, s, shape (samples,), ascending.
     parameters
         Values set before initialisation.
     progress
@@ -273,11 +273,12 @@ def simulate_fmu(
     path
         The FMU file.
     crank_angle, torque
-        Shape (samples,) or scalar: rad, N·m; the first sample is the initial state.
+        Crank angle (rad) and torque of the environment on the output (N·m, counter-clockwise positive), shape
+        (samples,) or scalar; the first sample is the initial state.
     outputs
         Names of real outputs.
     crank_speed
-        Given to `flange_a.w`, rad/s.
+        Value of `flange_a.w`, rad/s.
     step
         Communication step, s.
 
@@ -299,14 +300,14 @@ def turn_crank(
     Parameters
     ----------
     torque, turns, crank_speed
-        N·m; crank turns, below zero for backwards; rad/s, above zero.
+        Torque on the output, N·m; crank turns, below zero for backwards; speed, rad/s, above zero.
     samples
         Samples per crank turn.
 
     Returns
     -------
     results
-        {"time" s, the inputs and the outputs: shape (samples,)}.
+        {name: shape (samples,)}, SI: "time", the inputs and the outputs.
     """
     count = max(2, round(abs(turns) * samples) + 1)
     angle = np.linspace(0.0, 2.0 * math.pi * turns, count)
@@ -318,7 +319,7 @@ def turn_crank(
 
 
 def si_unit(unit: str) -> str:
-    """Return an FMU's unit in the notation of quantities: N.m is N*m."""
+    """Return an FMU's unit in the notation of quantities: N*m for N.m."""
     return unit.replace(".", "*").replace("m2", "m^2")
 
 
@@ -328,14 +329,14 @@ def read_motion(path: str | os.PathLike[str], units: Mapping[str, str]) -> tuple
     Parameters
     ----------
     path
-        The file: `time [s]` and columns under a variable's name, or a bench's `input_angle`, `output_angle`, `torque`.
+        The file: `time [s]` and columns named as the variables, or `input_angle`, `output_angle`, `torque` of a bench.
     units
         SI unit of each wanted variable; other columns are ignored.
 
     Returns
     -------
     time, values
-        s, shape (samples,); {variable: shape (samples,)}, SI.
+        Time, s, shape (samples,); {variable: shape (samples,)}, SI.
 
     Raises
     ------
@@ -377,7 +378,7 @@ def units_of(path: str | os.PathLike[str], causality: str) -> dict[str, str]:
 
 
 def read_inputs(path: str | os.PathLike[str], fmu: str | os.PathLike[str]) -> tuple[Array, dict[str, Array]]:
-    """Read the inputs of an FMU over time; speeds that are missing are the angles' derivatives.
+    """Read the inputs of an FMU over time; missing speeds are computed as the angles' derivatives.
 
     Raises
     ------
@@ -415,7 +416,7 @@ def compare(
     Returns
     -------
     time, pairs
-        s; {output that both have: its values in either}, SI.
+        Time, s; {common output: (values of `one`, values of `other`)}, SI.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """The Co-Simulation slaves, of FMI 2.0 on pythonfmu and of FMI 3.0 on pythonfmu3, around the same `Core`.
 
-Both libraries turn an exception into a fatal status with its message. Exceptions are raised only where no simulation
-can continue: a wrong reference, a foreign state, contradictory parameters. A refused step is an error instead.
+Both libraries turn an exception into a fatal status with its message. So exceptions are raised only if no simulation
+can continue: a wrong reference, a state of another FMU, contradictory parameters. A refused step returns an error.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ DESCRIPTION = "Cycloid-pin gear drive: transmission error, backlash and load sha
 
 
 def keep_alive(slave: DriveSlave) -> None:
-    """Keep the slave alive after an exception: both libraries then give its references back twice."""
+    """Keep the slave alive after an exception, because both libraries then release its references twice."""
     for kept in (slave, type(slave), slave.log_queue):
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
 
 
 def kept_alive(method: _Method) -> _Method:
-    """Keep the slave alive after an exception in a rarely called method."""
+    """Decorate a rarely called method so that the slave stays alive after an exception."""
 
     @functools.wraps(method)
     def guarded(self: DriveSlave, *arguments: Any) -> Any:
@@ -49,14 +49,14 @@ def kept_alive(method: _Method) -> _Method:
 
 @functools.cache
 def _release_at_exit(library: Path) -> None:
-    """Release early what both libraries give back twice when a Python host on Linux exits: a static object."""
+    """Release a static object early, which both libraries release twice when a Python host on Linux exits."""
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             atexit.register(ctypes.CDLL(str(library)).finalizePythonInterpreter)
 
 
 class DriveSlave:
-    """Common part of both slaves; the libraries' own classes follow it."""
+    """Common part of both slaves, a mixin before the libraries' own classes."""
 
     fmi_version: Version
     log_queue: list[Any]
@@ -74,7 +74,7 @@ class DriveSlave:
 
     @kept_alive
     def setup_experiment(self, start_time: float, *_: float | None) -> None:
-        """Keep the time at which initialization begins."""
+        """Store the time at which initialization begins."""
         self.core.time = start_time
 
     @kept_alive
@@ -106,7 +106,7 @@ class DriveSlave:
 
     @staticmethod
     def _fmu_state_from_bytes(data: bytes) -> dict[str, Any] | ValueError:
-        """Return the state or its error: the libraries do not keep a slave alive that raises it here."""
+        """Return the state or the error: the libraries do not keep alive a slave that raises here."""
         try:
             return state_from_bytes(data)
         except ValueError as problem:
@@ -120,7 +120,7 @@ class DriveSlave:
             assert old is not None
             root[list(root).index(old)] = made(tuple(table.values()), self.fmi_version, tuple(table))
         root.set("generationTool", f"cycloid-fmu {__version__}")
-        # The library's own holds the machine's address and the time; the same drive is to give the same bytes.
+        # The library's token depends on the machine's address and the time; the same drive must give the same bytes.
         del root.attrib["generationDateAndTime"]
         token = token_of(f"{__version__} FMI {self.fmi_version} {self.core.state()['drive']}")
         root.set("guid" if self.fmi_version == "2.0" else "instantiationToken", token)
@@ -147,9 +147,9 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
     def _refuse(self, message: str) -> None:
         self.log(message, Fmi2Status.error)
 
-    # A step is made of these three: another frame around each would take a tenth of its time.
+    # A simulation step calls these three; a wrapper around each would take a tenth of its time.
     def do_step(self, current_time: float, step_size: float) -> bool:
-        """Make a step; a refused one has a message, and the library before this one makes an error of it."""
+        """Make a step; a refused one logs a message and returns False, which the wrapping library makes an error."""
         try:
             refused = self.core.step(current_time, step_size)
         except Exception:

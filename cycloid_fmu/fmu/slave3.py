@@ -33,7 +33,7 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
 
     @kept_alive
     def do_step(self, current_time: float, step_size: float) -> Fmi3StepResult:
-        """Make a step; a refused one is an error with a message."""
+        """Make a step; a refused one logs a message and returns an error."""
         refused = self.core.step(current_time, step_size)
         if refused:
             self._refuse(refused)

@@ -1,4 +1,4 @@
-"""Common part of all drives with history: errors, contacts, outputs, and steps made or refused as a whole."""
+"""Common part of all drives with history: errors, contacts, outputs, and steps that are made or refused as a whole."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Teeth = ContactTeeth | SupportedTeeth
 
 @dataclass_transform()
 def state_fields(kind: type[_Kind]) -> type[_Kind]:
-    """Make a dataclass of a class; its defaults are removed, which would slow each attribute access."""
+    """Make a dataclass of a class and remove its class-level defaults, which would slow down each attribute access."""
     made = dataclass(eq=False)(kind)
     for name in kind.__annotations__:
         if name in kind.__dict__:
@@ -41,29 +41,29 @@ def state_fields(kind: type[_Kind]) -> type[_Kind]:
 
 @state_fields
 class State:
-    """The complete state for later steps and outputs: a field that is added here takes part in rollback.
+    """The complete state for later steps and outputs; every field is part of rollback and serialization.
 
-    Results computed from the state are kept with it, so that outputs are the same before and after. Dictionaries and
-    lists are replaced when they change, never modified: copies share them.
+    Results computed from the state are stored with it, so that a rollback does not change outputs. Dictionaries and
+    lists are replaced, never modified, because copies share them.
 
     Attributes
     ----------
     crank_angle, crank_speed
-        Inputs: rad, rad/s.
+        Inputs: angle and speed of the crank, rad and rad/s, counter-clockwise positive.
     temperature
-        Input: of the friction, K.
+        Input: temperature of the friction, K.
     series_compliance
-        Parameter: compliance of the rest of the chain, rad/(N·m).
+        Parameter: compliance of the rest of the drivetrain, in series at the output, rad/(N·m).
     backlash_on
-        Whether the play acts; without it the flanks of both sides touch at zero torque.
+        Whether the play is included; without it the flanks of both sides touch at zero torque.
     errors
         Structured errors by name, m or rad.
     pin_arrays
-        Errors of each pin that were set, by name, m.
+        Errors of each pin that were set, by name, shape (pins,), m.
     loss_table
         Rows of the loss table (`variables.Interface.losses`).
     friction
-        Numbers of `friction.Law` at both flanges.
+        Values of `friction.Law` at both flanges.
     """
 
     crank_angle: float = 0.0
@@ -76,18 +76,18 @@ class State:
     loss_table: list[list[float]] = field(default_factory=list)
     friction: list[list[float]] = field(default_factory=lambda: [list(law) for law in NO_FRICTION])
     _strains: list[list[float]] = field(default_factory=lambda: [list(UNSTRAINED), list(UNSTRAINED)])
-    _crank_seen: float = 0.0  # the crank angle that friction has followed to, rad
-    _support_angle: float = 0.0  # of the housing, whose axes all other angles are in, rad
+    _crank_seen: float = 0.0  # crank angle up to which friction is evaluated, rad
+    _support_angle: float = 0.0  # of the housing, to which all other angles are relative, rad
     _support_speed: float = 0.0
     _crank_turns_worn: float = 0.0
-    _age: float = 0.0  # s, of a surface with a forecast
+    _age: float = 0.0  # s, for a surface with a forecast
     _wear_factor: float = 1.0
     _draw: int = 0
-    _theta: float = 0.0  # the crank's angle, reduced, rad
-    _x: float = 0.0  # deviation of the flange that the teeth alone make, rad
-    _stiffness: float = 0.0  # of the teeth, N·m/rad; 0 where nothing touches
-    _side: float = 0.0  # of the play that the teeth stand on
-    _play: tuple[float, float, float] | None = None  # both ends (rad), and above 0 that there is none (m)
+    _theta: float = 0.0  # crank angle, reduced, rad
+    _x: float = 0.0  # deviation of the flange due to the teeth only, rad
+    _stiffness: float = 0.0  # of the teeth, N·m/rad; 0 without contact
+    _side: float = 0.0  # side of the play on which the teeth are, ±1; 0 for neither
+    _play: tuple[float, float, float] | None = None  # both ends (rad), and interference (m), above 0 without play
     _crank: tuple[float, float] | None = None  # torque of the crank (N·m), and dφ_b/dθ
     _sharing: tuple[int, float] | None = None  # pins in contact, and the largest pressure (Pa)
     _teeth: Teeth = field(init=False)
@@ -98,7 +98,7 @@ class State:
         return {**found, "_teeth": self._teeth.state()}
 
     def assign(self, state: Mapping[str, Any]) -> None:
-        """Return to a state given by `state`, of the same errors."""
+        """Restore a state returned by `state`, of the same errors."""
         for one in dataclasses.fields(self):
             if one.name != "_teeth":
                 setattr(self, one.name, state[one.name])
@@ -130,7 +130,7 @@ class SteppedModel(State, FrictionState):
     Attributes
     ----------
     draws
-        Additions to the errors by the draws of a fit's distribution (`posterior.displacements_of`).
+        Deviations added to the errors by each draw from a fit's distribution (`posterior.displacements_of`).
     """
 
     absolute_crank_angle = _absolute("crank_angle", "_support_angle")
@@ -153,7 +153,7 @@ class SteppedModel(State, FrictionState):
             self._age, self._wear_factor = ageing.age, 1.0
             self._crank_turns_worn = ageing.age * ageing.crank_turns_per_second
         self._ratio = pair.ratio
-        # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
+        # Everything repeats after one turn of the gear in the ring; reducing the angle preserves its precision.
         self._period = 2.0 * math.pi * (pair.gear_teeth if pair.output == "gear" else pair.pins)
         self._settle_friction(self._rated())
         self._rebuild()
@@ -165,7 +165,7 @@ class SteppedModel(State, FrictionState):
         return {n: v for n, v in self.errors.items() if v != self._stated[n]}
 
     def check(self) -> None:
-        """Refuse contradictory parameters; a `ValueError` names them in one sentence."""
+        """Check parameters against each other; raise a `ValueError` with one sentence if they contradict."""
         check_losses(self.loss_table)
 
     def _rebuild(self) -> None:
@@ -192,7 +192,7 @@ class SteppedModel(State, FrictionState):
             self._rebuild()
 
     def pin_errors(self, name: str) -> list[float]:
-        """Return the errors of each pin (m), a kind that each pin has, the structured errors set since included."""
+        """Return the errors of each pin (m) for a kind of pin errors, including structured errors set since."""
         values: list[float] = getattr(with_structured(self.pair, self.surface, self._changed()), name).tolist()
         return values
 
@@ -217,9 +217,9 @@ class SteppedModel(State, FrictionState):
         self._follow_friction()
 
     def set_friction(self, flange: int, **values: float) -> None:
-        """Set numbers of the friction (`friction.Law`) at `flange_a`, 0, or `flange_b`, 1.
+        """Set values of the friction (`friction.Law`) at `flange_a`, 0, or `flange_b`, 1.
 
-        Elements with a changed stiffness start unstrained; their stored energy is lost.
+        Elements whose stiffness changes start unstrained; their stored energy is lost.
         """
         laws = [list(law) for law in self.friction]
         laws[flange] = list(Law(*laws[flange])._replace(**values))
@@ -254,7 +254,7 @@ class SteppedModel(State, FrictionState):
 
     @property
     def crank_turns_worn(self) -> float:
-        """Crank turns since new, of a surface with a life: its wear, from the next step on."""
+        """Crank turns since new, for a surface with a life; they determine the wear from the next step on."""
         return self._crank_turns_worn
 
     @crank_turns_worn.setter
@@ -277,7 +277,7 @@ class SteppedModel(State, FrictionState):
 
     @property
     def age(self) -> float:
-        """Running time of the drive since new, s, of a surface with a forecast: from the next step on."""
+        """Running time of the drive since new, s, for a surface with a forecast; effective from the next step on."""
         return self._age
 
     @age.setter
@@ -286,7 +286,7 @@ class SteppedModel(State, FrictionState):
 
     @property
     def wear_factor(self) -> float:
-        """Wear coefficient over the forecast's median: from the next step on."""
+        """Ratio of the wear coefficient to the forecast's median; effective from the next step on."""
         return self._wear_factor
 
     @wear_factor.setter
@@ -296,9 +296,9 @@ class SteppedModel(State, FrictionState):
     def _grow_old(self, seconds: float, factor: float) -> None:
         life, ageing = self.surface.life, self._ageing
         if life is None or ageing is None:
-            raise ValueError("age and wear_factor belong to a surface with a forecast")
+            raise ValueError("age and wear_factor need a surface with a forecast")
         if (seconds, factor) != (self._age, self._wear_factor):
-            # Rounding must not lead beyond the life's end.
+            # Rounding must not exceed the life's end.
             turns = min(seconds * ageing.crank_turns_per_second * factor, float(life.crank_turns[-1]))
             surface_after(self.surface, turns)
             self._age, self._wear_factor, self._crank_turns_worn = seconds, factor, turns
@@ -306,7 +306,7 @@ class SteppedModel(State, FrictionState):
 
     @property
     def draw(self) -> int:
-        """Number of the active draw, counted from 1, from the next step on; 0: none."""
+        """Number of the active draw, from 1, or 0 for none; effective from the next step on."""
         return self._draw
 
     @draw.setter
@@ -317,7 +317,7 @@ class SteppedModel(State, FrictionState):
 
     @property
     def support_angle(self) -> float:
-        """Of the housing, rad. All angles and speeds except the `absolute` ones are relative to it."""
+        """Angle of the housing, rad. All angles and speeds except the `absolute` ones are relative to it."""
         return self._support_angle
 
     @support_angle.setter
@@ -327,7 +327,7 @@ class SteppedModel(State, FrictionState):
 
     @property
     def support_speed(self) -> float:
-        """Of the housing, rad/s."""
+        """Speed of the housing, rad/s."""
         return self._support_speed
 
     @support_speed.setter
@@ -336,7 +336,7 @@ class SteppedModel(State, FrictionState):
         self._support_speed = speed
 
     def _turn_housing(self, angle: float, speed: float) -> None:
-        """Convert values that do not move with the housing to its new angle and speed."""
+        """Convert values that are absolute to the housing's new angle and speed."""
         self.crank_angle -= angle
         self.crank_speed -= speed
 
@@ -361,7 +361,7 @@ class SteppedModel(State, FrictionState):
         return 0.5 * side * (high - low) if interference == 0.0 else 0.0
 
     def _shift_rate(self, side: float, teeth: Teeth, theta: float) -> float:
-        """Change of `_shift` with the crank's angle (1)."""
+        """Derivative of `_shift` by the crank angle, dimensionless."""
         if self.backlash_on:
             return 0.0
         low, high, interference = self._solve_play() if theta == self._theta else teeth.play(theta, self._x)
@@ -374,11 +374,11 @@ class SteppedModel(State, FrictionState):
         raise NotImplementedError
 
     def _move(self, step: float) -> None:
-        """Move for a step (s), from the state before; a `StepError` refuses it."""
+        """Move for a step (s), from the state before; raise a `StepError` if it is refused."""
         raise NotImplementedError
 
     def forget_history(self) -> None:
-        """Make the next step start without history."""
+        """Remove the history before the next step."""
         raise NotImplementedError
 
     def advance(self, step: float = 0.0) -> None:
@@ -387,7 +387,7 @@ class SteppedModel(State, FrictionState):
         Parameters
         ----------
         step
-            Duration, s; without effect on a quasi-static drive.
+            Duration, s; has no effect on a quasi-static drive.
 
         Raises
         ------
@@ -408,12 +408,12 @@ class SteppedModel(State, FrictionState):
 
     @property
     def ratio(self) -> float:
-        """Angle of the driven shaft over the output's, ideally."""
+        """Ratio of the driven shaft's angle to the output's in the ideal drive, signed."""
         return self._ratio
 
     @property
     def outside_range(self) -> bool:
-        """Whether a torque is beyond the tables: never, it is solved."""
+        """Whether a torque exceeds the tables of a native FMU; always False, as every torque is solved."""
         return False
 
     @property
@@ -425,7 +425,7 @@ class SteppedModel(State, FrictionState):
 
     @property
     def torsional_stiffness(self) -> float:
-        """Stiffness at the flange, the compliance in series included, N·m/rad."""
+        """Stiffness at the output flange, with the compliance in series, N·m/rad."""
         self._settle()
         if self._stiffness <= 0.0:
             return 0.0
@@ -453,16 +453,16 @@ class SteppedModel(State, FrictionState):
 
     @property
     def contact_count(self) -> int:
-        """Pins that carry more than 1 % of the most loaded pin's force."""
+        """Number of pins that carry more than 1 % of the most loaded pin's force."""
         return self._load_sharing()[0]
 
     @property
     def max_contact_pressure(self) -> float:
-        """Pa."""
+        """Largest contact pressure, Pa."""
         return self._load_sharing()[1]
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Return to a state given by `state`."""
+        """Restore a state returned by `state`."""
         if state["pin_arrays"] != self.pin_arrays:
             self._put_pin_errors(state["pin_arrays"])
         errors = ("errors", "pin_arrays", "_crank_turns_worn", "_age", "_wear_factor", "_draw")

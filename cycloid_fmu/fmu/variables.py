@@ -1,8 +1,8 @@
-"""The table of all FMU variables; slaves and model descriptions, Python or native, FMI 2.0 or 3.0, are made from it.
+"""The table of all FMU variables, the source of slaves and model descriptions, Python or native, FMI 2.0 or 3.0.
 
-Names follow Modelica.Mechanics.Rotational; torques are positive into the drive at their flange. A variable's place in
-the table is its value reference. Variables of FMI 3.0 alone, `time` and the arrays, are last, so that a scalar has the
-same reference in both versions.
+Names follow Modelica.Mechanics.Rotational; torques are positive into the drive at their flange. A variable's index in
+the table is its value reference. Variables that only FMI 3.0 has, `time` and the arrays, are last, so that a scalar has
+the same reference in both versions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LossRow = tuple[float, float, float, float, float]
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
 FRICTIONLESS = Friction()
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
-# What the models call variables that have another name there.
+# Attributes of the models for variables with a different name.
 ATTRIBUTES = {
     "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
     "flange_b.phi": "output_angle", "flange_b.w": "output_speed", "flange_b.tau": "torque",
@@ -43,7 +43,7 @@ ABSOLUTE = {
     "flange_b.phi": "absolute_output_angle", "flange_b.w": "absolute_output_speed",
 }  # fmt: skip
 
-STRAINS = tuple(f"{flange}_friction_strain" for flange in FLANGES)  # of friction's elements, in Model Exchange
+STRAINS = tuple(f"{flange}_friction_strain" for flange in FLANGES)  # strains of friction elements, in Model Exchange
 
 # unit: exponents of SI base units, then display units with their factor
 UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
@@ -77,28 +77,28 @@ class Interface:
         "kinematic": crank angle and speed, output torque in; output angle and speed, crank torque out.
         "compliant": angles and speeds of both flanges in, torques of both out.
     output_inertia
-        Moment of inertia on the output inside a compliant FMU, kg·m²; above 0 the output flange takes a torque and
-        gives angle and speed, as in the kinematic interface.
+        Internal moment of inertia on the output of a compliant FMU, kg·m²; if it is above 0, the output flange takes a
+        torque and gives angle and speed, as in the kinematic interface.
     crank_inertia
-        Moment of inertia on the crank inside as well, kg·m²; above 0 that flange too takes a torque and gives angle and
-        speed, and the importing tool has no stiff contact to solve.
+        Internal moment of inertia on the crank, kg·m², in addition; if it is above 0, that flange takes a torque and
+        gives angle and speed too, and the importing tool has no stiff contact to solve.
     mesh_damping
         Start value of the contacts' damping in a compliant FMU, N·m·s/rad at the output; None for 0.1 ms times the
         stiffness at the rated torque.
     losses
         Rows of Modelica's `LossyGear.lossTable`: |w| of flange_a (rad/s, ascending from 0), efficiency while power
-        flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
+        flows from a to b and from b to a (dimensionless), friction torque at flange_a in the same two cases (N·m).
     driven
         Shaft at `flange_a`: "crank", or "sun" of an RV reducer.
     stiffness
-        Stiffness of the whole drive from a catalogue or a measured loop, N·m/rad: the rest is put in series,
-        `series_compliance`.
+        Stiffness of the whole drive from a catalogue or a measured loop, N·m/rad; `series_compliance` is computed from
+        it.
     support_flange
-        Whether the housing turns: the flanges' angles and speeds are absolute then.
+        Whether the housing can turn and has a flange; the other flanges' angles and speeds are then absolute.
     series_compliance
         Start value of the parameter of this name, rad/(N·m).
     own_stiffness
-        Computed during the build (`fmu.chain.own_stiffness`), N·m/rad.
+        Stiffness of the modelled drive, N·m/rad, computed during the build (`fmu.chain.own_stiffness`).
     input_friction, output_friction
         Friction at `flange_a`, where it adds to the losses, and at `flange_b` (`friction_file.Friction`).
 
@@ -136,7 +136,7 @@ class Interface:
 
     @property
     def step(self) -> float:
-        """Suggested communication step, s: shorter for stiff contacts between external masses."""
+        """Suggested communication step, s; shorter if stiff contacts connect external inertias."""
         return 1e-4 if self.kind == "compliant" and self.output_inertia == 0.0 else 1e-3
 
 
@@ -149,25 +149,25 @@ class Variable:
     name, description
         As in the model description.
     causality, variability
-        Of FMI; both versions use the same words.
+        As defined by FMI; both versions use the same words.
     unit, display
         SI unit and display unit, keys of `UNITS`; None if there is none.
     least, most, nominal
-        Limits and a typical size, SI; None without a physical limit.
+        Limits and nominal value, SI; None without a physical limit.
     start
-        Value before it is set: of inputs and parameters; row by row for an array.
+        Start value of inputs and parameters, SI; row by row for an array.
     depends
-        Names of the variables that an output depends on after initialisation: inputs.
+        Names of the inputs that an output depends on after initialisation.
     initially
-        Names of the parameters that it depends on besides, when initialised.
+        Names of the parameters that it depends on as well during initialisation.
     kind
         "real", "integer" or "boolean".
     dimensions
-        Of an array, which only FMI 3.0 has; () otherwise.
+        Dimensions of an array, which only FMI 3.0 has; () for a scalar.
     baked
-        Whether it is fixed in a native FMU's tables: there it can be read but not set.
+        Whether it is fixed in a native FMU's tables, where it can be read but not set.
     derivative_of
-        Name of the variable whose derivative by time it is.
+        Name of the variable of which it is the time derivative.
     """
 
     name: str
@@ -189,8 +189,8 @@ class Variable:
 
 
 def stiffness_text(pair: Pair, interface: Interface) -> str:
-    """Return an FMU's text on its stiffness."""
-    text = "mesh alone, rigid bodies" if pair.supports is None else "mesh and bearings"
+    """Return the text on an FMU's stiffness for its description."""
+    text = "mesh only, rigid bodies" if pair.supports is None else "mesh and bearings"
     if interface.own_stiffness is not None:
         own, series, arcmin = interface.own_stiffness, interface.series_compliance, UNITS["N.m/rad"][1]["N.m/arcmin"]
         text += f": {own * arcmin:.4g} N.m/arcmin"
@@ -202,11 +202,11 @@ def stiffness_text(pair: Pair, interface: Interface) -> str:
 def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     driven, dynamic = interface.driven, interface.kind == "compliant"
     inside, both = not dynamic or interface.output_inertia > 0.0, interface.crank_inertia > 0.0
-    moved = dynamic and inside  # by inertias inside: all that comes out is of their state, whatever goes in
+    moved = dynamic and inside  # by internal inertias: all outputs depend on their state, not on inputs
 
     def place(end: str, what: str, causality: Literal["input", "output"]) -> list[Variable]:
         start, nominal = 0.0 if causality == "input" else None, 100.0 if end == "a" else 1.0
-        # At rest under load the speed is that at the present torque alone.
+        # The speed at the present torque is not the derivative of an angle that also depends on the torque.
         derived = None if end == "b" and not dynamic else f"flange_{end}.phi"
         return [
             Variable(f"flange_{end}.phi", f"{what} angle, counter-clockwise", causality, unit="rad", display="deg",
@@ -260,33 +260,33 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
     found += [
         Variable("friction_torque", "Coulomb friction at the output", "parameter", "tunable", "N.m", least=0.0,
                  nominal=1.0, start=interface.laws[1].coulomb),
-        Variable("series_compliance", "compliance of the rest of the chain", "parameter", "tunable", "rad/(N.m)",
-                 "arcsec/(N.m)", 0.0, nominal=1e-6, start=interface.series_compliance),
+        Variable("series_compliance", "compliance of the rest of the drivetrain, in series", "parameter", "tunable",
+                 "rad/(N.m)", "arcsec/(N.m)", 0.0, nominal=1e-6, start=interface.series_compliance),
     ]  # fmt: skip
     if surface.life is not None and (ageing := surface.life.ageing) is not None:
         found += [
-            Variable("age", "running time of the drive since new, for its wear", "parameter", "tunable", "s", "h",
+            Variable("age", "running time since new, which determines the wear", "parameter", "tunable", "s", "h",
                      0.0, ageing.largest_age, ageing.largest_age, ageing.age, baked=True),
-            Variable("wear_factor", "wear coefficient over the forecast's median", "parameter", "tunable",
+            Variable("wear_factor", "ratio of the wear coefficient to the forecast's median", "parameter", "tunable",
                      least=ageing.smallest_wear_factor, most=ageing.largest_wear_factor, start=1.0, baked=True),
         ]  # fmt: skip
     elif surface.life is not None:
         turns = float(surface.life.crank_turns[-1])
         found.append(Variable(
-            "crank_turns_worn", "crank turns since new, for the drive's wear", "parameter", "tunable",
+            "crank_turns_worn", "crank turns since new, which determine the wear", "parameter", "tunable",
             least=0.0, most=turns, nominal=turns, start=turns, baked=True,
         ))  # fmt: skip
     return found
 
 
 def _further(interface: Interface) -> list[Variable]:
-    """Variables added after the first version, so that earlier references stay."""
+    """Variables added after the first version, last so that earlier references do not change."""
     moving = () if interface.output_inertia > 0.0 else ("flange_a.phi", "flange_a.w", *(
         ("flange_b.tau",) if interface.kind == "kinematic" else ("flange_b.phi", "flange_b.w")
     ))  # fmt: skip
     found = [
         Variable("power_loss", "dissipated power", "output", unit="W", nominal=10.0, depends=moving, least=0.0),
-        Variable("backlash_on", "whether the play acts; without it both flanks touch at zero torque", "parameter",
+        Variable("backlash_on", "whether backlash is included; if false, both flanks touch at zero torque", "parameter",
                  "tunable", kind="boolean", start=1.0),
     ]  # fmt: skip
     columns = (
@@ -309,19 +309,19 @@ def _further(interface: Interface) -> list[Variable]:
                      least=0.0, nominal=1e-2, depends=still),
             Variable("dissipated_energy", "energy dissipated since initialisation", "output", unit="J", least=0.0,
                      nominal=1.0),
-            Variable("mesh_damping", "damping of the contacts at the output, not beyond their elastic torque",
+            Variable("mesh_damping", "contact damping at the output; its torque is at most the elastic one",
                      "parameter", "tunable", "N.m.s/rad", least=0.0, nominal=10.0, start=interface.mesh_damping or 0.0),
-            Variable("largest_step", "largest step inside; a longer communication step is divided", "parameter",
+            Variable("largest_step", "largest internal step; a longer communication step is divided", "parameter",
                      "fixed", "s", "ms", 1e-9, nominal=1e-3, start=LARGEST_STEP),
         ]  # fmt: skip
         if interface.output_inertia > 0.0:
             found.append(Variable(
-                "output_inertia", "moment of inertia on the output, inside", "parameter", "fixed", "kg.m2", least=1e-9,
+                "output_inertia", "internal moment of inertia on the output", "parameter", "fixed", "kg.m2", least=1e-9,
                 nominal=interface.output_inertia, start=interface.output_inertia,
             ))  # fmt: skip
         if interface.crank_inertia > 0.0:
             found += [
-                Variable("crank_inertia", f"moment of inertia on the {interface.driven}, inside", "parameter", "fixed",
+                Variable("crank_inertia", f"internal moment of inertia on the {interface.driven}", "parameter", "fixed",
                          "kg.m2", least=1e-9, nominal=interface.crank_inertia, start=interface.crank_inertia),
                 Variable("crank_angle_start", f"{interface.driven} angle at the start", "parameter", "fixed", "rad",
                          "deg", nominal=1.0, start=0.0),
@@ -332,9 +332,9 @@ def _further(interface: Interface) -> list[Variable]:
 
 
 def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
-    """Values that a surrounding model needs."""
+    """Information for the surrounding model."""
     found = [
-        Variable("outside_range", "whether a torque is beyond a native FMU's tables, without stated accuracy",
+        Variable("outside_range", "whether a torque exceeds a native FMU's tables; accuracy is not stated there",
                  "output", "discrete", kind="boolean", depends=placed),
         Variable("ratio", "flange_a.phi/flange_b.phi of the ideal drive", "local", "constant", "1", start=ratio,
                  baked=True),
@@ -348,12 +348,12 @@ def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
 
 
 def _friction(interface: Interface) -> list[Variable]:
-    """Parameters of friction at both flanges, and its temperature if it depends on that."""
+    """Friction parameters at both flanges, and the temperature if friction depends on it."""
     texts = {
         "coulomb": "Coulomb friction",
         "load_share": "additional friction per N.m of the teeth's torque at that flange",
         "stribeck": "additional friction at rest, proportional to exp(-(w/stribeck_speed)^2)",
-        "stribeck_speed": "speed at which that has decreased to 1/e",
+        "stribeck_speed": "speed at which the additional friction at rest has decreased to 1/e",
         "viscous": "viscous friction",
         "presliding_angle": "angle over which friction builds up under the rated torque",
         "temperature_coefficient": "b: friction is proportional to exp(-b (temperature - reference_temperature))",
@@ -379,7 +379,7 @@ def _friction(interface: Interface) -> list[Variable]:
 
 
 def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
-    """Add the housing's flange; variables that depend on the driven shaft's motion depend on the housing's as well."""
+    """Add the housing's flange; variables that depend on the driven shaft's motion also depend on the housing's."""
     follows = {"flange_a.phi": "support.phi", "flange_a.w": "support.w"}
     found = [
         dataclasses.replace(v, depends=(*v.depends, *(other for name, other in follows.items() if name in v.depends)))
@@ -423,25 +423,25 @@ def variables(
     ratio: float | None = None,
     draws: int = 0,
 ) -> tuple[Variable, ...]:
-    """Return the FMU's variables; the place of each is its value reference.
+    """Return the FMU's variables; the index of each is its value reference.
 
     Parameters
     ----------
     pair, surface
-        The nominal pair and its errors, whose values the parameters start from.
+        The nominal pair and its errors, the start values of the parameters.
     interface
-        What the FMU offers.
+        The interface of the FMU.
     fmi_version
         With "3.0" `time` and the arrays follow the scalars of both versions.
     ratio
-        Angle of `flange_a` over that of `flange_b`; None for that of the pair.
+        Ratio of the angles of `flange_a` and `flange_b`; None for that of the pair.
     draws
         Number of drives in the FMU besides the most likely one.
     """
     flanges = _flanges(pair, interface)
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
     count = Variable(
-        "contact_count", "pins that carry more than 1 % of the most loaded pin's force", "output", "discrete",
+        "contact_count", "number of pins that carry more than 1 % of the most loaded pin's force", "output", "discrete",
         kind="integer", least=0.0, most=float(pair.pins * pair.discs), depends=shape,
     )  # fmt: skip
     found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
@@ -449,7 +449,7 @@ def variables(
     if interface.support_flange:
         found = _with_support(found, interface.output_inertia > 0.0)
     if interface.warms:
-        # Friction tells where the output stands, and so all that depends on that.
+        # Friction determines the output's position, on which all of these depend.
         found = [
             dataclasses.replace(v, depends=(*v.depends, "temperature"))
             if v.depends and "temperature" not in v.depends
@@ -499,8 +499,8 @@ def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
 def states(interface: Interface) -> tuple[str, ...]:
     """Return the names of a native FMU's continuous states in Model Exchange, in order.
 
-    With inertias inside the deviation is a state in place of the output's angle, of which it is a millionth. A drive
-    with a support flange has none: it is for Co-Simulation only.
+    With internal inertias the deviation is a state in place of the output's angle, of which it is a millionth. A drive
+    with a support flange has no states: it is for Co-Simulation only.
     """
     if interface.kind == "kinematic" or interface.support_flange:
         return ()
@@ -514,20 +514,22 @@ def _strains(flange: str, rate: str = "") -> tuple[str, ...]:
 
 
 _INDICATORS = {
-    "kinematic": ("the torque turns round", "nothing happens", "a torque leaves the tables", "the crank turns round",
-                  "nothing happens either"),
-    "compliant": ("the flank of positive torque touches", "the flank of negative torque touches",
-                  "a torque leaves the tables", "the crank turns round", "the output turns round"),
+        "kinematic": ("crosses zero when the torque reverses", "unused", "crosses zero when a torque leaves the tables",
+                  "crosses zero when the crank reverses", "unused"),
+    "compliant": ("crosses zero when the flank for positive torque makes contact",
+                  "crosses zero when the flank for negative torque makes contact",
+                  "crosses zero when a torque leaves the tables", "crosses zero when the crank reverses",
+                  "crosses zero when the output reverses"),
 }  # fmt: skip
 
 
 def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal["2.0", "3.0"]) -> dict[int, Variable]:
-    """Return the variables of a native FMU, with those of Model Exchange last.
+    """Return the variables of a native FMU, {value reference: variable}, with those of Model Exchange last.
 
     Parameters
     ----------
     kept
-        Those of `from_tables`.
+        Variables from `from_tables`.
     """
     if interface.support_flange:
         return kept
@@ -554,9 +556,9 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
         add("flange_b.a", "output acceleration", "rad/s2", "flange_b.w", 100.0, (*moving, *output, "flange_b.tau"))
     for flange, law, end in zip(FLANGES if dynamic else (), interface.laws, "ab", strict=False):
         for name in _strains(flange):
-            add(name, f"strain of an element of the friction at flange_{end}", "rad", None, law.presliding_angle)
+            add(name, f"strain of a friction element at flange_{end}", "rad", None, law.presliding_angle)
         for name, strain in zip(_strains(flange, "_rate"), _strains(flange), strict=True):
-            add(name, "its derivative", "rad/s", strain, 0.1, (*moving, strain))
+            add(name, f"strain rate of a friction element at flange_{end}", "rad/s", strain, 0.1, (*moving, strain))
     depends = {
         "flange_a.tau": (*moving, *crank), "power_loss": (*moving, *crank, *output),
         "elastic_energy": (*contact, *crank, *output), "dissipated_energy": ("dissipated_energy",),
@@ -577,5 +579,5 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
     }  # fmt: skip
     if version == "3.0":
         for i, text in enumerate(_INDICATORS[interface.kind], start=1):
-            more.append(Variable(f"event_indicator[{i}]", f"goes through zero where {text}", "local"))
+            more.append(Variable(f"event_indicator[{i}]", text, "local"))
     return {**changed, **{len(kept) + i: v for i, v in enumerate(more)}}

@@ -1,4 +1,4 @@
 """The gear pair as drawn: values, validation and the flank's profile."""
 
-# Here, where nothing is loaded with it: the commands' help states it.
-ANGLES = 367  # of a sweep over a crank turn where no one says: a prime, so that no number of pins is in step with it
+# Here, because the commands' help needs it without loading anything else.
+ANGLES = 367  # crank angles per turn by default: a prime, so that it has no factor in common with the number of pins

@@ -1,7 +1,7 @@
 """A cycloid-pin gear pair: geometry, profile modification, material and stated errors.
 
-The pair file `cycloid-pair/1` is read and written here; all values in this module are SI. A pair is its values: its
-text is generated from them, never kept from a file.
+The pair file `cycloid-pair/1` is read and written here; all values in this module are SI. A pair is identified by its
+values: its text is generated from them, never copied from a file.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cycloid_fmu.geometry.supports import Supports
 from cycloid_fmu.geometry.temperature import Expansions, Temperatures
 
 FORMAT = "cycloid-pair/1"
-LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
+LOST_MOTION_LOAD = 0.03  # share of the rated torque (GB/T 40731)
 _SHARE = f"{100.0 * LOST_MOTION_LOAD:g} %"
 LOST_MOTION = f"output angle at +{_SHARE} of the rated torque minus that at -{_SHARE} (GB/T 40731)"
 
@@ -39,14 +39,14 @@ def _positive(value: float) -> float:
 def _teeth(value: int) -> int:
     if value < LEAST_TEETH:
         raise ValueError(
-            f"it must be {LEAST_TEETH} at least; with one, there are crank angles at which no pin has an arm"
+            f"it must be at least {LEAST_TEETH}; with one tooth, at some crank angles no pin has a lever arm"
         )
     if value > MOST_TEETH:
-        raise ValueError(f"it must be {MOST_TEETH} at most; above, results are not checked against a second solver")
+        raise ValueError(f"it must be at most {MOST_TEETH}; larger numbers are not checked against a second solver")
     return value
 
 
-_LARGEST_SHARE = 1.0 / 64.0  # of the pin circle's radius that a modification may be, where that is more than 1 mm
+_LARGEST_SHARE = 1.0 / 64.0  # largest modification as a share of the pin circle's radius, if that is more than 1 mm
 LEAST_TEETH, MOST_TEETH = 2, 300
 GearTeeth = Annotated[int, pydantic.Field(strict=True), pydantic.AfterValidator(_teeth)]
 PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
@@ -88,14 +88,15 @@ class Materials(Config):
 
 
 class Modification(Config):
-    """Profile modification of the gear with the papers' signs, which are opposite, m.
+    """Profile modification of the gear, m; its two parts have opposite signs, as in the papers.
 
     Attributes
     ----------
     isometric
-        ΔR_rp, added to the generating pin's radius: > 0 removes material, the same everywhere.
+        ΔR_rp, added to the generating pin's radius: > 0 removes material, equally along the flank.
     offset
-        ΔR_p, added to the generating circle's radius: < 0 removes material, > 0 adds it and makes the pair interfere.
+        ΔR_p, added to the generating circle's radius: < 0 removes material; > 0 adds it, so that gear and pins
+        interfere.
     """
 
     isometric: Length = 0.0
@@ -140,31 +141,31 @@ class Pair(Config):
     gear_teeth
         Teeth of the cycloid gear, z_c, 2 to 300.
     pins
-        Pins of the ring, z_p = z_c + 1; need not be given.
+        Pins of the ring, z_p = z_c + 1; can be left out.
     pin_circle_radius
         Radius R_p of the circle on which the pins' axes are, m.
     pin_radius
         Radius R_rp of a pin, m.
     eccentricity
-        Of the crank, e: distance of the gear's axis from the ring's, m.
+        Eccentricity e of the crank: distance of the gear's axis from the ring's, m.
     face_width
-        Width b over which gear and pins touch, for each disc, m.
+        Contact width b of gear and pins, of each disc, m.
     discs
-        Cycloid gears, evenly spread around the crank.
+        Number of cycloid gears, evenly spaced around the crank.
     output
-        The rotating part: the gear in the fixed ring, or the ring around the gear, which only orbits.
+        "gear": the gear drives the output in a fixed ring; "ring": the ring is the output, and the gear only orbits.
     rated_torque
-        At the output, N·m: the default load, and the reference of the loads for lost motion.
+        Rated torque at the output, N·m: the default load, and the reference of the loads for lost motion.
     contact_law
         "capped" bounds the flank's curvature radius in Hertz's logarithm by the pin circle radius.
     pressure_limit
-        Contact pressure above which results carry a note, Pa; 4 GPa (ISO 76) where left out.
+        Contact pressure above which results carry a note, Pa; by default 4 GPa (ISO 76).
     modification, material
         Profile modification of the gear and the materials of both flanks.
     supports
         Supports of discs and carrier; None for rigid bearings.
     temperature
-        Of the bodies; None for the drawing's, 20 °C.
+        Temperatures of the bodies; None for 20 °C, the reference of the drawing.
     expansion
         Coefficients of thermal expansion of the bodies.
     errors
@@ -221,7 +222,7 @@ class Pair(Config):
     def replace(self, **changes: Any) -> Self:
         """Return the pair with other values, validated as a file is.
 
-        `isometric` and `offset` may be given directly; `errors` names those that change, the others are kept.
+        `isometric` and `offset` may be given directly; `errors` contains only the errors that change.
 
         Raises
         ------
@@ -238,7 +239,7 @@ class Pair(Config):
 
     @functools.cached_property
     def places(self) -> dict[str, tuple[int, ...]]:
-        """Shapes of the arrays with one value each, by the words of `ErrorKind.of`: {"pin": (40,), …}."""
+        """Shape of an error's values by `ErrorKind.of`: {"pin": (40,), …}."""
         found: dict[str, tuple[int, ...]] = {
             "drive": (), "pin": (self.pins,), "tooth": (self.discs, self.gear_teeth)
         }  # fmt: skip
@@ -255,11 +256,11 @@ class Pair(Config):
     @property
     def at_temperature(self) -> Pair:
         """The pair as drawn, with the sizes of its discs at their temperature; unchanged without temperatures."""
-        return self if self.temperature is None else self.grown  # kept in itself a pair would never end to be compared
+        return self if self.temperature is None else self.grown  # a pair that refers to itself can't be compared
 
     @functools.cached_property
     def grown(self) -> Pair:
-        """The pair with temperatures after `at_temperature`."""
+        """The result of `at_temperature` for a pair with temperatures, cached."""
         return thermal.at_temperature(self)
 
     @property
@@ -284,7 +285,7 @@ class Pair(Config):
 
     @property
     def lost_motion_loads(self) -> list[float]:
-        """Torques of the lost motion, + and - `LOST_MOTION_LOAD`, N·m; none without a rated torque."""
+        """Torques of the lost motion, ± `LOST_MOTION_LOAD` times the rated one, N·m; empty without a rated torque."""
         rated = self.rated_torque
         return [] if rated is None else [LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
 
@@ -305,7 +306,7 @@ class Pair(Config):
 
 
 class ContradictionError(edge.InputError):
-    """Values that contradict each other, each possible alone; `table` is their table in a pair file."""
+    """Values that contradict each other, though each is valid by itself; `table` is their table in a pair file."""
 
     def __init__(self, table: str, sentence: str) -> None:
         super().__init__(f"{sentence}.")
@@ -318,7 +319,7 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
         teeth = pair.gear_teeth
         sentence = f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}"
         if pair.pins > teeth:
-            why = "with more, flanks of neighbouring teeth cross, and contact on the rest of the cut tips"
+            why = "with more pins, flanks of neighbouring teeth cross, and contact on the truncated tips"
             sentence += f"; {why} is not modelled"
         elif pair.pins < teeth:
             why = "with fewer pins than lobes (hypocycloid) the flanks lie around the pins, in a ring, which"
@@ -327,7 +328,7 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
     most = max(LARGEST_DEVIATION, _LARGEST_SHARE * pair.pin_circle_radius)
     for name in Modification.model_fields:
         if abs(value := getattr(pair.modification, name)) > most:
-            limits = f"it must be between -{most * 1e3:.6g} mm and {most * 1e3:.6g} mm in this size"
+            limits = f"it must be between -{most * 1e3:.6g} mm and {most * 1e3:.6g} mm for this pin circle"
             return [("modification", f"{name} = {_mm(value)}: {limits}")]
     k = pair.shortening
     if k >= 1.0:
@@ -387,21 +388,21 @@ def _contradictions_of_supports(pair: Pair) -> list[tuple[str, str]]:
         return []
     found = []
     if pair.output == "ring":
-        found.append(("supports", 'output = "ring": supports hold a drive whose carrier turns; give output = "gear"'))
+        found.append(("supports", 'output = "ring": supports need a carrier that turns; give output = "gear"'))
     for name in ("misalignment_xz", "misalignment_yz"):
         if getattr(errors, name) != 0.0:
-            found.append(("errors", f"{name}: a drive with supports is plane; it has no misalignment"))
+            found.append(("errors", f"{name}: the model of a drive with supports is plane, so it has no misalignment"))
     cranks = supports.kind == "cranks"
     if cranks and supports.turning_arm.is_rigid:
         stated = [k for k in ("hole_x", "hole_y", "crank_x", "crank_y", "crank_throw", "crank_phase") if k in errors]
         if stated:
-            sentence = f"turning_arm is rigid, so cranks and holes with an error ({stated[0]}) don't go together"
+            sentence = f"turning_arm is rigid, so cranks and holes with an error ({stated[0]}) can't be assembled"
             found.append(("supports", f"{sentence}; state its stiffness or rollers"))
     if not cranks and (supports.output_roller is None or supports.output_roller.stiffness is None):
         stated = [k for k in ("eccentricity", "crank_throw", "crank_phase", "hole_x", "hole_y", "roller_x", "roller_y",
                               "hole_radius") if k in errors]  # fmt: skip
         if stated:
-            sentence = f"output_roller is rigid, so rollers and holes don't go together with {stated[0]}"
+            sentence = f"output_roller is rigid, so rollers and holes with an error ({stated[0]}) can't be assembled"
             found.append(("supports", f"{sentence}; state its stiffness"))
     return found
 
@@ -416,7 +417,7 @@ def _mm(value: float) -> str:
 
 
 def smallest_convex_radius(circle_radius: float, eccentricity: float, pins: int) -> float:
-    """Smallest convex curvature radius of the path of the pin's centre in the gear, m; infinite where none is convex.
+    """Smallest convex curvature radius of the pin centre's path in the gear, m; infinite if it is nowhere convex.
 
     With K = e z_p/R the radius is R S³/(1 + z_p K² - K (z_p + 1) cos φ). Its minimum is where the derivative vanishes,
     cos φ = (K²(2 z_p - 1) + 2 - z_p)/(K (z_p + 1)), or at the tip (cos φ = -1) if that is outside.
@@ -526,7 +527,7 @@ def parse_pair(text: str, source: str) -> Pair:
 
 
 def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
-    """Return the pair that a file's tables describe; an `edge.InputError` names the invalid entries."""
+    """Return the pair that a file's tables describe; raise an `edge.InputError` that names invalid entries."""
     tables = dict(tables)
     stated = tables.pop("errors", {})
     if not isinstance(stated, Mapping):
@@ -543,7 +544,7 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
 
 
 def read_pair(path: str | os.PathLike[str]) -> Pair:
-    """Return the pair of a pair file; an `edge.InputError` names the invalid entries."""
+    """Return the pair of a pair file; raise an `edge.InputError` that names invalid entries."""
     return parse_pair(edge.read_text(path), str(path))
 
 

@@ -1,6 +1,7 @@
 """The cycloid flank: points, normals and curvature of the gear's profile, modified or not.
 
-Gear frame, tooth 0 from the root at +x counter-clockwise; the papers' frame (crank at +y) turned by -90°.
+Gear frame: tooth 0 begins at the root on +x and extends counter-clockwise. It is the papers' frame (crank at +y) turned
+by -90°.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def flank_points(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
     Returns
     -------
     x, y
-        m, the shape of `alpha`.
+        Coordinates, m, in the shape of `alpha`.
 
     Notes
     -----
@@ -46,7 +47,7 @@ def flank_points(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
 
 
 def flank_normals(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
-    """Unit normals of the nominal flank, out of the gear's material, the shape of `alpha` each."""
+    """Unit normals of the nominal flank, out of the gear's material, each component in the shape of `alpha`."""
     a = np.asarray(alpha, dtype=float)
     k, teeth = pair.shortening, pair.gear_teeth
     normal = np.arctan2(k * np.sin(teeth * a), 1.0 - k * np.cos(teeth * a))
@@ -54,7 +55,7 @@ def flank_normals(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
 
 
 def flank_curvature(pair: Pair, alpha: ArrayLike) -> Array:
-    """Curvature 1/ρ_c of the nominal flank, > 0 convex, 1/m, the shape of `alpha`.
+    """Curvature 1/ρ_c of the nominal flank, > 0 convex, 1/m, in the shape of `alpha`.
 
     The generating pin's centre moves on a path of curvature (1 + z_p K² - K (z_p + 1) cos z_c α)/(R S³); the flank is r
     inside it, so 1/ρ_c = κ/(1 - r κ).
@@ -69,9 +70,10 @@ def flank_curvature(pair: Pair, alpha: ArrayLike) -> Array:
 
 
 def flank_speed(pair: Pair, alpha: ArrayLike) -> Array:
-    """Arc length of the nominal flank per radian of the profile parameter, m, the shape of `alpha`.
+    """Arc length of the nominal flank per radian of the profile parameter, m, in the shape of `alpha`.
 
-    The generating pin's centre runs at R S; the flank r inside its path is 1 - r κ = 1/(1 + r/ρ_c) as long.
+    The generating pin's centre moves R S per radian; the flank, r inside its path, is shorter by the factor 1 - r κ =
+    1/(1 + r/ρ_c).
     """
     a = np.asarray(alpha, dtype=float)
     k = pair.shortening
@@ -80,7 +82,7 @@ def flank_speed(pair: Pair, alpha: ArrayLike) -> Array:
 
 
 def arc_parts(pair: Pair, alpha: ArrayLike) -> Array:
-    """Part of tooth 0's arc length, 0 at its first root and 1 at its second, at each profile parameter."""
+    """Fraction of tooth 0's arc length at each profile parameter: 0 at its first root, 1 at its second."""
     edges, arc = _arc_length(pair, 4000)
     return np.asarray(np.interp(np.asarray(alpha, dtype=float), edges, arc / arc[-1]))
 
@@ -90,7 +92,7 @@ def _arc_length(pair: Pair, steps: int) -> tuple[Array, Array]:
     return edges, np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(v) for v in flank_points(pair, edges))))])
 
 
-@functools.lru_cache(maxsize=16)  # a life of wear asks for the same ones at each step
+@functools.lru_cache(maxsize=16)  # each step of a wear run needs the same ones
 def equal_arc_parameters(pair: Pair, count: int) -> Array:
     """Profile parameters of the middles of `count` elements of equal arc length on tooth 0, shape (count,), rad.
 

@@ -1,7 +1,7 @@
-"""Limits of the sizes of a drive: a length beyond them has a wrong unit.
+"""Limits of the sizes of a drive: a length beyond them almost certainly has a wrong unit.
 
-Drives in catalogues and papers have pin circles of about 10 mm to 500 mm radius. The limits, chosen here, are a decade
-beyond: a usual length in metres or micrometres instead of millimetres is outside.
+Drives in catalogues and papers have pin circles of about 10 mm to 500 mm radius. The limits, chosen here, are a factor
+of ten beyond, so that metres or micrometres instead of millimetres are detected.
 """
 
 from __future__ import annotations
@@ -32,6 +32,6 @@ CircleRadius = Annotated[Length, *_between(1e-3, 5.0)]
 PinRadius = Annotated[Length, *_between(20e-6, 0.5)]
 Eccentricity = Annotated[Length, *_between(10e-6, 0.25)]
 Width = Annotated[Length, *_between(0.1e-3, 2.0)]
-"""Of a gear's face, and the length of a bearing's roller."""
+"""Face width of a gear, and length of a bearing's roller."""
 Module = Annotated[Length, *_between(0.05e-3, 60e-3)]
-"""Of involute gears: the series of DIN 780-1."""
+"""Module of involute gears: the series of DIN 780-1."""

@@ -24,8 +24,8 @@ def _clearance(value: float) -> float:
     return value
 
 
-_SMALL_CLEARANCE = 2e-4  # m, allowed of any size: bearings of the drives that catalogues show have a tenth of it
-_CLEARANCE_SHARE = 5e-3  # of the circle's radius, allowed of large drives
+_SMALL_CLEARANCE = 2e-4  # m, allowed in any size; bearings of drives in catalogues have a tenth of it
+_CLEARANCE_SHARE = 5e-3  # share of the circle's radius, allowed in large drives
 BEARINGS = ("turning_arm", "crank_shaft", "main", "output_roller")
 Clearance = Annotated[Length, pydantic.AfterValidator(_clearance)]
 PositiveForce = Annotated[edge.Force, pydantic.AfterValidator(_positive)]
@@ -48,11 +48,11 @@ class Bearing(Config):
     rigid
         Whether it is rigid, as a bearing without stated stiffness.
     clearance
-        Diametral: contact begins at a radial displacement of half of it, m.
+        Diametral clearance, m: contact begins at a radial displacement of half of it.
     dynamic_capacity
         Basic dynamic radial load rating C of ISO 281, N, for its life; None if not needed.
     raceway_diameter
-        Of the outer raceway, m: with it the clearance follows the temperatures of the bodies around the rollers.
+        Diameter of the outer raceway, m: if given, the clearance depends on the temperatures of the adjacent bodies.
 
     Examples
     --------
@@ -92,13 +92,13 @@ class OutputRoller(Config):
     Attributes
     ----------
     stiffness
-        Of one roller in one disc's hole, N/m.
+        Stiffness of one roller in one disc's hole, N/m.
     rigid
         Whether it is rigid, as a roller without stated stiffness.
     clearance
         Twice the difference of the hole's radius and the sum of roller radius and eccentricity, m.
     radius
-        Of a roller, m: with it the clearance follows the temperatures of discs and carrier.
+        Radius of a roller, m: if given, the clearance depends on the temperatures of discs and carrier.
     """
 
     stiffness: Stiffness | None = None
@@ -121,9 +121,9 @@ class PinSeat(Config):
     Attributes
     ----------
     stiffness_per_width
-        Of a pin in its seat, N/m per m of face width; None if it is rigid.
+        Stiffness of a pin in its seat, N/m per m of face width; None if it is rigid.
     clearance
-        Diametral, m.
+        Diametral clearance of a pin in its seat, m.
     """
 
     stiffness_per_width: StiffnessPerWidth | None = None
@@ -136,24 +136,24 @@ class Supports(Config):
     Attributes
     ----------
     kind
-        "cranks": cranks in the carrier hold the discs and turn it (RV reducers); "output_rollers": one eccentric holds
-        the discs, and rollers of the carrier in their holes take the load.
+        "cranks": cranks in the carrier hold the discs and turn the carrier (RV reducers); "output_rollers": one
+        eccentric holds the discs, and rollers on the carrier, in the discs' holes, take the load.
     count
-        Cranks, or output rollers.
+        Number of cranks or output rollers.
     circle_radius
-        Radius of their circle, a, m.
+        Radius a of their circle, m.
     first_angle
-        Of the first one from +x at crank angle 0, ψ_0, rad.
+        Angle ψ_0 of the first one from +x at crank angle 0, rad, counter-clockwise positive.
     turning_arm
         Each crank's bearing in each disc; with output rollers the eccentric's in each disc.
     crank_shaft
         Each crank's bearings in the carrier; with output rollers the central crank's in the housing.
     main
-        The carrier's bearing in the ring.
+        The main bearing: the carrier's in the ring.
     output_roller
-        With output rollers.
+        The output rollers in the discs' holes; only for "output_rollers".
     pin_seat
-        The pins in the ring.
+        The seats of the pins in the ring.
     catalogue_stiffness
         Torsional stiffness at the output from a catalogue or a bench, N·m/rad: shown next to that of the model, which
         neglects the bending of shafts, bodies and housing. Not part of the model.
@@ -182,7 +182,7 @@ class Supports(Config):
         if self.kind == "cranks" and self.output_roller is not None:
             raise ValueError('output_roller belongs to kind = "output_rollers"; cranks have none')
         if self.kind == "output_rollers" and self.count < 3:
-            raise ValueError(f"count = {self.count}: output rollers are at least 3")
+            raise ValueError(f"count = {self.count}: there must be at least 3 output rollers")
         if not math.isfinite(self.first_angle):
             raise ValueError("first_angle must be finite")
         for name in ("turning_arm", "crank_shaft", "main", "output_roller", "pin_seat"):
@@ -190,7 +190,7 @@ class Supports(Config):
             if stated is not None and stated.clearance > self.largest_clearance:
                 given, most = (f"{value * 1e3:.6g} mm" for value in (stated.clearance, self.largest_clearance))
                 raise ValueError(
-                    f"[supports.{name}] clearance is {given}; it must be between 0 and {most} in this size"
+                    f"[supports.{name}] clearance is {given}; it must be between 0 and {most} for this circle radius"
                 )
         return self
 

@@ -1,8 +1,8 @@
 """A drive's bodies at their temperatures: thermal strains, and the resulting pair.
 
 Each body has one temperature and expands equally in all directions (docs/theory/temperature.md). A disc keeps its form,
-so a pair at temperature is the pair of its expanded discs; ring, pins, crank and carrier are displaced from it, as by
-errors.
+so a pair at temperature is the pair of its expanded discs; ring, pins, crank and carrier are displaced relative to it,
+as by errors.
 """
 
 from __future__ import annotations
@@ -58,15 +58,15 @@ class Temperatures(Config):
     Attributes
     ----------
     ring
-        Of the pin ring and the housing: the pin circle, the pins' seats, the seats of the main bearing.
+        Temperature of the pin ring and the housing, K: pin circle, seats of the pins and of the main bearing.
     pins
-        Default: that of the ring.
+        Temperature of the pins, K; by default that of the ring.
     discs
-        Of the cycloid gears: flanks with their modification, holes for cranks or output rollers.
+        Temperature of the cycloid gears, K: flanks with their modification, holes for cranks or output rollers.
     carrier
-        Of the output: the places of cranks, or output rollers with their places.
+        Temperature of the carrier, K: positions of the cranks, or output rollers and their positions.
     crank
-        Of crank shafts and eccentrics: the eccentricity.
+        Temperature of crank shafts and eccentrics, K: the eccentricity.
 
     Examples
     --------
@@ -95,15 +95,15 @@ class Expansions(Config):
     Attributes
     ----------
     ring
-        Mean from 20 °C to its temperature, 1/K; of aluminium 23.1e-6 (CRC Handbook, at 25 °C).
+        Mean coefficient of the ring from 20 °C to its temperature, 1/K; aluminium has 23.1e-6 (CRC Handbook, at 25 °C).
     pins
-        Of the pins, 1/K.
+        Coefficient of the pins, 1/K.
     discs
-        Of the cycloid gears, 1/K.
+        Coefficient of the cycloid gears, 1/K.
     carrier
-        Of the carrier and the output rollers, 1/K.
+        Coefficient of the carrier and the output rollers, 1/K.
     crank
-        Of crank shafts and eccentrics, 1/K.
+        Coefficient of crank shafts and eccentrics, 1/K.
     """
 
     ring: Coefficient = STEEL
@@ -121,12 +121,12 @@ def parse_temperatures(text: str, before: Temperatures | None = None) -> Tempera
     text
         Bodies with their temperatures, or one temperature.
     before
-        Temperatures of bodies that it does not name; default 20 °C.
+        Temperatures of the bodies that are not in the text; by default 20 °C.
 
     Raises
     ------
     edge.ArgumentError
-        For an argument `temperature`, if it names no body or no temperature.
+        If an entry names no body or no temperature; the error names the argument `temperature`.
 
     Examples
     --------
@@ -144,7 +144,7 @@ def parse_temperatures(text: str, before: Temperatures | None = None) -> Tempera
         if not is_named and "," not in text:
             return Temperatures(**{name: kelvin for name in BODIES if name != "pins"})
         if body not in BODIES or body in given:
-            known = f"it states one of {', '.join(BODIES)}, each once, or one temperature of all"
+            known = f"give each of {', '.join(BODIES)} at most once, or one temperature for all"
             near = edge.did_you_mean(body, BODIES) if body not in BODIES else ""
             raise edge.ArgumentError("temperature", f"{known}{f'; {near}' if near else ''}".rstrip(".?"), each.strip())
         given[body] = kelvin
@@ -152,7 +152,7 @@ def parse_temperatures(text: str, before: Temperatures | None = None) -> Tempera
 
 
 def strains(pair: Pair) -> dict[str, float]:
-    """Return the thermal strain of each body from 20 °C, 1; 0 without temperatures."""
+    """Return the thermal strain of each body from 20 °C, dimensionless, > 0 longer; 0 without temperatures."""
     at = pair.temperature
     if at is None:
         return dict.fromkeys(BODIES, 0.0)
@@ -184,13 +184,14 @@ def displaced_by_temperature(pair: Pair) -> dict[str, Any]:
 def at_temperature(pair: Pair) -> Pair:
     """Return the pair with the sizes of its discs and all clearances at temperature, as a pair at 20 °C.
 
-    Modifications and the eccentricity of the flanks are those of the discs too. Axial lengths and errors stay as drawn.
-    A bearing's clearance follows its bodies where it states its raceway; rollers are at the inner one's.
+    Modifications and the eccentricity of the flanks expand with the discs too. Axial lengths and errors stay as drawn.
+    A bearing's clearance follows its bodies if its raceway diameter is given; its rollers have the temperature of the
+    inner body.
 
     Raises
     ------
     edge.InputError
-        If the expanded bodies no longer fit together, one sentence.
+        If the expanded bodies no longer fit together; one sentence.
     """
     if pair.temperature is None:
         return pair
@@ -225,7 +226,7 @@ def at_temperature(pair: Pair) -> Pair:
 
 def _open(name: str, clearance: float) -> float:
     if clearance < 0.0:
-        raise edge.InputError(f"the clearance of {name} falls to {clearance * 1e6:.3g} um; no preload is in the model.")
+        raise edge.InputError(f"the clearance of {name} falls to {clearance * 1e6:.3g} um; the model has no preload.")
     return clearance
 
 
@@ -240,9 +241,7 @@ def _check_rigid(pair: Pair, by: dict[str, float]) -> None:
         name, rigid, others = "output_roller", roller is None or roller.stiffness is None, ["carrier", "crank"]
     for other in others:
         if rigid and by[other] != by["discs"]:
-            raise edge.InputError(
-                f"{name} is rigid, but {other} and discs grow unlike each other; state its stiffness."
-            )
+            raise edge.InputError(f"{name} is rigid, but {other} and discs expand differently; state its stiffness.")
 
 
 def missing_for_clearances(pair: Pair) -> list[str]:

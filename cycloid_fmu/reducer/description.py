@@ -1,7 +1,7 @@
 """An RV reducer: its cycloid stage, its first stage and its deviations, as in a reducer file.
 
-The file `cycloid-reducer/1` is read here; all values in this module are SI. Source of the deviations: Liu et
-al., "Analysis of the coaxiality-geometric hysteresis model of a rotate vector reducer" (2022), in short the RV paper.
+The file `cycloid-reducer/1` is read here; all values in this module are SI. Source of the deviations: Liu et al.,
+"Analysis of the coaxiality-geometric hysteresis model of a rotate vector reducer" (2022), called the RV paper below.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 Array = NDArray[np.float64]
 FORMAT = "cycloid-reducer/1"
 MESH_STIFFNESS = 20e9
-"""N/m for each metre of face width: mesh stiffness c_γ of steel gears, ISO 6336-1, method C (20 N/(mm·µm))."""
+"""Mesh stiffness c_γ of steel gears per face width, N/m per m: ISO 6336-1, method C (20 N/(mm·µm))."""
 
 
 class Deviation(Config):
     """A deviation within `value` ± `tolerance`, m.
 
-    In a file a length alone has no tolerance; `{ value, tolerance }` and `{ lower, upper }` may name a `distribution`,
-    "normal" (three standard deviations at the tolerance, cut off there) or "uniform".
+    In a file a bare length has no tolerance; `{ value, tolerance }` and `{ lower, upper }` may have a `distribution`:
+    "normal", truncated at the tolerance, which is three standard deviations, or "uniform".
     """
 
     value: edge.Length = 0.0
@@ -45,7 +45,7 @@ class Deviation(Config):
 
 
 def _deviation(given: Any) -> Any:
-    """Read a deviation in any of its three forms; values stay text, so that they are parsed once."""
+    """Normalize the three forms of a deviation; values remain text, so that they are parsed only once."""
     if isinstance(given, Deviation):
         return given
     if not isinstance(given, dict):
@@ -72,25 +72,25 @@ OfDeviation = Annotated[Deviation, pydantic.BeforeValidator(_deviation)]
 
 
 class Deviations(Config):
-    """The deviations: the RV paper's table 9, its δ and E.
+    """The deviations δ and E of the RV paper's table 9, m.
 
     Attributes
     ----------
     base_tangent_length
-        Deviation of the sun's common normal (base tangent length), E_w < 0 thinner teeth; the paper's E_ws and E_wi are
-        its upper and lower limit.
+        E_w, deviation of the sun's base tangent length, < 0 thinner teeth; the paper's E_ws and E_wi are its upper and
+        lower limits.
     pin_circle_radius, pin_radius, eccentricity, isometric, offset
-        δr_p, δr_rp, δe, δΔr_rp, δΔr_p with the signs of the pair file's `[errors]`.
+        δr_p, δr_rp, δe, δΔr_rp, δΔr_p, with the signs of the pair file's `[errors]`.
     pin_hole_clearance
         δJ, diametral clearance of a pin in its hole.
     gear_runout
-        ΔF_r, radial runout of the cycloid gear's ring: twice its eccentricity.
+        ΔF_r, radial runout of the cycloid gear's teeth: twice the eccentricity of the toothing.
     pin_tangential
-        δt, circumferential position of the pins; the contact model uses it with alternating sign.
+        δt, circumferential position error of the pins; in the contact model its sign alternates from pin to pin.
     tooth_cumulative_pitch
-        ΔF_p, largest minus smallest tooth position; the contact model uses it as one wave around the gear.
+        ΔF_p, largest minus smallest tooth position; in the contact model it is one wave around the gear.
     crank_bearing_clearance
-        Δu, diametral clearance.
+        Δu, diametral clearance of the crank bearings.
     """
 
     base_tangent_length: OfDeviation = Deviation()
@@ -118,17 +118,18 @@ class Involute(Config):
     Attributes
     ----------
     centre_distance
-        Sun to planet, which is the radius of the crank shafts' circle, m; from module and teeth if not stated.
+        Distance from sun to planet axis, m, which is the radius of the crank circle; by default from module and teeth.
     shaft_tilt
-        The RV paper's β, tilt of the input shaft, rad (`shaft_tilt`).
+        β of the RV paper, tilt of the input shaft, rad (`lost_motion.shaft_tilt`).
     shaft_displacement
-        The RV paper's a_1, radial displacement of the sun in mesh, m.
+        a_1 of the RV paper, radial displacement of the sun in mesh, m.
     planets
         Number of planets, one on each crank shaft; default: the cranks of `[supports]`.
     face_width
-        Common face width of sun and planets, m: determines their mesh stiffness by ISO 6336-1, method C.
+        Common face width of sun and planets, m, which gives their mesh stiffness by ISO 6336-1, method C.
     mesh_stiffness
-        Of one planet's mesh along the line of action, N/m, stated instead; without both the first stage is rigid.
+        Stiffness of one planet's mesh along the line of action, N/m, instead of `face_width`; without either, the first
+        stage is rigid.
     """
 
     sun_teeth: int = pydantic.Field(ge=6, le=200, strict=True)
@@ -172,14 +173,14 @@ class Involute(Config):
 
 
 class Stated(Config):
-    """Values that a drawing or paper states although they follow from others; the closed forms use them as stated.
+    """Redundant values of a drawing or paper; the closed forms use them as stated.
 
     Attributes
     ----------
     shortening
         K_1; default: eccentricity x pins/pin circle radius.
     sun_pitch_radius
-        r_1, m; default: module x sun teeth/2.
+        r_1, radius of the sun's pitch circle, m; default: module x sun teeth/2.
     """
 
     shortening: float | None = pydantic.Field(default=None, gt=0.0, lt=1.0)
@@ -187,14 +188,14 @@ class Stated(Config):
 
 
 class Reducer(Config):
-    """An RV reducer, SI units, validated: pin ring fixed, sun in, carrier out.
+    """An RV reducer, SI units, validated: fixed pin ring, sun as input, carrier as output.
 
     Attributes
     ----------
     stage
         The cycloid stage; its errors are those of `deviations`.
     involute, stated, deviations
-        The first stage, the redundant stated values, and the deviations of both stages.
+        The first stage, redundant values, and the deviations of both stages.
 
     Examples
     --------
@@ -216,15 +217,17 @@ class Reducer(Config):
     def _together(self) -> Reducer:
         supports, planets = self.stage.supports, self.involute.planets
         if supports is not None and supports.kind != "cranks":
-            raise ValueError(f'[supports] kind = "{supports.kind}": planets turn cranks; write kind = "cranks"')
+            raise ValueError(f'[supports] kind = "{supports.kind}": planets need cranks; write kind = "cranks"')
         if supports is not None and planets not in (None, supports.count):
             raise ValueError(
-                f"[involute] planets = {planets}, but [supports] count = {supports.count}: each is on a crank"
+                f"[involute] planets = {planets}, but [supports] count = {supports.count}: each planet needs one crank"
             )
         if math.isfinite(self.involute.one_mesh) and self.planets is None:
-            raise ValueError("[involute] planets is missing: their meshes share the load of the first stage")
+            raise ValueError("[involute] planets is missing: the first stage's stiffness depends on their number")
         if supports is not None and self.turning_arm_clearance < 0.0:
-            raise ValueError("[deviations] crank_bearing_clearance: the bearings' model needs one not below zero")
+            raise ValueError(
+                "[deviations] crank_bearing_clearance: the total clearance must not be below zero with [supports]"
+            )
         return self
 
     @property
@@ -235,7 +238,7 @@ class Reducer(Config):
 
     @property
     def turning_arm_clearance(self) -> float:
-        """Diametral clearance of the crank bearings, m: of the deviations, otherwise of the supports as drawn."""
+        """Diametral clearance of the crank bearings, m: from the deviations, otherwise from the supports as drawn."""
         made, supports = self.deviations.crank_bearing_clearance, self.stage.supports
         if supports is None or made.value != 0.0 or made.tolerance != 0.0:
             return made.value
@@ -243,20 +246,20 @@ class Reducer(Config):
 
     @property
     def planet_keys(self) -> Array:
-        """Angle at which each planet is keyed to its crank relative to the first one, rad, shape (planets,).
+        """Angle of each planet on its crank relative to that of the first, rad, shape (planets,).
 
-        All cranks have the same angle, so planet k of n is k (z_1 + z_2)/n of its tooth pitch further; if n divides z_1
-        + z_2 all planets are equal.
+        All cranks have the same angle, so planet k of n is advanced by k (z_1 + z_2)/n of its tooth pitch; if n divides
+        z_1 + z_2, all planets are equal.
         """
         if self.planets is None:
-            raise edge.InputError("[involute] planets is missing; the planets' keys need it.")
+            raise edge.InputError("[involute] planets is missing; the angles of the planets depend on it.")
         teeth = self.involute.planet_teeth
         share = np.arange(self.planets) * (self.involute.sun_teeth + teeth) % self.planets / self.planets
         return np.asarray(2.0 * np.pi / teeth * share)
 
     @property
     def ratio(self) -> float:
-        """Total ratio 1 + z_2 z_p/(z_1 (z_p - z_c)) (RV paper, equation 4); > 0, the output turns as the sun does."""
+        """Total ratio 1 + z_2 z_p/(z_1 (z_p - z_c)) (RV paper, equation 4), > 0: same direction."""
         g = self.stage
         return 1.0 + self.involute.planet_teeth * g.pins / (self.involute.sun_teeth * (g.pins - g.gear_teeth))
 
@@ -272,7 +275,7 @@ class Reducer(Config):
 
 
 def values_of(reducer: Reducer) -> dict[str, float]:
-    """Return the amount behind each of `lost_motion.TERMS`, m: the nominal modifications and the deviations' values."""
+    """Return the amount of each of `lost_motion.TERMS`, m: nominal modifications and values of the deviations."""
     m = reducer.stage.modification
     stated = {name: getattr(reducer.deviations, name).value for name in Deviations.model_fields}
     stated["crank_bearing_clearance"] = reducer.turning_arm_clearance
@@ -280,10 +283,10 @@ def values_of(reducer: Reducer) -> dict[str, float]:
 
 
 def surface_of_reducer(reducer: Reducer, values: Mapping[str, float] | None = None) -> ErrorSurface:
-    """Return the error surface of the cycloid stage by the deviations.
+    """Return the error surface of the cycloid stage with the deviations.
 
-    The runout is an offset of the gear at rest in the frame while the gear turns, so over an output turn it meets the
-    pitch error in every direction; a pin moves in its hole by half the clearance, so it is thinner by this.
+    The runout is modelled as an offset of the gear fixed in the frame, so over an output turn it meets the pitch error
+    in every direction. A pin moves in its hole by half the clearance and is modelled as thinner by this.
 
     Parameters
     ----------
@@ -319,19 +322,21 @@ def parse_reducer(text: str, source: str) -> Reducer:
     if isinstance(stated := table.pop("errors", {}), dict) and set(stated) <= {"supports"}:
         stage["errors"] = stated
     else:
-        raise edge.InputError(f"{source}: [errors]: a reducer's errors are its [deviations] and [errors.supports].")
+        raise edge.InputError(f"{source}: [errors]: a reducer states its errors in [deviations] and [errors.supports].")
     if "stage" in table:
         raise edge.InputError(f"{source}: stage is not a known key; check its spelling or remove it.")
     pair = pair_of_tables(stage, source)
     if pair.output != "gear":
-        raise edge.InputError(f'{source}: [pair] output = "ring": an RV reducer\'s pin ring is fixed; write "gear".')
+        raise edge.InputError(
+            f'{source}: [pair] output = "ring": the pin ring of an RV reducer is fixed; write "gear".'
+        )
     reducer = edge.validated(Reducer, {**table, "stage": pair}, source)
     dimensions(pair, surface_of_reducer(reducer), f"{source}: deviations")
     return reducer
 
 
 def read_reducer(path: str | os.PathLike[str]) -> Reducer:
-    """Return the reducer of a file; an `edge.InputError` names the invalid entries.
+    """Return the reducer of a file; raise an `edge.InputError` that names invalid entries.
 
     Examples
     --------
@@ -347,7 +352,7 @@ def read_reducer(path: str | os.PathLike[str]) -> Reducer:
 
 
 def contradictions(reducer: Reducer, source: str) -> list[str]:
-    """Return one sentence for each contradiction of stated numbers; it names both and states the one used."""
+    """Return one sentence for each contradiction of stated numbers, with both and the one used."""
     g, involute, stated = reducer.stage, reducer.involute, reducer.stated
     found = []
     follows = g.eccentricity * g.pins / g.pin_circle_radius
@@ -363,15 +368,15 @@ def contradictions(reducer: Reducer, source: str) -> list[str]:
         found.append(
             f'{source}: [stated] sun_pitch_radius = "{stated.sun_pitch_radius * 1e3:.6g} mm", but [involute] module = '
             f'"{involute.module * 1e3:.6g} mm" with {involute.sun_teeth} teeth means "{pitch * 1e3:.6g} mm": '
-            "the closed forms use the stated radius, geometry the module."
+            "the closed forms use the stated radius, the geometry uses the module."
         )
     unshifted = 0.5 * involute.module * (involute.sun_teeth + involute.planet_teeth)
     if involute.centre_distance is not None and abs(involute.centre_distance - unshifted) > involute.module:
         found.append(
             f'{source}: [involute] centre_distance = "{involute.centre_distance * 1e3:.6g} mm", but module = '
             f'"{involute.module * 1e3:.6g} mm" with {involute.sun_teeth} and {involute.planet_teeth} teeth means '
-            f'"{unshifted * 1e3:.6g} mm": the cranks stand on the stated centre distance; the play of the first stage '
-            "takes no centre distance."
+            f'"{unshifted * 1e3:.6g} mm": the cranks use the stated centre distance; the play of the first stage '
+            "does not depend on it."
         )
     if g.supports is not None and abs(g.supports.circle_radius / involute.crank_circle_radius - 1.0) > 1e-3:
         found.append(
@@ -387,7 +392,7 @@ def contradictions(reducer: Reducer, source: str) -> list[str]:
         )
     if reducer.planets is not None and reducer.planet_keys.any():
         found.append(
-            f"{source}: {involute.sun_teeth} and {involute.planet_teeth} teeth can't be shared by {reducer.planets} "
-            "planets that are alike: each is keyed to its crank by another angle."
+            f"{source}: {involute.sun_teeth} and {involute.planet_teeth} teeth don't allow {reducer.planets} "
+            "equal planets: each has a different angle on its crank."
         )
     return found

@@ -22,7 +22,7 @@ def parts_of_file(path: str | os.PathLike[str]) -> tuple[Pair, ErrorSurface, Fir
     Raises
     ------
     edge.InputError
-        If the file can't be read, or a drive with its errors is impossible.
+        If the file can't be read, or a drive with these errors is impossible.
     """
     if edge.format_of(path) == FORMAT:
         reducer = read_reducer(path)

@@ -1,4 +1,4 @@
-"""The parts around the cycloid stage of an RV reducer: the involute first stage and the crank bearings."""
+"""The stages around the cycloid stage of an RV reducer: the involute first stage and the crank bearings."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ class FirstStage:
     Attributes
     ----------
     sun_teeth, planet_teeth
-        z_1, z_2.
+        Numbers of teeth z_1 and z_2.
     sun_play
         Free rotation of the sun with the planets held, two-sided, rad.
     bearing_play
-        Free rotation of the carrier against the cycloid discs, two-sided, rad; 0 if bearings are modelled.
+        Free rotation of the carrier relative to the cycloid discs, two-sided, rad; 0 if bearings are modelled.
     crank_stiffness
-        Torque on all cranks per radian of their rotation against sun and carrier, N·m/rad.
+        Total torque on the cranks per radian of their rotation relative to sun and carrier, N·m/rad.
     """
 
     sun_teeth: int
@@ -31,7 +31,7 @@ class FirstStage:
 
     @property
     def sun_share(self) -> float:
-        """Crank turns per turn of the sun with the output locked, backwards: z_1/z_2."""
+        """Crank turns per turn of the sun with the output locked, z_1/z_2, in the opposite direction."""
         return self.sun_teeth / self.planet_teeth
 
     @property
@@ -45,18 +45,18 @@ class FirstStage:
         return 1.0 + self.sun_share
 
     def ratio(self, gear_teeth: int) -> float:
-        """Return the whole reducer's ratio, 1 + z_2 z_p/z_1; > 0, the output turns as the sun does."""
+        """Return the whole reducer's ratio, 1 + z_2 z_p/z_1, > 0: sun and output turn in the same direction."""
         return 1.0 + (gear_teeth + 1) / self.sun_share
 
     @property
     def text(self) -> str:
-        """Its values as JSON, SI, without rigid parts."""
+        """The values as JSON, SI, without rigid parts."""
         return json.dumps({name: value for name, value in vars(self).items() if math.isfinite(value)})
 
 
 def sun_locked_share(crank_share: float, gear_teeth: int) -> float:
     """Return the ratio of a play with the sun locked to that with the crank locked: 1/(1 + (1 + z_1/z_2)/z_c).
 
-    The planets roll on the locked sun and turn the cranks by 1 + z_1/z_2 of the output.
+    The planets roll on the locked sun and turn the cranks by 1 + z_1/z_2 of the output's angle.
     """
     return 1.0 / (1.0 + crank_share / gear_teeth)

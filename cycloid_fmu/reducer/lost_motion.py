@@ -1,8 +1,8 @@
-"""The RV reducer around the cycloid stage: involute first stage, crank bearings, and the budget of its lost motion.
+"""Lost motion budget of an RV reducer: involute first stage, cycloid stage and crank bearings.
 
-Source: Liu et al., "Analysis of the coaxiality-geometric hysteresis model of a rotate vector reducer" (2022), in short
-the RV paper; docs/theory/reducer.md states which of its equations hold. Plays are two-sided, in radians at the output,
-> 0 is clearance.
+Source: Liu et al., "Analysis of the coaxiality-geometric hysteresis model of a rotate vector reducer" (2022), called
+the RV paper below; docs/theory/reducer.md states which of its equations hold. Plays are two-sided, in radians at the
+output, > 0 for clearance.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]
 VARIANTS: tuple[Variant, ...] = ("standard", "as_printed", "geometric", "geometric_sun_locked")
 STAGES = ("involute", "cycloid", "bearings")
-# Of the closed form a term is called contradicted where the contact model differs by more than this share of it.
+# A term of the closed form counts as contradicted if the contact model differs by more than this share of it.
 _AGREES = 0.05
-_STIFF = 1e9  # N/m: of a turning arm that no one states; a play does not depend on it
+_STIFF = 1e9  # N/m: stiffness of a rigid turning arm; the play does not depend on it
 _STAGE_OF = {"base_tangent_length": "involute", "crank_bearing_clearance": "bearings"}
 TERMS = {
-    "base_tangent_length": "thinner sun teeth: common normal shorter than without play",
+    "base_tangent_length": "thinner sun teeth: base tangent length below that without play",
     "isometric_modification": "isometric modification",
     "offset_modification": "offset modification",
     "pin_circle_radius": "larger pin circle",
     "pin_radius": "thicker pins",
     "pin_hole_clearance": "diametral clearance of the pins in their holes",
-    "gear_runout": "radial runout of the cycloid gear's ring",
-    "pin_tangential": "circumferential position of the pins",
-    "tooth_cumulative_pitch": "cumulative pitch of the cycloid gear",
+    "gear_runout": "radial runout of the cycloid gear's teeth",
+    "pin_tangential": "circumferential position error of the pins",
+    "tooth_cumulative_pitch": "cumulative pitch error of the cycloid gear",
     "isometric": "error of the isometric modification",
     "offset": "error of the offset modification",
     "eccentricity": "longer crank",
@@ -51,14 +51,14 @@ TERMS = {
 
 
 def shaft_tilt(displacement: ArrayLike, length: float) -> Array:
-    """Return the tilt of a shaft, rad, whose end is displaced radially: β = arcsin(Y/L) (RV paper, equation 1).
+    """Return the tilt of a shaft with a radially displaced end, rad: β = arcsin(Y/L) (RV paper, equation 1).
 
     Parameters
     ----------
     displacement
-        Y, any shape, m.
+        Displacement Y, any shape, m.
     length
-        L of the shaft, m.
+        Length L of the shaft, m.
     """
     return np.asarray(np.arcsin(np.asarray(displacement, dtype=float) / length))
 
@@ -69,7 +69,7 @@ def _shortening(reducer: Reducer) -> float:
 
 
 def outer_stages(reducer: Reducer, values: Mapping[str, ArrayLike], sun_radius: float) -> dict[str, Array]:
-    """Play of the first stage (deviation E_w of the common normal) and of the crank bearings (RV paper, 5 and 20)."""
+    """Play of the first stage (deviation E_w) and of the crank bearings, rad (RV paper, equations 5 and 20)."""
     involute = reducer.involute
     lever = involute.crank_circle_radius + involute.shaft_displacement
     return {
@@ -87,7 +87,7 @@ def _stated_base_radius(reducer: Reducer) -> float:
 
 
 def standard(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Return the play of each amount by the RV paper's closed forms, typesetting corrected, rad.
+    """Return the play due to each amount by the RV paper's closed forms with corrected typesetting, rad.
 
     With d = e z_c and s = sqrt(1 - K²) the cycloid stage is [2 ΔR_rp - 2 ΔR_p s + 2 δr_p s - 2 δr_rp + δJ + ΔF_r/2 +
     2 K δt - K ΔF_p + 2 δΔR_rp - 2 δΔR_p s]/d - 2 K_n δe with K_n = ΔR_rp/(e² z_c) - [z_p²/(z_c R_p² s) +
@@ -103,7 +103,7 @@ def standard(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, Arr
     Returns
     -------
     terms
-        {name: rad}, of the values' shape.
+        {name: play, rad, in the shape of the values}.
     """
     g, k = reducer.stage, _shortening(reducer)
     s, d = math.sqrt(1.0 - k * k), g.eccentricity * g.gear_teeth
@@ -139,9 +139,9 @@ def _factors(k: float, s: float) -> dict[str, float]:
 def as_printed(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
     """Return the RV paper's equation 21 exactly as typeset, in millimetres, read as arcminutes; rad.
 
-    The factor 10800/π and the root are on the two modification terms only, every other term of the cycloid stage is
-    added in radians to arcminutes, and K_n is the printed one. The pressure angle is the nominal one, because the
-    forces from which the paper takes it are not published, and the bearings' term, printed twice, counts once.
+    The factor 10800/π and the root apply to the two modification terms only, all other terms of the cycloid stage are
+    added in radians to arcminutes, and K_n is as printed. The pressure angle is nominal, because the forces from which
+    the paper derives it are not published, and the bearings' term, which is printed twice, counts once.
     """
     g, k = reducer.stage, _shortening(reducer)
     s = math.sqrt(1.0 - k * k)
@@ -161,12 +161,12 @@ def as_printed(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, A
 
 @dataclasses.dataclass(frozen=True)
 class Play:
-    """The cycloid stage's play with the crank locked, over crank angles of one output turn; arrays (angles,).
+    """The cycloid stage's play with the crank locked, over one output turn; arrays of shape (angles,).
 
     Attributes
     ----------
     backlash, interference
-        rad, 0 where there is no free position; m, 0 where there is one.
+        Free rotation of the output, rad, 0 without a free position; interference, m, 0 with one.
     transmission_error
         Middle of the play, rad; NaN without a free position.
     """
@@ -179,8 +179,8 @@ class Play:
 def contact_play(reducer: Reducer, surface: ErrorSurface, angles: int) -> Play:
     """Return the play of the contact model at a number of crank angles, evenly over one output turn.
 
-    It is that of the mesh between rigid bodies, for any supports. Angles that share no factor with the teeth meet every
-    tooth in another phase of the mesh.
+    It is the play of the mesh between rigid bodies, whatever the supports. If the number of angles has no factor in
+    common with the teeth, every tooth is at a different phase of the mesh.
     """
     teeth = reducer.stage.gear_teeth
     low, high, gap = np.empty(angles), np.empty(angles), np.empty(angles)
@@ -191,12 +191,12 @@ def contact_play(reducer: Reducer, surface: ErrorSurface, angles: int) -> Play:
 
 
 def geometric(reducer: Reducer) -> dict[str, float]:
-    """Return the play of the contact model with the crank locked, and the effect of each amount.
+    """Return the play by the contact model with the crank locked, and the effect of each amount.
 
     A term is the mean play minus the mean play without that amount. With interference there is no play to compare, so
-    pins are thinned for the terms, not for the play, until all is free; the difference of the play and the terms' sum
-    is `interaction`. With the crank locked the first stage has no effect. The bearings' term is that of the model with
-    the stage's supports (`bearing_share`), without them the closed form.
+    for the terms, not for the play, pins are thinned until the gear runs free; the play minus the sum of the terms is
+    `interaction`. With the crank locked the first stage has no effect. The bearings' term is from the model with the
+    stage's supports (`bearing_share`), without supports from the closed form.
 
     Returns
     -------
@@ -242,10 +242,10 @@ def geometric(reducer: Reducer) -> dict[str, float]:
 
 
 def bearing_share(reducer: Reducer, surface: ErrorSurface) -> float:
-    """Return the ratio of the play by the crank bearings' clearance on the stage's supports to the closed form.
+    """Return the ratio of the play due to the crank bearings' clearance on the stage's supports to the closed form.
 
-    In the model it is the mean play with this clearance in the turning arms minus that without it, crank locked, with
-    the other supports as stated; turning arms that are stated rigid are springs here. 1 without supports.
+    The model's value is the mean play with this clearance in the turning arms minus that without it, with the crank
+    locked and the other supports as stated; rigid turning arms are replaced by springs. 1 without supports.
 
     Raises
     ------
@@ -256,7 +256,7 @@ def bearing_share(reducer: Reducer, surface: ErrorSurface) -> float:
     if supports is None:
         return 1.0
     if values["crank_bearing_clearance"] <= 0.0:
-        values["crank_bearing_clearance"] = 1e-6  # play grows with the clearance
+        values["crank_bearing_clearance"] = 1e-6  # the play is proportional to the clearance
     arm = Bearing(stiffness=_STIFF) if supports.turning_arm.is_rigid else supports.turning_arm
     angles = 2 * pair.gear_teeth + 1
     crank = 2.0 * np.pi * pair.gear_teeth * np.arange(angles) / angles
@@ -271,8 +271,8 @@ def bearing_share(reducer: Reducer, surface: ErrorSurface) -> float:
 def with_sun_locked(reducer: Reducer, crank_locked: Mapping[str, float]) -> dict[str, float]:
     """Return the budget of `geometric` as a bench measures it, with the sun locked instead of the crank.
 
-    The cranks then turn with the output, so `Reducer.sun_locked` of every play after them remains, and the first
-    stage's play is added: the common normal is tangent to the sun's base circle.
+    The cranks then turn with the output, which reduces each play after them by the factor `Reducer.sun_locked`; the
+    first stage's play is added, from the base tangent length at the sun's base circle.
     """
     kept = ("transmission_error", "interference", "interfering")
     found = {n: v if n in kept else reducer.sun_locked * v for n, v in crank_locked.items()}
@@ -284,7 +284,7 @@ def with_sun_locked(reducer: Reducer, crank_locked: Mapping[str, float]) -> dict
 def parts_of(reducer: Reducer) -> tuple[Pair, ErrorSurface, FirstStage]:
     """Return the parts of a reducer: its cycloid stage, the stage's errors and the first stage, as made.
 
-    If the stage has compliant bearings, the clearance of its crank bearings is that of the turning arms; otherwise it
+    If the stage has compliant bearings, the clearance of the crank bearings is part of the turning arms; otherwise it
     is a play in series with the stage.
     """
     outer = outer_stages(reducer, values_of(reducer), reducer.involute.sun_base_radius)
@@ -307,7 +307,7 @@ def parts_of(reducer: Reducer) -> tuple[Pair, ErrorSurface, FirstStage]:
 
 
 def summed(terms: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the plays of the three stages and their total from the terms, rad."""
+    """Return the sums of the terms: the plays of the three stages and their total, rad."""
     stages = {stage: np.asarray(sum(v for n, v in terms.items() if _STAGE_OF.get(n, "cycloid") == stage))
               for stage in STAGES}  # fmt: skip
     return {**stages, "total": np.asarray(sum(stages.values()))}
@@ -350,21 +350,21 @@ def remarks(reducer: Reducer, found: Mapping[str, Mapping[str, float]]) -> dict[
         a, b = closed[name], exact[name]
         if abs(a - b) <= _AGREES * abs(a) + 1e-9:
             continue
-        text = f"geometry gives {b * ARCMIN:+.4f}′"
+        text = f"the contact model gives {b * ARCMIN:+.4f}′"
         if name in modelled:
-            text += " on the stage's bearings: their clearance allows the discs to shift as well as turn"
+            text += " on the stage's bearings: with their clearance the discs can shift as well as turn"
         elif name == "gear_runout":
             swing = runout_error(reducer, values[name]) * ARCMIN
-            text += f": as an eccentricity it is a transmission error, {swing:.3f}′ peak to peak, not play"
+            text += f": as an eccentricity it causes transmission error, {swing:.3f}′ peak to peak, not play"
         elif name == "tooth_cumulative_pitch":
-            text += ": the closed form is only a bound"
+            text += ": the closed form is only an upper bound"
         elif name == "eccentricity":
-            text += ": second order, reduces the play whatever its sign"
+            text += ": a second-order effect that reduces the play for either sign"
         elif a * b < 0.0:
-            text += ": the other sign"
+            text += ": opposite sign"
         else:
             alone = play_alone(reducer, name, values[name])
-            text += f", and {alone * ARCMIN:+.4f}′ with nothing else off"
+            text += f", and {alone * ARCMIN:+.4f}′ as the only deviation"
             if abs(a - unstated[name]) > 0.5 * abs(a - alone):
                 text += f" (closed form with the shortening of the pin circle radius: {unstated[name] * ARCMIN:+.4f}′)"
         said[name] = text
@@ -372,9 +372,9 @@ def remarks(reducer: Reducer, found: Mapping[str, Mapping[str, float]]) -> dict[
 
 
 def play_alone(reducer: Reducer, name: str, amount: float) -> float:
-    """Return the effect of one amount (m) of `TERMS` on the mean play of an otherwise nominal, unmodified stage, rad.
+    """Return the effect of an amount (m) of one of `TERMS` on the mean play of a nominal, unmodified stage, rad.
 
-    Pins 20 µm thinner, or thinner by twice the amount, make room for it.
+    Pins are 20 µm, or twice the amount, thinner, so that the gear runs free.
     """
     room = max(20e-6, 2.0 * abs(amount))
     angles = 10 * reducer.stage.gear_teeth + 1

@@ -30,12 +30,12 @@ class Stack:
     Attributes
     ----------
     worst_case, root_sum_square
-        Total play, lowest and highest, rad; by the closed form, linear in the tolerances.
+        Lowest and highest total play, rad, by the closed form, linear in the tolerances.
     samples
-        Total plays drawn: {"standard": rad, "geometric": rad (sun locked)}, shape (samples,).
+        Sampled total plays, rad: {"standard": shape (samples,), "geometric": shape (samples,), with the sun locked}.
     interfering
-        {variant: share of samples whose cycloid stage interferes}: by the closed form a play below zero, by the contact
-        model no free position at a crank angle.
+        {variant: share of samples whose cycloid stage interferes}: by the closed form, a play below zero; by the
+        contact model, a crank angle without a free position.
     interval
         {variant: Clopper-Pearson interval of that share at 95 %}.
     """
@@ -101,7 +101,7 @@ def stack(
 
 
 def stack_summary(stack: Stack) -> dict[str, Any]:
-    """Return a stack's figures as plain numbers, rad; `central` is where the middle 99.73 % of the samples lie."""
+    """Return a stack's figures as plain numbers, rad; `central` spans the middle 99.73 % of the samples."""
     drawn = {
         variant: {
             "mean": float(total.mean()),

@@ -1,6 +1,6 @@
-"""A drive behind its first stage: motion of the output with the sun held, over the places of the sun.
+"""A drive behind its first stage: motion of the output with the sun locked, over the sun's angle.
 
-The cranks turn with the output that they move: θ = a φ_b - b φ_a + w with b = z_1/z_2, a = 1 + b and w the rotation of
+The cranks turn with the output that they drive: θ = a φ_b - b φ_a + w with b = z_1/z_2, a = 1 + b and w the rotation of
 the cranks by the first stage, -τ/κ and half its play against the load. Virtual work gives the torques: T = M + a τ at
 the output and -b τ at the sun, M at the cycloid stage and τ at the cranks. With s = 1/(1 + a/z_c) the output deviates
 by d = φ_b - φ_a/i = s (x(θ, M) - w/z_c) from the ideal reducer (docs/theory/reducer.md).
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _ITERATIONS = 30
-_STEP = 1e-12  # rad at the output: last step
-_SHARE = 1e-8  # of the torque at the cranks: last change
-_DIFFERENCE = 2e-5  # rad of the cranks, either way, for what changes with them
+_STEP = 1e-12  # rad at the output: convergence limit of the deviation
+_SHARE = 1e-8  # of the torque: convergence limit of the cranks' torque
+_DIFFERENCE = 2e-5  # rad of the cranks, half the central difference for derivatives
 
 
 @dataclass(frozen=True)
 class _Settled:
-    """The cycloid stage where torques balance with the sun held; arrays (angles,), SI.
+    """The cycloid stage in balance with the sun locked; arrays of shape (angles,), SI.
 
     `found` is solved at the cranks' angles `crank`, `gear_torque` is M and `deviation` d.
     """
@@ -50,7 +50,7 @@ class _Settled:
 
 
 class _Stage:
-    """The cycloid stage as its first stage meets it."""
+    """The cycloid stage behind its first stage."""
 
     def __init__(self, pair: Pair, surface: ErrorSurface, first_stage: FirstStage, slices: int, workers: int) -> None:
         self.pair, self.surface, self.slices, self.workers = pair, surface, slices, workers
@@ -61,7 +61,7 @@ class _Stage:
         self.soft = 1.0 / first_stage.crank_stiffness
 
     def solve(self, torque: Array, crank: Array, **options: Any) -> Transmission:
-        """Solve the stage at a torque for each crank angle, with the cranks' torque."""
+        """Solve the stage at one torque (N·m) per crank angle (rad), with the cranks' torque."""
         found = of_stage.solve(
             self.pair, self.surface, torque[None], crank, self.slices, workers=self.workers,
             **{"with_play": False, **options},
@@ -77,12 +77,12 @@ class _Stage:
         return np.asarray(-np.multiply(self.soft, crank_torque) - 0.5 * side * self.first.crank_play)
 
     def output(self, x: ArrayLike, side: float, w: ArrayLike) -> Array:
-        """Return d, rad, of the stage's deviation x."""
+        """Return the deviation d (rad) for the stage's deviation x (rad)."""
         beside = 0.5 * side * self.first.bearing_play
         return np.asarray(self.s * (np.add(x, beside) - np.divide(w, self.pair.gear_teeth)))
 
     def settle(self, torque: float, crank: Array, with_elements: bool = False) -> _Settled:
-        """Solve a torque on the output, the sun held where ideal gears would have the cranks at `crank`."""
+        """Solve a torque on the output (N·m), with the sun where ideal gears have the cranks at `crank` (rad)."""
         side = float(np.sign(torque))
         crank_torque = np.full(crank.size, (1.0 - self.s) / self.a * torque)
         w = self.turned(side, crank_torque)
@@ -92,7 +92,7 @@ class _Stage:
             gear_torque = np.full(crank.size, torque) - self.a * crank_torque
             found = self.solve(gear_torque if torque != 0.0 else np.zeros(crank.size), place)
             assert found.crank_torque is not None
-            # Of the stage's own torque the cranks' is 1/z_c, but for its errors.
+            # The cranks' torque is 1/z_c of the stage's, apart from its errors.
             change = self.s * (found.crank_torque[0] - crank_torque) if torque != 0.0 else np.zeros(crank.size)
             crank_torque = crank_torque + change
             w = self.turned(side, crank_torque)
@@ -102,11 +102,11 @@ class _Stage:
                     found = self.solve(gear_torque, place, with_elements=True)
                 return _Settled(place, gear_torque, d, found)
         raise edge.InputError(
-            f"torque = {torque:g} N*m: nothing balances it behind the first stage; give one that the reducer can carry."
+            f"torque = {torque:g} N*m: the reducer can't balance it behind its first stage; give a smaller one."
         )
 
     def moved(self, settled: _Settled) -> tuple[Array, Array, Array]:
-        """Return derivatives of the output: by torque (rad/(N·m)), by x for an error (1), and dx/dθ.
+        """Return derivatives of the output by torque (rad/(N·m)) and by x for an error (dimensionless), and dx/dθ.
 
         The effect of an error on the cranks' torque is neglected.
         """
@@ -119,7 +119,7 @@ class _Stage:
         by_angle = (places[1] - places[0]) / (2.0 * _DIFFERENCE)
         torque_rate = (torques[1] - torques[0]) / (2.0 * _DIFFERENCE)
         compliance = 1.0 / settled.found.torsional_stiffness[0]
-        # Of the cranks' torque by the stage's (Maxwell), and the first stage's wind-up with it.
+        # Derivative of the cranks' torque by the stage's (Maxwell's reciprocity), with the first stage's wind-up.
         coupling = 1.0 / self.pair.gear_teeth - by_angle
         held = 1.0 + torque_rate * self.soft + coupling * self.a
         back = coupling * self.soft - self.a * compliance
@@ -127,7 +127,7 @@ class _Stage:
         return by_error * (compliance + coupling * back / held), by_error, by_angle
 
     def play(self, crank: Array) -> tuple[Array, Array, Array]:
-        """Return the ends of the play with the sun held (rad; NaN without a free position) and the interference (m)."""
+        """Return the ends of the play with the sun locked (rad; NaN without a free position) and interference (m)."""
         if self.pair.supports is not None:
             low, high = self._play_on_bearings(crank)
             return low, high, np.zeros(crank.size)
@@ -185,8 +185,8 @@ def solve(
     Parameters
     ----------
     first_stage
-        The sun is then held at places at which ideal gears would have the cranks at `crank_angle`, and
-        transmission error, stiffness and play are those of the output behind the whole reducer.
+        The sun is then locked where ideal gears have the cranks at `crank_angle`, and transmission error, stiffness and
+        play are those of the output of the whole reducer.
     with_stiffness
         Whether to compute the torsional stiffness behind a first stage; NaN otherwise.
 
@@ -214,7 +214,7 @@ def solve(
             rows.append(_row(stage, float(load), angles, 0.5 * (low + high), with_stiffness, with_elements))
             progress(angles.size)
     except Interrupted:
-        # What it holds are parts of the stage's sweep, not of this one.
+        # Its partial results are those of the stage's sweep, not of this one.
         raise KeyboardInterrupt from None
     if not rows:
         found = stage.solve(np.zeros(angles.size), angles)
@@ -253,7 +253,7 @@ def error_sensitivity(
 ) -> tuple[Array, Array]:
     """Return the transmission error at one torque and its derivatives, as `supports.transmission.error_sensitivity`.
 
-    Behind a first stage the effect of an error on the cranks' torque is neglected: 0.2 % of a derivative at the rated
+    Behind a first stage, the effect of an error on the cranks' torque is neglected: 0.2 % of a derivative at rated
     torque.
     """
     if first_stage is None:
@@ -273,7 +273,7 @@ def labelled(
     *,
     complete: bool,
 ) -> xr.Dataset:
-    """Return results as a dataset (format `cycloid-analysis/1`), behind a first stage also of the sun."""
+    """Return results as a dataset (format `cycloid-analysis/1`), with angle and torque of the sun if there is one."""
     data = of_stage.labelled(pair, surface, found, slices, complete=complete)
     if first_stage is None or found.crank_torque is None:
         return data
@@ -283,13 +283,13 @@ def labelled(
         sun_angle=("crank_angle", -found.crank_angle * first_stage.ratio(pair.gear_teeth) / pair.gear_teeth, sun)
     )
     data["crank_torque"] = (
-        grid, found.crank_torque, {"units": "N*m", "long_name": "torque of the first stage on the cranks, all of them"}
+        grid, found.crank_torque, {"units": "N*m", "long_name": "total torque of the first stage on the cranks"}
     )  # fmt: skip
     data["sun_torque"] = (
         grid, -first_stage.sun_share * found.crank_torque,
         {"units": "N*m", "long_name": "torque of the environment on the sun"},
     )  # fmt: skip
-    data["crank_angle"].attrs["long_name"] = "crank angle that ideal gears would have at the sun's angle"
+    data["crank_angle"].attrs["long_name"] = "crank angle of ideal gears at the sun's angle"
     for name in ("transmission_error", "backlash", "torsional_stiffness"):
         data[name].attrs["long_name"] += ", sun locked"
     data.attrs["first_stage"] = first_stage.text
@@ -308,7 +308,7 @@ def compliance(
         return of_bearings(pair, progress=progress)
     teeth = pair.gear_teeth
     s = sun_locked_share(first_stage.crank_share, teeth)
-    # Of the output's torque the cranks take their part past the stage.
+    # The cranks take their share of the output's torque, in parallel to the stage.
     shares = of_bearings(pair.replace(rated_torque=s * pair.rated_torque), progress=progress)
     soft = (s / teeth) ** 2 / first_stage.crank_stiffness
     play = s * (first_stage.crank_play / teeth + first_stage.bearing_play)
@@ -327,9 +327,9 @@ def analyze(
     slices: int = 1,
     **options: Any,
 ) -> xr.Dataset:
-    """Return the labelled dataset of `solve`; `options` are those.
+    """Return the labelled dataset of `solve`, with its `options`.
 
-    Interrupted, it returns the crank angles that were finished, and the attribute `complete` is 0.
+    If interrupted, it returns the finished crank angles, and the attribute `complete` is 0.
     """
     complete = True
     try:

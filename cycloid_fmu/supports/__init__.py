@@ -1,1 +1,1 @@
-"""Drives on bearings: discs that float on cranks or an eccentric, a carrier in its main bearing."""
+"""Drives on bearings: discs on cranks or an eccentric, and a carrier in its main bearing."""

@@ -9,7 +9,7 @@ from cycloid_fmu.supports.bearing import Bearing
 
 
 class Assembly(NamedTuple):
-    """The parts that hold discs and carrier, SI; axes and angles as docs/theory/supports.md.
+    """The parts that hold discs and carrier, SI; axes and angles as in docs/theory/supports.md.
 
     Attributes
     ----------
@@ -17,23 +17,24 @@ class Assembly(NamedTuple):
         Whether cranks hold the discs and transmit the load to the carrier; otherwise one eccentric holds them and
         rollers in their holes transmit the load.
     eccentricity
-        Nominal e, m.
+        Nominal eccentricity e, m.
     place_x, place_y
-        Cranks or output rollers in the carrier, and their holes in the discs, as drawn, shape (count,), m.
+        Position of each crank or output roller in the carrier, and of its holes in the discs, as drawn, shape (count,),
+        m.
     crank_x, crank_y
-        Errors of their places in the carrier, shape (count,), m.
+        Errors of these positions in the carrier, shape (count,), m.
     hole_x, hole_y
-        Errors of the holes' places in each disc, shape (discs, count), m.
+        Position errors of the holes in each disc, shape (discs, count), m.
     hole_play
-        Of output rollers: free motion of a roller in its hole beyond e, shape (discs, count), m.
+        For output rollers: free motion of a roller in its hole beyond e, shape (discs, count), m.
     throw, phase
-        Errors of each eccentric's throw (m) and phase (rad), shape (discs, cranks), of one crank with output rollers.
+        Errors of each eccentric's throw (m) and phase (rad), shape (discs, cranks), with one crank for output rollers.
     seat_x, seat_y
-        Place of the housing's seats of main bearing and central crank, m.
+        Position of the housing's seats of main bearing and central crank, m.
     turning_arm, crank_shaft, main, output_roller
         The bearings; an output roller's clearance is in `hole_play`.
     rotation_scale
-        Radius that converts a rotation to a displacement, m.
+        Radius that converts a rotation to a displacement, m, for convergence limits.
     balanced
         Tolerance of the balance, N.
     """

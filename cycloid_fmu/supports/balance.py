@@ -1,8 +1,9 @@
 """Balance of discs, cranks and carrier on their bearings, by Newton's method on all unknowns.
 
-The unknowns q are deviations from the ideal place, in axes that do not turn: the carrier's rotation x and its centre,
-then of each disc the shift (u, v) of its centre and its rotation y, then the shift of each crank's axis from its place
-in the carrier. Forces and moments balance where the energy of all laws minus the work of the torque is stationary.
+The unknowns q are deviations from the ideal position, in axes that do not rotate: the carrier's rotation x and the
+shift of its centre, then the shift (u, v) of each disc's centre and its rotation y, then the shift of each crank's axis
+from its position in the carrier. Forces and moments balance where the total energy minus the work of the torque is
+stationary.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.bearing import Bearing, push
 
 FIRST_DISC = 3
-NEIGHBOUR = 0.1  # rad: from farther a place says little
-_EXACT = 1e-14  # m: a step that changes no more than the last digits
-_LONGEST = 25e-6  # m: a step is no longer than this
-_REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
-HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
+NEIGHBOUR = 0.1  # rad: a solution farther away is no useful start
+_EXACT = 1e-14  # m: a step within rounding
+_LONGEST = 25e-6  # m: largest step
+_REACH = 4e-6  # m: pins closer than this are solved at every step, the others after the discs have moved this far
+HELD = 1e-3  # N/m: limits a rotation that nothing holds yet; it pulls to the start of the step
 _ITERATIONS = 60
-_JUMP = 1e-10  # m: where steps end twice forces jump, as where a pin leaves the second of two teeth at a root
-_LAST_ITERATIONS = 600  # a drive that hangs in its clearances finds its place in small steps
+_JUMP = 1e-10  # m: steps that end this close show a jump of forces, as where a pin leaves one of two teeth at a root
+_LAST_ITERATIONS = 600  # a drive loose in its clearances converges in small steps
 
 
 class Load(NamedTuple):
@@ -36,11 +37,11 @@ class Load(NamedTuple):
     Attributes
     ----------
     torque
-        N·m.
+        Torque on the carrier, counter-clockwise positive, N·m.
     spring
-        N·m/rad; 0 without a held flange.
+        Stiffness of the spring, N·m/rad; 0 without a held flange.
     flange
-        Rotation of the flange from its ideal place, rad.
+        Rotation of the flange from its ideal angle, rad.
     """
 
     torque: float
@@ -54,15 +55,15 @@ class Work(NamedTuple):
     Attributes
     ----------
     place, residual, step, before, jump
-        Shape (unknowns,); the place of the last solution, and of the last jump in a step.
+        Shape (unknowns,): last solution, residual, step, start of the step, and last jump within a step.
     jacobian, matrix
-        Shape (unknowns, unknowns).
+        Derivatives of the residual, and the matrix of the linear solution, shape (unknowns, unknowns).
     bearing
         Derivatives of one bearing's displacement by its unknowns, shape (2, 8).
     at
-        Which unknowns those are, shape (8,).
+        Indices of these unknowns, shape (8,).
     pose, moved
-        Last position of each disc (discs, 3), and the motion of discs since all pins were solved, shape (1,), m.
+        Last position of each disc, shape (discs, 3), and motion of the discs since all pins were solved, shape (1,), m.
     """
 
     place: Array
@@ -79,7 +80,7 @@ class Work(NamedTuple):
 
 
 def work_of(unknowns: int, discs: int) -> Work:
-    """Return empty arrays to solve in."""
+    """Return uninitialized work arrays."""
     place, residual, step, before, jump = np.zeros((5, unknowns))
     jacobian, matrix = np.zeros((2, unknowns, unknowns))
     return Work(
@@ -90,7 +91,7 @@ def work_of(unknowns: int, discs: int) -> Work:
 
 @spliced
 def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, contacts: Rows, work: Work) -> None:
-    """Place the discs according to q and solve the gaps that this can close."""
+    """Place the discs according to q and solve the gaps that may close."""
     x = q[0]
     furthest = 0.0
     for disc in range(problem.shift_x.size):
@@ -110,7 +111,7 @@ def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, c
 
 @spliced
 def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Work) -> None:
-    """Add the pins' forces on the discs and their derivatives."""
+    """Add the pins' forces on the discs and the derivatives of these forces."""
     residual, jacobian = work.residual, work.jacobian
     for row in range(contacts.shape[0]):
         contact_ = contacts[row]
@@ -120,7 +121,7 @@ def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Wo
         disc, _, _ = contact.disc_slice_pin(problem, row)
         local = contact.local_frame(problem, theta, x, contacts, row)
         nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
-        # The gap's derivatives by u, v, y, and the slide of the pin's axis along the flank for each.
+        # Derivatives of the gap by u, v, y, and the sliding of the pin's axis along the flank for each.
         du, dv, dy = -nx, -ny, nx * py - ny * px
         au, av, ay = ny, -nx, -(nx * px + ny * py)
         k, bend = contact_.stiffness, local.bend
@@ -171,7 +172,7 @@ def _spring(bearing: Bearing, r: float, centring: float) -> tuple[float, float]:
 
 @part
 def _shift(work: Work, first: int, sign: float, column: int) -> None:
-    """Set two unknowns as direct shifts of the displacement."""
+    """Set the derivatives by two unknowns that shift the displacement directly."""
     work.at[column], work.at[column + 1] = first, first + 1
     work.bearing[0, column], work.bearing[1, column] = sign, 0.0
     work.bearing[0, column + 1], work.bearing[1, column + 1] = 0.0, sign
@@ -181,7 +182,7 @@ def _shift(work: Work, first: int, sign: float, column: int) -> None:
 def eccentric(assembly: Assembly, crank: float, disc: int, k: int) -> tuple[float, float]:
     """Ideal eccentric e u(A) minus the actual one (e + de) u(A + dψ), m.
 
-    Computed from small terms.
+    Computed from small terms, without cancellation.
     """
     phase, throw = assembly.phase[disc, k], assembly.throw[disc, k]
     half = 2.0 * assembly.eccentricity * math.sin(0.5 * phase)
@@ -196,9 +197,9 @@ def eccentric(assembly: Assembly, crank: float, disc: int, k: int) -> tuple[floa
 def _hole_from_place(
     assembly: Assembly, carrier: float, q: Array, disc: int, k: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Displacement of a disc's hole from its crank's or roller's place in the carrier, without the ideal eccentricity.
+    """Displacement of a disc's hole from its crank or roller in the carrier, without the ideal eccentricity.
 
-    Then the arms of disc and carrier there; all m, in axes that do not turn.
+    It is followed by the lever arms of disc and carrier there; all in m, in axes that do not rotate.
     """
     at = FIRST_DISC + 3 * disc
     x, y = q[0], q[at + 2]
@@ -206,7 +207,7 @@ def _hole_from_place(
     px, py = assembly.place_x[k], assembly.place_y[k]
     ax, ay = px + assembly.crank_x[k], py + assembly.crank_y[k]
     hx, hy = px + assembly.hole_x[disc, k], py + assembly.hole_y[disc, k]
-    # Both places turned; R(γ + y) p - R(γ + x) p as a turn about their mean.
+    # Both positions rotated; R(γ + y) p - R(γ + x) p as a rotation about their mean.
     turn, mean = 2.0 * math.sin(0.5 * (y - x)), carrier + 0.5 * (x + y)
     cm, sm = math.cos(mean), math.sin(mean)
     dx = turn * (-sm * px - cm * py) + cy * assembly.hole_x[disc, k] - sy * assembly.hole_y[disc, k]
@@ -220,9 +221,9 @@ def _hole_from_place(
 def crank_displacement(
     assembly: Assembly, carrier: float, theta: float, phase: float, q: Array, disc: int, k: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Displacement of a crank's eccentric in its disc's hole, and the arms of disc and carrier there, m.
+    """Displacement of a crank's eccentric in its disc's hole, and the lever arms of disc and carrier there, m.
 
-    `carrier` is the carrier's ideal rotation γ.
+    `carrier` is the carrier's ideal rotation γ, rad.
     """
     shaft = FIRST_DISC + 3 * assembly.hole_x.shape[0] + 2 * k
     dx, dy, hx, hy, ax, ay = _hole_from_place(assembly, carrier, q, disc, k)
@@ -262,7 +263,7 @@ def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, ce
 def roller_displacement(
     assembly: Assembly, carrier: float, crank: float, q: Array, disc: int, i: int
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Displacement of a hole from its output roller, the arms of disc and carrier there, and its excess over e."""
+    """Displacement of a hole from its output roller, lever arms of disc and carrier there, and excess over e, m."""
     dx, dy, hx, hy, ax, ay = _hole_from_place(assembly, carrier, q, disc, i)
     e = assembly.eccentricity
     ox, oy = e * math.cos(crank), e * math.sin(crank)
@@ -334,7 +335,7 @@ def assemble(
 
 @part
 def solve_linear(matrix: Array, right: Array) -> bool:
-    """Solve matrix · x = right by elimination with row pivots, both overwritten, x in `right`; whether it could be."""
+    """Solve matrix · x = right in place by pivoted elimination, x in `right`; return False if singular."""
     n = right.size
     for k in range(n):
         best = k
@@ -379,7 +380,7 @@ def _is_rotation(problem: Problem, i: int) -> bool:
 
 @part
 def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
-    """Write the derivatives with springs (N/m) that hold rotations and, above `HELD`, all unknowns."""
+    """Write the derivatives with springs (N/m) on rotations and, above `HELD`, on all unknowns."""
     for i in range(work.step.size):
         for j in range(work.step.size):
             work.matrix[i, j] = work.jacobian[i, j]
@@ -391,7 +392,7 @@ def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
 
 @spliced
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
-    """dT/dx = 1/(H⁻¹)_xx where the torque balances, N·m/rad; NaN if it is free."""
+    """Torsional stiffness dT/dx = 1/(H⁻¹)_xx at the balance, N·m/rad; NaN if the carrier is free."""
     hold(problem, assembly, work, HELD)
     for i in range(work.step.size):
         work.step[i] = 1.0 if i == 0 else 0.0
@@ -400,7 +401,7 @@ def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> flo
 
 @part
 def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
-    """Write Newton's step, limited if it is not a descent or too long; return the share of it to take, 0 for none."""
+    """Write Newton's step, limited if it is no descent or too long; return the fraction to take, 0 for none."""
     step, matrix, n = work.step, work.matrix, work.step.size
     held = HELD
     while held < 1e12:
@@ -420,10 +421,10 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
 
 @part
 def _between(work: Work, share: float, now: float, low: float, high: float) -> float:
-    """Return the place along a step where the work should vanish: by Newton's method, or between the known ends.
+    """Return the fraction of a step at which the work should vanish: by Newton's method, or between the known ends.
 
-    Closing contacts increase the work's slope along the step, so Newton's method approaches their closing from beyond
-    and seldom passes it.
+    Closing contacts increase the slope of the work along the step, so Newton's method approaches the closing from
+    beyond and rarely overshoots.
     """
     step, slope = work.step, 0.0
     for i in range(step.size):
@@ -440,11 +441,11 @@ def balance(
     problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
     work: Work, iterations: int,
 ) -> int:  # fmt: skip
-    """Solve the balance from q, which is overwritten; returns the number of steps, 0 if it was not found.
+    """Solve the balance from q, which is overwritten; return the number of steps, 0 if it was not found.
 
-    A step that ends where the sign of the work along it has changed is shortened to where that work is at most half as
-    large, with either sign: energies are convex for small rotations. Otherwise a contact that closes on the way would
-    be missed, and the next step would go beyond it too.
+    If the work along a step has changed its sign at the end, the step is shortened until the work is at most half as
+    large, with either sign: energies are convex for small rotations. Otherwise a contact that closes within the step
+    would be missed, and the next step would overshoot too.
     """
     assemble(problem, assembly, theta, pull, centring, q, contacts, work)
     for iteration in range(iterations):
@@ -478,7 +479,7 @@ def balance(
                 break
             share = _between(work, share, now, low, high)
         if met and iterations == _LAST_ITERATIONS:
-            # From one side of a jump a step may lead back to the other for ever.
+            # Steps may alternate for ever between the two sides of a jump.
             for i in range(step.size):
                 work.before[i], work.jump[i] = q[i] - work.jump[i], q[i]
             if _longest(problem, assembly, work.before, 1.0) < _JUMP:
@@ -491,9 +492,9 @@ def settle(
     problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
     work: Work, cold: bool,
 ) -> int:  # fmt: skip
-    """Solve the balance from q or, `cold` or not found, from the ideal place, with ever softer springs (N/m).
+    """Solve the balance from q or, if `cold` or not found, from the ideal position with ever softer springs (N/m).
 
-    Returns the number of steps, 0 without a balance.
+    Return the number of steps, 0 without a balance.
     """
     total = 0
     for stage in range(1 if cold else 0, 3):

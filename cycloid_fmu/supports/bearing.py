@@ -1,4 +1,4 @@
-"""The force of a bearing: linear or a continuum of rollers, beyond its clearance."""
+"""Force law of a bearing beyond its clearance: linear, or a continuum of rollers."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from cycloid_fmu.contact import part
 
 Array = NDArray[np.float64]
-RIGID = 1e15  # N/m: what stands for a bearing without compliance; it turns a drive by some 1e-4″
-CENTRING = 10.0  # N/m: holds what clearance leaves free where its energy is least
+RIGID = 1e15  # N/m: in place of a rigid bearing; it turns a drive by some 1e-4″
+CENTRING = 10.0  # N/m: centring spring for parts that are free in their clearance
 _EXPONENT = 10.0 / 9.0  # of a roller's load over its approach (Palmgren)
 _ORDER = 24
 
@@ -27,13 +27,13 @@ class Bearing(NamedTuple):
     half_clearance
         Half of the diametral clearance, m.
     stiffness
-        N/m, or of rollers Z K_l/(2π), N/m^(10/9).
+        Stiffness, N/m; for rollers Z K_l/(2π), N/m^(10/9).
     rollers
         Whether it is a roller bearing, otherwise a linear spring.
     factor
-        Of rollers: coefficients of g(s) in `_roller_factor`.
+        For rollers: coefficients of g(s) in `_roller_factor`.
     energy_factor
-        Of rollers: likewise of their energy.
+        For rollers: the same for their energy.
     """
 
     half_clearance: float
@@ -44,15 +44,15 @@ class Bearing(NamedTuple):
 
 
 def linear(stiffness: float, clearance: float = 0.0) -> Bearing:
-    """Return a bearing that is a spring (N/m) beyond its diametral clearance (m)."""
+    """Return a bearing that is a linear spring (N/m) beyond its diametral clearance (m)."""
     return Bearing(0.5 * clearance, float(stiffness), False, *_roller_factors())
 
 
 def rollers(number: int, length: float, clearance: float = 0.0) -> Bearing:
-    """Return a roller bearing of steel: number of rollers, their effective length and the diametral clearance, m.
+    """Return a steel roller bearing from the number of rollers, their effective length and the diametral clearance, m.
 
     A line contact carries 8.06e4 N/mm^(10/9) (l/mm)^(8/9) δ^(10/9) (Palmgren, Grundlagen der Wälzlagertechnik, for
-    steel); a roller is between two of them.
+    steel); a roller has two contacts.
     """
     each = 8.06e4 / 2.0**_EXPONENT * (1e3 * length) ** (8.0 / 9.0) * 1e3**_EXPONENT
     return Bearing(0.5 * clearance, number * each / (2.0 * math.pi), True, *_roller_factors())
@@ -67,7 +67,7 @@ def _roller_factors() -> tuple[Array, Array]:
 def _roller_factor(exponent: float, along: float) -> Array:
     """Coefficients of g(s) in ∫ max(cos ψ - s, 0)^p cos^a ψ dψ = (1 - s)^(p + 1/2) g(s) for s from 0 to 1, by powers.
 
-    The integral's ends are Gauss-Jacobi's weight, so g is smooth and its Chebyshev series exact to 1e-14.
+    The ends of the integral have Gauss-Jacobi weights, so g is smooth and its Chebyshev series accurate to 1e-14.
     """
     from scipy.special import roots_jacobi
 

@@ -1,7 +1,7 @@
-"""A drive on its bearings at one place: stored energy, the torques as its derivatives, and its motion.
+"""A drive on its bearings at one crank angle: stored energy, the torques as its derivatives, and the motion.
 
 With the unknowns q at their balance under a torque or behind a spring, r(q, θ) = 0, the stored energy U(q, θ) changes
-with the crank angle by ∂U/∂θ + b·dq/dθ. Here b = ∂U/∂q minus the balanced forces, the part of Hertz's energy by the
+with the crank angle by ∂U/∂θ + b·dq/dθ. Here b = ∂U/∂q minus the balanced forces: the part of Hertz's energy due to the
 change of the flank's curvature, which the balance neglects (`contact.elastic_energy`).
 """
 
@@ -31,7 +31,7 @@ from cycloid_fmu.supports.balance import (
 )
 from cycloid_fmu.supports.bearing import Bearing, push, stored
 
-# What `stand` writes.
+# Indices of the results of `stand`, and their number.
 X, STIFFNESS, ENERGY, BY_FLANGE, BY_ANGLE, CRANK_TORQUE, RATE, TORQUE = range(8)
 FOUND = 8
 
@@ -48,7 +48,7 @@ class Held(structref.StructRefProxy):  # type: ignore[misc]
     Attributes
     ----------
     drive, assembly, work
-        The mesh, its supports, and arrays to solve in.
+        The mesh, its supports, and work arrays.
     by_energy, by_angle
         Derivatives of the energy by the unknowns minus the balanced forces, and of the balance by θ, shape (unknowns,).
     """
@@ -104,9 +104,9 @@ def _joint(
     drive: Problem, disc: int, force: float, stiffness: float, dx: float, dy: float, r: float, hx: float, hy: float,
     ax: float, ay: float, vx: float, vy: float, by_angle: Array,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Add a joint of disc and carrier with the displacement d, and moved by v with θ in addition to their rotation.
+    """Add a joint of disc and carrier with displacement d, whose derivative by θ beyond their rotation is v.
 
-    Returns the derivatives of its force by θ and of its energy.
+    Return the derivatives of its force and of its energy by θ.
     """
     teeth, at = drive.teeth, FIRST_DISC + 3 * disc
     vx, vy = vx + (hy - ay) / teeth, vy - (hx - ax) / teeth
@@ -159,7 +159,7 @@ def _carried(
     by_angle: Array, force: float, dx: float, dy: float, r: float, ax: float, ay: float, gx: float, gy: float,
     teeth: int,
 ) -> None:  # fmt: skip
-    """Add a joint's part in the carrier."""
+    """Add a joint's contribution to the carrier."""
     by_angle[1] -= gx
     by_angle[2] -= gy
     by_angle[0] += ay * gx - ax * gy
@@ -182,7 +182,7 @@ def _rollers(
         stored_, force, stiffness = _sprung(assembly.turning_arm, r, centring)
         angle, throw = crank + assembly.phase[disc, 0], e + assembly.throw[disc, 0]
         vx, vy = throw * math.sin(angle) - e * math.sin(crank), e * math.cos(crank) - throw * math.cos(angle)
-        # A disc that only shifts on its eccentric: neither arms nor carrier.
+        # A disc on its eccentric only shifts: no lever arms and no carrier.
         gx, gy, turned = _joint(drive, disc, force, stiffness, dx, dy, r, 0.0, 0.0, 0.0, 0.0, vx, vy, by_angle)
         by_angle[shaft] -= gx
         by_angle[shaft + 1] -= gy
@@ -212,28 +212,28 @@ def stand(
     box: Held, theta: float, torque: float, spring: float, flange: float, centring: float, rows: Rows, cold: bool,
     out: Array,
 ) -> int:  # fmt: skip
-    """Solve the balance at a crank angle, from where it was solved last; returns the number of steps, 0 for none.
+    """Solve the balance at a crank angle from the last solution; return the number of steps, 0 if not found.
 
     Parameters
     ----------
     box
-        The drive; its unknowns are in its `work.place`.
+        The drive; its unknowns are in `work.place`.
     theta, torque, spring, flange
-        rad; N·m; N·m/rad and rad as of `balance.Load`.
+        Crank angle (rad), and the load as in `balance.Load` (N·m, N·m/rad, rad).
     centring
         Springs that hold parts free in their clearance, N/m.
     rows, cold
-        Contact rows; whether there is no neighbouring solution.
+        Contact rows, and whether to start without a neighbouring solution.
     out
         Overwritten, shape (`FOUND`,): the carrier's rotation x relative to its ideal one (rad); its stiffness
-        (N·m/rad); the stored energy, the spring's included (J), and its derivatives by the flange and by the crank at a
-        flange that stands still (N·m); the crank's torque and dφ_b/dθ at constant torque (N·m, 1); and the torque on
-        the carrier.
+        (N·m/rad); the stored energy with that of the spring (J), and its derivatives by the flange angle and by the
+        crank angle at a fixed flange (N·m); the crank's torque (N·m) and dφ_b/dθ at constant torque (dimensionless);
+        and the torque on the carrier (N·m).
     """
     drive, assembly, work, by_energy, by_angle = box.drive, box.assembly, box.work, box.by_energy, box.by_angle
     q, teeth, n = work.place, drive.teeth, work.step.size
     if spring > 0.0:
-        # Discs turn with the carrier, or they would be pressed at once.
+        # Discs start with the carrier's rotation, or they would be pressed immediately.
         for i in range(FIRST_DISC + 2, FIRST_DISC + 3 * drive.shift_x.size, 3):
             q[i] += flange - q[0]
         q[0] = flange
@@ -249,7 +249,7 @@ def stand(
         joints, turning = _rollers(drive, assembly, theta, q, centring, by_angle)
     by_theta += turning
     energy += joints + _sprung(assembly.main, math.hypot(q[1] - assembly.seat_x, q[2] - assembly.seat_y), centring)[0]
-    # Rows of the inverse that belong to the carrier's rotation and to the bending, without the flange's spring.
+    # Rows of the inverse for the carrier's rotation and for b, without the flange's spring.
     work.jacobian[0, 0] -= spring
     for i in range(n):
         work.before[i] = by_energy[i]
@@ -273,7 +273,7 @@ def stand(
 
 @part
 def _transposed(drive: Problem, assembly: Assembly, work: Work, right: Array) -> bool:
-    """Solve with the transposed derivatives of the balance."""
+    """Solve with the transposed derivatives of the balance; return False if singular."""
     hold(drive, assembly, work, HELD)
     for i in range(right.size):
         for j in range(i):
@@ -283,10 +283,10 @@ def _transposed(drive: Problem, assembly: Assembly, work: Work, right: Array) ->
 
 @compiled
 def shared(box: Held, rows: Rows, pin_force: Array, pin_pressure: Array) -> tuple[int, float]:
-    """Return pins in contact and the largest pressure after `stand`, as `contact.load_sharing`."""
+    """Return the number of pins in contact and the largest pressure (Pa) after `stand`, as `contact.load_sharing`."""
     return load_sharing(box.drive, rows, pin_force, pin_pressure)
 
 
 def room(unknowns: int) -> tuple[Array, Array]:
-    """Return empty arrays of a `Held`."""
+    """Return uninitialized arrays for a `Held`."""
     return np.zeros(unknowns), np.zeros(unknowns)

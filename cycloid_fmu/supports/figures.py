@@ -18,7 +18,7 @@ from cycloid_fmu.surfaces.surface import nominal_surface
 
 Array = NDArray[np.float64]
 LIFE_EXPONENT = 10.0 / 3.0  # roller bearings (ISO 281)
-LOADS = (0.5, 1.0)  # of the rated torque: between them the stiffness of a catalogue is taken
+LOADS = (0.5, 1.0)  # of the rated torque, between which catalogues define the stiffness
 _ANGLES = 90
 
 
@@ -31,9 +31,9 @@ class Share:
     part
         "mesh", "turning arms" and so on; "clearances" come last.
     compliance
-        Added between half and all of the rated torque, rad/(N·m), mean over the crank angles.
+        Contribution to the compliance between half and full rated torque, rad/(N·m), mean over the crank angles.
     lost_motion
-        Added to the lost motion (GB/T 40731), rad, mean over the crank angles.
+        Contribution to the lost motion (GB/T 40731), rad, mean over the crank angles.
     """
 
     part: str
@@ -42,9 +42,9 @@ class Share:
 
 
 def remaining(supports: Supports, shares: Sequence[Share]) -> float:
-    """Return the rest of the catalogue's compliance for the parts that the model assumes rigid, rad/(N·m).
+    """Return the catalogue's compliance minus the model's, left for parts that are assumed rigid, rad/(N·m).
 
-    Below zero if the model is more compliant than the catalogue states; NaN without a catalogue's stiffness.
+    It is below zero if the model is more compliant than the catalogue, and NaN without a catalogue's stiffness.
     """
     if supports.catalogue_stiffness is None:
         return math.nan
@@ -52,7 +52,7 @@ def remaining(supports: Supports, shares: Sequence[Share]) -> float:
 
 
 def _stages(supports: Supports) -> list[tuple[str, Supports]]:
-    """Return the supports with one part after the other compliant, first without any clearance."""
+    """Return the supports with one part after the other made compliant, without clearances until the last."""
     tight = {
         name: value.replace(clearance=0.0)
         for name, value in ((n, getattr(supports, n)) for n in Supports.model_fields)
@@ -81,12 +81,13 @@ def _stages(supports: Supports) -> list[tuple[str, Supports]]:
 def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: None) -> list[Share]:
     """Return the shares of compliance and lost motion of a drive as drawn.
 
-    One part after the other is given its stiffness, from the mesh between rigid bodies outwards; the clearances last.
+    The parts get their stiffness one after the other, starting with the mesh between rigid bodies; clearances come
+    last.
 
     Parameters
     ----------
     pair
-        With supports and rated torque; stated errors and temperatures are ignored.
+        A pair with supports and rated torque; stated errors and temperatures are ignored.
     progress
         Called after each part.
 
@@ -102,9 +103,9 @@ def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: N
     """
     pair = pair.nominal.replace(temperature=None)
     if pair.supports is None:
-        raise edge.InputError("the pair has no [supports]: its compliance is that of the mesh alone, rigid bodies.")
+        raise edge.InputError("the pair has no [supports]: its compliance is that of the mesh only.")
     if pair.rated_torque is None:
-        raise edge.InputError("rated_torque is missing; the compliance is taken between half of it and all.")
+        raise edge.InputError("rated_torque is missing; the compliance is that between half and full rated torque.")
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
     loads = [share * pair.rated_torque for share in (*LOADS, LOST_MOTION_LOAD, -LOST_MOTION_LOAD)]
     shares, soft, lost = [], 0.0, 0.0
@@ -127,9 +128,9 @@ class BearingLoad:
     bearing
         "turning arm, disc 0, crank 1" and so on.
     largest, equivalent
-        Largest force and the constant one of the same life, N.
+        Largest force, and the constant force with the same life, N.
     life
-        Basic rating life L10 in crank turns (ISO 281), infinite without load; NaN without a capacity.
+        Basic rating life L10 in crank turns (ISO 281); infinite without load, NaN without a load rating.
     """
 
     bearing: str
@@ -141,7 +142,7 @@ class BearingLoad:
 def equivalent_load(force: ArrayLike) -> Array:
     """Return the constant load with the same life as forces over equal steps of the crank (first axis), N.
 
-    The mean of F^p to the power 1/p with p = 10/3 of roller bearings (ISO 281, with a bearing that turns evenly).
+    It is the mean of F^p to the power 1/p, with p = 10/3 for roller bearings (ISO 281, at constant speed).
     """
     return np.asarray(np.mean(np.asarray(force) ** LIFE_EXPONENT, axis=0) ** (1.0 / LIFE_EXPONENT))
 
@@ -152,17 +153,17 @@ def bearing_loads(pair: Pair, found: Transmission, load: int = 0) -> list[Bearin
     Parameters
     ----------
     pair
-        With supports; each bearing's `dynamic_capacity` gives its life.
+        A pair with supports; each bearing's `dynamic_capacity` gives its life.
     found
-        Of `solve`.
+        Result of `solve`.
     load
         Index of the torque.
     """
     supports = pair.supports
     if supports is None:
-        raise edge.InputError("the pair has no [supports]: it has no bearings whose load could be computed.")
+        raise edge.InputError("the pair has no [supports]: it has no bearings to compute loads for.")
     assert isinstance(found, OnBearings)
-    # Turns of the inner ring against the outer for each turn of the crank.
+    # Turns of the inner ring relative to the outer ring per crank turn.
     in_disc = 1.0 + 1.0 / pair.gear_teeth
     at_shaft = in_disc if supports.kind == "cranks" else 1.0
     arm = "turning arm" if supports.kind == "cranks" else "eccentric bearing"
@@ -195,11 +196,11 @@ class DutyLife:
     Attributes
     ----------
     bearing
-        As of `BearingLoad`.
+        As in `BearingLoad`.
     equivalent
-        Constant load of the same life at the duty's mean speed, N; 0 at standstill.
+        Constant load with the same life at the duty's mean speed, N; 0 at standstill.
     life
-        Basic rating life L10h, s; infinite without load or at standstill, NaN without a capacity.
+        Basic rating life L10h, s; infinite without load or at standstill, NaN without a load rating.
     """
 
     bearing: str
@@ -212,18 +213,18 @@ def lives_over_duty(
 ) -> list[DutyLife]:
     """Return every bearing's load and basic rating life over a duty.
 
-    Each load uses up its share of a life (Palmgren-Miner), which is ISO 281's mean load for varying load and speed:
-    P = (sum(q n P_i^p)/sum(q n))^(1/p), p = 10/3, over shares q of time at speeds n. Modified lives (a_ISO) need the
-    lubricant's viscosity and cleanliness, which no file states.
+    Damage accumulates linearly (Palmgren-Miner), which gives ISO 281's mean load for varying load and speed: P = (sum(q
+    n P_i^p)/sum(q n))^(1/p), p = 10/3, over shares q of time at speeds n. Modified lives (a_ISO) need the lubricant's
+    viscosity and cleanliness, which no file states.
 
     Parameters
     ----------
     loads
-        Bearings of each row of the duty, `bearing_loads`.
+        Result of `bearing_loads` for each row of the duty.
     crank_speed
-        Of each row, rad/s, not below 0.
+        Crank speed of each row, rad/s, not below 0.
     share
-        Of the time, of each row.
+        Share of the time of each row.
     """
     turning = np.asarray(crank_speed) * np.asarray(share) / (2.0 * math.pi)
     found = []

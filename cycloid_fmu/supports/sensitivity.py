@@ -1,7 +1,7 @@
 """Derivatives of the transmission error of a drive on its bearings by all displacements.
 
-Where r(q, p) = 0 is the balance, dx/dp = -λ·∂r/∂p with λ the row of (∂r/∂q)⁻¹ that belongs to the carrier's rotation:
-one linear solution a crank angle, whatever the number of errors (docs/theory/supports.md).
+Where r(q, p) = 0 is the balance, dx/dp = -λ·∂r/∂p with λ the row of (∂r/∂q)⁻¹ for the carrier's rotation: one linear
+solution per crank angle, for any number of errors (docs/theory/supports.md).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from cycloid_fmu.supports.balance import (
 )
 from cycloid_fmu.supports.bearing import CENTRING, Bearing, by_clearance, push
 
-# Beside the errors' columns, each bearing's two: the logarithm of its stiffness, and its clearance.
+# Columns in addition to those of errors, two per bearing: logarithm of its stiffness, and its clearance.
 TURNING_ARM, CRANK_SHAFT, MAIN, OUTPUT_ROLLER = range(4)
 
 
@@ -55,7 +55,7 @@ def _row_of_rotation(problem: Problem, assembly: Assembly, work: Work) -> bool:
 def _add_mesh(
     problem: Problem, theta: float, x: float, contacts: Rows, row: Array, out: Array, by_angle: Array
 ) -> None:
-    """Subtract λ·∂r/∂p of the pins' and flanks' displacements, and of the crank angle."""
+    """Subtract λ·∂r/∂p for the displacements of pins and flanks, and for the crank angle."""
     teeth = problem.teeth
     pins = teeth + 1
     radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
@@ -72,7 +72,7 @@ def _add_mesh(
         at = FIRST_DISC + 3 * disc
         lu, lv, ly = row[at], row[at + 1], row[at + 2]
         turn, slide = nx * py - ny * px, -(nx * px + ny * py)
-        # What λ does to the gap, and to the pin's slide along the flank.
+        # Projection of λ on the gap and on the pin's sliding along the flank.
         along, across = -nx * lu - ny * lv + turn * ly, ny * lu - nx * lv + slide * ly
         k, bend = contact_.stiffness, local.bend
         curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
@@ -85,7 +85,7 @@ def _add_mesh(
         out[PIN_GENERATING] -= k * along
         pressed, turned = larger_circle(problem, contact_, pin, local)
         out[CIRCLE_GENERATING] += pressed * along + force * turned * across
-        # A flank that is turned or shifted is the disc turned or shifted: λ·∂r/∂(u, v, y) of this contact.
+        # Rotating or shifting a flank is rotating or shifting the disc: λ·∂r/∂(u, v, y) of this contact.
         by_u = -k * nx * along - force * bend * ny * across - curved * ny * along - force * ny * ly
         by_v = -k * ny * along + force * bend * nx * across + curved * nx * along + force * nx * ly
         by_y = k * turn * along - force * bend * slide * across - curved * slide * along
@@ -101,7 +101,7 @@ def _displaced(
     force: float, k: float, curved: float, bend: float, along: float, across: float, turn: float, nx: float, ny: float,
     vx: float, vy: float,
 ) -> float:  # fmt: skip
-    """-λ·∂r of a pin's axis that moves by v."""
+    """-λ·∂r for a motion v of a pin's axis."""
     normal, tangent = vx * nx + vy * ny, vy * nx - vx * ny
     pressed = curved * tangent - k * normal
     return pressed * along + force * (bend * tangent * across + turn * (nx * vy - ny * vx))
@@ -109,7 +109,7 @@ def _displaced(
 
 @part
 def _stiff(force: float, stiffness: float, dx: float, dy: float, r: float, vx: float, vy: float) -> tuple[float, float]:
-    """Change of a bearing's force where its displacement d changes by v."""
+    """Change of a bearing's force if its displacement d changes by v."""
     if r == 0.0:
         return stiffness * vx, stiffness * vy
     nx, ny, across = dx / r, dy / r, force / r
@@ -119,7 +119,7 @@ def _stiff(force: float, stiffness: float, dx: float, dy: float, r: float, vx: f
 
 @part
 def _law_columns(bearing: Bearing, r: float, along: float, law: int, out: Array) -> None:
-    """Subtract λ·∂r/∂p of a bearing's stiffness (its logarithm) and clearance; `along` is λ·∂r by its force."""
+    """Subtract λ·∂r/∂p for a bearing's stiffness (logarithm) and clearance; `along` is λ·∂r by its force."""
     force, _ = push(bearing, r)
     out[2 * law] -= force * along
     out[2 * law + 1] -= by_clearance(bearing, r) * along
@@ -132,10 +132,10 @@ class _Joint(NamedTuple):
     number: int
     x: float  # displacement d, m
     y: float
-    r: float  # its length
+    r: float  # |d|, m
     force: float
     stiffness: float
-    hole_x: float  # arms of disc and carrier, m
+    hole_x: float  # lever arms of disc and carrier, m
     hole_y: float
     carrier_x: float
     carrier_y: float
@@ -148,9 +148,9 @@ def _add_places(
     problem: Problem, theta: float, q: Array, row: Array, out: Array, first: int, count: int, joint: _Joint,
     by_angle: Array, vx: float, vy: float,
 ) -> None:  # fmt: skip
-    """Subtract λ·∂r/∂p of the place of a joint's hole in its disc and of the joint's in the carrier.
+    """Subtract λ·∂r/∂p for the positions of a joint's hole in its disc and of the joint in the carrier.
 
-    And of the crank angle, where beside the carrier's turn d changes by v with it.
+    Also for the crank angle; v is the derivative of d by it beyond the carrier's rotation.
     """
     carrier, holes = -theta / problem.teeth, problem.shift_x.size * count
     x, y, r, force, stiffness, lx, ly = (
@@ -197,7 +197,7 @@ def _add_cranks(
             dx, dy, hx, hy, ax, ay = crank_displacement(assembly, carrier, theta, problem.crank_phase[disc], q, disc, k)
             r = math.hypot(dx, dy)
             force, stiffness = push(assembly.turning_arm, r)
-            # What λ does to the displacement.
+            # Projection of λ on the displacement.
             lx = row[at] - row[1] - row[shaft] - hy * row[at + 2] + ay * row[0]
             ly = row[at + 1] - row[2] - row[shaft + 1] + hx * row[at + 2] - ax * row[0]
             angle, length = crank + assembly.phase[disc, k], e + assembly.throw[disc, k]
@@ -274,7 +274,7 @@ def _add_rollers(
 def _add_seat(
     assembly: Assembly, bearing: Bearing, q: Array, row: Array, at: int, law: int, out: Array, laws: Array
 ) -> None:
-    """Subtract λ·∂r/∂p of a bearing that stands in the housing's seat."""
+    """Subtract λ·∂r/∂p for a bearing in the housing's seat."""
     dx, dy = q[at] - assembly.seat_x, q[at + 1] - assembly.seat_y
     r = math.hypot(dx, dy)
     force, stiffness = push(bearing, r)
@@ -290,16 +290,17 @@ def sweep_supported_sensitivities(
     problem: Problem, assembly: Assembly, thetas: Array, torques: Array, places: Array, errors: Array, laws: Array,
     by_angle: Array, by_torque: Array, work: Work,
 ) -> bool:  # fmt: skip
-    """Write the derivatives of the deviation at places that balance; returns whether there are any.
+    """Write the derivatives of the deviation at given solutions; return False if one is singular.
 
     Parameters
     ----------
     thetas, torques, places
-        Crank angles (rad) and the torque at each (N·m), shape (angles,); the unknowns there, shape (angles, unknowns).
+        Crank angles (rad) and the torque at each (N·m), shape (angles,); the solutions, shape (angles, unknowns).
     errors, laws, by_angle, by_torque
-        Zeros, overwritten: derivatives of x by every displacement, in the order of
+        Zeros on entry; overwritten with the derivatives of x by every displacement, in the order of
         `surfaces.structured.displacement_layout`, shape (angles, displacements), and by each bearing's logarithm of
-        stiffness (rad) and clearance (rad/m), shape (angles, 8); by crank angle (1) and torque (rad/(N·m)), (angles,).
+        stiffness (rad) and clearance (rad/m), shape (angles, 8); by crank angle (dimensionless) and torque (rad/(N·m)),
+        shape (angles,).
     """
     contacts = contact.contact_rows(problem)
     first = BODY_COUNT + 3 * problem.pin_x.size + problem.tooth_turn.size

@@ -27,7 +27,7 @@ from cycloid_fmu.supports.bearing import CENTRING, push
 
 
 class Found(NamedTuple):
-    """Results of a sweep: shapes (angles, ...)."""
+    """Results of a sweep, SI; the first axis is the crank angle."""
 
     steps: NDArray[np.int64]
     place: Array
@@ -45,7 +45,7 @@ class Found(NamedTuple):
 
 @spliced
 def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found: Found, i: int) -> float:
-    """Write every bearing's force; return the crank torque."""
+    """Write the force of every bearing (N); return the crank torque (N·m)."""
     discs = problem.shift_x.size
     carrier = -theta / problem.teeth
     crank_torque = 0.0
@@ -84,7 +84,7 @@ def sweep_supported(
     problem: Problem, assembly: Assembly, thetas: Array, torques: Array, with_forces: bool, found: Found, work: Work,
     lines: contact.ContactLines,
 ) -> None:  # fmt: skip
-    """Solve crank angles, each at its torque and from its neighbours, and write contact lines if required."""
+    """Solve crank angles, each at its torque and starting from its neighbour, and write contact lines on request."""
     contacts = contact.contact_rows(problem)
     q = work.place
     for i in range(thetas.size):

@@ -1,4 +1,4 @@
-"""A drive on its bearings over crank angles: motion of its bodies, load of every bearing, and a labelled dataset."""
+"""A drive on its bearings over crank angles: motion of the bodies, loads of all bearings, and a labelled dataset."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
-PLAY_LOAD = 1e-3  # of the rated torque: what leaves the play between its two directions
+PLAY_LOAD = 1e-3  # of the rated torque: the play is that between the tangents at this torque in both directions
 _PART = 64  # crank angles that one thread solves at a time
 
 _LABELS = {
-    "disc_shift_x": (("disc",), "m", "shift of each disc's centre from its ideal place along x"),
-    "disc_shift_y": (("disc",), "m", "shift of each disc's centre from its ideal place along y"),
-    "turning_arm_force": (("disc", "crank"), "N", "force of each crank's, or the eccentric's, bearing in each disc"),
+    "disc_shift_x": (("disc",), "m", "shift of each disc's centre from its ideal position along x"),
+    "disc_shift_y": (("disc",), "m", "shift of each disc's centre from its ideal position along y"),
+    "turning_arm_force": (("disc", "crank"), "N", "force of each crank's or the eccentric's bearing in each disc"),
     "crank_bearing_force": (("crank",), "N", "force of each crank's bearings in carrier or housing"),
     "main_bearing_force": ((), "N", "force of the carrier's bearing in the ring"),
     "output_roller_force": (("disc", "roller"), "N", "force of each output roller in each disc's hole"),
@@ -82,13 +82,13 @@ def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
         main=main,
         output_roller=stiffness,
         rotation_scale=pair.pin_circle_radius,
-        # The last digits of a rotation move a crank by 1e-19 m, those of a gap are 1e-17 m.
+        # Rounding of a rotation moves a crank by 1e-19 m, rounding of a gap is 1e-17 m.
         balanced=max(1e-3 if rigid else 1e-7, 1e-17 * mesh),
     )
 
 
 def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
-    """Return the mesh of a pair with supports: discs are placed by the bearings, pins are compliant in their seats."""
+    """Return the mesh of a pair with supports: bearings position the discs, and pins are compliant in their seats."""
     mesh = transmission.mesh_of(pair, surface, slices)
     pair = pair.at_temperature
     supports = pair.supports
@@ -104,24 +104,25 @@ def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
 
 @dataclass(frozen=True)
 class OnBearings(Transmission):
-    """Results of a crank sweep of a drive on its bearings, SI: those of `Transmission`, and the motion of the bodies.
+    """Results of a crank sweep of a drive on its bearings, SI: `Transmission` with the motion of the bodies.
 
-    The play is from the tangents at ± `PLAY_LOAD` of the rated torque to zero torque; there is no interference.
+    The play is extrapolated to zero torque by the tangents at ± `PLAY_LOAD` of the rated torque; there is no
+    interference.
 
     Attributes
     ----------
     disc_shift_x, disc_shift_y
-        Shape (torques, angles, discs): shift of each disc's centre from its ideal place, m.
+        Shift of each disc's centre from its ideal position, shape (torques, angles, discs), m.
     disc_turn
-        Shape (torques, angles, discs): rotation of each disc beyond the output's deviation, rad.
+        Rotation of each disc relative to the output's deviation, shape (torques, angles, discs), rad.
     turning_arm_force
-        Shape (torques, angles, discs, cranks), N; one crank with output rollers.
+        Force of each turning arm, shape (torques, angles, discs, cranks), N; one crank with output rollers.
     crank_bearing_force
-        Shape (torques, angles, cranks), N.
+        Force of each crank's bearings in carrier or housing, shape (torques, angles, cranks), N.
     main_bearing_force
-        Shape (torques, angles), N.
+        Force of the main bearing, shape (torques, angles), N.
     output_roller_force
-        Shape (torques, angles, discs, rollers), N; none with cranks.
+        Force of each output roller, shape (torques, angles, discs, rollers), N; no rollers with cranks.
     """
 
     disc_shift_x: Array
@@ -178,7 +179,7 @@ def solve(
     Returns
     -------
     Transmission
-        An `OnBearings` of a pair with supports.
+        For a pair with supports an `OnBearings`.
 
     Raises
     ------
@@ -222,13 +223,13 @@ def _solve(
     pair: Pair, surface: ErrorSurface, torques: Array, angles: Array, slices: int, found: Found, first: int = 0,
     workers: int = 1, progress: Callable[[int], None] = lambda angles: None, lines: ContactLines | None = None,
 ) -> None:  # fmt: skip
-    """Find places at every torque but 0, shape (torques, angles), and forces of the torques from `first` on."""
+    """Find solutions at every torque except 0, shape (torques, angles), and forces of the torques from `first` on."""
     merging, none = threading.Lock(), transmission.no_lines(1)
     assembly = assembly_of(pair, surface)
     mesh = problem_of(pair, surface, slices)
 
     def part(start: int, last: int) -> None:
-        # Each thread moves discs of its own.
+        # Each thread needs its own discs.
         shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
         problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
         for k, torque in enumerate(torques):
@@ -251,7 +252,7 @@ def _solve(
 
 
 def _lines_of(lines: ContactLines, load: int, angles: slice) -> ContactLines:
-    """Return the lines of one torque at some angles, with pressures of their own, which threads do not share."""
+    """Return the lines of one torque at some angles, with separate pressures for each thread."""
     one = np.s_[load : load + 1]
     return lines._replace(
         slice_force=lines.slice_force[one, angles], slice_direction=lines.slice_direction[one, angles],
@@ -261,16 +262,16 @@ def _lines_of(lines: ContactLines, load: int, angles: slice) -> ContactLines:
 
 def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
     return edge.InputError(
-        f"torque = {torque:g} N*m: nothing balances it at a crank angle of {crank_angle:.6g} rad; give one that the "
-        "drive can carry."
+        f"torque = {torque:g} N*m: the drive can't balance it at a crank angle of {crank_angle:.6g} rad; give a "
+        "smaller one."
     )
 
 
 def play_loads(pair: Pair) -> list[float]:
-    """Return the torques whose tangents give the ends of the play, N·m; an `edge.InputError` without a rated torque."""
+    """Return the torques whose tangents give the ends of the play, N·m; without a rated torque an `edge.InputError`."""
     if pair.rated_torque is None:
         raise edge.InputError(
-            f"rated_torque is missing; with [supports] the play at no torque is computed at {PLAY_LOAD:g} of it."
+            f"rated_torque is missing; with [supports] the play is computed from {PLAY_LOAD:g} of it."
         )
     return [-PLAY_LOAD * pair.rated_torque, PLAY_LOAD * pair.rated_torque]
 
@@ -278,12 +279,12 @@ def play_loads(pair: Pair) -> list[float]:
 def _result(
     pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found, lines: ContactLines
 ) -> OnBearings:  # fmt: skip
-    """Return the results, the play's two torques, if `first` is 2, before the others."""
+    """Return the results; if `first` is 2, the play's two torques precede the others."""
     deviation = found.place[..., 0]
     low = high = np.full(angles.size, np.nan)
     if first:
-        # Where the tangents at a small torque either way meet no torque: without clearance but with errors no place is
-        # without energy, yet the output swings.
+        # The ends of the play are where the tangents at a small torque in either direction reach zero torque. Without
+        # clearance but with errors every position stores energy, yet the output still moves freely.
         ends = deviation[:2] - at_angles[:2] / found.stiffness[:2]
         middle = ends.mean(axis=0)
         low, high = np.minimum(ends[0], middle), np.maximum(ends[1], middle)
@@ -310,7 +311,7 @@ LAWS = tuple(
     for bearing_ in ("turning_arm", "crank_shaft", "main", "output_roller")
     for what in ("stiffness", "clearance")
 )
-"""Columns of a sensitivity by bearings: by the logarithm of a stiffness (rad), by a clearance (rad/m)."""
+"""Columns of the sensitivity to bearings: to the logarithm of a stiffness (rad), to a clearance (rad/m)."""
 
 
 @dataclass(frozen=True)
@@ -320,13 +321,14 @@ class Sensitivity:
     Attributes
     ----------
     transmission_error
-        Shape (angles,), rad.
+        Transmission error, shape (angles,), rad.
     by_displacement
-        By all displacements, `structured.displacement_layout`, shape (angles, displacements), rad/m.
+        Derivative by all displacements (`structured.displacement_layout`), shape (angles, displacements), rad/m, for
+        angles rad/rad.
     by_bearing
-        By `LAWS`, shape (angles, 8).
+        Derivative by the parameters of `LAWS`, shape (angles, 8).
     by_crank_angle, by_torque
-        Shape (angles,): 1 and rad/(N·m).
+        Derivatives by crank angle (dimensionless) and torque (rad/(N·m)), shape (angles,).
     """
 
     transmission_error: Array
@@ -339,7 +341,7 @@ class Sensitivity:
 def sensitivity(
     pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, slices: int = 1
 ) -> Sensitivity:
-    """Return the transmission error of a drive on its bearings at one torque, or one for each angle, differentiated.
+    """Return transmission error and derivatives of a drive on its bearings at one torque, or one per crank angle.
 
     Raises
     ------
@@ -364,12 +366,12 @@ def sensitivity(
 def error_sensitivity(
     pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, names: list[str], slices: int = 1
 ) -> tuple[Array, Array]:
-    """Return the transmission error at a torque, or one for each angle, with its derivatives by errors or bearings.
+    """Return the transmission error at one torque, or one per angle, and its derivatives by errors or bearings.
 
     Parameters
     ----------
     names
-        Structured errors, and bearings' stiffnesses and clearances by `LAWS`.
+        Names of structured errors, and of bearing stiffnesses and clearances from `LAWS`.
 
     Returns
     -------
@@ -379,13 +381,13 @@ def error_sensitivity(
     Raises
     ------
     edge.InputError
-        If a torque can't be carried, or a profile deviation is requested with supports.
+        If a torque can't be carried, or a derivative by a profile deviation is requested.
     """
     if pair.supports is None:
         return transmission.error_sensitivity(pair, surface, torque, crank_angle, names, slices)[:2]
     for name in names:
         if profile_wave(name, 1) is not None:
-            raise edge.ArgumentError("errors", "the flanks' profile has no derivatives with supports yet", name)
+            raise edge.ArgumentError("errors", "derivatives by the flank profile are not available with supports", name)
     found = sensitivity(pair, surface, torque, crank_angle, slices)
     errors = [name for name in names if name not in LAWS]
     columns = dict(zip(errors, (found.by_displacement @ displacement_columns(pair, errors)).T, strict=True))
@@ -405,5 +407,7 @@ def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int
                 one = "crank" in dimensions and pair.supports is not None and pair.supports.kind == "output_rollers"
                 data[name] = (each[:-1], values[..., 0]) if one else (each, values)
                 data[name].attrs.update(units=unit, long_name=text)
-        data["backlash"].attrs["long_name"] = f"play at no torque, computed at {PLAY_LOAD:g} of the rated torque"
+        data["backlash"].attrs["long_name"] = (
+            f"play at zero torque, extrapolated from {PLAY_LOAD:g} of the rated torque"
+        )
     return data

@@ -58,7 +58,7 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
     Raises
     ------
     edge.InputError
-        If it can't be read, is of another format, lacks a variable, or has a wrong unit, size or a value out of range.
+        If it can't be read, has another format, lacks a variable, or has a wrong unit or size or a value out of range.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
             raise edge.InputError(f"{path}: {name} must hold numbers.")
     pair = parse_pair(data.attrs.get("pair", ""), f"{path} (its pair)")
     for name in FIRST_KINDS:
-        # A kind that came later is zero in a file that was written before.
+        # A kind that was added later is zero in older files.
         if name not in data:
             raise edge.InputError(f"{path}: the variable {name} is missing.")
     for name in (*KINDS, *DEVIATIONS):

@@ -1,13 +1,13 @@
 """Measured error surfaces: coordinates of flanks and pins from a coordinate measuring machine.
 
-A point's deviation is its distance along the normal from the closest point of the nominal surface. The frame of a
-measurement is the machine's, so it is fitted: for each disc's gear a rotation about the axis and a shift across it,
-together with a rotation of each tooth (its pitch); for the pins a circle each, and the rotation and shift of all their
-centres. z is not fitted: 0 at mid-width, along the axis.
+A point's deviation is its distance along the normal from the closest point of the nominal surface. Points are in the
+machine's frame, so the nominal frame is fitted: for each disc's gear a rotation about the axis and a shift normal to
+it, together with a rotation of each tooth (its pitch); for the pins a circle each, and the rotation and shift of all
+their centres. z, along the axis and 0 at mid-width, is not fitted.
 
 Quantities that a fitted frame can't determine are set to zero: the mean pitch of the teeth, the mean tangential error
-of the pins, and the part of the pins' position errors that is a shift of them all. The mean of the pins' radial errors
-is the error of the pin circle, the mean of their radius errors that of all pins; the remainders are those of each pin.
+of the pins, and the common shift in the pins' position errors. The mean of the pins' radial errors is the error of the
+pin circle, the mean of their radius errors that of all pins; the remainders are the errors of each pin.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ DEFAULT_ELEMENTS = Elements(profile=50, width=5, angle=25)
 
 _MICRON = 1e-6
 _NEIGHBOURS = 8
-# A point is an outlier this many robust standard deviations (1.4826 of the median absolute one) off its neighbours,
-# and never closer to them than the floor: a noiseless, steep form has outliers of its own otherwise.
+# A point is an outlier if its distance from its neighbours exceeds this many robust standard deviations (1.4826 times
+# the median absolute deviation) and the floor; without the floor, points of a noiseless, steep form would be outliers.
 _OUTLYING, _OUTLYING_FLOOR = 8.0, 2e-6
 _ROUGH_POINTS = 600
 
@@ -60,11 +60,11 @@ class MeasuredPoints:
     Attributes
     ----------
     gear
-        True for a gear's flank, False for a pin.
+        True for a point on a gear's flank, False for one on a pin.
     disc, number
-        The disc (gears only, else 0) and the tooth or pin, from 0.
+        Number of the disc (0 for pins), and of the tooth or pin, from 0.
     x, y, z
-        m, in the machine's frame, z along the axis from mid-width.
+        Coordinates in the machine's frame, m; z along the axis from mid-width.
     line
         The line of the file, from 1.
     source
@@ -90,9 +90,9 @@ class Alignment:
     body
         "gear, disc 0" and so on, or "pins".
     x, y, rotation
-        Place of the nominal frame in the machine's frame: m, m, rad counter-clockwise.
+        Position (m) and rotation (rad, counter-clockwise) of the nominal frame in the machine's frame.
     points, outliers
-        Points measured, and those of them left out.
+        Number of measured points, and of outliers among them.
     rms
         Root mean square of the points' deviations after pitch, positions and radii are removed, m.
     scatter
@@ -111,7 +111,7 @@ class Alignment:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A point that was left out: its line in the file, its place, and its distance from its neighbours, m."""
+    """A removed point: its line in the file, its position, and its distance from its neighbours, m."""
 
     line: int
     place: str
@@ -120,7 +120,7 @@ class Outlier:
 
 @dataclass(frozen=True)
 class MeasurementReport:
-    """Report of the fit; `gear_empty` and `pin_empty` are True for elements that were interpolated."""
+    """Report of the fit; `gear_empty` and `pin_empty` are True for interpolated elements."""
 
     alignments: tuple[Alignment, ...]
     outliers: tuple[Outlier, ...]
@@ -132,7 +132,8 @@ class MeasurementReport:
 def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
     """Read points from CSV: a header `body,disc,number,x [mm],y [mm],z [mm]`, one row for each point.
 
-    `body` is gear or pin, `disc` is empty or 0 for pins, `number` the tooth or pin from 0; any unit of length will do.
+    `body` is gear or pin, `disc` is empty or 0 for pins, `number` is the tooth or pin from 0; any unit of length is
+    accepted.
 
     Raises
     ------
@@ -161,7 +162,7 @@ def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
         x, y, z = (edge.finite(cells[name], f"{path}: line {line}: {name}") * lengths[name][1] for name in LENGTHS)
         rows.append((gear, disc, number, x, y, z, line))
     if not rows:
-        raise edge.InputError(f"{path}: the file has no points; it needs a line for each, below its header.")
+        raise edge.InputError(f"{path}: the file has no points; write one line per point below the header.")
     columns = list(zip(*rows, strict=True))
     return MeasuredPoints(
         gear=np.array(columns[0], dtype=bool),
@@ -189,20 +190,20 @@ def closest_on_tooth(pair: Pair, points: Complex) -> tuple[Array, Array, Complex
     pair
         The pair.
     points
-        x + iy in the gear frame, turned back to tooth 0, shape (points,), m.
+        Points x + iy in the gear frame, rotated back to tooth 0, shape (points,), m.
 
     Returns
     -------
     alpha
-        Profile parameter of the closest point, kept within a twentieth of the tooth beyond its ends, rad.
+        Profile parameter of the closest point, rad; limited to a twentieth of the tooth beyond its ends.
     deviation
-        Distance from it, > 0 outside the material, m; along the normal, except where limited by the tooth's ends.
+        Distance from this point, m, > 0 outside the material; along the normal unless limited by the tooth's ends.
     normal
-        Unit normal out of the material there, x + iy.
+        Unit normal at this point, out of the material, x + iy.
 
     Notes
     -----
-    Newton along the arc: with d the deviation, d/ds of the distance along the tangent is -(1 + d/ρ_c).
+    Newton's method along the arc: with deviation d, the tangential distance changes by -(1 + d/ρ_c) per arc length.
     """
     span = 2.0 * np.pi / pair.gear_teeth
     starts = np.linspace(0.0, span, 97)
@@ -214,11 +215,11 @@ def closest_on_tooth(pair: Pair, points: Complex) -> tuple[Array, Array, Complex
         x, y = flank_points(pair, alpha)
         normal = _complex(*flank_normals(pair, alpha))
         away = (points - _complex(x, y)) * normal.conj()
-        # Where the centre of curvature is near, 1 + d/ρ_c is no guide: there the step is that of a straight flank.
+        # Near the centre of curvature 1 + d/ρ_c is unreliable, so the step is that of a straight flank.
         turn = 1.0 + away.real * flank_curvature(pair, alpha)
         step = away.imag / np.where(turn > 0.2, turn, 1.0) / flank_speed(pair, alpha)
         new = np.clip(alpha + np.clip(step, -0.05 * span, 0.05 * span), low, high)
-        # A foot that is a step of 1e-9 rad off changes the distance by its square: nothing.
+        # An error of 1e-9 rad of the foot point changes the distance only by its square.
         done = np.abs(new - alpha).max(initial=0.0) < 1e-9
         alpha = new
         if done:
@@ -234,16 +235,16 @@ def _complex(x: Array, y: Array) -> Complex:
 
 
 def outlying(surface: Integers, along: Array, z: Array, deviation: Array) -> tuple[Booleans, Array]:
-    """Points away from their neighbours on the same tooth or pin, and their distances.
+    """Outliers among the points of each tooth or pin, and the distances of all points from their neighbours.
 
     Parameters
     ----------
     surface
-        Tooth or pin of each point, shape (points,).
+        Number of each point's tooth or pin, shape (points,).
     along, z
-        Place on it along the profile and the width, m.
+        Position along the profile and across the width, shape (points,), m.
     deviation
-        m.
+        Deviation of each point, shape (points,), m.
 
     Returns
     -------
@@ -254,7 +255,7 @@ def outlying(surface: Integers, along: Array, z: Array, deviation: Array) -> tup
     apart = 10.0 * (np.ptp(along) + np.ptp(z))
     places = np.column_stack([along, z, surface * apart])
     nearest = spatial.cKDTree(places).query(places, k=min(_NEIGHBOURS + 1, along.size))[1]
-    # A neighbour on another tooth (where a tooth has few points) says nothing.
+    # If a tooth has few points, neighbours on other teeth are ignored.
     same = surface[nearest] == surface[:, None]
     same[:, 0] = False
     distance = deviation - np.nanmedian(np.where(same, deviation[nearest], np.nan), axis=1)
@@ -265,22 +266,23 @@ def outlying(surface: Integers, along: Array, z: Array, deviation: Array) -> tup
 def element_means(
     surface: Integers, row: Integers, column: Integers, values: Array, shape: tuple[int, int, int]
 ) -> Any:
-    """Mean of the points in each element, those without points interpolated along row, then column.
+    """Mean of the points in each element; elements without points are interpolated along rows, then columns.
 
     Parameters
     ----------
     surface, row, column
-        Element of each point: tooth or pin, along the profile, across the width.
+        Indices of each point's element: tooth or pin, along the profile, across the width; shape (points,).
     values
-        Shape (points,).
+        Value of each point, shape (points,).
     shape
-        Of the result.
+        Shape of the result.
 
     Returns
     -------
     means, empty
-        Shape `shape`; empty elements take the straight line between their neighbours along the profile in the same
-        slice of the width, the nearest one beyond the last; a slice without any point takes it between slices.
+        Means, and whether an element is empty, shape `shape`. Empty elements are interpolated linearly along the
+        profile within the same slice of the width, and constant beyond the last; a slice without points is interpolated
+        between slices.
     """
     flat = np.ravel_multi_index((surface, row, column), shape)
     count = np.bincount(flat, minlength=int(np.prod(shape))).reshape(shape)
@@ -302,16 +304,16 @@ def _length(value: float) -> str:
 
 
 def _check_units(points: MeasuredPoints, mask: Booleans, pair: Pair, body: str) -> list[str]:
-    """Refuse coordinates that can't be those of this pair, by their extent; note a narrow trace."""
+    """Refuse coordinates whose extent can't be that of this pair; return a note for a narrow trace."""
     g = pair
     reach = g.pin_circle_radius + (0.0 if body == "gear" else g.pin_radius)
     for name in ("x", "y"):
         values = getattr(points, name)[mask]
         found = 0.5 * float(np.subtract(*np.percentile(values, [98, 2])))
         if not 0.5 < found / reach < 2.0:
-            times = "a thousandfold, so " if 1.5 < abs(np.log10(max(found, 1e-12) / reach)) < 4.5 else ""
+            times = "a factor of 1000, so " if 1.5 < abs(np.log10(max(found, 1e-12) / reach)) < 4.5 else ""
             raise edge.InputError(
-                f"{points.source}: {name} of the {body} reaches {_length(found)} about its middle where the pair's is "
+                f"{points.source}: {name} of the {body} extends {_length(found)} from its middle, that of the pair "
                 f"{_length(reach)}: {times}check the unit of the column {name}."
             )
     z = points.z[mask]
@@ -319,7 +321,7 @@ def _check_units(points: MeasuredPoints, mask: Booleans, pair: Pair, body: str) 
     if found > 1.001 * reach:
         worst = points.line[mask][np.abs(z).argmax()]
         raise edge.InputError(
-            f"{points.source}: line {worst}: z is {_length(found)} from mid-width where the face ends at "
+            f"{points.source}: line {worst}: z is {_length(found)} from mid-width, but the face ends at "
             f"{_length(reach)}: check the unit of the column z and its zero."
         )
     if np.ptp(z) >= g.face_width / 100.0:
@@ -354,9 +356,9 @@ def _fit(
     scale: float,
     steps: int = 100,
 ) -> tuple[Array, Array, Array]:
-    """Fit a shift and turns (of the groups `turning`, as arc length at R_p, all in µm) of points to the flank.
+    """Fit a shift and rotations (of the groups `turning`, as arc length at R_p, all in µm) of points to the flank.
 
-    Returns the fitted vector (x, y, turns), and tooth parameter and deviation of each point there.
+    Return the fitted vector (x, y, rotations), and profile parameter and deviation of each point.
     """
     back = np.exp(-2j * np.pi * tooth / pair.gear_teeth)
     radius = pair.pin_circle_radius
@@ -382,10 +384,10 @@ def _fit(
 
 
 def _rough_frame(pair: Pair, points: Complex, tooth: Integers) -> tuple[complex, float, float]:
-    """Shift (x + iy, m) and rotation (rad) of the gear frame that bring points near their teeth, and their misfit (m).
+    """Approximate shift (x + iy, m) and rotation (rad) of the gear frame, and the remaining misfit (m).
 
-    The middles of the teeth's points give the rotation to a fraction of a tooth (they may be on one side of each), so
-    eight starts over one pitch are fitted and the best is used.
+    The mean positions of the teeth's points determine the rotation only to a fraction of a tooth (they may be on one
+    side of it), so eight starts over one pitch are fitted and the best is used.
     """
     teeth = pair.gear_teeth
     count = np.maximum(np.bincount(tooth, minlength=teeth), 1)
@@ -407,7 +409,7 @@ def _rough_frame(pair: Pair, points: Complex, tooth: Integers) -> tuple[complex,
 
 
 def _robust_scale(deviation: Array) -> float:
-    """1.4826 x the median absolute deviation in µm, not below a tenth: the scale of a robust loss."""
+    """Scale of a robust loss, µm: 1.4826 x the median absolute deviation, at least 0.1."""
     return max(1.4826 * float(np.median(np.abs(deviation))) / _MICRON, 0.1)
 
 
@@ -419,11 +421,11 @@ def _measured_disc(pair: Pair, points: MeasuredPoints, mask: Booleans, disc: int
     shift, rotation, off = _rough_frame(pair, at, tooth)
     if off > 0.5 * LARGEST_ELEMENT:
         raise edge.InputError(
-            f"{points.source}: the points of the {body} lie {_length(off)} (median) off the nominal flank: check the "
+            f"{points.source}: the points of the {body} are {_length(off)} (median) from the nominal flank: check the "
             "pair, and that teeth are numbered counter-clockwise."
         )
     near = (at - shift) * np.exp(-1j * rotation)
-    # The frame and every tooth's own turn at once: fitted one after the other, a shift would swallow pitch.
+    # Frame and rotations of all teeth are fitted together: in sequence, a shift would absorb pitch errors.
     v, alpha, deviation = _fit(pair, near, tooth, tooth, np.zeros(2 + g.gear_teeth), "soft_l1", 20.0)
     v, alpha, deviation = _fit(pair, near, tooth, tooth, v, "soft_l1", _robust_scale(deviation))
     length = flank_speed(pair, equal_arc_parameters(pair, 200)).mean() * 2.0 * np.pi / g.gear_teeth
@@ -432,7 +434,7 @@ def _measured_disc(pair: Pair, points: MeasuredPoints, mask: Booleans, disc: int
         far = int(np.abs(pitch).argmax())
         off = float(np.abs(pitch[far]))
         raise edge.InputError(
-            f"{points.source}: tooth {far} of disc {disc} is {_length(off)} off its place: check its points' number."
+            f"{points.source}: tooth {far} of disc {disc} is {_length(off)} from its position: check its number."
         )
     outlier, distance = outlying(tooth, arc_parts(pair, alpha) * length, z, deviation)
     kept = ~outlier
@@ -458,7 +460,7 @@ def _measured_disc(pair: Pair, points: MeasuredPoints, mask: Booleans, disc: int
 
 
 def _sub(mask: Booleans, kept: Booleans) -> Booleans:
-    """Mask of all points from that of a body and, among its points, those kept."""
+    """Mask of all points, from the mask of a body and a mask of its kept points."""
     result = mask.copy()
     result[mask] = kept
     return result
@@ -487,9 +489,9 @@ def _outliers(
 
 
 def fitted_circle(points: Complex, robust: bool) -> tuple[complex, float]:
-    """Centre (x + iy) and radius of the circle with the least squared (or robust) distances of the points, m.
+    """Centre (x + iy) and radius, m, of the circle with least-squares (or robust) distances to the points.
 
-    It starts from the algebraic circle, |p|² = 2 Re(conj(c) p) + r² - |c|², which is linear.
+    The start is the algebraic fit |p|² = 2 Re(conj(c) p) + r² - |c|², which is linear.
     """
     middle = complex(points.mean())
     p = points - middle
@@ -536,7 +538,7 @@ def _measured_pins(pair: Pair, points: MeasuredPoints, mask: Booleans, elements:
         reach = float(np.ptp(inwards[row][kept[row]]))
         if reach < 0.5 * np.pi:
             raise edge.InputError(
-                f"{points.source}: the points of pin {pin} span {np.degrees(reach):.0f}° of it; its centre and radius "
+                f"{points.source}: the points of pin {pin} span {np.degrees(reach):.0f}°; its centre and radius "
                 "need at least 90°."
             )
     fits = [fitted_circle(at[row[kept[row]]], robust=False) for row in rows]
@@ -548,8 +550,8 @@ def _measured_pins(pair: Pair, points: MeasuredPoints, mask: Booleans, elements:
     error = ((centre - shift) * np.exp(-1j * rotation) - nominal) * direction.conj()
     if np.abs(error).max() > LARGEST_ELEMENT or np.abs(radius - g.pin_radius).max() > LARGEST_ELEMENT:
         raise edge.InputError(
-            f"{points.source}: pins lie up to {_length(float(np.abs(error).max()))} off their place and up to "
-            f"{_length(float(np.abs(radius - g.pin_radius).max()))} off their radius when aligned: check the pair, and "
+            f"{points.source}: aligned pins deviate by {_length(float(np.abs(error).max()))} in position and "
+            f"{_length(float(np.abs(radius - g.pin_radius).max()))} in radius: check the pair, and "
             "that pins are numbered counter-clockwise."
         )
     away = (at - centre[number]) * np.exp(-1j * rotation)
@@ -590,11 +592,11 @@ def measured_surface(
     Parameters
     ----------
     pair
-        The nominal pair; deviations count from its modified flank.
+        The nominal pair; deviations are relative to its modified flank.
     points
         Points of every tooth of every disc, or every pin, or both; a body without points stays nominal, with a note.
     elements
-        Sizes of the deviation arrays: coarse enough that most elements contain points.
+        Numbers of elements, coarse enough that most elements contain points.
 
     Raises
     ------
@@ -628,7 +630,7 @@ def measured_surface(
         alignments += [f[3] for f in found]
         left_out += [o for f in found for o in f[4]]
     else:
-        notes.append(f"{points.source}: there are no points of the gear; it is taken as nominal.")
+        notes.append(f"{points.source}: there are no points of the gear; it is assumed nominal.")
     if not points.gear.all():
         mask = ~points.gear
         _check_counts(points, mask, "pin", g.pins, FEWEST_PIN_POINTS, "")
@@ -638,7 +640,7 @@ def measured_surface(
         alignments.append(alignment)
         left_out += outliers
     else:
-        notes.append(f"{points.source}: there are no points of pins; they are taken as nominal.")
+        notes.append(f"{points.source}: there are no points of pins; they are assumed nominal.")
     notes += [_empty_note(points.source, "flanks", "tooth", "profile", gear_empty)] if gear_empty is not None else []
     notes += [_empty_note(points.source, "pins", "pin", "angle", pin_empty)] if pin_empty is not None else []
     attributes = {"points": Path(points.source).name, "outlier_lines": " ".join(str(o.line) for o in left_out)}
@@ -657,6 +659,6 @@ def _empty_note(source: str, what: str, number: str, along: str, empty: Booleans
     *disc, one, row, column = (int(i) for i in np.argwhere(empty)[0])
     place = f"{f'disc {disc[0]}, ' if disc else ''}{number} {one}, {along} {row}, width {column}"
     return (
-        f"{source}: {int(empty.sum())} of {empty.size} elements of the {what} have no point and were interpolated, "
-        f"the first of them {place}."
+        f"{source}: {int(empty.sum())} of {empty.size} elements of the {what} have no points and were interpolated, "
+        f"first {place}."
     )

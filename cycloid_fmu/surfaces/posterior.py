@@ -1,4 +1,4 @@
-"""Drives that are possible after a fit: error surfaces from the normal distribution of the identified errors."""
+"""Drives drawn from the result of a fit: error surfaces from the normal distribution of the identified errors."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
 DISC_PHASE = "disc_phase"
-"""Name in a covariance of the place of a further disc's teeth relative to the first one, m at the pin circle."""
-_FLANKS = "gear_deviation"  # what a profile deviation displaces
-_PLACE = re.compile(r"(\w+)_at_(\d+)")  # a single pin or tooth, as a surface's covariance names its scatter
+"""Name in a covariance of the position of another disc's teeth relative to the first disc's, m at the pin circle."""
+_FLANKS = "gear_deviation"  # the errors displaced by a profile deviation
+_PLACE = re.compile(r"(\w+)_at_(\d+)")  # name of a single pin or tooth in a surface's covariance
 
 
 def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> list[ErrorSurface]:
@@ -29,13 +29,12 @@ def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> 
     pair, surface
         The nominal pair, and the identified surface, which is the distribution's mean.
     count, seed
-        Number of surfaces, and the seed; the same seed draws the same surfaces, and a smaller count draws the first of
-        them.
+        Number of surfaces, and the seed; the same seed draws the same surfaces, and a smaller count the first of these.
 
     Returns
     -------
     surfaces
-        Without a covariance of their own; seed and number are in their attributes.
+        The surfaces, without covariance; seed and number are in their attributes.
 
     Raises
     ------
@@ -43,8 +42,8 @@ def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> 
         If the surface has no covariance.
     """
     if surface.covariance is None:
-        raise edge.ArgumentError("drive", "has no covariance of a fit; give a surface that identify wrote")
-    # Eigenvectors also serve where a displacement has no variance at all.
+        raise edge.ArgumentError("drive", "has no covariance of a fit; give a surface written by identify")
+    # Eigenvectors also work if a displacement has no variance.
     values, vectors = np.linalg.eigh(surface.covariance)
     normal = np.random.default_rng(seed).standard_normal((count, values.size))
     shifts = normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
@@ -62,7 +61,7 @@ def _shifted(pair: Pair, surface: ErrorSurface, shifts: Mapping[str, float]) -> 
     made = with_structured(pair, surface, moved)
     scatter: dict[str, Any] = {}
     for name, place in places.items():
-        # All teeth of a further disc at once.
+        # All teeth of another disc together.
         kind = "tooth_cumulative_pitch" if place[1] == DISC_PHASE else place[1]
         values = scatter.setdefault(kind, np.array(made.errors[kind]))
         if place[1] == DISC_PHASE:
@@ -73,7 +72,7 @@ def _shifted(pair: Pair, surface: ErrorSurface, shifts: Mapping[str, float]) -> 
 
 
 def displacements_of(surface: ErrorSurface, drawn: Sequence[ErrorSurface]) -> dict[str, Array]:
-    """Return the differences of surfaces from one: {kind of error, or its flanks: shape (surfaces, …), m or rad}."""
+    """Return the differences of surfaces from one: {kind or deviation: array (surfaces, …), m or rad}."""
     found = {name: np.array([one.errors[name] - values for one in drawn]) for name, values in surface.errors.items()}
     if any(one.gear_deviation is not None for one in drawn):
         flanks = 0.0 if surface.gear_deviation is None else surface.gear_deviation
@@ -82,7 +81,7 @@ def displacements_of(surface: ErrorSurface, drawn: Sequence[ErrorSurface]) -> di
 
 
 def displaced(surface: ErrorSurface, displacements: Mapping[str, Array], number: int) -> ErrorSurface:
-    """Return a surface with the displacements of draw `number`, counted from 1; unchanged for 0."""
+    """Return a surface displaced by draw `number`, counted from 1; unchanged for 0."""
     if number == 0:
         return surface
     changes: dict[str, Any] = {n: d[number - 1] + surface.errors[n] for n, d in displacements.items() if n != _FLANKS}

@@ -1,4 +1,4 @@
-"""Provenance that results state: made from the drive's values alone."""
+"""Provenance in results, which depends only on the drive's values."""
 
 from __future__ import annotations
 

@@ -3,9 +3,9 @@
 The error-surface paper, section 2: every manufacturing error is distributed within its tolerance, and the pitch
 deviations also meet the tolerance of the total cumulative pitch deviation. The file is TOML, `cycloid-tolerances/1`.
 
-Errors of size, position and assembly are within ± their tolerance, the single pitch too. The two that standards define
-as a range are ranges here (ISO 1328-1): the total profile deviation is the largest minus the smallest deviation over a
-tooth's or pin's surface, the total cumulative pitch deviation the largest minus the smallest position of all teeth.
+Errors of size, position, assembly and single pitch are within ± their tolerance. Two tolerances are ranges, as in the
+standard (ISO 1328-1): the total profile deviation is the largest minus the smallest deviation over a tooth's or pin's
+surface, the total cumulative pitch deviation the largest minus the smallest position of all teeth.
 """
 
 from __future__ import annotations
@@ -34,16 +34,17 @@ Array = NDArray[np.float64]
 Distribution = Literal["normal", "uniform"]
 FORMAT = "cycloid-tolerances/1"
 LARGEST_SEED = 2**63 - 1
-# The axes of a study's points that the first version had: a seed's drives stay the same, other kinds follow.
+# Axes of a study's points in the first version, in this order, so that a seed's drives stay the same; other kinds
+# follow.
 _FIRST_AXES = (
     "gear_profile", "pin_profile", "gear_pitch", "pin_pitch", "pin_circle_diameter", "pin_radius", "pin_radius_each",
     "eccentricity", "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "isometric",
     "offset",
 )  # fmt: skip
 _OTHERS = ("limits", "costs")
-# How far a pitch may go of what is allowed: rounding in the sums that make positions from it must not exceed the limit.
+# Share of the permitted pitch deviation that is used, so that rounding in the sums of positions stays within the limit.
 _WITHIN = 1.0 - 1e-9
-# Times that each pitch is met: with ten no figure of 3000 circles differs from four hundred's by more than chance.
+# Visits of each pitch: with ten, statistics of 3000 circles do not differ significantly from those with 400.
 _SWEEPS = 20
 
 
@@ -58,7 +59,7 @@ def _up_to(largest: float, shown: str) -> pydantic.AfterValidator:
 
 def _not_below_zero(value: float) -> float:
     if value < 0.0:
-        raise ValueError("a limit is the largest size allowed; it must not be below zero")
+        raise ValueError("a limit must not be below zero")
     return value
 
 
@@ -71,14 +72,14 @@ ZoneTolerance = Annotated[Length, _up_to(2.0 * LARGEST_ELEMENT, "1 mm")]
 
 
 class LengthError(Config):
-    """An error within ± `tolerance` (m); a normal distribution is cut off there, at three standard deviations."""
+    """An error within ± `tolerance` (m); a normal distribution is truncated there, at three standard deviations."""
 
     tolerance: LengthTolerance
     distribution: Distribution = "normal"
 
 
 class AngleError(Config):
-    """An angle within ± `tolerance` (rad); a normal distribution is cut off there, at three standard deviations."""
+    """An angle within ± `tolerance` (rad); a normal distribution is truncated there, at three standard deviations."""
 
     tolerance: AngleTolerance
     distribution: Distribution = "normal"
@@ -90,11 +91,11 @@ class PitchErrors(Config):
     Attributes
     ----------
     single
-        Each single pitch deviation is within ± this.
+        Tolerance of single pitch deviations, ± m.
     cumulative
-        The largest minus the smallest position of all teeth is within this.
+        Largest permitted range of the positions of all teeth, m.
     distribution
-        Of each single pitch, before the circle is closed and the cumulative limit applied.
+        Distribution of each single pitch, before closing the circle and applying the cumulative limit.
     """
 
     single: LengthTolerance
@@ -107,16 +108,16 @@ class PitchErrors(Config):
         single = others.data.get("single", 0.0)
         if cumulative < single:
             raise ValueError(
-                "it is below the possible minimum: one pitch off by the single tolerance is a cumulative deviation as "
-                f'large, so it must be at least "{single * 1e6:.6g} um"'
+                "it is too small: one pitch at the single tolerance already causes this cumulative deviation, "
+                f'so it must be at least "{single * 1e6:.6g} um"'
             )
         return cumulative
 
 
 class Correlation(Config):
-    """Correlation lengths of a form deviation, as parts of the profile and of the face width.
+    """Correlation lengths of a form deviation, as fractions of the profile and of the face width.
 
-    Deviations at this distance correlate with exp(-1/2). The defaults leave about two waves along a tooth's
+    Deviations at this distance have a correlation of exp(-1/2). The defaults give about two waves along a tooth's
     profile and one across its width.
     """
 
@@ -127,7 +128,7 @@ class Correlation(Config):
 def _correlation(value: Any) -> Any:
     if value == "none" or isinstance(value, dict):
         return None if value == "none" else value
-    raise ValueError('write { profile = 0.15, width = 0.5 }, parts of profile and face width, or "none"')
+    raise ValueError('write { profile = 0.15, width = 0.5 }, fractions of profile and face width, or "none"')
 
 
 class ProfileErrors(Config):
@@ -136,11 +137,11 @@ class ProfileErrors(Config):
     Attributes
     ----------
     tolerance
-        Total profile deviation: the elements of a tooth are within ± half of it, so their range is within it.
+        Total profile deviation, m: the elements of a tooth are within ± half of it, so their range is within it.
     distribution
-        Of each element; a normal distribution is cut off at half the tolerance, at three standard deviations.
+        Distribution of each element; a normal one is truncated at half the tolerance, at three standard deviations.
     correlation
-        None (in the file "none") for independent elements, as in the error-surface paper.
+        Correlation lengths; None (in the file "none") for independent elements, as in the error-surface paper.
     """
 
     tolerance: ZoneTolerance
@@ -149,18 +150,18 @@ class ProfileErrors(Config):
 
 
 class Limits(Config):
-    """Limits of a good drive, each the largest allowed value.
+    """Limits of an acceptable drive, each the largest allowed value.
 
     Attributes
     ----------
     angular_transmission_error
-        Largest minus smallest transmission error over the crank angles, rad; at every load.
+        Largest minus smallest transmission error over the crank angles, rad, at every load.
     backlash, lost_motion
-        Largest over the crank angles, rad.
+        Largest backlash and lost motion over the crank angles, rad.
     interference
-        Largest over the crank angles, m.
+        Largest interference over the crank angles, m.
     max_contact_pressure
-        Pa; at every load.
+        Largest contact pressure, Pa, at every load.
     """
 
     angular_transmission_error: LargestAngle | None = None
@@ -177,15 +178,15 @@ class Limits(Config):
 class Tolerances(Config):
     """The tolerances of a drive; errors without tolerance are nominal.
 
-    The kinds of error are named by their tolerances' keys (`pin_circle_diameter` is the circle's diameter, `pin_radius`
-    common to all pins, `pin_radius_each` each pin's own; `gear_pitch` and `pin_pitch` are positions round the circle),
-    each a `LengthError`, `AngleError` or `PitchErrors`, or a table of its values. `limits` are what a good drive keeps,
-    `costs` what each tolerance costs at its stated width, relative to the others (1 where not stated).
+    The arguments are the keys of the tolerances (`pin_circle_diameter` is the circle's diameter, `pin_radius` is common
+    to all pins, `pin_radius_each` is that of each pin; `gear_pitch` and `pin_pitch` are positions around the circle),
+    each a `LengthError`, `AngleError` or `PitchErrors`, or a table of its values. `limits` are those of an acceptable
+    drive, `costs` the relative cost of each tolerance at its stated width (default 1).
 
     Raises
     ------
     edge.InputError
-        One sentence for each key that is unknown and each value out of range.
+        If a key is unknown or a value is out of range; one sentence for each.
 
     Examples
     --------
@@ -215,13 +216,13 @@ class Tolerances(Config):
                 )
 
     def replace(self, **changes: Any) -> Self:
-        """Return the tolerances with changes; None removes one and its cost."""
+        """Return a copy with changed tolerances; None removes a tolerance and its cost."""
         values = {n: getattr(self, n) for n in (*self.factors, "limits")} | changes
         costs = {n: cost for n, cost in self.costs.items() if values.get(n) is not None}
         return type(self)(**{"costs": costs, **values})
 
     def of(self, factor: str) -> LengthError | AngleError | PitchErrors | ProfileErrors | None:
-        """Return the tolerance of this name, None if there is none."""
+        """Return the tolerance of this name; None if there is none."""
         found: LengthError | AngleError | PitchErrors | ProfileErrors | None = getattr(self, factor, None)
         return found
 
@@ -237,11 +238,11 @@ class Tolerances(Config):
 
 
 def _keys() -> Mapping[str, ErrorKind | None]:
-    """Every tolerance's key with its kind of error, None for form."""
+    """Key of every tolerance with its kind of error; None for form deviations."""
     return _keys_of(tuple(map(id, KINDS.values())))
 
 
-# Kinds may be added. With `Tolerances.factors` kept, 1.5 times as many drives are drawn a second.
+# Cached by the registered kinds, which may change. With cached `Tolerances.factors`, sampling is 1.5 times as fast.
 @functools.lru_cache(maxsize=4)
 def _keys_of(kinds: tuple[int, ...]) -> Mapping[str, ErrorKind | None]:
     found = {kind.tolerance.key: kind for kind in KINDS.values() if kind.tolerance is not None}
@@ -249,7 +250,7 @@ def _keys_of(kinds: tuple[int, ...]) -> Mapping[str, ErrorKind | None]:
 
 
 def file_model() -> type[Config]:
-    """Return the model of a tolerance file: a table for each kind that has a tolerance, for form, limits and costs."""
+    """Return the model of a tolerance file: a table for each kind with a tolerance, for form, limits and costs."""
     return _file_model(tuple(_keys()))
 
 
@@ -284,7 +285,7 @@ def parse_tolerances(text: str, source: str) -> Tolerances:
 
 
 def read_tolerances(path: str | os.PathLike[str]) -> Tolerances:
-    """Return the tolerances of a file; an `edge.InputError` names the invalid entries.
+    """Return the tolerances of a file; raise an `edge.InputError` that names invalid entries.
 
     Examples
     --------
@@ -298,7 +299,7 @@ def read_tolerances(path: str | os.PathLike[str]) -> Tolerances:
 
 
 def error_stream(seed: int, error: str) -> np.random.Generator:
-    """Return the random stream of one error: a child of the seed by the error's name, independent of other errors."""
+    """Return the random stream of one error, derived from seed and name, independent of other errors."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(error.encode()),)))
 
 
@@ -310,13 +311,13 @@ def within_tolerance(probability: Array, tolerance: float, distribution: Distrib
     probability
         Between 0 and 1, any shape.
     tolerance
-        m or rad, ≥ 0.
+        Tolerance, m or rad, ≥ 0.
     distribution
-        "uniform", or "normal" cut off at the tolerance, at three standard deviations.
+        "uniform", or "normal" truncated at the tolerance, which is three standard deviations.
     """
     if distribution == "uniform":
         return tolerance * (2.0 * probability - 1.0)
-    from scipy.special import ndtr, ndtri  # only here: a drive's file is read without
+    from scipy.special import ndtr, ndtri  # imported here, because reading a drive does not need it
 
     tail = ndtr(-3.0)
     return np.asarray(np.clip(ndtri(tail + probability * (1.0 - 2.0 * tail)) / 3.0, -1.0, 1.0) * tolerance)
@@ -326,7 +327,7 @@ _Function = TypeVar("_Function", bound=Callable[..., None])
 
 
 def _compiled(function: _Function) -> _Function:
-    # No NaN, and zeros have no sign: smallest and largest are found by vector instructions.
+    # Without NaN and signed zeros, minimum and maximum use vector instructions.
     return cast(_Function, njit(cache=True, fastmath={"nnan", "nsz"})(function))
 
 
@@ -335,15 +336,15 @@ def _exchange(
     positions: Array, first: NDArray[np.int64], last: NDArray[np.int64], chances: Array, single: float,
     cumulative: float, sigma: float,
 ) -> None:  # fmt: skip
-    """Markov chain over the positions of one circle of teeth, in place: pitch `first` gains what pitch `last` loses.
+    """Run a Markov chain over the tooth positions of one circle, in place: pitch `first` gains as `last` loses.
 
-    Teeth first + 1 … last move together by an even draw over all moves that keep both limits; a sigma above zero
-    accepts it by the ratio of normal densities (Metropolis), so that the limits only cut the distribution off.
+    Teeth first + 1 … last move together by a uniform draw over all moves that meet both limits; with a sigma above zero
+    it is accepted by the ratio of normal densities (Metropolis), so that the limits only truncate the distribution.
     """
     n = positions.size
     for move in range(first.size):
         i, j = first[move], last[move]
-        # The moved teeth first + 1 … last are one run of the array, or with first > last all but one.
+        # The moved teeth first + 1 … last are one contiguous run of the array, or for first > last all but one.
         low_end, high_end = min(i, j) + 1, max(i, j) + 1
         run_low, run_high, rest_low, rest_high = np.inf, -np.inf, np.inf, -np.inf
         for k in range(low_end, high_end):
@@ -377,13 +378,13 @@ def _exchange(
 
 
 def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors) -> Array:
-    """Return the positions of the teeth of one circle, their mean zero, shape (teeth,), m.
+    """Return the position errors of the teeth of one circle with zero mean, shape (teeth,), m.
 
-    The single pitches are independent, of the stated distribution, under the conditions that the circle closes (they
-    sum to zero), that each keeps the single limit and their running sum the cumulative one: the density is the product
-    of theirs, cut off at the limits. It is sampled by a Markov chain from the error-free circle that exchanges
-    deviation between two pitches, neighbouring and distant ones in turn, many times each. There is no rejection until
-    all limits hold, so a tight cumulative limit costs no more than a wide one.
+    The single pitches are independent with the stated distribution, under the conditions that the circle closes (they
+    sum to zero), that each meets the single limit and their running sum the cumulative limit: the density is the
+    product of theirs, truncated at the limits. It is sampled by a Markov chain from the error-free circle that
+    exchanges deviation between two pitches, alternating between neighbouring and distant ones, many times each. There
+    is no rejection sampling, so a tight cumulative limit costs no more than a wide one.
     """
     if errors.single == 0.0:
         return np.zeros(teeth)
@@ -391,7 +392,7 @@ def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors
     first = generator.integers(teeth, size=moves)
     apart = generator.integers(1, teeth, size=moves)
     apart[::2] = 1
-    # In units of the single limit, so that the chain is the same one at every scale.
+    # In units of the single limit, so that the chain does not depend on the scale.
     positions = np.zeros(teeth)
     _exchange(
         positions, first, (first + apart) % teeth, generator.random((moves, 2)), _WITHIN,
@@ -401,10 +402,10 @@ def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors
 
 
 def _waves(length: float, count: int) -> Array:
-    """Waves whose random sum is smooth with the given correlation length, at `count` elements, shape (count, waves).
+    """Waves at `count` elements whose random sum has the given correlation length, shape (count, waves).
 
-    The spectrum is that of the correlation exp(-u²/(2 length²)) with a period longer than the surface by four lengths,
-    so that its two ends are uncorrelated. The waves don't depend on `count`: finer elements have the same form.
+    The spectrum is that of the correlation exp(-u²/(2 length²)) with a period four lengths longer than the surface, so
+    that its two ends are uncorrelated. The waves do not depend on `count`: finer elements have the same form.
     """
     u = (np.arange(count) + 0.5) / count
     step = 2.0 * np.pi * length / (1.0 + 4.0 * length)
@@ -421,8 +422,8 @@ def sample_profile(
 ) -> Array:
     """Return the normal deviations of the elements of teeth or pins, shape (surfaces, profile, width), m.
 
-    A standard normal field, smooth by its correlation lengths or white, is mapped element by element to the stated
-    distribution (a Gaussian copula): each element has exactly that distribution and the range keeps its tolerance.
+    A standard normal field, correlated or white, is mapped element by element to the stated distribution (a Gaussian
+    copula): each element has exactly that distribution, and the range is within its tolerance.
     """
     from scipy.special import ndtr
 
@@ -431,7 +432,7 @@ def sample_profile(
     else:
         along, across = _waves(errors.correlation.profile, profile), _waves(errors.correlation.width, width)
         weights = generator.standard_normal((surfaces, along.shape[1], across.shape[1]))
-        # einsum sums in one order, always; a threaded matrix product need not.
+        # einsum always sums in the same order; a threaded matrix product may not.
         field = np.einsum("spn,wn->spw", np.einsum("pm,smn->spn", along, weights), across)
     return within_tolerance(ndtr(field), 0.5 * errors.tolerance, errors.distribution)
 
@@ -442,13 +443,13 @@ def sample_surface(pair: Pair, tolerances: Tolerances, seed: int, elements: Elem
     Parameters
     ----------
     pair
-        The nominal pair; the errors stated in its file are not part of the sample.
+        The nominal pair; its stated errors are not part of the sample.
     tolerances
-        The tolerances; they and the seed are stated in the surface's attributes.
+        The tolerances; they and the seed are stored in the surface's attributes.
     seed
         0 … 2^63 - 1. The same seed gives the same surface; each error is independent of the other tolerances.
     elements
-        Sizes of the deviation arrays; the default is `Elements()`.
+        Numbers of elements of the deviations; by default `Elements()`.
 
     Raises
     ------
@@ -465,11 +466,11 @@ def sample_surface(pair: Pair, tolerances: Tolerances, seed: int, elements: Elem
 def surface_at(
     pair: Pair, tolerances: Tolerances, point: Mapping[str, float], elements: Elements | None = None
 ) -> ErrorSurface:
-    """Return the drive at a point of the unit cube that has one axis for each of the tolerances' `factors`.
+    """Return the drive at a point of the unit cube with one axis for each of the tolerances' `factors`.
 
-    A single error is its distribution's quantile there. Errors with many values (pitch, form, each pin's radius) are
-    drawn from a stream that the coordinate seeds: evenly spread points spread the single errors evenly, and the others
-    stay random.
+    An error with one value is the quantile of its distribution at its coordinate. Errors with many values (pitch, form,
+    each pin's radius) are drawn from a stream seeded by the coordinate: evenly spread points spread the former evenly,
+    and the latter remain random.
     """
     many = (name for name in tolerances.factors if (kind := _keys()[name]) is None or kind.of != "drive")
     streams = {name: error_stream(int(point[name] * 2.0**53), name) for name in many}
@@ -483,7 +484,7 @@ def _drawn(
     point: Mapping[str, float],
     size: Elements,
 ) -> ErrorSurface:
-    """Draw each error from its stream, single ones at the probability in `point` if it has one."""
+    """Draw each error from its stream, or an error with one value at its probability in `point`."""
     changes: dict[str, Any] = {}
     for name in tolerances.factors:
         kind, error = _keys()[name], tolerances.of(name)

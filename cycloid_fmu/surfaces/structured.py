@@ -1,7 +1,7 @@
-"""Structured errors: the parameters with which errors are fitted, tuned and compared, and their displacements.
+"""Structured errors: the parameters in which errors are fitted, tuned and compared, and their displacements.
 
-A kind with one value is a structured error itself. For errors around a circle the cosine and sine parts of low orders
-are, and for the flank the low orders of a profile deviation that all teeth share.
+A kind with one value is itself a structured error. For errors around a circle, the structured errors are the cosine and
+sine parts of low orders; for the flank, the low orders of a profile deviation common to all teeth.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from cycloid_fmu.geometry.temperature import displaced_by_temperature
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
-PROFILE_POINTS = 100  # elements of a profile that has none: its low orders are smooth
+PROFILE_POINTS = 100  # elements of a profile without deviation arrays: its low orders are smooth
 _PROFILE = re.compile(r"profile_deviation_([1-9])")
 
 
 def unit_of(name: str) -> str:
-    """SI unit of an error: "m" or "rad" by its kind, "1/m" for curvatures."""
+    """SI unit of an error: "m" or "rad" for a kind, "1/m" for curvatures."""
     kind = kind_of(name)
     if kind is not None:
         return kind.unit
@@ -35,12 +35,12 @@ def unit_of(name: str) -> str:
 
 
 def profile_names(orders: Collection[int]) -> list[str]:
-    """Names of the profile deviation's orders: cosines of order/2 waves along the arc of every tooth, root to root."""
+    """Names of the profile deviation's orders: cosines with order/2 waves along every tooth's arc, root to root."""
     return [f"profile_deviation_{order}" for order in orders]
 
 
 def profile_wave(name: str, elements: int) -> Array | None:
-    """Values of an order of the profile deviation at the elements' middles, shape (elements,), or None for others."""
+    """Values of an order of the profile deviation at the elements' middles, shape (elements,); None for other names."""
     match = _PROFILE.fullmatch(name)
     return None if match is None else np.cos(np.pi * int(match[1]) * (np.arange(elements) + 0.5) / elements)
 
@@ -68,7 +68,7 @@ def _is_number(name: str) -> bool:
 
 
 def structured_value(pair: Pair, surface: ErrorSurface, name: str) -> float:
-    """Value of a structured error in a surface (m or rad); those of teeth are averaged over teeth and discs."""
+    """Value of a structured error in a surface, m or rad; errors of teeth are averaged over teeth and discs."""
     if _is_number(name):
         return float(surface.errors[name])
     flanks = surface.gear_deviation
@@ -80,7 +80,7 @@ def structured_value(pair: Pair, surface: ErrorSurface, name: str) -> float:
 
 
 def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, float]) -> ErrorSurface:
-    """Return a surface with the given values (m or rad) of the named structured errors; the rest is kept.
+    """Return a surface with given values (m or rad) of the named structured errors; all others are kept.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, floa
 
 
 def displacement_layout(pair: Pair) -> dict[str, slice]:
-    """Return the position of each displacement in the vector of all: of `BODIES`, pins, teeth, and supports."""
+    """Return the position of each displacement in the vector of all: `BODIES`, pins, teeth, supports."""
     found = {name: slice(i, i + 1) for i, name in enumerate(BODIES)}
     start = len(BODIES)
     for name in EACH_PIN:
@@ -127,10 +127,10 @@ def displacement_layout(pair: Pair) -> dict[str, slice]:
 
 
 def displacements(pair: Pair, surface: ErrorSurface, nominal: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the displacements by all errors of a surface and the temperatures, to be added to nominal values by name.
+    """Return the displacements due to all errors of a surface and the temperatures, to be added to `nominal` by name.
 
-    The result has a value for every name of `BODIES`, an array (pins,) for each of `EACH_PIN`, `tooth_turn`
-    (discs, teeth) and, of a pair with supports, an array for each of `EACH_SUPPORT`, in m and rad.
+    The result has a value for every name of `BODIES`, an array (pins,) for each of `EACH_PIN`, `tooth_turn` (discs,
+    teeth) and, for a pair with supports, an array for each of `EACH_SUPPORT`, in m and rad.
     """
     found: dict[str, Any] = dict.fromkeys(BODIES, 0.0)
     found |= dict.fromkeys(EACH_PIN, np.zeros(pair.pins))
@@ -152,12 +152,12 @@ def dimensions(pair: Pair, surface: ErrorSurface, source: str = "errors") -> dic
     Parameters
     ----------
     source
-        Where the errors are stated, for messages.
+        Source of the errors, for messages.
 
     Raises
     ------
     edge.InputError
-        If the drive is impossible: the checks of a pair as drawn, with its errors.
+        If the drive is impossible; the checks are those of a pair as drawn, with its errors.
     """
     if pair.temperature is not None:
         source = source.replace("errors", "temperature and errors")
@@ -176,7 +176,7 @@ def dimensions(pair: Pair, surface: ErrorSurface, source: str = "errors") -> dic
         why = f"the generating circle's radius is {circle * 1e3:.6g} mm; it must stay above eccentricity x pins"
     elif not 0.0 < pin < (smallest := smallest_convex_radius(circle, pair.eccentricity, pair.pins)):
         why = f"the flank's generating pin radius is {pin * 1e3:.6g} mm"
-        why += "; it must stay above zero" if pin <= 0.0 else f"; the flank is undercut from {smallest * 1e3:.6g} mm on"
+        why += "; it must stay above zero" if pin <= 0.0 else f"; the flank is undercut above {smallest * 1e3:.6g} mm"
     elif not made["pin_radius"].min() > 0.0:
         why = f"a pin's radius is {made['pin_radius'].min() * 1e3:.6g} mm; it must stay above zero"
     else:
@@ -193,7 +193,7 @@ def dimensions(pair: Pair, surface: ErrorSurface, source: str = "errors") -> dic
 
 
 def displacement_vector(pair: Pair, surface: ErrorSurface) -> Array:
-    """Return the displacements by all errors of a surface as a row, laid out as `displacement_layout`."""
+    """Return the displacements due to all errors of a surface as a vector in the order of `displacement_layout`."""
     return np.concatenate([np.ravel(values) for values in displacements(pair, surface, {}).values()])
 
 

@@ -37,7 +37,7 @@ DEVIATION_TEXTS = {
     "pin_curvature": "curvature that wear adds to each element of the pins, > 0 convex",
 }
 LARGEST_ELEMENT = 5e-4
-# Values of a pair that are none of what was made: its loads, limits and temperatures.
+# Fields of a pair that do not describe the manufactured parts: loads, limits and temperatures.
 _OF_NO_SURFACE: Mapping[str, Any] = {
     "rated_torque": None, "pressure_limit": None, "contact_law": "capped", "temperature": None,
     "expansion": Expansions(),
@@ -46,7 +46,7 @@ _OF_NO_SURFACE: Mapping[str, Any] = {
 
 @dataclass(frozen=True)
 class Elements:
-    """Numbers of elements of a surface: along a tooth's profile, across the width, and around the half of a pin."""
+    """Numbers of elements: along a tooth's profile, across the width, and around the inner half of a pin."""
 
     profile: int = 200
     width: int = 20
@@ -55,23 +55,25 @@ class Elements:
     def __post_init__(self) -> None:
         for name in ("profile", "width", "angle"):
             if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: a surface has at least one element each way")
+                raise ValueError(
+                    f"{name} = {getattr(self, name)}: a surface has at least one element in each direction"
+                )
 
 
 @dataclass(frozen=True)
 class Ageing:
-    """Rates of a life: the data that a forecast adds to the states of a wear run.
+    """Ageing rates that a forecast adds to the states of a wear run.
 
     Attributes
     ----------
     crank_turns_per_second
-        Crank turns of the life per second of age.
+        Crank turns per second of age.
     age, largest_age
-        Age of the surface's own deviations, and the largest age of the life for any wear factor, s.
+        Age of the surface's present deviations, and the largest age of the life for any wear factor, s.
     smallest_wear_factor, largest_wear_factor
-        Interval of the wear coefficient over its median.
+        Interval of the ratio of the wear coefficient to its median.
     clearance_per_second
-        Growth of the diametral clearance of the bearing below, m/s.
+        Growth of the diametral clearance of `bearing`, m/s.
     bearing
         Name of the wearing bearing in `[supports]`; empty if there is none.
     """
@@ -87,10 +89,10 @@ class Ageing:
 
 @dataclass(frozen=True)
 class Life:
-    """Deviations of a wearing drive over its life; each array's first axis is the state.
+    """Deviations of a wearing drive over its life; the first axis of each array is the state.
 
-    `crank_turns` (states,) grows from 0; the others are as in an `ErrorSurface`. `ageing` has the rates of the life of
-    a forecast.
+    `crank_turns` (states,) ascends from 0; the other arrays are as in an `ErrorSurface`. `ageing` has the rates of a
+    forecast.
     """
 
     crank_turns: Array
@@ -102,7 +104,7 @@ class Life:
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """The states, by name."""
+        """The arrays of the states by name."""
         return {name: values for name, values in vars(self).items() if name != "ageing"}
 
 
@@ -117,22 +119,22 @@ class ErrorSurface:
     Attributes
     ----------
     pair
-        The nominal pair that it belongs to.
+        The nominal pair.
     errors
         Values of every kind by its name, m or rad; those not given are zero.
     gear_deviation
         Normal deviation of each element of the flanks, > 0 material added, shape (discs, teeth, profile, width), m; or
-        None where the flanks are nominal. Elements are of equal arc length from a tooth's first root to its second
-        (`profile.equal_arc_parameters`) and of equal width from -z to +z; values are at their middles.
+        None if the flanks are nominal. Elements have equal arc length from a tooth's first root to its second
+        (`profile.equal_arc_parameters`) and equal width from -z to +z; values are those at their middles.
     pin_deviation
         Normal deviation of each element of the pins, > 0 material added, shape (pins, angle, width), m; or None.
-        Elements are of equal angle over the half of the pin that faces the pin circle's centre: the angle runs
-        counter-clockwise about the pin's axis from -90° to +90° of the direction to that centre.
+        Elements have equal angles over the half of the pin that faces the pin circle's centre: the angle is counted
+        counter-clockwise about the pin's axis, from -90° to +90° from the direction to that centre.
     gear_curvature, pin_curvature
-        Curvature that wear adds at the same places, > 0 convex, shapes as the deviations', 1/m; or None if the
-        deviations do not change the curvature (form and roughness of a scale that contact does not follow).
+        Curvature that wear adds to the same elements, > 0 convex, shapes as for the deviations, 1/m; or None if the
+        deviations do not change the curvature (form and roughness too fine for the contact to follow).
     life
-        Of a worn surface: its states from new to the present deviations, in a forecast beyond them; otherwise None.
+        States of a worn surface from new to the present deviations, in a forecast beyond them; otherwise None.
     origin
         One of `ORIGINS`.
     covariance_of, covariance
@@ -225,12 +227,12 @@ class ErrorSurface:
         return errors[name]
 
     def replace(self, **changes: Any) -> Self:
-        """Return the surface with other values, of kinds of error (by name) or of attributes; the rest is kept.
+        """Return a copy with changed errors (by the names of their kinds) or attributes; the rest is kept.
 
         Raises
         ------
         edge.InputError
-            As constructing it does.
+            As in construction.
         """
         errors = {name: changes.pop(name) for name in list(changes) if name in KINDS}
         if "pair" in changes or "errors" in changes:
@@ -257,7 +259,7 @@ class ErrorSurface:
         made = self.pair.replace(**_OF_NO_SURFACE)
         digest = hashlib.sha256(made.text.encode())
         for name, value in self._values().items():
-            # An error that is zero everywhere is the same drive as one that no one spoke of.
+            # An error that is zero everywhere is the same drive as an unstated one.
             if value is not None and (name in DEVIATIONS or np.any(value)):
                 array = np.asarray(value, dtype="<f8") + 0.0
                 digest.update(f"{name}{array.shape}".encode() + array.tobytes())
@@ -305,7 +307,7 @@ def _checked(kind: ErrorKind, given: Any, pair: Pair) -> Array | float:
     array = _frozen(given)
     if array.shape != shape:
         raise edge.InputError(f"{kind.name} has the shape {array.shape}; the pair needs {shape}.")
-    # Not a number is not below the limit either.
+    # Written so that NaN is refused too.
     if not (np.abs(array) <= kind.limit).all():
         if not np.isfinite(array).all():
             raise edge.InputError(f"{kind.name} holds a value that is not finite.")
@@ -341,7 +343,7 @@ def _checked_deviation(name: str, given: Any, pair: Pair) -> Array | None:
 
 
 def _check_curvatures(surface: ErrorSurface) -> None:
-    """Refuse curvatures that are not given for both bodies, each with deviations of the same elements."""
+    """Check that curvatures are given for both bodies, each with deviations of the same elements."""
     if surface.gear_curvature is None and surface.pin_curvature is None:
         return
     for name in DEVIATIONS:
@@ -356,7 +358,7 @@ def _check_curvatures(surface: ErrorSurface) -> None:
 
 
 def _check_life(surface: ErrorSurface) -> None:
-    """Refuse a life whose states are not those of the surface's deviations."""
+    """Check that the states of the life match the surface's deviations."""
     life = surface.life
     assert life is not None
     turns = life.crank_turns
@@ -373,7 +375,7 @@ def _check_life(surface: ErrorSurface) -> None:
 
 
 def _check_ageing(ageing: Ageing, crank_turns: float) -> None:
-    """Refuse an ageing beyond its life."""
+    """Check that the ageing is within the life."""
     numbers = [v for v in vars(ageing).values() if not isinstance(v, str)]
     given = ageing.largest_age * ageing.crank_turns_per_second * ageing.largest_wear_factor
     low, high = ageing.smallest_wear_factor, ageing.largest_wear_factor
@@ -386,7 +388,7 @@ def _check_ageing(ageing: Ageing, crank_turns: float) -> None:
         and ageing.bearing in ("", *BEARINGS)
         and given <= crank_turns * (1.0 + 1e-9)
     ):
-        raise edge.InputError("life_ageing: its ages and wear factors must be finite and lie within the life's states.")
+        raise edge.InputError("life_ageing: its ages and wear factors must be finite and within the life's states.")
 
 
 def nominal_surface(pair: Pair) -> ErrorSurface:
@@ -411,7 +413,7 @@ def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
     Raises
     ------
     ValueError
-        If it has no life, or the life ends before.
+        If it has no life, or the life ends earlier.
     """
     life = surface.life
     if life is None:
@@ -430,16 +432,16 @@ def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
 
 
 def alike(surface: ErrorSurface) -> tuple[bool, bool]:
-    """Return whether all teeth of each disc are equal and whether all pins are, with errors at rest.
+    """Return whether all teeth of each disc are equal, and whether all pins are equal, including errors of the frame.
 
-    Errors at rest in the frame make the parts at rest different: the pins with the gear as output, the teeth with the
-    ring. If both are equal, everything repeats from pin to pin.
+    Errors of the frame make the parts at rest unequal: the pins if the gear is the output, the teeth if the ring is. If
+    both are equal, everything repeats from pin to pin.
     """
     parts = {"pins": True, "teeth": True, "frame": True}
     for name, values in surface.errors.items():
         kind = KINDS[name]
         if kind.breaks:
-            # One number makes parts unlike wherever it is not zero, many where they are not the same.
+            # One value makes parts unequal if it is not zero, many values if they are not the same.
             parts[kind.breaks] &= not np.any(values if kind.of == "drive" else np.ptp(values, axis=-1))
     for name, axis, part in (("gear", 1, "teeth"), ("pin", 0, "pins")):
         for what in ("deviation", "curvature"):
@@ -451,14 +453,14 @@ def alike(surface: ErrorSurface) -> tuple[bool, bool]:
 
 
 def _shown(value: Any) -> str:
-    """Return the text of a value of a pair's field."""
+    """Return the value of a pair's field as text for a message."""
     if value is None or isinstance(value, edge.Config):
         return "not stated" if value is None else "stated"
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def _difference(field: str, one: Any, other: Any) -> tuple[str, Any, Any] | None:
-    """Return the first field in which two values differ by more than rounding, with both values, None without one."""
+    """Return the first field in which two values differ by more than rounding, with both values; None if equal."""
     if isinstance(one, edge.Config) and isinstance(other, edge.Config):
         parts = (
             _difference(f"[{field.split()[-1]}] {name}", getattr(one, name), getattr(other, name))
@@ -472,12 +474,12 @@ def _difference(field: str, one: Any, other: Any) -> tuple[str, Any, Any] | None
 
 
 def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_source: str) -> None:
-    """Refuse a surface that was made for another pair: geometry, modification and material must be the same.
+    """Check that a surface was made for a pair: geometry, modification and material must be the same.
 
     Raises
     ------
     edge.InputError
-        Naming the first field that differs, both values and both files.
+        If they differ; it names the first differing field, both values and both files.
     """
     mine, theirs = pair.nominal, surface.pair
     for name in type(pair).model_fields:

@@ -217,7 +217,7 @@ def test_a_dxf_read_back(tmp_path):
     assert 1e-3 * crosses[::2] == pytest.approx(36e-3 * np.exp(2j * np.pi * np.arange(3) / 3) + holes)
     assert profile.notes == (
         "[supports.turning_arm] raceway_diameter is not stated, so the holes for the cranks have no radius: DXF and "
-        "SVG mark centres by crosses, STEP has no hole.",
+        "SVG mark centres, STEP has no hole.",
     )
 
 
@@ -341,7 +341,7 @@ def test_the_command_writes_all_and_draws(command, tmp_path):
     path = str(CRANKS)
     done = command("cycloid-fmu", "profile", path, "-o", "d.dxf", "--plot", "d.png", "--chord-error", "0.5 um")
     assert (done.returncode, done.stderr.count("\n")) == (0, 1)
-    assert "mark centres by crosses" in done.stderr
+    assert "SVG mark centres, STEP has no hole" in done.stderr
     assert (tmp_path / "d.png").stat().st_size > 20000
     read = command("cycloid-fmu", "profile", path, "-o", "d.svg", "--json")
     assert '"largest_error": 7' in read.stdout

@@ -532,7 +532,7 @@ def test_a_tiny_torque_rests_on_its_own_flank():
 @pytest.mark.parametrize(
     ("errors", "sentence"),
     [
-        ({"isometric": 9e-4, "offset": -9e-4}, "the flank is undercut from"),
+        ({"isometric": 9e-4, "offset": -9e-4}, "the flank is undercut above"),
         ({"eccentricity": -1e-3}, "the eccentricity is -0.01 mm"),
         ({"pin_tangential": {20: (1e-3, 0.0)}}, "pins .* overlap by"),
         ({"pin_radius": 9.9e-4}, "overlap"),

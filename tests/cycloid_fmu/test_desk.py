@@ -274,7 +274,7 @@ def test_a_designer_works_at_it(server):
         questions = []
         page.once("dialog", lambda dialog: (questions.append(dialog.message), dialog.dismiss()))
         page.locator("#save").click()
-        page.locator("#saved").get_by_text("Nothing is saved.").wait_for()
+        page.locator("#saved").get_by_text("Not saved.").wait_for()
         assert "Overwrite it?" in questions[0]
         assert (folder / "drive.toml").read_bytes() == MADE.read_bytes()
         page.once("dialog", lambda dialog: dialog.accept())

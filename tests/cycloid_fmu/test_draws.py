@@ -138,14 +138,14 @@ def test_between_two_flanges_a_draw_is_its_drive(identified):
 
 def test_without_a_covariance_and_beyond_the_most_it_is_refused(command, tmp_path):
     drive = cy.read_drive(EXAMPLES / "drive-39-40.toml")
-    with pytest.raises(cy.InputError, match=r"draws = 3: the drive's errors have no covariance of a fit to draw from"):
+    with pytest.raises(cy.InputError, match=r"draws = 3: the drive's errors have no covariance to draw from"):
         drive.build_fmu(tmp_path / "none.fmu", draws=3)
     with pytest.raises(cy.InputError, match=r"draws = 10001: it must be between 0 and 10000"):
         drive.build_fmu(tmp_path / "none.fmu", draws=10001, native=True)
     run = command("cycloid-fmu", "build", EXAMPLES / "drive-39-40.toml", "--draws", "3", "-o", "none.fmu")
     assert run.returncode == 2
     assert (
-        "--draws = 3: the drive's errors have no covariance of a fit to draw from; give a surface of identify"
+        "--draws = 3: the drive's errors have no covariance to draw from; give a surface written by identify"
         in run.stderr
     )
     assert not (tmp_path / "none.fmu").exists()

@@ -28,7 +28,7 @@ def test_every_example_is_listed_and_written_as_it_is(command, tmp_path):
     ("words", "said"),
     [
         (["drive-39.toml"], "did you mean drive-39-40.toml?"),
-        (["wear.toml", "-o", "own.toml"], "own.toml: this file exists already and is kept"),
+        (["wear.toml", "-o", "own.toml"], "own.toml: this file exists and is not overwritten"),
         (["wear.toml", "-o", "wear.nc"], "must end in .toml or .csv"),
     ],
 )

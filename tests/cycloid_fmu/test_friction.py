@@ -57,7 +57,7 @@ def test_the_command_takes_measured_losses_and_a_friction_file(tmp_path):
     friction.write_text((EXAMPLES / "friction.toml").read_text().replace("temperature_coefficient", "# "))
     done = CliRunner().invoke(app, [*words, "--friction", str(friction)])
     assert done.exit_code == 0, done.output
-    assert "% of the losses (root mean square); they go with exp(-0.01/K (T - 305 K))" in done.output
+    assert "% of the losses (rms), proportional to exp(-0.01/K (T - 305 K))" in done.output
     variables = {v.name: v for v in fmpy.read_model_description(str(out)).modelVariables}
     start = {name: float(v.start) for name, v in variables.items() if v.start not in (None, "false", "true")}
     assert start["loss_table[2,2]"] == pytest.approx(0.92, rel=1e-4)
@@ -99,7 +99,7 @@ def test_friction_that_is_none_is_refused_in_a_sentence(tmp_path, line, said):
 
 @pytest.mark.parametrize(
     ("rows", "said"),
-    [("", "needs points"), ("10,1,0.2,300\n", "fewer than two torques"), ("10,1,x,300\n", "line 2")],
+    [("", "needs measured points"), ("10,1,0.2,300\n", "fewer than two torques"), ("10,1,x,300\n", "line 2")],
 )
 def test_measured_losses_that_give_no_table_are_refused_in_a_sentence(tmp_path, rows, said):
     path = tmp_path / "bench.csv"

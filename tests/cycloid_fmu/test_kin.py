@@ -159,5 +159,7 @@ def test_modifications_are_limited_by_the_size(size, offset, allowed):
     if allowed:
         assert pair.replace(offset=offset).modification.offset == offset
     else:
-        with pytest.raises(edge.InputError, match=rf"^offset = .*: it must be between -{size:g} mm and {size:g} mm in"):
+        with pytest.raises(
+            edge.InputError, match=rf"^offset = .*: it must be between -{size:g} mm and {size:g} mm for"
+        ):
             pair.replace(offset=offset)

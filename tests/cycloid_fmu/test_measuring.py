@@ -243,12 +243,12 @@ def few(body, number, left):
 @pytest.mark.parametrize(
     ("rows", "unit", "said"),
     [
-        (ROWS, {"unit": "mm", "scale": 1.0}, ("x of the gear", "thousandfold", "column x")),
-        (ROWS, {"unit": "mm", "scale": 1e6}, ("x of the gear", "thousandfold", "column x")),
+        (ROWS, {"unit": "mm", "scale": 1.0}, ("x of the gear", "factor of 1000", "column x")),
+        (ROWS, {"unit": "mm", "scale": 1e6}, ("x of the gear", "factor of 1000", "column x")),
         (ROWS, {"unit": "inch", "scale": 1e3}, ("x of the gear", "check the unit")),
-        ([(*r[:4], r[4] * 1e3, r[5]) for r in ROWS], {}, ("y of the gear", "thousandfold", "column y")),
+        ([(*r[:4], r[4] * 1e3, r[5]) for r in ROWS], {}, ("y of the gear", "factor of 1000", "column y")),
         ([(*r[:5], r[5] * 1e3) for r in ROWS], {}, ("line 2", "z is", "column z")),
-        ([r if r[0] == "gear" else (*r[:3], r[3] * 1e3, *r[4:]) for r in ROWS], {}, ("x of the pins", "thousandfold")),
+        ([r if r[0] == "gear" else (*r[:3], r[3] * 1e3, *r[4:]) for r in ROWS], {}, ("x of the pins", "of 1000")),
         (few("gear", 5, 7), {}, ("tooth 5 of disc 0 has 7 points", "at least 8")),
         (few("gear", 5, 0), {}, ("tooth 5 of disc 0 has 0 points",)),
         (few("pin", 3, 2), {}, ("pin 3 has 2 points", "at least 6")),
@@ -257,7 +257,7 @@ def few(body, number, left):
         ([*ROWS, ("gear", 0, 12, 0.04, 0.0, 0.0)], {}, ("tooth 12 does not exist", "0 to 11")),
         ([(*r[:2], -r[2] % 12 if r[0] == "gear" else r[2], *r[3:]) for r in ROWS], {}, ("counter-clockwise",)),
         ([(*r[:2], {3: 4, 4: 3}.get(r[2], r[2]) if r[0] == "gear" else r[2], *r[3:]) for r in ROWS], {},
-         ("of disc 0", "off its place")),
+         ("of disc 0", "from its position: check its number")),
         ([(*r[:2], -r[2] % 13 if r[0] == "pin" else r[2], *r[3:]) for r in ROWS], {}, ("counter-clockwise",)),
     ],
 )  # fmt: skip
@@ -312,6 +312,6 @@ def test_measured_from_the_command_line(command, tmp_path):
     write_csv(tmp_path / "cmm.csv", rows, scale=1.0)
     run = command(*words, "-o", "bad.nc")
     assert (run.returncode, run.stdout) == (2, "")
-    assert "thousandfold" in run.stderr
+    assert "factor of 1000" in run.stderr
     assert run.stderr.count("\n") == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cmm.csv", "pair.toml", "s.nc", "s.png"]

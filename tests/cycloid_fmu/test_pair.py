@@ -27,10 +27,10 @@ BAD = {
     "pins": ("pins = 40", "pins = 42", "41|40"),
     "fractional teeth": ("gear_teeth = 39", "gear_teeth = 39.5", "gear_teeth"),
     "too many teeth": (
-        "gear_teeth = 39\npins = 40", "gear_teeth = 301\npins = 302", "gear_teeth = 301: it must be 300 at most"
+        "gear_teeth = 39\npins = 40", "gear_teeth = 301\npins = 302", "gear_teeth = 301: it must be at most 300"
     ),
-    "one tooth": ("gear_teeth = 39\npins = 40", "gear_teeth = 1\npins = 2", "no pin has an arm"),
-    "two pins more": ("pins = 40", "pins = 41", "one pin more, 40; with more, flanks of neighbouring teeth cross"),
+    "one tooth": ("gear_teeth = 39\npins = 40", "gear_teeth = 1\npins = 2", "no pin has a lever arm"),
+    "two pins more": ("pins = 40", "pins = 41", "one pin more, 40; with more pins, flanks of neighbouring teeth cross"),
     "hypocycloid": ("pins = 40", "pins = 38", r"one pin more, 40; .*\(hypocycloid\) the flanks lie around the pins"),
     "K above 1": ('"1.3 mm"', '"1.7 mm"', "eccentricity"),
     "K of 1": ('"1.3 mm"', '"1.6 mm"', "eccentricity"),

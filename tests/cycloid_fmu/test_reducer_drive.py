@@ -180,8 +180,12 @@ def test_what_knows_the_cycloid_stage_alone_says_so():
         ('kind = "cranks"', 'kind = "output_rollers"', 'write kind = "cranks"'),
         ("sun_teeth = 12", "sun_teeth = 12\nplanets = 2", "planets = 2, but [supports] count = 3"),
         ("sun_teeth = 12", 'sun_teeth = 12\nface_width = "8 mm"\nmesh_stiffness = "1 N/um"', "state one of them"),
-        ('crank_bearing_clearance = "2 um"', 'crank_bearing_clearance = "-7 um"', "one not below zero"),
-        ("[deviations]", '[errors]\npin_radius = "1 um"\n[deviations]', "are its [deviations] and [errors.supports]"),
+        ('crank_bearing_clearance = "2 um"', 'crank_bearing_clearance = "-7 um"', "must not be below zero"),
+        (
+            "[deviations]",
+            '[errors]\npin_radius = "1 um"\n[deviations]',
+            "states its errors in [deviations] and [errors.supports]",
+        ),
     ],
 )
 def test_contradictions_are_refused_in_a_sentence(old, new, sentence):

@@ -211,7 +211,7 @@ def test_discs_and_sizes_are_the_pair_s_and_the_caller_s():
     [
         (
             '[gear_pitch]\nsingle = "3 um"\ncumulative = "2 um"',
-            ("gear_pitch", "cumulative", "below the possible minimum"),
+            ("gear_pitch", "cumulative", "at the single tolerance already causes this"),
         ),
         ('[gear_profile]\ntolerance = "4 um"\ncorrelation = "some"', ("gear_profile", "correlation", '"none"')),
         ('[gear_profile]\ntolerance = "4 um"\ncorrelation = { profile = 0 }', ("correlation", "profile = 0")),

@@ -306,7 +306,7 @@ def test_the_command_prints_draws_and_says_what_is_missing(command, tmp_path):
         *words, "--vary", "offset=-40,-10 um", "--torque", "100 N*m", "--torque", "-20 N*m", "--plot", "1.png"
     )
     assert one.returncode == 0, one.stderr
-    assert "1 of 2 drives are left out here or incomplete: no free position: interference of" in one.stderr
+    assert "1 of 2 drives are not shown or incomplete: no free position: interference of" in one.stderr
     assert "offset -40 um" in one.stdout
     two = command(*words, "--vary", "offset=-40,-30 um", "--vary", "pin_radius=2.9,3 mm", "--json")
     found = json.loads(two.stdout)

@@ -224,8 +224,8 @@ def test_a_warm_drive_is_another_drive_of_the_same_parts():
         ("[expansion]\nring = '-23e-6 1/K'", "an expansion coefficient must be above 0"),
         ("[expansion]\nring = '23.1 1/K'", "at most 0.0003 1/K"),
         ("[supports.turning_arm]\nraceway_diameter='22 mm'\nstiffness='400 N/um'\n[temperature]\ncrank='60 degC'",
-         "the clearance of turning_arm falls to -10.1 um; no preload is in the model"),
-        ("[temperature]\ncarrier='60 degC'", "turning_arm is rigid, but carrier and discs grow unlike each other"),
+         "the clearance of turning_arm falls to -10.1 um; the model has no preload"),
+        ("[temperature]\ncarrier='60 degC'", "turning_arm is rigid, but carrier and discs expand differently"),
     ],
 )  # fmt: skip
 def test_temperatures_that_can_not_be_are_refused_in_a_sentence(tables, sentence):
@@ -244,11 +244,11 @@ def test_temperatures_that_can_not_be_are_refused_in_a_sentence(tables, sentence
         ("ring = -300 degC", 'temperature = "ring = -300 degC": a temperature must be between -60 degC and 200 degC.'),
         (
             "rotor = 30 degC",
-            'temperature = "rotor = 30 degC": it states one of ring, pins, discs, carrier, crank, each',
+            'temperature = "rotor = 30 degC": give each of ring, pins, discs, carrier, crank at most',
         ),
         ("disc = 30 degC", "did you mean discs"),
-        ("ring = 30 degC, ring = 40 degC", "each once"),
-        ("30 degC, discs = 40 degC", "or one temperature of all"),
+        ("ring = 30 degC, ring = 40 degC", "crank at most once"),
+        ("30 degC, discs = 40 degC", "or one temperature for all"),
     ],
 )
 def test_a_text_of_temperatures_is_refused_in_a_sentence(text, sentence):

@@ -44,8 +44,8 @@ def test_the_encoder_of_the_docs_records(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("example", "said"),
     [
-        ("record_can.py", r"input_angle: 192 samples in rad; .*TE -4\.\d+ arcsec in the mean"),
-        ("record_serial.py", r"\d{3} lines; marks .* known to \d+ us"),
+        ("record_can.py", r"input_angle: 192 samples in rad; .*TE -4\.\d+ arcsec mean"),
+        ("record_serial.py", r"\d{3} lines; marks .* uncertainty \d+ us"),
     ],
 )
 def test_the_examples_run(tmp_path, monkeypatch, capsys, example, said):

@@ -252,7 +252,7 @@ def test_a_joint_with_both_inertias_is_described_and_refused_alone(drive, tmp_pa
             drive.pair, path, drive.surface, interface=interface, fmi_version=version, made=drive.tables
         )
     assert validate_fmu(str(path)) == []
-    with pytest.raises(edge.InputError, match="crank_inertia goes together with an output_inertia"):
+    with pytest.raises(edge.InputError, match="crank_inertia needs an output_inertia"):
         native_build.build_native(drive.pair, path, interface=Interface("compliant", crank_inertia=MOTOR))
 
 

@@ -1041,7 +1041,7 @@ def test_each_platform_has_its_folder_and_macos_in_fmi_2_holds_both_processors(d
     [
         (["--native", "--platform", "m68k-amiga"], '--platform = "m68k-amiga": this is none of x86_64-linux, '),
         (["--native", "--platform", "aarch64-linux", "--fmi", "2.0"], "FMI 2.0 does not know it, FMI 3.0 does"),
-        (["--platform", "x86_64-linux"], "only a --native FMU has platforms"),
+        (["--platform", "x86_64-linux"], "--platform is only for --native"),
     ],
 )
 def test_what_can_not_be_built_is_refused_and_nothing_written(command, tmp_path, words, said):

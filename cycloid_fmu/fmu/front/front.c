@@ -1,8 +1,8 @@
-/* What hosts load as the library of an FMI 2.0 FMU that runs in Python: it stands before pythonfmu's, which lies beside
-   it and takes the resources' URI for a path, so that it finds nothing where letters are percent-encoded. The URI becomes
-   a path here, a discarded step an error, and why something is refused is logged whether the host asks for it or not, as
-   by a native FMU; every other call goes on to pythonfmu's library as it is. Compiled beforehand, as an FMU that runs in
-   Python is built without a compiler: `python tests/native/front.py`. */
+/* The library that hosts load from an FMI 2.0 FMU in Python. It wraps pythonfmu's library in the same folder, which treats
+   the resources' URI as a path and fails if characters are percent-encoded. This wrapper converts the URI to a path, turns
+   a discarded step into an error, and logs refusals even if the host has not asked for logging, as a native FMU does; all
+   other calls are forwarded unchanged. It is compiled in advance with `python tests/native/front.py`, because an FMU in
+   Python is built without a compiler. */
 #ifdef _WIN32
 #include <windows.h>
 #else
@@ -19,7 +19,7 @@
 #include "format.h"
 #include "uri.h"
 
-/* Hash of the source, by which a test knows whether the library was compiled from it. */
+/* Hash of the source, so that a test can check that the library was compiled from it. */
 FMI2_Export const char front_source[] = SOURCE_HASH;
 
 #define FORWARDED(X)                                                                                                   \
@@ -67,13 +67,13 @@ FMI2_Export const char front_source[] = SOURCE_HASH;
     X(DoStep, (fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_state), (c, time, step, no_state))
 
 #ifdef _WIN32
-enum { PATH_SIZE = 512 }; /* Windows has 260; no function may take a page of the stack, as no stack probe is linked */
+enum { PATH_SIZE = 512 }; /* Windows has 260; no function may need a page of stack, as no stack probe is linked */
 #else
 enum { PATH_SIZE = PATH_MAX };
 #endif
 
-/* The functions behind: found for the first instance, let go with the last. That unloads the library on Windows alone: on
-   Linux the slave itself keeps it loaded. */
+/* The wrapped functions: loaded for the first instance, released with the last. This unloads the library only on Windows;
+   on Linux the slave itself keeps it loaded. */
 static struct {
     void *library;
     size_t instances;
@@ -84,7 +84,7 @@ static struct {
 #undef X
 } behind;
 
-/* `open_library` answers why the library behind can't be loaded, `make_ascii` why pythonfmu can't read a path, or NULL. */
+/* `open_library` returns why the wrapped library can't be loaded, `make_ascii` why pythonfmu can't read a path, or NULL. */
 #ifdef _WIN32
 static SRWLOCK busy = SRWLOCK_INIT;
 
@@ -103,7 +103,7 @@ static const char *open_library(void) {
     DWORD used;
     if (!GetModuleHandleExW(GET_MODULE_HANDLE_EX_FLAG_FROM_ADDRESS | GET_MODULE_HANDLE_EX_FLAG_UNCHANGED_REFCOUNT,
                             (LPCWSTR)&behind, &module)) {
-        return "the FMU's library does not find itself";
+        return "the FMU's library can't find its own path";
     }
     used = GetModuleFileNameW(module, path, PATH_SIZE);
     if (used == 0 || used >= PATH_SIZE) {
@@ -116,13 +116,13 @@ static const char *open_library(void) {
         return "the path of the FMU's library is too long";
     }
     memcpy(path + used, NAME, sizeof NAME);
-    /* First as Python's ctypes loads a library, which finds Python's own where it is not yet loaded. */
+    /* First with the search order of Python's ctypes, which finds Python's own library if it is not yet loaded. */
     module = LoadLibraryExW(path, NULL, LOAD_LIBRARY_SEARCH_DEFAULT_DIRS | LOAD_LIBRARY_SEARCH_DLL_LOAD_DIR);
     if (module == NULL) {
         module = LoadLibraryExW(path, NULL, LOAD_WITH_ALTERED_SEARCH_PATH);
     }
     if (module == NULL) {
-        return "pythonfmu-export.dll beside the FMU's library can't be loaded: is Python (python3.dll) on the PATH?";
+        return "pythonfmu-export.dll next to the FMU's library can't be loaded: is Python (python3.dll) on the PATH?";
     }
     behind.library = module;
     return NULL;
@@ -144,7 +144,7 @@ static int is_ascii(const wchar_t *path) {
 }
 
 /* pythonfmu reads the path both as UTF-8 and in the system's code page: only ASCII is the same in both. A path with
-   other letters has a short one of ASCII, unless the volume keeps none. */
+   other characters has a short name in ASCII, unless the volume stores none. */
 static const char *make_ascii(char *path) {
     wchar_t wide[PATH_SIZE];
     DWORD i, used;
@@ -152,14 +152,14 @@ static const char *make_ascii(char *path) {
         return NULL;
     }
     if (MultiByteToWideChar(CP_UTF8, MB_ERR_INVALID_CHARS, path, -1, wide, PATH_SIZE) == 0) {
-        return "the resources' location is no UTF-8, or too long";
+        return "the resources' location is not UTF-8, or too long";
     }
     if (is_ascii(wide)) {
         return NULL;
     }
     used = GetShortPathNameW(wide, wide, PATH_SIZE);
     if (used == 0 || used >= PATH_SIZE || !is_ascii(wide)) {
-        return "the FMU lies under a path with letters beyond ASCII, on a volume without short names: move it";
+        return "the FMU's path has characters beyond ASCII, on a volume without short names: move it";
     }
     for (i = 0; i <= used; i++) {
         path[i] = (char)wide[i];
@@ -182,9 +182,9 @@ static const char *open_library(void) {
     char path[PATH_MAX + sizeof NAME];
     struct link_map *self;
     Dl_info told;
-    /* Not $ORIGIN in the path: glibc takes another FMU's library for this one then, as the paths are alike. */
+    /* Not $ORIGIN in the path: glibc would confuse it with another FMU's library, whose path is then the same. */
     if (!dladdr1(&behind, &told, (void **)&self, RTLD_DL_LINKMAP) || dlinfo(self, RTLD_DI_ORIGIN, path)) {
-        return "the FMU's library does not find itself";
+        return "the FMU's library can't find its own path";
     }
     strcat(path, NAME);
     behind.library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
@@ -205,13 +205,13 @@ static const char *make_ascii(char *path) {
 }
 #endif
 
-/* Answers which function is missing, or NULL. */
+/* Returns which function is missing, or NULL. */
 static const char *find_functions(void) {
     void *function;
 #define X(NAME, PARAMETERS, ARGUMENTS)                                                                                 \
     function = symbol("fmi2" #NAME);                                                                                   \
     if (function == NULL) {                                                                                            \
-        return "the library beside the FMU's is not pythonfmu's: it has no fmi2" #NAME;                                \
+        return "the library next to the FMU's is not pythonfmu's: it has no fmi2" #NAME;                               \
     }                                                                                                                  \
     memcpy(&behind.NAME, &function, sizeof function);
     FUNCTIONS(X) X(FreeInstance, , ) X(Instantiate, , )
@@ -288,11 +288,11 @@ void fmi2FreeInstance(fmi2Component c) {
 }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
-    (void)c, (void)on, (void)n, (void)categories; /* what is refused is logged always, and nothing else is */
+    (void)c, (void)on, (void)n, (void)categories; /* refusals are always logged, and nothing else is */
     return fmi2OK;
 }
 
-/* What is refused can't be made by a shorter step either: of a discarded one importers end in silence, or never. */
+/* A shorter step would be refused too: after a discarded one, importers end without a message, or never. */
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_state) {
     fmi2Status status = behind.DoStep(c, time, step, no_state);
     return status == fmi2Discard ? fmi2Error : status;
