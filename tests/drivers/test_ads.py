@@ -130,7 +130,7 @@ def test_a_program_that_starts_again_is_marked_reset(tmp_path, host):
     (again,) = np.flatnonzero(samples.status & RESET)
     assert samples.counts[again] == 0  # incremental: the zero is another
     assert samples.time_device[again] == 0.0
-    assert sum("started again" in text for text in told(recording)) == 3
+    assert sum("program restarted" in text for text in told(recording)) == 3
     assert len(samples) - again == 400  # those before it that were not read yet are gone
 
 
@@ -180,7 +180,7 @@ def test_a_variable_that_is_no_ring_is_said(tmp_path, host, monkeypatch):
     ("change", "said"),
     [
         (lambda head: replace(head, newest=head.newest - 1), r"its newest number went back from \d+ to \d+"),
-        (lambda head: ring.read_head(replace(head, newest=1 << 63).pack()), "no task comes that far"),
+        (lambda head: ring.read_head(replace(head, newest=1 << 63).pack()), "which no task can reach"),
         (lambda head: replace(head, columns=2), "its ring has changed"),
     ],
 )

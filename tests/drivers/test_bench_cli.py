@@ -101,7 +101,7 @@ def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
     code, out, err = run(tmp_path, "record", "BENCH.toml", "-o", "run.arrows", "--idle", "3 s")
     simulation.communicate(timeout=60)
     assert code == edge.SILENT, err
-    assert "It ended because no more samples came." in err
+    assert "It ended because no more samples arrived." in err
     assert simulation.returncode == 0
     assert "1920 input_angle, 1920 output_angle, 1920 torque; 0 events" in out
     samples = read_recording(tmp_path / "run.arrows").samples
@@ -127,7 +127,7 @@ def test_a_recorder_that_is_stopped_keeps_what_came(tmp_path, number, code):
         out, err = recorder.communicate(timeout=60)
         assert recorder.returncode == code, err
         if code > 0:
-            assert f"Interrupted by {number.name}; {path} has the data until then." in err
+            assert f"Interrupted by {number.name}; {path} has all data up to then." in err
             told = {name: int(n) for n, name in re.findall(r"(\d+) (\w+)[,;]", out.splitlines()[0])}
             assert told == {name: len(s) for name, s in read_recording(path).samples.items()}
     finally:
@@ -226,7 +226,7 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
         (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--serial", "amt21", "--clock-drift", "1e-4"],
          "--clock-drift = 0.0001: only"),
         (["simulate", "--torque", "20 mm", "--ratio", "-39"], '--torque = "20 mm": the unit "mm" measures'),
-        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual"], '--bus = "virtual": this bus ends'),
+        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual"], '--bus = "virtual": other proc'),
         (["simulate", "--torque", "20 N*m", "--fmu", "BENCH.toml"], "BENCH.toml: this is not an FMU"),
         (["export", "BENCH.toml", "-o", "run.csv"], "BENCH.toml: this is not a recording"),
         (["export", "run.arrows", "-o", "run.xls"], "--output = run.xls: the name must end in .csv"),

@@ -206,7 +206,7 @@ def test_an_encoder_that_has_aged_while_it_was_away_is_the_same_device(tmp_path,
 
 def test_one_quantity_of_a_node_goes_to_one_channel(tmp_path, bus_name):
     twice = POSITION + POSITION.replace("input", "output")
-    said = "The position of node 5 on the CAN bus virtual .* is taken by another channel"
+    said = "The position of node 5 on the CAN bus virtual .* is in use by another channel"
     toml = wiring(tmp_path, bus_name, twice)
     with Node(bus_name, [0x60040020]), pytest.raises(EncoderSetupError, match=said), open_encoders(toml):
         pass

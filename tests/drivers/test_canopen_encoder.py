@@ -147,7 +147,7 @@ def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
     texts = [e.text for e in recording.events if e.channel == "output_angle"]
     assert any("frame 0x182 skipped: 2 bytes long (0x0102), not 4" in t for t in texts)
     assert any(t.startswith("EMCY 0x8110, register 0x01") for t in texts)
-    assert any("started again" in t for t in texts)
+    assert any("the node restarted" in t for t in texts)
     output = recording.samples["output_angle"]
     assert np.any(output.status & rf.GAP)
     assert np.any(output.status & rf.RESET)
@@ -187,7 +187,7 @@ def test_two_channels_cannot_share_a_node(tmp_path, bus_name):
     with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("node = 2", "node = 1"))
-        with pytest.raises(EncoderSetupError, match="taken by another channel"), open_encoders(toml):
+        with pytest.raises(EncoderSetupError, match="in use by another channel"), open_encoders(toml):
             pass
 
 

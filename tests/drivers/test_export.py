@@ -100,7 +100,7 @@ def test_csv_of_angles_that_share_no_instant_is_refused(tmp_path):
     with RecordingWriter(path, HEADER) as writer:
         for i, name in enumerate(NAMES):
             writer.write(Samples.checked(name, np.arange(5) + 0.1 * i, np.arange(5.0)))
-    with pytest.raises(edge.InputError, match="share no instant"):
+    with pytest.raises(edge.InputError, match="have no time in common"):
         export(path, tmp_path / "run.csv")
     assert not (tmp_path / "run.csv").exists()
 
@@ -139,7 +139,7 @@ def test_repair_says_what_a_torn_file_holds(tmp_path):
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 2 // 3])
     held = repair(path, tmp_path / "whole.arrows")
-    assert "is cut or damaged after" in held.problems[0]
+    assert "is truncated or damaged after" in held.problems[0]
     before, after = read_recording(path), read_recording(tmp_path / "whole.arrows")
     assert after.problems == ()
     for name in NAMES:
@@ -172,6 +172,6 @@ def test_the_commands(command, recording):
     recording.write_bytes(data[:-300])
     done = command("cycloid-bench", "repair", recording, "-o", "whole.arrows")
     assert done.returncode == 1
-    assert "is cut or damaged after 59 complete batches" in done.stderr
+    assert "is truncated or damaged after 59 complete batches" in done.stderr
     assert "59 intact batches, 19 events" in done.stdout
     assert "input_angle: 1000 samples, from 0.000000 s to 9.990000 s, 1 of them after a gap" in done.stdout

@@ -90,7 +90,7 @@ def test_cable_pulled_and_put_back(tmp_path):
     for name in ("input_angle", "output_angle"):
         said = texts(recording, name)
         assert any("failed and will be opened again" in t and "broke" in t for t in said), said
-        assert "samples come again" in said
+        assert "samples arrive again" in said
         samples = recording.samples[name]
         gap = np.argmax(np.diff(samples.time_host)) + 1
         assert gap in marked(samples, rf.GAP)
@@ -166,7 +166,7 @@ def test_counter_reset(tmp_path):
     assert done.marks["output_angle"]["resets"] == 1
     (reset,) = marked(samples, rf.RESET)
     assert samples.counts[reset] == 0
-    assert any("started again" in t for t in texts(recording, "output_angle"))
+    assert any("restarted" in t for t in texts(recording, "output_angle"))
     # Its clock started again as well: before and after, it is put on the host's by a line of its own.
     clocks = read_clocks(tmp_path / "run.arrows", ["output_angle"])["output_angle"]
     assert clocks.keys() == {0, 1}
@@ -181,7 +181,7 @@ def test_a_node_that_starts_anew_is_set_operational_again(tmp_path, bus_name):
         speed_factor=1.0, idle=1.0,
     )  # fmt: skip
     output = recording.samples["output_angle"]
-    assert any("started again" in t for t in texts(recording, "output_angle"))
+    assert any("restarted" in t for t in texts(recording, "output_angle"))
     assert done.marks["output_angle"]["resets"] == 1
     assert len(output) > 120, "it sends again"
     first = marked(output, rf.RESET)[0]
@@ -375,7 +375,7 @@ def test_dead_heartbeat(tmp_path, bus_name):
     )
     said = texts(recording, "output_angle")
     assert any("no heartbeat and no frame for" in t for t in said), said
-    assert "samples come again" in said
+    assert "samples arrive again" in said
     output = recording.samples["output_angle"]
     gap = int(np.argmax(np.diff(output.time_host))) + 1
     assert output.status[gap] & rf.GAP

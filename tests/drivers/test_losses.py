@@ -153,7 +153,7 @@ def test_what_is_missing_behind_the_last_sample_is_said(hub):
     handed(hub, [cycle(n)[0] for n in range(10, 15)])
     reader.finish()
     assert reader.lost == 4, "the newest SYNC may still be answered"
-    assert any("4 SYNC without a sample behind the last one" in event.text for event in reader.events())
+    assert any("4 SYNC without a sample after the last one" in event.text for event in reader.events())
 
 
 def test_what_comes_behind_the_end_is_not_lost(hub):
@@ -308,7 +308,7 @@ def test_a_line_has_no_instant_where_the_recorder_was_held_up_behind_its_first_b
 def test_an_answer_that_took_too_long_has_no_instant():
     encoder = Amt21Encoder("input_angle", Amt21Config(protocol="amt21", port="p"), PortConfig(url="loop://"))
     answers = [word.tobytes() for word in check_bits(np.arange(5))]
-    note = "no reading for 3.000 s: the recorder was held up"
+    note = "no reading for 3.000 s: the recorder was delayed"
     encoder._answers.put([
         Exchange(0.0, answers[0]), Exchange(1.5, answers[1], late=True), Exchange(3.0, answers[2]),
         Exchange(6.0, answers[3], note), Exchange(6.1, answers[4]),

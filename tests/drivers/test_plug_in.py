@@ -114,11 +114,11 @@ def test_a_file_never_names_code(tmp_path, monkeypatch, protocol):
         (
             "broken_rig:Counter",
             "import no_such_package_at_all\n",
-            "broken_rig that has it does not load: No module named",
+            "broken_rig that provides it does not load: No module named",
         ),
-        ("broken_rig:Counter", "x = 1\n", "broken_rig that has it does not load: .*Counter"),
+        ("broken_rig:Counter", "x = 1\n", "broken_rig that provides it does not load: .*Counter"),
         ("broken_rig:Counter", "1 / 0\n", "does not load: division by zero"),
-        ("broken_rig:Counter", "Counter = dict\n", "gives no encoder with a configuration"),
+        ("broken_rig:Counter", "Counter = dict\n", "must provide a subclass of Encoder with a configuration"),
     ],
 )
 def test_a_package_that_is_broken_is_one_sentence(tmp_path, installed, value, code, said):
@@ -130,5 +130,6 @@ def test_a_package_that_is_broken_is_one_sentence(tmp_path, installed, value, co
 
 def test_a_name_that_is_taken_is_refused(tmp_path, installed):
     installed("second_modbus", "modbus", "second_modbus:Counter")
-    with pytest.raises(edge.InputError, match="the packages cycloid-fmu and second_modbus both have it; remove one"):
+    both = "the packages cycloid-fmu and second_modbus both provide it; uninstall one"
+    with pytest.raises(edge.InputError, match=both):
         read_bench(bench(tmp_path, "modbus"))

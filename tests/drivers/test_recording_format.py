@@ -197,7 +197,7 @@ def test_what_is_recorded_is_not_overwritten(tmp_path):
     [
         (b"", "empty"),
         (b"time [s],torque [N*m]\n", "not a recording"),
-        (pa.schema([]).serialize().to_pybytes(), "names no format"),
+        (pa.schema([]).serialize().to_pybytes(), "states no format"),
         (
             pa.schema([], {"format": "cycloid-recording/9"}).serialize().to_pybytes(),
             'this version reads "cycloid-recording/1"',

@@ -165,7 +165,7 @@ def test_another_sync_than_the_recorders_is_another_master(tmp_path, bus_name, b
     (tmp_path / "BENCH.toml").write_text(text)
     told(bus_name, 1)
     until(lambda: bench.sent > 5)
-    with pytest.raises(EncoderSetupError, match="another device sends SYNC, which sync_period leaves to the recorder"):
+    with pytest.raises(EncoderSetupError, match="another device sends SYNC, which the recorder is to send"):
         check_at_rest(read_bench(tmp_path / "BENCH.toml").wiring, {})
 
 

@@ -118,7 +118,7 @@ def test_a_prompted_sequence_goes_on_after_a_step_that_fell_short_and_hands_over
     assert "3 of 3: Lock the input. Torque 0 → +100 → 0 → −100 → 0 N*m, 1 times." in run.stdout
     short = "300rpm-20Nm-forward.trial-1.arrows: not reached: the mean torque is 15 N*m, not 20 ± 1."
     assert short in run.stderr
-    assert run.stderr.count("Press Enter when it runs") == 4
+    assert run.stderr.count("Press Enter when the bench is running") == 4
     kept = {p.name for p in tmp_path.glob("*.arrows")}
     steps = {"300rpm-20Nm-forward.arrows", "300rpm-20Nm-backward.arrows", "hysteresis-100Nm.arrows"}
     assert kept == steps | {"300rpm-20Nm-forward.trial-1.arrows"}
@@ -135,7 +135,7 @@ def test_a_step_that_is_given_up_is_kept_and_said_and_what_is_recorded_is_passed
     with person.benches:
         run = command("cycloid-bench", "run", "sequence.toml", input=person)
     assert run.returncode == 1, run.stdout + run.stderr
-    assert "the crank turns the other way, not backward" in run.stderr
+    assert "the crank does not turn backward but the other way" in run.stderr
     assert {p.name for p in tmp_path.glob("*.arrows")} == {
         "300rpm-20Nm-forward.arrows", "300rpm-20Nm-backward.trial-1.arrows",
     }  # fmt: skip
@@ -144,7 +144,7 @@ def test_a_step_that_is_given_up_is_kept_and_said_and_what_is_recorded_is_passed
     with person.benches:
         run = command("cycloid-bench", "run", "sequence.toml", input=person)
     assert run.returncode == 0, run.stderr
-    assert run.stderr.count("Press Enter when it runs") == 1
+    assert run.stderr.count("Press Enter when the bench is running") == 1
     assert (tmp_path / "300rpm-20Nm-backward.arrows").exists()
 
 
@@ -167,7 +167,7 @@ def step_and_samples(tmp_path, wiring, step_number=0, motion=None, **run_options
         ({}, None),
         ({"torque": 17.0}, r"the mean torque is 17 N\*m, not 20 ± 1"),
         ({"torque": -20.0}, r"the mean torque is -20 N\*m"),
-        ({"direction": "backward"}, "the crank turns the other way, not forward"),
+        ({"direction": "backward"}, "the crank does not turn forward but the other way"),
         ({"turns": 2}, r"the crank makes 1.99 turns, not 3"),
         ({"speed": 5 * math.pi}, r"the mean speed is 150 rpm, not 300 ± 30"),
         ({"torque_noise": 10.0}, "the torque varies by"),
@@ -199,7 +199,7 @@ def test_a_loop_that_is_not_reached_says_why(tmp_path, wiring):
         (
             '"20 N*m"',
             '"300000 N*m"',
-            r"loads: 300000 N\*m is beyond the torque sensor, which measures -2",
+            r"loads: 300000 N\*m is outside the range of the torque sensor, -2",
         ),
         ("turns = 3", "turns = 0", "turns = 0: it should be greater than 0"),
         ("turns = 3", "twists = 3", "twists is not a known key"),

@@ -230,8 +230,8 @@ def test_whatever_stands_between_good_lines_no_wrong_count_is_accepted(given_lin
     [
         ({"line": "{time}"}, r"line = .*write one of the fields \{counts\} and \{value\}"),
         ({"line": "{counts}{value}"}, "write one of the fields"),
-        ({"line": "{count}"}, r"there is no field \{count\}; there are counts, value"),
-        ({"line": "{counts},{counts}"}, r"the field \{counts\} is in it twice"),
+        ({"line": "{count}"}, r"there is no field \{count\}; the fields are counts, value"),
+        ({"line": "{counts},{counts}"}, r"the field \{counts\} occurs twice"),
     ],
 )
 def test_a_bad_description_is_refused(keys, said):
