@@ -472,7 +472,7 @@ def test_raw_numbers_never_stand_under_a_unit(tmp_path, asammdf):
     (tmp_path / "map.toml").write_text(
         'format = "cycloid-mapping/1"\n[output_angle]\ncolumn = "formula"\n[torque]\ncolumn = "angle"\nunit = "N*m"\n'
     )
-    with pytest.raises(edge.InputError, match='the channel "formula" is left out: its conversion holds a formula'):
+    with pytest.raises(edge.InputError, match='the channel "formula" is left out: its conversion has a formula'):
         RecordingStream(tmp_path / "a.mf4", read_mapping(tmp_path / "map.toml"))
 
 

@@ -12,7 +12,7 @@ from fitting.cli import options
 
 
 def compare(
-    before: Annotated[Path, typer.Argument(metavar="A", help="A recording, or figures (JSON) of several.")],
+    before: Annotated[Path, typer.Argument(metavar="A", help="A recording, or the figures (JSON) of several.")],
     after: Annotated[Path, typer.Argument(metavar="B", help="The recording or figures to compare it with.")],
     drive: options.MaybePair = None,
     ratio: options.Ratio = None,
@@ -21,10 +21,10 @@ def compare(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Find the figures that changed by more than their uncertainty: before and after, two drives, two temperatures.
+    """Find the figures that differ by more than their uncertainty: before and after, two drives, two temperatures.
 
     Example: [cyan]cycloid-fit metrics new/*.csv --ratio -39 -o new.json[/], the same for worn.json, then
-    [cyan]cycloid-fit compare new.json worn.json --plot moved.png[/]
+    [cyan]cycloid-fit compare new.json worn.json --plot changes.png[/]
     """
     import fitting
     from cycloid_fmu.drive import read_drive

@@ -133,7 +133,7 @@ def test_counts_direction_rollover_and_temperature(tmp_path):
     ("text", "said"),
     [
         ('[torque]\ncolumn = "M"\n', "output_angle is missing"),
-        ('[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\ncounts_per_turn = 5\n', "only an angle"),
+        ('[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\ncounts_per_turn = 5\n', "this is for angles"),
         ('[output_angle]\ncolumn = "a"\nunit = "deg"\ncounts_per_turn = 5\n[torque]\ncolumn = "M"\n', "no unit"),
         ('[time]\n[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\n', "either column or rate"),
         ('[time]\nrate = -1\n[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\n', "above zero"),
@@ -158,7 +158,7 @@ def test_parquet(tmp_path):
     write_parquet(tmp_path / "a.parquet")
     same(RecordingStream(tmp_path / "a.parquet").read())
     (tmp_path / "b.parquet").write_bytes((tmp_path / "a.parquet").read_bytes()[:-100])
-    with pytest.raises(edge.InputError, match=r"b\.parquet: this is not a .parquet file, or it is cut"):
+    with pytest.raises(edge.InputError, match=r"b\.parquet: this is not a .parquet file, or it is truncated"):
         RecordingStream(tmp_path / "b.parquet").read()
 
 
@@ -294,7 +294,7 @@ def test_the_last_line_of_a_cut_table_is_left_out(tmp_path):
     (tmp_path / "a.csv").write_text(header + "\n".join(lines)[:-40])
     found = RecordingStream(tmp_path / "a.csv").read()
     assert found.time.size == SAMPLES - 1
-    assert any("its last line is cut" in note for note in found.notes)
+    assert any("its last line is incomplete" in note for note in found.notes)
 
 
 def test_a_missing_package_names_its_extra(tmp_path):
@@ -322,8 +322,8 @@ def test_gaps_and_duplicates_are_marked_and_never_filled(tmp_path):
     assert found.time[found.status & GAP > 0] == pytest.approx([TIME[160], TIME[2100]])
     said = " ".join(found.notes)
     assert "2 gaps, the longest 0.101 s at 1.999 s" in said
-    assert "1 samples at the time of the one before" in said
-    assert "1 samples older than one before" in said
+    assert "1 samples with the time of the previous one" in said
+    assert "1 samples older than a previous one" in said
 
 
 def test_a_late_output_angle_is_found_by_changes_of_speed_and_a_delay_takes_it_away(tmp_path):
