@@ -145,9 +145,9 @@ def test_a_torque_on_one_side_gives_its_stiffness_and_says_what_is_missing():
     assert set(found.figures) == {"torsional_stiffness"}
     assert found.figures["torsional_stiffness"].value * ARCMIN == pytest.approx(49.0)
     assert set(found.figures["torsional_stiffness"].parts) == {"positive"}
-    assert any("never crosses zero, it is always positive" in note for note in found.notes)
+    assert any("the torque is always positive" in note for note in found.notes)
     found = figures_from(torque[~half], angle[~half])
-    assert any("never crosses zero, it is always negative" in note for note in found.notes)
+    assert any("the torque is always negative" in note for note in found.notes)
 
 
 def test_the_figures_are_marked_where_they_are_read_off():
@@ -300,7 +300,7 @@ def test_a_branch_that_was_not_recorded_takes_its_figures_with_it():
     found = figures_from(torque[kept], angle[kept])
     assert set(found.figures) == {"torsional_stiffness"}
     for name in ("hysteresis_loss", "backlash", "lost_motion"):
-        assert any(f"{name} could not be given: a branch has fewer than three samples" in n for n in found.notes)
+        assert any(f"{name} could not be determined: a branch has fewer than three samples" in n for n in found.notes)
 
 
 def test_a_load_that_is_thrown_from_side_to_side_is_no_loop():
@@ -474,7 +474,7 @@ def test_a_few_points_that_were_never_recorded_leave_the_orders_as_they_are():
 def test_a_locked_input_without_a_loop_is_said_and_no_other():
     torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0)
     small, whole = figures_from(0.1 * torque, angle), figures_from(torque, angle)
-    assert any("the input is locked, but the torque does not go beyond a fifth" in note for note in small.notes)
+    assert any("the input is locked, but the torque does not exceed a fifth" in note for note in small.notes)
     assert not any("there is no loop" in note for note in whole.notes)
 
 
@@ -575,7 +575,7 @@ def test_what_keeps_a_start_from_being_one_is_said():
     made = dataclasses.replace(made, input_torque=given)
     assert "without a ratio it is unknown whether the output is loaded" in starting_torques(made, None)[1][0]
     still = dataclasses.replace(made, input_angle=0.0 * angle)
-    assert "never starts the crank from a standstill" in starting_torques(still, -39.0)[1][0]
+    assert "never starts the crank from standstill" in starting_torques(still, -39.0)[1][0]
     assert starting_torques(recording(made.time, angle, angle / -39, 0.0), -39.0) == ([], [])
 
 

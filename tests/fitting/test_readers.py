@@ -363,7 +363,7 @@ def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
         mdf.save(tmp_path / "a.mf4")
     runs_away = fitting.curves(RecordingStream(tmp_path / "a.mf4").read(), -39.0)[0]
     (note,) = (n for n in runs_away.notes if "drifts by" in n)
-    assert "clock runs +100 ppm fast" in note
+    assert "clock ran +100 ppm fast" in note
     assert f"by {100e-6 * 2 * np.pi * 206264.8:.3g}″ a turn" in note
     columns = "".join(f'[{n}]\ncolumn = "{n}"\n' for n in ("input_angle", "torque", "output_angle"))
     found = RecordingStream(tmp_path / "a.mf4", mapping(tmp_path, f"{columns}drift = 100e-6\n")).read()
@@ -387,16 +387,16 @@ def test_a_rollover_within_a_gap_is_counted_by_the_output_angle(tmp_path, gap):
     expected = 1e-4 * np.cos(curve.input_angle)
     offset = np.mean(curve.transmission_error - expected)
     assert curve.transmission_error - offset == pytest.approx(expected, abs=2e-6)
-    assert any("rolled over unseen in 1 gaps" in note for note in curve.notes)
+    assert any("crank turns were missed in 1 gaps" in note for note in curve.notes)
 
 
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        ((OUTPUT, INPUT), "input and output angle look swapped"),
+        ((OUTPUT, INPUT), "input and output angle seem to be swapped"),
         ((INPUT, -OUTPUT), "the ratio's sign or one angle's direction is wrong"),
-        ((INPUT, np.degrees(OUTPUT)), "the output angle's unit looks like deg taken for rad"),
-        ((np.degrees(INPUT), OUTPUT), "the input angle's unit looks like deg taken for rad"),
+        ((INPUT, np.degrees(OUTPUT)), "the output angle seems to be in deg"),
+        ((np.degrees(INPUT), OUTPUT), "the input angle seems to be in deg"),
         ((np.degrees(INPUT) % 360, OUTPUT), "its unit is deg, not rad"),
     ],
 )
