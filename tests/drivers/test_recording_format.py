@@ -214,7 +214,7 @@ def test_what_is_no_recording_is_refused_in_one_sentence(tmp_path, content, said
 
 
 def test_samples_of_unequal_length_are_refused():
-    with pytest.raises(ValueError, match="one length"):
+    with pytest.raises(ValueError, match="equal length"):
         Samples.checked("torque", [0.0, 1.0], [0.0])
 
 

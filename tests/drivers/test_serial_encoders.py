@@ -228,8 +228,8 @@ def test_whatever_stands_between_good_lines_no_wrong_count_is_accepted(given_lin
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"line": "{time}"}, r"line = .*write one of the fields \{counts\} and \{value\}"),
-        ({"line": "{counts}{value}"}, "write one of the fields"),
+        ({"line": "{time}"}, r"line = .*write exactly one of the fields \{counts\} and \{value\}"),
+        ({"line": "{counts}{value}"}, "write exactly one of the fields"),
         ({"line": "{count}"}, r"there is no field \{count\}; the fields are counts, value"),
         ({"line": "{counts},{counts}"}, r"the field \{counts\} occurs twice"),
     ],

@@ -565,7 +565,7 @@ def test_the_no_load_starting_torque_is_that_of_the_input():
     assert "back_driving_torque" not in found.figures
     assert "no-load starting torque" in figure.definition
     panels = {p.title: p for p in panels_of(found)}
-    marked = [t for t in panels["Starts by the input"].traces if t.texts]
+    marked = [t for t in panels["Starts driven by the input"].traces if t.texts]
     assert [float(t.y[0]) for t in marked] == pytest.approx([0.03, 0.04, 0.05])
 
 
