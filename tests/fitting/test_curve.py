@@ -168,7 +168,7 @@ def test_standstill_is_left_out_and_both_directions_are_told_apart():
     assert backward.turns == pytest.approx(260 / (2 * np.pi * 39), abs=2e-3)
     assert forward.transmission_error == pytest.approx(1e-4 + 2e-5 * np.cos(forward.input_angle), abs=1e-7)
     assert backward.transmission_error == pytest.approx(-1e-4 + 2e-5 * np.cos(backward.input_angle), abs=1e-7)
-    assert any("stood" in note for note in forward.notes)
+    assert any("at rest" in note for note in forward.notes)
 
 
 @given(ppm=st.floats(-300, 300), forwards=st.booleans(), turns=st.floats(3.0, 12.0), seed=st.integers(0, 99))

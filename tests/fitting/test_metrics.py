@@ -333,7 +333,7 @@ def test_an_output_angle_that_is_late_is_noted_where_the_speed_changes():
         for shown, said in ((late, "late by 2"), (2.0 * angle - late, "early by 2"), (angle + noise, None)):
             found = survey(recording(time, angle, shown / -39.0, 100.0), -39.0, None)
             assert found.duration == pytest.approx(time[-1])
-            notes = [note for note in found.notes if "speed changes" in note]
+            notes = [note for note in found.notes if "changes of speed" in note]
             assert len(notes) == (said is not None and hundredths)
             if notes:
                 assert said in notes[0]

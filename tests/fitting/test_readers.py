@@ -364,7 +364,7 @@ def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
     runs_away = fitting.curves(RecordingStream(tmp_path / "a.mf4").read(), -39.0)[0]
     (note,) = (n for n in runs_away.notes if "drifts by" in n)
     assert "clock ran +100 ppm fast" in note
-    assert f"by {100e-6 * 2 * np.pi * 206264.8:.3g}″ a turn" in note
+    assert f"by {100e-6 * 2 * np.pi * 206264.8:.3g}″ per output turn" in note
     columns = "".join(f'[{n}]\ncolumn = "{n}"\n' for n in ("input_angle", "torque", "output_angle"))
     found = RecordingStream(tmp_path / "a.mf4", mapping(tmp_path, f"{columns}drift = 100e-6\n")).read()
     # What is left is the error of interpolating a wave over steps of 0.6 rad.
