@@ -144,7 +144,7 @@ class ChannelConfig(edge.Config):
     direction
         +1 if the sensor's values increase counter-clockwise, -1 if they decrease.
     zero_reference
-        "absolute": the sensor keeps its zero when switched off; "incremental": it does not.
+        "absolute": the zero is the same in every recording; "incremental": each recording has its own.
     """
 
     protocol: str

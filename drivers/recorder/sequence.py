@@ -170,7 +170,9 @@ def read_sequence(path: str | os.PathLike[str], *, allow: Collection[str] = ()) 
     if file.hysteresis is not None and file.drive is not None and file.drive.hysteresis is None:
         raise edge.InputError(f"{source}: [drive] hysteresis is missing: the command that drives the loop.")
     if file.loads and bench.channels and bench.ratio is None:
-        raise edge.InputError(f"{folder / file.bench}: ratio is missing: its sign gives that of the brake's torque.")
+        raise edge.InputError(
+            f"{folder / file.bench}: ratio is missing: its sign determines that of the brake's torque."
+        )
     steps = _steps(file, bench.ratio or -1.0)
     _check_range(bench, file, source)
     return BenchSequence(file, bench, steps, folder, source, tuple(allow))

@@ -234,7 +234,7 @@ class Line:
         return True
 
     def _recount(self, off: float) -> None:
-        """Count whole input turns that passed unseen in a gap."""
+        """Correct the deviation for whole input turns missed in a gap."""
         assert self._last is not None
         turn = 2.0 * math.pi / abs(self._ratio)
         was = self._last.off if self._away is None else self._away.middle

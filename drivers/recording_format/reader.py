@@ -100,7 +100,7 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header
         return header, []
     return header, [
         f"{source}: the header is damaged, its CRC-32 is wrong: its data on channels (units, counts per turn, "
-        "direction, zero), conditions, ratio, pair or start may be wrong; the samples have checksums of their own."
+        "direction, zero), conditions, ratio, pair or start may be wrong; the samples have their own checksums."
     ]
 
 

@@ -42,7 +42,7 @@ def compare(
     if as_json:
         commands.print_json(comparison_json(found))
         return
-    moved = {True: "yes", False: "no", None: "not known"}
+    moved = {True: "yes", False: "no", None: "unknown"}
     rows = [[change.name, *change.in_field_units(), moved[change.moved]] for change in found.changes]
-    commands.print_table("Changes", ["figure", "A", "B", "B - A", "± 95 %", "unit", "moved"], rows)
+    commands.print_table("Changes", ["figure", "A", "B", "B - A", "± 95 %", "unit", "changed"], rows)
     options.print_notes(found.notes)

@@ -135,7 +135,7 @@ def in_field_units(figure: Figure, like: Figure | None = None) -> tuple[str, str
         factor, unit = factor * 60.0, "arcsec"
     value, uncertainty = figure.value * factor, figure.uncertainty * factor
     if not math.isfinite(uncertainty):
-        return f"{value:.4g}", "not known", unit
+        return f"{value:.4g}", "unknown", unit
     digits = 6 if uncertainty <= 0.0 else min(max(1 - math.floor(math.log10(uncertainty)), 0), 6)
     return f"{value:.{digits}f}", f"{uncertainty:.{digits}f}", unit
 

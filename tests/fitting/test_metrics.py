@@ -314,7 +314,7 @@ def test_a_load_that_is_thrown_from_side_to_side_is_no_loop():
     [
         (0.5432 * ARCMIN, 0.012 * ARCMIN, "rad", ("32.59", "0.72", "arcsec")),
         (1.5432 * ARCMIN, 0.012 * ARCMIN, "rad", ("1.543", "0.012", "arcmin")),
-        (-1.5432 * ARCMIN, np.nan, "rad", ("-1.543", "not known", "arcmin")),
+        (-1.5432 * ARCMIN, np.nan, "rad", ("-1.543", "unknown", "arcmin")),
         (49.0 / ARCMIN, 13.0 / ARCMIN, "N*m/rad", ("49", "13", "N·m/arcmin")),
         (3.25, 0.0, "N*m", ("3.250000", "0.000000", "N·m")),
     ],
