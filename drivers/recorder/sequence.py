@@ -171,7 +171,7 @@ def read_sequence(path: str | os.PathLike[str], *, allow: Collection[str] = ()) 
         raise edge.InputError(f"{source}: [drive] hysteresis is missing: the command that drives the loop.")
     if file.loads and bench.channels and bench.ratio is None:
         raise edge.InputError(
-            f"{folder / file.bench}: ratio is missing: its sign determines that of the brake's torque."
+            f"{folder / file.bench}: ratio is missing: its sign gives the sign of the brake's torque."
         )
     steps = _steps(file, bench.ratio or -1.0)
     _check_range(bench, file, source)
