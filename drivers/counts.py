@@ -137,7 +137,7 @@ def extract_bits(
     signed
         Whether the field is in two's complement.
     little_endian
-        Byte order: little-endian or big-endian.
+        Whether the byte order is little-endian, otherwise big-endian.
     """
     first, shift = divmod(start, 8)
     field = np.zeros((len(payloads), 16), np.uint8)  # the field begins in byte 0 and ends, at the latest, in byte 8

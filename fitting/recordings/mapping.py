@@ -37,7 +37,7 @@ class ChannelMapping(edge.Config):
     unit
         Unit of the numbers; required if the file states none, and overrides that of the file.
     counts_per_turn
-        In place of a unit: the numbers are counts of an angle, so many per turn.
+        In place of a unit: the numbers are counts of an angle, with this many per turn.
     direction
         -1 if the numbers decrease while the quantity increases.
     rollover

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 _DEPTH = 0.45  # of a circle's radius: drawn size of the largest displacement
 _APART = 3.3  # radii between the centres of two circles
-_NUMBERED = 8  # about so many elements of a circle are numbered
+_NUMBERED = 8  # approximate number of elements of a circle that are numbered
 _STEPS = (0.1, 0.2, 0.5)  # µm, times powers of ten: distances of the grid's circles
 _TITLES = {
     "pin_radial": "pins, radial",
