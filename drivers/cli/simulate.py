@@ -25,13 +25,13 @@ def simulate(
     samples_per_turn: Annotated[int, typer.Option(min=3, help="Samples per crank turn.")] = 96,
     direction: Annotated[Any, choice_option(("forward", "backward"), "Direction of the crank's rotation.")] = "forward",
     speed: Annotated[float, quantity_option("rad/s", "Crank speed.", show_default="60 rpm")] = 6.283185307179586,
-    noise: Annotated[float, quantity_option("rad", "Rms noise of each encoder.")] = 0.0,
-    torque_noise: Annotated[float, quantity_option("N*m", "Rms noise of the torque.")] = 0.0,
+    noise: Annotated[float, quantity_option("rad", "RMS noise of each encoder.")] = 0.0,
+    torque_noise: Annotated[float, quantity_option("N*m", "RMS noise of the torque.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Random seed of the noise.")] = 0,
     interface: Annotated[str, typer.Option("--bus", help=_BUS)] = "loopback",
     channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
     trigger: Annotated[
-        Any, choice_option(("controller", "sync", "timer"), "What triggers the encoders on CAN.")
+        Any, choice_option(("controller", "sync", "timer"), "Trigger of the encoders on CAN.")
     ] = "controller",
     serial: Annotated[
         Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
@@ -46,7 +46,7 @@ def simulate(
     hysteresis: Annotated[
         bool,
         typer.Option(
-            "--hysteresis", help="Lock the input and cycle the torque through 0, +T, 0, -T, 0, as often as --turns."
+            "--hysteresis", help="Lock the input and cycle the torque through 0, +T, 0, -T, 0, --turns times."
         ),
     ] = False,
     faults: Annotated[

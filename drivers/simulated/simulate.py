@@ -61,7 +61,7 @@ def simulate_bench(
     direction, speed
         Direction and speed of the crank; speed in rad/s, or text such as "60 rpm".
     noise, torque_noise
-        Rms noise of each encoder, rad, and of the torque, N*m, or text with a unit.
+        RMS noise of each encoder, rad, and of the torque, N*m, or text with a unit.
     seed
         Random seed of the noise.
     hysteresis
