@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 
 def run(
-    sequence: Annotated[Path, typer.Argument(metavar="SEQUENCE.toml", help="The sequence: speeds, loads, directions, loops.")],
+    sequence: Annotated[
+        Path, typer.Argument(metavar="SEQUENCE.toml", help="The sequence: speeds, loads, directions, loops.")
+    ],
     allow: Allowed = None,
 ) -> None:
     """Run a test sequence: prompt for or drive each step, check it, and write one recording for each step.
