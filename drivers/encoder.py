@@ -304,6 +304,13 @@ class Encoder(abc.ABC):
 def device_counts(config: AngleConfig, device: int, where: str) -> int:
     """Return the device's counts per turn, which the wiring may repeat but not contradict.
 
+    Parameters
+    ----------
+    config, device
+        The channel's table, and the counts per turn that the device reports.
+    where
+        Channel and device, for the error.
+
     Raises
     ------
     EncoderSetupError

@@ -56,6 +56,15 @@ def decoded_together(
     """Return the joined samples and the events of all batches, by channel; None unless all are intact and alike.
 
     If a batch is empty, damaged, or lacks a column that others of its channel have, use `decoded`.
+
+    Parameters
+    ----------
+    batches
+        Consecutive batches.
+    names
+        Names of the channels, in the order of the header.
+    sequence
+        Sequence number that the first batch must have.
     """
     try:
         for batch, _ in batches:

@@ -138,6 +138,11 @@ class Samples:
     ) -> Samples:
         """Return samples of these arrays, converted to the column types; without `status` no sample is marked.
 
+        Parameters
+        ----------
+        channel, time_host, value, time_device, counts, status
+            As in `Samples`.
+
         Raises
         ------
         ValueError

@@ -167,7 +167,13 @@ class PolledEncoder(SerialEncoder):
 
     @abc.abstractmethod
     def samples(self, times: FloatArray, answers: list[bytes], status: IntArray) -> Samples:
-        """Return the samples of valid answers; all arguments have length k > 0."""
+        """Return the samples of valid answers.
+
+        Parameters
+        ----------
+        times, answers, status
+            Times, s since 1970, valid answers and status bits of the readings, k > 0 each.
+        """
 
     def read(self, timeout: float) -> Samples | None:
         """Return the new positions; see `Encoder.read`."""

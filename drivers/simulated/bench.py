@@ -48,7 +48,17 @@ class SimulatedBench(abc.ABC):
             raise self._failure
 
     def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
-        """Write a `BENCH.toml` for recording this bench, and the files that it names, next to it; return its path."""
+        """Write a `BENCH.toml` for recording this bench, and the files that it names, next to it; return its path.
+
+        Parameters
+        ----------
+        path
+            The `.toml` file.
+        ratio
+            Signed ratio input/output for the header; None: that of the bench, or none.
+        pair
+            Name of the gear pair; "": that of the bench.
+        """
         target = edge.output_path(path, "path", (".toml",))
         ratio, run = self.ratio if ratio is None else ratio, self.motion.run
         head = "" if ratio is None else f"ratio = {float(ratio)!r}\n"
