@@ -48,6 +48,11 @@ def unwrap(
     return previous + np.cumsum(short), short != step
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, such as "1 line" or "2 lines"."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 class UnseenTurns:
     """Corrects counts for rollovers missed in a gap, using the speed before the gap.
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from drivers.can.bus import frame_name
 from drivers.can.hub import BEHIND_GAP, NO_SYNC, CanHub, Frames, joined_frames
-from drivers.counts import Pace, judge_sequence, missing_by_pace
+from drivers.counts import Pace, counted, judge_sequence, missing_by_pace
 from drivers.encoder import EncoderConnectionError
 from drivers.hubs import drained
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, ClockJumps, Event, FloatArray, IntArray
@@ -146,7 +146,7 @@ class FrameReader:
         unread = np.zeros(n, np.int64)
         for place, lost in losses:
             unread[place] = lost
-            self.say(frames.time[place], f"{lost} {self._name} lost: the recorder was too slow")
+            self.say(frames.time[place], f"{lost} × {self._name} lost: the recorder was too slow")
         behind = (np.diff(frames.gap, prepend=self._gap) > 0) | (unread > 0)
         self._gap = int(frames.gap[-1])
         before[behind] |= GAP
@@ -182,7 +182,7 @@ class FrameReader:
                 gaps = np.flatnonzero(missing)
                 self.say(
                     stamps[kept[gaps[0]]],
-                    f"{int(missing.sum())} SYNC without a sample, in {len(gaps)} gaps from here on",
+                    f"{int(missing.sum())} SYNC without a sample, in {counted(len(gaps), 'gap')} from here on",
                 )
         own = frames.device if self.sync_step is None else frames.sync_device
         device = None if own is None else own[kept]
@@ -190,7 +190,7 @@ class FrameReader:
         return Judged(payload_array(data, self.length), stamps[kept], device, status, jumped[kept])
 
     def _synced(self, frames: Frames, before: IntArray) -> npt.NDArray[np.bool_]:
-        """Return the mask of frames with a SYNC of their own, and set the bits of the others in `before`."""
+        """Return the mask of frames with their own SYNC, and set the bits of the others in `before`."""
         sync = frames.sync
         previous = np.concatenate([[self._last_seen], sync[:-1]])
         self._last_seen = int(sync[-1])
@@ -203,8 +203,8 @@ class FrameReader:
         for i in np.flatnonzero(second):  # few: payloads are compared only where it matters
             same[i] = frames.data[i] == (frames.data[i - 1] if i else last)
         self._last = (0.0, frames.data[-1], 0.0)
-        self._say_count(second & same, frames, "skipped: a duplicate of the frame before, or without a SYNC of its own")
-        self._say_count(second & ~same, frames, "skipped: without a SYNC of its own, so its time is unknown")
+        self._say_count(second & same, frames, "skipped: a duplicate of the previous frame, or without its own SYNC")
+        self._say_count(second & ~same, frames, "skipped: without its own SYNC, so its time is unknown")
         before[second] |= np.where(same, DUPLICATE, GAP)[second]
         if self._first is None and len(answered := sync[sync >= 0]):
             self._first = int(answered[0])
@@ -235,7 +235,7 @@ class FrameReader:
         early = (step < 0) & ~jumps
         before[early] |= OUT_OF_ORDER
         self._say_count(early, frames, "older than the previous one")
-        self._say_count(copies, frames, "a duplicate of the frame before")
+        self._say_count(copies, frames, "a duplicate of the previous frame")
         before[copies] |= DUPLICATE
         missing = self._missing(times, step, jumps, behind)
         if missing.any():
@@ -243,7 +243,7 @@ class FrameReader:
             gaps = np.flatnonzero(missing)
             self.say(
                 frames.time[gaps[0]],
-                f"{int(missing.sum())} {self._name} missing {by}, in {len(gaps)} gaps from here on",
+                f"{int(missing.sum())} × {self._name} missing {by}, in {counted(len(gaps), 'gap')} from here on",
             )
             before[gaps] |= GAP
         self.lost += int(np.maximum(missing, unread).sum())
@@ -267,4 +267,4 @@ class FrameReader:
     def _say_count(self, which: npt.NDArray[np.bool_], frames: Frames, what: str) -> None:
         if which.any():
             first = int(np.flatnonzero(which)[0])
-            self.say(frames.time[first], f"{int(which.sum())} {self._name} {what}")
+            self.say(frames.time[first], f"{int(which.sum())} × {self._name} {what}")

@@ -21,7 +21,7 @@ import numpy.typing as npt
 import pydantic
 
 from cycloid_fmu import edge
-from drivers.counts import Pace, counts_to_value, judge_sequence, missing_by_pace, unwrap
+from drivers.counts import Pace, counted, counts_to_value, judge_sequence, missing_by_pace, unwrap
 from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderTimeout, PortConfig, channel_of
 from drivers.recording_format import GAP, OUT_OF_ORDER, RESET, ROLLOVER, Samples
 from drivers.serial.polled import SerialEncoder
@@ -245,7 +245,7 @@ class AsciiCounter(SerialEncoder):
             if which.any():
                 first = int(np.flatnonzero(which)[0])
                 shown = lines[first].text[:40].decode("ascii", "backslashreplace")
-                self.say(lines[first].time, f'{int(which.sum())} line lost: {what} ("{shown}")')
+                self.say(lines[first].time, f'{counted(int(which.sum()), "line")} lost: {what} ("{shown}")')
         told = self._told
         noted = np.array([line.noted and not told for line in lines])
         right &= ~late
@@ -343,7 +343,7 @@ class AsciiCounter(SerialEncoder):
         if missing.any():
             self._lost += int(missing.sum())
             where = arrived[np.flatnonzero(missing)[0]]
-            self.say(where, f"{int(missing.sum())} line missing by their usual interval")
+            self.say(where, f"{counted(int(missing.sum()), 'line')} missing by the usual interval")
         # Include late lines, as those after them are early; but not lines delayed at a gap, as the gap is left out.
         plain = (step >= 0) & (missing == 0) & ~waited & ~np.asarray(odd)
         plain[0] &= not first
@@ -371,5 +371,5 @@ class AsciiCounter(SerialEncoder):
             self._lost += int(missing.sum()) - int(np.count_nonzero(judged & OUT_OF_ORDER))
             if missing.any():
                 where = times[low + np.flatnonzero(missing)[0]]
-                self.say(where, f"{int(missing.sum())} line missing by the sequence number")
+                self.say(where, f"{counted(int(missing.sum()), 'line')} missing by the sequence number")
         return status

@@ -17,7 +17,7 @@ from drivers.can.bus import SYNC_ID, frame_key, time_source
 from drivers.can.encoder import CanEncoder
 from drivers.can.frames import FrameReader, Judged
 from drivers.can.hub import CanHub
-from drivers.counts import Pace, extract_bits, judge_sequence
+from drivers.counts import Pace, counted, extract_bits, judge_sequence
 from drivers.encoder import BusConfig, ChannelConfig, Wiring, channel_of
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, FloatArray, IntArray, Samples
 
@@ -165,9 +165,9 @@ class DbcSensor(CanEncoder):
         plain[0] &= not first
         self._pace.add(*step[plain].tolist())
         self._last_time = float(times[-1])
-        for which, what in ((missing, "frame missing"), ((judged & DUPLICATE > 0).astype(np.int64), "duplicate")):
+        for which, what in ((missing, "missing"), ((judged & DUPLICATE > 0).astype(np.int64), "duplicated")):
             if which.any():
-                said = f"{int(which.sum())} {what} by the counter {counter.name}"
+                said = f"{counted(int(which.sum()), 'frame')} {what} by the counter {counter.name}"
                 self.reader.say(float(block.time_host[np.flatnonzero(which)[0]]), said)
         # A frame out of order was counted as missing before.
         self._missed += int(missing.sum()) - int(np.count_nonzero(judged & OUT_OF_ORDER))

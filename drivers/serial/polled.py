@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import serial
 
-from drivers.counts import UnseenTurns
+from drivers.counts import UnseenTurns, counted
 from drivers.encoder import (
     EncoderConnectionError,
     EncoderProtocolError,
@@ -82,7 +82,7 @@ class SerialEncoder(HubEncoder[PortHub]):
         exchanges: list[Exchange] = []
         for lost, block in self._answers.take(timeout):
             if lost:
-                self.say(block[0].time, f"{lost} reading lost: the recorder was too slow", GAP)
+                self.say(block[0].time, f"{counted(lost, 'reading')} lost: the recorder was too slow", GAP)
                 self._lost += lost
             exchanges += block
         for exchange in exchanges:
@@ -197,7 +197,7 @@ class PolledEncoder(SerialEncoder):
             if which.any():
                 first = int(np.flatnonzero(which)[0])
                 shown = f" (0x{exchanges[first].answer.hex()})" if exchanges[first].answer else ""
-                self.say(times[first], f"{int(which.sum())} reading lost: {what}{shown}")
+                self.say(times[first], f"{counted(int(which.sum()), 'reading')} lost: {what}{shown}")
         kept = np.flatnonzero(right & ~late)
         self._lost += len(exchanges) - len(kept)
         noted = np.array([bool(e.note) for e in exchanges], bool)

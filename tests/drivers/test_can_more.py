@@ -62,7 +62,7 @@ def test_event_timer_frames_have_their_own_stamps_and_the_timer_reveals_gaps(tmp
     recording = read_recording(path)
     samples = recording.samples["input_angle"]
     assert np.flatnonzero(samples.status & rf.GAP).tolist() == [40]
-    assert any("3 frame 0x181 missing by the event timer" in e.text for e in recording.events)
+    assert any("3 × frame 0x181 missing by the event timer" in e.text for e in recording.events)
     assert "stamp of the frame" in recording.header.channels[0].time_source
 
 
@@ -306,7 +306,7 @@ def test_frames_of_can_fd_and_signals_across_their_bytes(tmp_path, bus_name):
         assert encoders[0].measuring_range == (-1000, 1000)
     np.testing.assert_allclose(samples.value, [-5.0, 123.45, 0.07, 0.08, 0.08, 0.09])
     assert samples.status.tolist() == [0, 0, 0, rf.GAP, rf.DUPLICATE, rf.OUT_OF_ORDER]
-    assert any("2 frame missing by the counter count" in e.text for e in events)
+    assert any("2 frames missing by the counter count" in e.text for e in events)
 
 
 @needs_multicast

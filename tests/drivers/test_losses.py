@@ -131,7 +131,7 @@ def test_frames_without_sync_are_counted_across_a_gap_by_their_usual_interval(hu
     found = reader.read(0.0)
     assert np.flatnonzero(found.status).tolist() == [10]
     assert reader.lost == 500
-    assert any("500 frame 0x181 missing" in event.text for event in reader.events())
+    assert any("500 × frame 0x181 missing" in event.text for event in reader.events())
 
 
 def test_an_overrun_of_the_controller_is_a_gap(hub):
