@@ -38,7 +38,7 @@ def live_text(live: Live) -> str:
         part += "".join(f", {n} {mark}" for mark, n in state.marks.items() if n and mark != "rollovers")
         part += f", {state.lost} lost" if state.lost else ""
         part += f", {state.waiting} waiting" if state.waiting else ""
-        parts.append(part + (" OUT" if state.failure is not None else ""))
+        parts.append(part + (", FAILED" if state.failure is not None else ""))
     if live.transmission_error is not None:
         parts.append(f"TE {math.degrees(live.transmission_error) * 3600:+.2f}″")
     parts.append(f"{live.events} events, disk {live.disk_free / 1e9:.1f} GB free")
