@@ -8,12 +8,23 @@ from cycloid_fmu import edge
 
 
 def in_si(value: float | str, si: str, argument: str, *, above: float = -math.inf, least: float = -math.inf) -> float:
-    """Return a quantity in SI units, given as a number in these or as text with its unit, such as "20 N*m".
+    """Return a quantity in SI units, given as an SI number or as text with a unit, such as "20 N*m".
+
+    Parameters
+    ----------
+    value
+        The SI number or the text.
+    si
+        The SI unit, such as "N*m".
+    argument
+        Name of the argument, for the error.
+    above, least
+        The value must be greater than `above` and at least `least`, in SI units.
 
     Raises
     ------
     edge.ArgumentError
-        If the text is not such a quantity, or is not above `above` or is below `least`.
+        If the text is no such quantity, or the value is outside these limits.
     """
     try:
         number = edge.parse_quantity(value, si) if isinstance(value, str) else float(value)

@@ -1,4 +1,4 @@
-"""The arithmetic of counts: fields of frames, rollovers, running numbers."""
+"""Arithmetic of counts: bit fields of frames, rollovers, sequence numbers."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ import numpy.typing as npt
 from drivers import recording_format as rf
 
 _PACE_KEPT, _PACE_LEAST = 512, 8
-_SPEED_SECONDS, _LEAST_SECONDS = 1.0, 0.02  # of readings without a gap, from which a speed is known
-_LOOK_AHEAD, _LATEST = 16, 0.1  # readings, and seconds, within which late ones catch up
+_SPEED_SECONDS, _LEAST_SECONDS = 1.0, 0.02  # gapless time over which the speed is averaged, and the least for one
+_LOOK_AHEAD, _LATEST = 16, 0.1  # readings and seconds, the longer of which late readings have to catch up
 
 
 def unwrap(
     raw: npt.NDArray[np.int64], modulus: int, previous: int | None = None, *, signed: bool = False
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Make counts that roll over continuous, each step taken the short way round.
+    """Unwrap counts that roll over, taking each step the short way round.
 
     Parameters
     ----------
     raw
         Counts as sent, shape (n,), any representative modulo `modulus`.
     modulus
-        Counts at which the device starts again from 0.
+        Number of counts after which the device starts again from 0.
     previous
-        Continuous count of the sample before, None at the beginning.
+        Continuous count of the previous sample, None at the beginning.
     signed
-        Whether the first count is taken in [-modulus/2, modulus/2) instead of [0, modulus): an encoder a little below
-        zero then begins at -1 and not a whole range above it.
+        Whether to map the first count into [-modulus/2, modulus/2) instead of [0, modulus), so that an encoder just
+        below zero starts at -1 and not at modulus - 1.
 
     Returns
     -------
     counts, rolled
-        Continuous counts, and the mask of samples after a rollover of the raw counts, both of shape (n,).
+        Continuous counts, and the mask of samples directly after a rollover of the raw counts, both of shape (n,).
     """
     residue = raw % modulus
     if previous is None:
@@ -48,31 +48,36 @@ def unwrap(
     return previous + np.cumsum(short), short != step
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, such as "1 line" or "2 lines"."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 class UnseenTurns:
-    """Continues counts over gaps with unseen rollovers, by the speed before the gap.
+    """Corrects counts for rollovers missed in a gap, using the speed before the gap.
 
     Parameters
     ----------
     modulus
-        Counts at which the position starts again from 0.
+        Number of counts after which the position starts again from 0.
     """
 
     def __init__(self, modulus: int) -> None:
         self._modulus = modulus
         self._last: tuple[float, int] | None = None
-        self._ways: collections.deque[tuple[float, float]] = collections.deque()  # s and counts, without a gap
+        self._ways: collections.deque[tuple[float, float]] = collections.deque()  # (s, counts) of gapless stretches
 
     def __call__(
         self, times: npt.NDArray[np.float64], counts: npt.NDArray[np.int64], gaps: npt.NDArray[np.bool_]
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-        """Return the counts and at which of them rollovers may have been unseen, both of shape (n,).
+        """Return the corrected counts, and the mask of those before which rollovers may have been missed, shape (n,).
 
         Parameters
         ----------
         times, counts
-            Of the readings, s and each step the short way round, shape (n,).
+            Times of the readings, s, and their counts, each step taken the short way round, shape (n,).
         gaps
-            Before which readings others are missing, shape (n,).
+            Mask of the readings before which others are missing, shape (n,).
         """
         counts, unseen = counts.copy(), np.zeros(len(counts), np.bool_)
         for part in np.split(np.arange(len(counts)), np.flatnonzero(gaps)):
@@ -93,7 +98,10 @@ class UnseenTurns:
         return counts, unseen
 
     def _speed(self) -> float | None:
-        """Return the mean speed, counts/s, of the last second without a gap, as one instant may be 25 ms off."""
+        """Return the mean speed over the last gapless second, counts/s; None if too little time is known.
+
+        It is a mean because a single time stamp may be 25 ms off.
+        """
         lasts = sum(lasts for lasts, _ in self._ways)
         return sum(way for _, way in self._ways) / lasts if lasts > _LEAST_SECONDS else None
 
@@ -101,14 +109,26 @@ class UnseenTurns:
 def counts_to_value(
     counts: npt.NDArray[np.int64], counts_per_turn: int, direction: int, zero: float
 ) -> npt.NDArray[np.float64]:
-    """Return the angle in rad, counter-clockwise positive: direction * 2 pi counts / counts per turn - zero."""
+    """Return the angle in rad, counter-clockwise positive: direction * 2 pi counts / counts per turn - zero.
+
+    Parameters
+    ----------
+    counts
+        Continuous counts, shape (n,).
+    counts_per_turn
+        Counts in one turn of the shaft.
+    direction
+        +1 if the counts increase counter-clockwise, -1 if they decrease.
+    zero
+        Angle that the encoder shows at the zero of the shaft, rad.
+    """
     return np.asarray(direction * (2 * math.pi / counts_per_turn) * counts - zero, np.float64)
 
 
 def extract_bits(
     payloads: npt.NDArray[np.uint8], start: int, length: int, *, signed: bool, little_endian: bool = True
 ) -> npt.NDArray[np.int64]:
-    """Return an integer field of frames.
+    """Return an integer bit field of frames, shape (n,).
 
     Parameters
     ----------
@@ -118,11 +138,11 @@ def extract_bits(
         Little-endian (CiA 301 mappings, DBC "@1"): lowest bit of the field, counted from byte 0's lowest. Big-endian:
         highest bit of the field, counted from byte 0's highest.
     length
-        Bits, 1 to 64 (a 64-bit unsigned field wraps at 2^63).
+        Number of bits, 1 to 64 (a 64-bit unsigned field wraps at 2^63).
     signed
         Whether the field is in two's complement.
     little_endian
-        Order of the bytes.
+        Whether the byte order is little-endian, otherwise big-endian.
     """
     first, shift = divmod(start, 8)
     field = np.zeros((len(payloads), 16), np.uint8)  # the field begins in byte 0 and ends, at the latest, in byte 8
@@ -145,16 +165,16 @@ def extract_bits(
 
 
 def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-    """Return the number of unseen rollovers of running numbers, by the elapsed time.
+    """Return how many rollovers of a sequence number were missed in each step, from the elapsed time, shape (n,).
 
     Parameters
     ----------
     step
-        Steps of the numbers, each known modulo `modulus` only, shape (n,).
+        Steps of the sequence number, each known only modulo `modulus`, shape (n,).
     modulus
-        Numbers after which they start again.
+        Count after which the sequence number starts again from 0.
     expected
-        Expected numbers by the elapsed time, shape (n,); NaN if not known.
+        Steps expected from the elapsed time, shape (n,); NaN where unknown.
     """
     rounds = np.rint((np.nan_to_num(expected) - step) / modulus)
     return np.maximum(rounds, 0).astype(np.int64)
@@ -163,18 +183,18 @@ def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.fl
 def missing_by_pace(
     times: npt.NDArray[np.float64], steps: npt.NDArray[np.float64], gaps: npt.NDArray[np.bool_], period: float
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return the readings missing before each by the elapsed time, and which were only delayed, shape (n,) each.
+    """Return how many readings are missing before each one, from the elapsed time, and the mask of delayed readings.
 
-    Delayed readings are followed by others that were delayed with them; lost ones stay missing.
+    Delayed readings arrive in quick succession after the delay; lost ones never do. Both results have shape (n,).
 
     Parameters
     ----------
     times, steps
-        Times of the readings, s, and each one's step from the one before, shape (n,).
+        Times of the readings and intervals from the previous reading, s, shape (n,).
     gaps
-        Where readings may be missing, shape (n,).
+        Mask of the readings before which others may be missing, shape (n,).
     period
-        Usual time between readings, s.
+        Usual interval between readings, s.
     """
     missing, waited = np.zeros(len(times), np.int64), np.zeros(len(times), np.bool_)
     for i in np.flatnonzero(gaps):
@@ -188,7 +208,7 @@ def missing_by_pace(
 
 
 class Pace:
-    """The usual time between readings, from the last `_PACE_KEPT` steps in which none was lost."""
+    """The usual interval between readings, from the last `_PACE_KEPT` intervals without a loss."""
 
     def __init__(self) -> None:
         self._steps: collections.deque[float] = collections.deque(maxlen=_PACE_KEPT)
@@ -196,7 +216,7 @@ class Pace:
         self._found: tuple[float | None, float] = None, math.inf
 
     def add(self, *steps: float) -> None:
-        """Take in steps, s."""
+        """Add intervals between readings, s."""
         self._steps.extend(steps)
         self._new += len(steps)
 
@@ -204,7 +224,7 @@ class Pace:
         if self._new and len(self._steps) >= _PACE_LEAST and (self._new >= _PACE_KEPT // 8 or self._found[0] is None):
             steps = np.array(self._steps)
             middle, late = (float(x) for x in np.quantile(steps, (0.5, 0.98)))
-            # The mean without pauses: late readings are followed by others early, or several come together.
+            # The mean, because late readings are followed by early ones or arrive together; pauses are left out.
             total = float(np.sum(steps))
             period = float(np.mean(steps[steps <= max(0.1, _PACE_LEAST / len(steps)) * total]))
             even = np.mean(np.abs(steps - middle) <= 0.5 * middle) >= 0.8
@@ -214,12 +234,12 @@ class Pace:
 
     @property
     def period(self) -> float | None:
-        """Seconds between readings; None with too few."""
+        """Mean interval between readings, s; None with too few readings."""
         return self._look()[0]
 
     @property
     def longest(self) -> float:
-        """Largest interval between readings without a gap; infinite for an irregular rate."""
+        """Longest interval between readings that is not a gap, s; infinite for an irregular rate."""
         return self._look()[1]
 
 
@@ -229,25 +249,28 @@ def judge_sequence(
     newest: int | None,
     expected: npt.NDArray[np.float64] | None = None,
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int]:
-    """Find missing, duplicate or out-of-order samples by their running numbers.
+    """Find missing, duplicate or out-of-order samples by their sequence numbers.
 
     Parameters
     ----------
     numbers
-        Running numbers as sent, shape (n,), n > 0.
+        Sequence numbers as sent, shape (n,), n > 0.
     modulus
-        Numbers after which they start again from 0.
+        Count after which the sequence number starts again from 0.
     newest
         Highest continuous number so far, None at the beginning.
     expected
-        Expected numbers by the time since the previous reading, shape (n,), NaN if not known: unseen rollovers are
-        counted by it.
+        Steps of the number expected from the time since the previous reading, shape (n,), NaN where unknown; missed
+        rollovers are counted by them. None: no rollover was missed.
 
     Returns
     -------
-    status, missing, newest
-        Bits "gap before", "duplicate" (the number is the newest before) and "out of order" (it is an older one); the
-        count of numbers left out before each, shape (n,) both; and the highest continuous number now.
+    status
+        Bits "gap before", "duplicate" (repeats the newest number) and "out of order" (an older number), shape (n,).
+    missing
+        How many numbers are missing before each sample, shape (n,).
+    newest
+        Highest continuous number including these samples.
     """
     continuous, _ = unwrap(numbers, modulus, newest)
     if expected is not None:

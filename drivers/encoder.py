@@ -21,7 +21,7 @@ ENTRY_POINTS = "cycloid.encoders"
 
 
 Line = TypeVar("Line")
-_LONGEST_STEP = 0.1  # s: twice what a recorder waits for a sample
+_LONGEST_STEP = 0.1  # s: twice the time that a recorder waits for a sample
 _EPOCH = time.time() - time.monotonic()
 
 
@@ -42,29 +42,33 @@ class EncoderTimeout(EncoderError):  # noqa: N818
 
 
 class EncoderProtocolError(EncoderError):
-    """The device answers something that its protocol does not allow."""
+    """The device's answer violates its protocol."""
 
 
 class EncoderConnectionError(EncoderError):
-    """The bus or port failed, or the device is another one."""
+    """The bus or port failed, or a different device answers."""
 
 
 class EncoderSetupError(EncoderConnectionError, edge.InputError):
-    """Impossible wiring: no such bus or port, no permission, a node in use, contradicting counts."""
+    """The wiring cannot work: no such bus or port, no permission, a node in use, contradictory counts per turn."""
 
 
 class BusConfig(edge.Config):
-    """A CAN bus as python-can opens it.
+    """A CAN bus, opened by python-can.
 
     Attributes
     ----------
-    interface, channel, bitrate
-        As python-can names them: "socketcan", "slcan", "pcan", "kvaser", "vector", "gs_usb", "virtual", "udp_multicast"
-        and others; "loopback" is that of the simulated bench.
+    interface
+        Interface name of python-can: "socketcan", "slcan", "pcan", "kvaser", "vector", "gs_usb", "virtual",
+        "udp_multicast" and others; "loopback" is the interface of the simulated bench.
+    channel
+        Channel of the interface, such as "can0".
+    bitrate
+        Bit rate, bit/s; None: the interface's default.
     fd, data_bitrate
-        CAN FD, and the bit rate of its data phase.
+        Whether the bus is CAN FD, and the bit rate of its data phase, bit/s.
     sync_period
-        Seconds between the SYNC frames that the recorder itself produces; None: another device does, or none.
+        Interval of the SYNC frames that the recorder sends, s; None: it sends none.
     """
 
     interface: str
@@ -81,7 +85,19 @@ class BusConfig(edge.Config):
 
 
 class PortConfig(edge.Config):
-    """A serial port of 8 data bits as pyserial opens it: a device such as "/dev/ttyUSB0", or a URL."""
+    """A serial port with 8 data bits, opened by pyserial.
+
+    Attributes
+    ----------
+    url
+        A device such as "/dev/ttyUSB0", or a URL such as "socket://host:5000".
+    baud_rate
+        Bit rate, bit/s.
+    parity
+        "N" none, "E" even, "O" odd.
+    stop_bits
+        Number of stop bits.
+    """
 
     url: str
     baud_rate: Annotated[int, pydantic.Field(gt=0)] = 2_000_000
@@ -95,16 +111,16 @@ class PortConfig(edge.Config):
 
 
 class PlcConfig(edge.Config):
-    """A Beckhoff PLC that keeps a ring of samples, as ADS reaches it.
+    """A Beckhoff PLC with a ring buffer of samples, read over ADS.
 
     Attributes
     ----------
     net_id, port
-        AMS address: the PLC's net id, such as "5.12.82.20.1.1", and its run-time's port.
+        AMS address: the PLC's net id, such as "5.12.82.20.1.1", and the port of its runtime.
     host
-        Its IP address or name; absent: the first four numbers of the net id.
+        IP address or host name of the PLC; absent: the first four numbers of the net id.
     ring
-        The variable that holds the ring, such as "Recorder.Ring".
+        Name of the variable that holds the ring buffer, such as "Recorder.Ring".
     """
 
     net_id: Annotated[str, pydantic.Field(pattern=r"^\d{1,3}(\.\d{1,3}){5}$")]
@@ -119,7 +135,17 @@ class PlcConfig(edge.Config):
 
 
 class ChannelConfig(edge.Config):
-    """Keys of every channel of a `BENCH.toml`; the protocols add theirs."""
+    """Keys of every channel of a `BENCH.toml`; each protocol adds its own.
+
+    Attributes
+    ----------
+    protocol
+        Name of the protocol.
+    direction
+        +1 if the sensor's values increase counter-clockwise, -1 if they decrease.
+    zero_reference
+        "absolute": the zero is the same in every recording; "incremental": each recording has its own.
+    """
 
     protocol: str
     direction: Literal[1, -1] = 1
@@ -132,11 +158,11 @@ class AngleConfig(ChannelConfig):
     Attributes
     ----------
     counts_per_turn
-        Absent: taken from the device.
+        Counts in one turn of the shaft; absent: read from the device.
     zero
-        The angle shown at zero, rad.
+        Angle that the encoder, with its direction, shows at the zero of the shaft, rad; it is subtracted.
     largest_speed
-        Largest speed of the shaft, rad/s: faster steps are marked implausible. Absent: not known.
+        Largest speed of the shaft, rad/s; faster steps are marked implausible. Absent: unknown.
     """
 
     counts_per_turn: Annotated[int, pydantic.Field(gt=0)] | None = None
@@ -146,7 +172,7 @@ class AngleConfig(ChannelConfig):
 
 @dataclasses.dataclass(frozen=True)
 class Wiring:
-    """Buses, ports and PLCs of a `BENCH.toml` by name, the folder its file names are relative to, and its name."""
+    """Buses, ports and PLCs of a `BENCH.toml` by name, the base folder of file names in it, and the file's own name."""
 
     buses: Mapping[str, BusConfig]
     ports: Mapping[str, PortConfig]
@@ -163,7 +189,7 @@ class Wiring:
         return self._named(self.ports, name, "port", channel)
 
     def plc(self, name: str, channel: str) -> PlcConfig:
-        """Return the PLC of this name; an `edge.InputError` names the channel that wants it where there is none."""
+        """Return the PLC of this name; an `edge.InputError` names the channel if there is none."""
         return self._named(self.plcs, name, "plc", channel)
 
     def _named(self, table: Mapping[str, Line], name: str, kind: str, channel: str) -> Line:
@@ -183,7 +209,7 @@ class Encoder(abc.ABC):
 
     Examples
     --------
-    Methods that an own protocol must define:
+    Methods that a new protocol must define:
 
     >>> import drivers
     >>> sorted(drivers.Encoder.__abstractmethods__)
@@ -201,22 +227,22 @@ class Encoder(abc.ABC):
         Raises
         ------
         edge.InputError
-            If it names a bus, port or file that isn't there.
+            If it names a bus, port or file that does not exist.
         """
 
     @abc.abstractmethod
     def __enter__(self) -> Self:
-        """Open it; from now on `channel` describes it.
+        """Open the device; from then on `channel` describes it.
 
         Raises
         ------
         EncoderError
-            If bus, port or device do not answer or answer nonsense.
+            If the bus, port or device does not answer, or its answer is invalid.
         """
 
     @abc.abstractmethod
     def close(self) -> None:
-        """Release bus or port; closing twice is allowed."""
+        """Release the bus or port; closing twice is allowed."""
 
     def __exit__(
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
@@ -228,12 +254,12 @@ class Encoder(abc.ABC):
 
     @abc.abstractmethod
     def read(self, timeout: float) -> Samples | None:
-        """Return all samples that came since the last call, `time_host` in seconds since 1970.
+        """Return all samples received since the last call, `time_host` in seconds since 1970.
 
         Parameters
         ----------
         timeout
-            Seconds to wait for the first sample; 0 to return available ones.
+            Time to wait for the first sample, s; 0: return only the samples available now.
 
         Returns
         -------
@@ -243,7 +269,7 @@ class Encoder(abc.ABC):
         Raises
         ------
         EncoderError
-            If the device is lost permanently; recoverable faults are events and status bits.
+            If the device has failed; faults that it recovers from are events and status bits.
         """
 
     @abc.abstractmethod
@@ -251,37 +277,44 @@ class Encoder(abc.ABC):
         """Return the events since the last call, `time` in seconds since 1970, and clear them."""
 
     def rest(self) -> None:  # noqa: B027
-        """Stop the device's transmission, though it was not opened here: a killed process had started it."""
+        """Stop the transmission of a device that a killed process had started, without opening it."""
 
     def drain(self) -> None:  # noqa: B027
-        """Read all waiting data of bus or port, so that the next `read` returns it; sampling continues."""
+        """Read all data waiting on the bus or port, so that the next `read` returns it; sampling continues."""
 
     def finish(self) -> None:  # noqa: B027
-        """Note missing samples after the last one as events and in `lost`; called once, after the last `read`."""
+        """Report samples missing after the last one, in `events` and `lost`; called once, after the last `read`."""
 
     @property
     def lost(self) -> int:
-        """Readings that are known to be lost since the encoder was made."""
+        """Number of readings known to be lost since the encoder was created."""
         return 0
 
     @property
     def measuring_range(self) -> tuple[float, float] | None:
-        """Smallest and largest value that the sensor can measure, SI, if known."""
+        """Smallest and largest value that the sensor can measure, SI units; None if unknown."""
         return None
 
     @property
     def waiting(self) -> int:
-        """Received readings that are not yet read, if known."""
+        """Number of readings received but not yet read; 0 if unknown."""
         return 0
 
 
 def device_counts(config: AngleConfig, device: int, where: str) -> int:
     """Return the device's counts per turn, which the wiring may repeat but not contradict.
 
+    Parameters
+    ----------
+    config, device
+        The channel's table, and the counts per turn that the device reports.
+    where
+        Channel and device, for the error.
+
     Raises
     ------
     EncoderSetupError
-        If it does.
+        If the wiring states other counts per turn.
     """
     if config.counts_per_turn not in (None, device):
         raise EncoderSetupError(
@@ -301,12 +334,12 @@ def channel_of(
 ) -> Channel:
     """Return a channel's description from its table in the wiring, the device and its protocol.
 
-    Its role is its name if that is a role, unless it is a speed.
+    The role is the channel's name if that is one of `recording_format.ROLES` and the unit is not rad/s, else "other".
 
     Parameters
     ----------
     name, config
-        The channel and its table.
+        Name of the channel, and its table.
     identity, time_source, unit, counts_per_turn
         See `recording_format.Channel`.
     """
@@ -326,12 +359,12 @@ def channel_of(
 
 
 def steady_time() -> float:
-    """Return the host's time in seconds since 1970, continuous when the calendar clock is set."""
+    """Return the host's time in seconds since 1970; it does not jump when the calendar clock is set."""
     return _EPOCH + time.monotonic()
 
 
 class ListeningTime:
-    """Seconds in which this process could listen, almost without pauses by a signal or a busy machine.
+    """Time for which this process could listen, without most pauses by a stop signal or a busy machine.
 
     Timeouts use it: silence while nobody listened is no sign of a failed device.
     """
@@ -341,7 +374,7 @@ class ListeningTime:
         self.seconds = 0.0
 
     def __call__(self) -> float:
-        """Update to now and return the seconds; to be called more often than every `_LONGEST_STEP`."""
+        """Return the time up to now, s; to be called at intervals shorter than `_LONGEST_STEP`."""
         now = time.monotonic()
         self.seconds += min(now - self._last, _LONGEST_STEP)
         self._last = now
@@ -354,27 +387,27 @@ def protocols() -> dict[str, importlib.metadata.EntryPoint]:
 
 
 def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
-    """Return the class of a protocol: of this package or of another installed one.
+    """Return the encoder class of a protocol, from this package or another installed one.
 
     Raises
     ------
     edge.InputError
-        Naming channel and file, if no installed package has the protocol, two have it, or its class does not load.
+        If no installed package provides the protocol, two do, or its class does not load; names channel and file.
     """
     known = protocols()
     if protocol is None:
         raise edge.InputError(
-            f"{source}: [channel.{channel}] protocol is missing; there are {', '.join(sorted(known))}."
+            f"{source}: [channel.{channel}] protocol is missing; installed are {', '.join(sorted(known))}."
         )
     if not isinstance(protocol, str) or protocol not in known:
         raise edge.InputError(
             f'{source}: [channel.{channel}] protocol = "{protocol}": no such protocol is installed; '
-            f"there are {', '.join(sorted(known)) or 'none'}."
+            f"installed are {', '.join(sorted(known)) or 'none'}."
         )
     where = f'{source}: [channel.{channel}] protocol = "{protocol}"'
     owners = {e.dist.name for e in importlib.metadata.entry_points(group=ENTRY_POINTS, name=protocol) if e.dist}
     if len(owners) > 1:
-        raise edge.InputError(f"{where}: the packages {' and '.join(sorted(owners))} both have it; remove one.")
+        raise edge.InputError(f"{where}: the packages {' and '.join(sorted(owners))} both provide it; uninstall one.")
     owner = "".join(owners) or known[protocol].value
     try:
         loaded = known[protocol].load()
@@ -382,7 +415,9 @@ def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
         raise edge.InputError(f"{where}: {problem}") from None
     except Exception as problem:  # a plug-in's module may raise anything
         said = str(problem).rstrip(".") or type(problem).__name__
-        raise edge.InputError(f"{where}: the package {owner} that has it does not load: {said}.") from problem
+        raise edge.InputError(f"{where}: the package {owner} that provides it does not load: {said}.") from problem
     if not (isinstance(loaded, type) and issubclass(loaded, Encoder) and hasattr(loaded, "configuration")):
-        raise edge.InputError(f"{where}: the package {owner} gives no encoder with a configuration, but {loaded!r}.")
+        raise edge.InputError(
+            f"{where}: the package {owner} must provide a subclass of Encoder with a configuration, not {loaded!r}."
+        )
     return loaded

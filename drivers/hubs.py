@@ -1,4 +1,4 @@
-"""Common part of the threads that read CAN buses, serial ports and PLCs."""
+"""Common base of the threads that read CAN buses, serial ports and PLCs."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from cycloid_fmu import edge
 from drivers.encoder import BusConfig, Encoder, EncoderError, PlcConfig, PortConfig, Wiring
 from drivers.recording_format import Event
 
-BLOCK_SECONDS = 0.05  # of a block, and so of what a kill can cost besides the batch being written
-WAITING_LIMIT = 1 << 20  # readings that wait for the recorder; more are lost, counted and marked
+BLOCK_SECONDS = 0.05  # length of a block, and so the most that a kill loses besides the batch being written
+WAITING_LIMIT = 1 << 20  # most readings that wait for the recorder; further ones are lost, counted and marked
 
 Block = TypeVar("Block")
 
 
 class BlockQueue(Generic[Block]):
-    """A bounded queue of blocks from a reader thread to a channel: a slow consumer loses some, which are counted."""
+    """A bounded queue of blocks from a reader thread to a channel; blocks lost to a slow consumer are counted."""
 
     def __init__(self) -> None:
         self._blocks: collections.deque[tuple[int, Block, int]] = collections.deque()
@@ -41,18 +41,23 @@ class BlockQueue(Generic[Block]):
             self._filled.notify()
 
     def fail(self, problem: EncoderError) -> None:
-        """Note that no more blocks will come, and the reason."""
+        """End the queue: `take` raises `problem` once all earlier blocks are taken."""
         with self._filled:
             self._failure = problem
             self._filled.notify()
 
     def take(self, timeout: float) -> list[tuple[int, Block]]:
-        """Return all blocks, each with the readings lost before it, waiting for the first one.
+        """Return all waiting blocks, each with the number of readings lost before it.
+
+        Parameters
+        ----------
+        timeout
+            Time to wait for the first block, s.
 
         Raises
         ------
         EncoderError
-            The problem given to `fail`, once the blocks before are taken.
+            The problem given to `fail`, once all earlier blocks are taken.
         """
         with self._filled:
             if not self._blocks and self._failure is None and timeout > 0:
@@ -99,7 +104,7 @@ class SharedHubs(Generic[Hub]):
     Parameters
     ----------
     opened
-        Opens the hub of a bus or port.
+        Function that opens the hub of a bus or port, given its configuration.
     """
 
     def __init__(self, opened: Callable[[Any], Hub]) -> None:
@@ -111,7 +116,7 @@ class SharedHubs(Generic[Hub]):
         return config.place in self._users
 
     def acquire(self, config: Any) -> Hub:
-        """Return the hub of this bus or port, opened for its first user, and again after a failure; see `release`."""
+        """Return the hub of this bus or port, opened for its first user and again after a failure; see `release`."""
         with self._lock:
             if config.place in self._users and self._users[config.place][0].broken:
                 self._users.pop(config.place)[0].close()
@@ -125,7 +130,7 @@ class SharedHubs(Generic[Hub]):
         """Release a hub; its last user closes it."""
         with self._lock:
             current, users = self._users.get(hub.config.place, (None, [0]))
-            if current is not hub:  # it broke, and `acquire` has closed it since
+            if current is not hub:  # it broke, and `acquire` has closed it
                 return
             users[0] -= 1
             if users[0] == 0:
@@ -150,7 +155,7 @@ class HubEncoder(Encoder, Generic[Hub]):
     shared
         The hubs of all such encoders.
     line
-        Key of the channel's table that names the hub's own.
+        Key of the channel's table that names its bus, port or PLC.
     """
 
     shared: SharedHubs[Any]
@@ -176,7 +181,7 @@ class HubEncoder(Encoder, Generic[Hub]):
         Raises
         ------
         EncoderError
-            If it does not answer or answers nonsense.
+            If it does not answer, or its answer is invalid.
         """
 
     @abc.abstractmethod
@@ -184,7 +189,7 @@ class HubEncoder(Encoder, Generic[Hub]):
         """Undo `set_up` and `start`, as far as they were done."""
 
     def __enter__(self) -> Self:
-        """Open the bus or port and set the device up; see `Encoder.__enter__`."""
+        """Open the bus or port and set up the device; see `Encoder.__enter__`."""
         self.hub = self.shared.acquire(self._line)
         try:
             self.set_up(self.hub)

@@ -1,4 +1,4 @@
-"""Lines that a bench file may open: buses, serial devices and TCP sockets; others only on request."""
+"""Connections that a bench file may open: buses, serial devices and TCP sockets; others only if allowed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cycloid_fmu import edge
 if TYPE_CHECKING:
     from drivers.encoder import BusConfig, PortConfig
 
-# Interfaces of python-can that open a piece of hardware or a multicast group by their channel, and nothing else.
+# Interfaces of python-can whose channel can only name a piece of hardware or a multicast group.
 BUSES = frozenset(
     {
         "canalystii",
@@ -36,7 +36,7 @@ BUSES = frozenset(
         "virtual",
     }
 )
-# Those that are a serial port, which pyserial opens: whatever their channel says.
+# Interfaces on a serial port: pyserial opens whatever their channel names.
 SERIAL_BUSES = frozenset({"robotell", "seeedstudio", "serial", "slcan"})
 _DEVICE = re.compile(r"(\\\\\.\\)?[A-Z]{3,5}\d{1,3}|/[^\0-\x1f]+")
 _SOCKET = re.compile(r"socket://[\w.:\[\]-]+:\d{1,5}/?")
@@ -47,7 +47,7 @@ _PORTS = "a bench file may name a serial device, such as COM3 or /dev/ttyUSB0, o
 def check_lines(
     buses: Mapping[str, BusConfig], ports: Mapping[str, PortConfig], allow: Collection[str], source: str
 ) -> None:
-    """Refuse lines that a bench file may not open.
+    """Refuse connections that a bench file may not open.
 
     pyserial opens URLs with plug-ins, of which "spy" writes a file and "alt" loads a class; python-can has plug-ins
     too.
@@ -55,16 +55,16 @@ def check_lines(
     Parameters
     ----------
     buses, ports
-        Those of the file.
+        Buses and ports of the file, by name.
     allow
-        Schemes of URLs and interfaces of python-can that may be opened besides, such as "rfc2217".
+        Additional URL schemes and python-can interfaces that may be opened, such as "rfc2217".
     source
         The file's name.
 
     Raises
     ------
     edge.InputError
-        Naming file, table and value.
+        If one may not be opened; names file, table and value.
     """
     for name, port in ports.items():
         if not _may_open(port.url, allow):
@@ -98,17 +98,17 @@ def _may_open(url: str, allow: Collection[str]) -> bool:
 
 
 def _asked(kind: str) -> str:
-    return f'; allow "{kind}" where you record, if you trust the file' if re.fullmatch(r"\w+", kind) else ""
+    return f'; if you trust the file, allow "{kind}" when recording' if re.fullmatch(r"\w+", kind) else ""
 
 
 def device_of(channel: str) -> str:
-    """Return the serial device of a serial bus, without a rate after it as in "/dev/ttyACM0@115200"."""
+    """Return the serial device of a serial bus, without the bit rate that may follow it ("/dev/ttyACM0@115200")."""
     return channel.rpartition("@")[0] or channel
 
 
 def no_terminal(device: str) -> str:
-    """Return the reason why a device is not opened, or "": opening other devices can have effects."""
+    """Return why a device is no serial port, or "" if it may be one: opening other devices can have side effects."""
     real = os.path.realpath(device)
     if "://" in device or os.name == "nt" or not os.path.exists(real) or _TERMINAL.fullmatch(real):
         return ""
-    return f"{real} is no serial port"
+    return f"{real} is not a serial port"

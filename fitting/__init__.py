@@ -1,4 +1,4 @@
-"""From bench recordings to transmission error curves, the standard figures and the actual errors of a drive."""
+"""Transmission error curves, the standard figures and the actual errors of a drive, from bench recordings."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ __all__ = sorted(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for: NumPy and numba alone take most of a second."""
+    """Import a name on first use: importing NumPy and numba takes most of a second."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     found = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

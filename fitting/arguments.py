@@ -1,4 +1,4 @@
-"""Arguments as a caller of the front door gives them: numbers in SI units or text with a unit."""
+"""Arguments of the library's functions: SI numbers or text with a unit."""
 
 from __future__ import annotations
 
@@ -9,14 +9,18 @@ from cycloid_fmu import edge
 
 
 def positive(value: float | str, si: str, argument: str, *, zero: bool = False) -> float:
-    """Return a quantity above zero in SI units.
+    """Return a positive quantity in SI units.
 
     Parameters
     ----------
-    value, si, argument
-        A number in SI units or text such as "181 N*m", the SI unit and the argument's name.
+    value
+        SI number, or text with a unit such as "181 N*m".
+    si
+        The SI unit.
+    argument
+        Name of the argument, for the error.
     zero
-        Whether it may be zero.
+        Whether zero is allowed.
 
     Raises
     ------

@@ -282,7 +282,7 @@ def test_what_real_benches_have_may_be_opened(tmp_path):
         read_bench(bench_with(tmp_path, f'[bus.b]\ninterface = "{interface}"\nchannel = "{channel}"', NODE))
     more = bench_with(tmp_path, '[port.p]\nurl = "rfc2217://localhost:1"', ASCII)
     read_bench(more, allow=["rfc2217"])
-    with pytest.raises(edge.InputError, match='allow "rfc2217" where you record'):
+    with pytest.raises(edge.InputError, match='trust the file, allow "rfc2217" when recording'):
         read_bench(more, allow=["spy"])
     read_bench(bench_with(tmp_path, '[bus.b]\ninterface = "socketcand"\nchannel = "a"', NODE), allow=["socketcand"])
 
@@ -293,14 +293,14 @@ def test_no_device_but_a_terminal_is_opened(tmp_path, command):
     (tmp_path / "file").write_text("kept")
     for name, target in (("port", "/dev/null"), ("other", tmp_path / "file")):
         (tmp_path / name).symlink_to(target)
-        with pytest.raises(EncoderSetupError, match="is no serial port"):
+        with pytest.raises(EncoderSetupError, match="is not a serial port"):
             PortHub(PortConfig(url=str(tmp_path / name)))
-        with pytest.raises(EncoderSetupError, match="is no serial port"):
+        with pytest.raises(EncoderSetupError, match="is not a serial port"):
             open_bus(BusConfig(interface="slcan", channel=f"{tmp_path / name}@115200"))
     wiring = bench_with(tmp_path, '[port.p]\nurl = "/dev/null"', ASCII)
     done = command("cycloid-bench", "record", wiring, "-o", "run.arrows")
     assert done.returncode == 2
-    assert done.stderr == 'The serial port "/dev/null" does not open: /dev/null is no serial port.\n'
+    assert done.stderr == 'The serial port "/dev/null" does not open: /dev/null is not a serial port.\n'
     ours, theirs = os.openpty()
     (tmp_path / "tty").symlink_to(os.ttyname(theirs))
     PortHub(PortConfig(url=str(tmp_path / "tty"), baud_rate=9600)).close()
@@ -472,7 +472,7 @@ def test_raw_numbers_never_stand_under_a_unit(tmp_path, asammdf):
     (tmp_path / "map.toml").write_text(
         'format = "cycloid-mapping/1"\n[output_angle]\ncolumn = "formula"\n[torque]\ncolumn = "angle"\nunit = "N*m"\n'
     )
-    with pytest.raises(edge.InputError, match='the channel "formula" is left out: its conversion holds a formula'):
+    with pytest.raises(edge.InputError, match='the channel "formula" is left out: its conversion has a formula'):
         RecordingStream(tmp_path / "a.mf4", read_mapping(tmp_path / "map.toml"))
 
 

@@ -1,1 +1,1 @@
-"""Beckhoff PLCs by ADS: a ring of numbered samples in the PLC, and one thread for each that reads it in blocks."""
+"""Beckhoff PLCs over ADS: a ring buffer of numbered samples in the PLC, read in blocks by one thread per PLC."""

@@ -1,4 +1,4 @@
-"""One thread for each PLC: it reads the ring of samples by ADS and hands on the new ones by the block."""
+"""One thread per PLC, which reads the ring buffer of samples over ADS and passes on the new ones in blocks."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs
 ADS_TCP_PORT = 48898
 SYMBOL_INFORMATION = 0xF009  # index group of "symbol information by name"
 SYMBOL_NOT_FOUND = 0x710
-_READ_BYTES = 1 << 16  # of one request
-_ANSWER_SECONDS = 1.0  # far above a cycle of the PLC; pyads waits 5 s, and does not notice before that a line is cut
+_READ_BYTES = 1 << 16  # most bytes per request
+_ANSWER_SECONDS = 1.0  # far above a PLC cycle; pyads's 5 s would delay the detection of a broken connection
 
 
 class PlcHub:
-    """The one thread that reads a PLC's ring; see `plcs`."""
+    """The thread that reads a PLC's ring buffer; see `plcs`."""
 
     def __init__(self, config: PlcConfig) -> None:
         self.config = config
@@ -81,7 +81,7 @@ class PlcHub:
         )
 
     def _symbol(self) -> tuple[int, int, int]:
-        """Return index group and offset of the ring, and its bytes."""
+        """Return index group, index offset and size, bytes, of the ring."""
         info = self.connection.read_write(
             SYMBOL_INFORMATION, 0, self._ads.structs.SAdsSymbolEntry, self.config.ring, self._ads.PLCTYPE_STRING,
             check_length=False,
@@ -99,7 +99,15 @@ class PlcHub:
             raise EncoderProtocolError(f"{self._where}: its variable is not a ring of samples: {problem}.") from None
 
     def follow(self, blocks: BlockQueue[Block], after: tuple[int, int] | None) -> None:
-        """Hand on all samples from now on, or all behind the one with this `started` and number that it still holds."""
+        """Pass all new samples to a queue, or all still in the ring after a sample, given its ring's start and number.
+
+        Parameters
+        ----------
+        blocks
+            The queue.
+        after
+            `Head.started` and number of the last known sample; None: only samples from now on.
+        """
         with self._lock:
             if self.broken:
                 blocks.fail(self._failure)
@@ -113,7 +121,7 @@ class PlcHub:
         self._following.set()
 
     def leave(self, blocks: object) -> None:
-        """Hand on nothing more to this queue."""
+        """Stop passing samples to this queue."""
         with self._lock:
             self._queues = tuple(q for q in self._queues if q is not blocks)
 
@@ -126,7 +134,7 @@ class PlcHub:
             self.connection.close()
 
     def take(self) -> None:
-        """Read the samples that are new and hand them on; the thread does so every `hubs.BLOCK_SECONDS`."""
+        """Read the new samples and pass them on; the thread does so every `hubs.BLOCK_SECONDS`."""
         with self._reading:
             self._take()
 
@@ -136,14 +144,14 @@ class PlcHub:
         if (head.columns, head.length) != (self.head.columns, self.head.length):
             raise EncoderProtocolError(f"{self._where}: its ring has changed.")
         with self._lock:
-            if head.started != self.head.started:  # the PLC's program began anew, and so did the numbers
+            if head.started != self.head.started:  # the PLC's program restarted, and with it the numbers
                 self._next, self._arrived = 1, None
             elif head.newest < self.head.newest:
                 raise EncoderProtocolError(
                     f"{self._where}: its newest number went back from {self.head.newest} to {head.newest}."
                 )
             self.head = head
-            assert self._next is not None, "follow() says where to begin"
+            assert self._next is not None, "follow() sets where to begin"
             first = max(self._next, head.newest - head.length + 1)
             self._next = head.newest + 1
             queues = self._queues
@@ -158,7 +166,7 @@ class PlcHub:
         device = (samples["time"] - np.uint64(head.started)).astype(np.int64) * 1e-9
         before, arrived = self._arrived or (0.0, 0.0)
         newest = float(device[-1])
-        # The newest sample came now; those since the reading before are laid between both arrivals by the PLC's clock.
+        # The newest sample arrived now; earlier ones are placed between both arrivals by the PLC's clock.
         known = self._arrived is not None and newest > before and came > arrived
         rate = (came - arrived) / (newest - before) if known else 1.0
         self._arrived = newest, came
@@ -173,7 +181,7 @@ class PlcHub:
         try:
             while not self._stopping.wait(BLOCK_SECONDS):
                 self.take()
-        except Exception as problem:  # the reader must say why it ends: nobody else sees it
+        except Exception as problem:  # nobody else sees why this thread ends
             said = str(problem).removeprefix("ADSError: ").strip().rstrip(".")
             own = isinstance(problem, EncoderProtocolError)
             failure = EncoderConnectionError(str(problem) if own else f"{self._where} failed: {said}.")

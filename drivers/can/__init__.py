@@ -1,1 +1,1 @@
-"""CAN buses: one reader for each, data frames in blocks to the channels."""
+"""CAN buses: one reader per bus, which passes data frames to the channels in blocks."""

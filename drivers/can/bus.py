@@ -1,4 +1,4 @@
-"""A CAN bus as python-can opens it."""
+"""Opening of CAN buses with python-can, and identifiers of frames."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ _CLOCKS = {
 
 
 def frame_key(identifier: int, *, extended: bool = False, fd: bool = False) -> int:
-    """Return one number that identifies frames, 11 or 29 bits, classical or FD; 11-bit classical: the identifier."""
+    """Return the number that identifies frames by identifier and format; of a classical 11-bit frame the identifier."""
     return identifier | extended << 29 | fd << 30
 
 
 def frame_name(key: int) -> str:
-    """Return the name of the frames of this key in messages: "frame 0x182", "FD frame 0x18DA0102 (29 bits)"."""
+    """Return the name of frames in messages: "frame 0x182", "FD frame 0x18DA0102 (29 bits)"; `key`: `frame_key`."""
     name = f"frame 0x{key & 0x1FFFFFFF:03X}"
     return f"{'FD ' if key & 1 << 30 else ''}{name}{' (29 bits)' if key & 1 << 29 else ''}"
 
 
 def time_source(config: BusConfig, what: str) -> str:
-    """Return the clock of the stamps for a recording: 'hardware clock: the CAN interface's stamp of the frame (…)'."""
+    """Return a channel's `time_source`: 'hardware clock: the CAN interface's stamp of the frame (…)'; `what`: frame."""
     clock = _CLOCKS.get(config.interface, "host")
     return f"{clock} clock: the CAN interface's stamp of the {what} ({config.place})"
 
@@ -48,7 +48,7 @@ def open_bus(config: BusConfig, **options: object) -> can.BusABC:
     if config.fd:
         options["fd"] = True
     if config.sync_period is not None and config.interface != "udp_multicast":
-        options["receive_own_messages"] = True  # SYNC comes back in its place among the frames that answer it
+        options["receive_own_messages"] = True  # SYNC is received back in order with the frames that answer it
     try:
         if config.interface == "socketcan":
             from drivers.can.socketcan import CountingSocketcanBus

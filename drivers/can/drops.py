@@ -1,7 +1,7 @@
-"""Linux's data on a socket's frames: the time of each, and the number dropped because they were not read in time.
+"""Linux's data on a socket's frames: time stamps, and the number of frames dropped because they were read too late.
 
-The kernel adds its count of dropped frames to the first frame after each gap (SO_RXQ_OVFL, as can-utils' candump
-reads it: Documentation/networking/can.rst, socket(7)), which locates the loss; SO_MEMINFO gives those dropped since.
+The kernel attaches its count of dropped frames to the first frame after each gap (SO_RXQ_OVFL, used by can-utils'
+candump: Documentation/networking/can.rst, socket(7)), which locates the loss; SO_MEMINFO has those dropped since.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from collections.abc import Sequence
 _TIMESTAMP_NS, _DROPS, _BUFFER_FORCE, _MEMORY_INFO = 35, 40, 33, 55
 _MEMORY_DROPS = 8  # SK_MEMINFO_DROPS of linux/sock_diag.h
 _STAMP, _COUNT, _MEMORY = struct.Struct("@ll"), struct.Struct("=I"), struct.Struct("=9I")
-ANCILLARY = 128  # bytes that the messages beside a frame take, with room to spare
-RECEIVE_BUFFER = 8 << 20  # seconds of frames; the usual one holds 256
+ANCILLARY = 128  # bytes, more than the ancillary data of a frame need
+RECEIVE_BUFFER = 8 << 20  # bytes, for seconds of frames; the default holds 256 frames
 
 
 class SocketDrops:
-    """Stamps and drops of a socket, for which it requests them and a buffer for seconds of frames.
+    """Time stamps and drops of a socket, on which it enables both and a receive buffer for seconds of frames.
 
     Attributes
     ----------
     known
         Whether this system reports drops.
     total
-        Frames dropped before the one that was received last.
+        Number of frames dropped before the last received one.
     """
 
     def __init__(self, line: socket.socket) -> None:
         self._socket, self.total, self.known = line, 0, False
         for option in (socket.SO_RCVBUF, _BUFFER_FORCE) if sys.platform == "linux" else (socket.SO_RCVBUF,):
-            with contextlib.suppress(OSError):  # forcing it beyond the system's limit takes a right
+            with contextlib.suppress(OSError):  # exceeding the system's limit requires a privilege
                 line.setsockopt(socket.SOL_SOCKET, option, RECEIVE_BUFFER)
         if sys.platform != "linux":
             return
@@ -44,7 +44,7 @@ class SocketDrops:
             self.known = True
 
     def stamp(self, ancillary: Sequence[tuple[int, int, bytes]]) -> float | None:
-        """Read the ancillary data of a frame: return its stamp, s since 1970, if there is one, and count the drops."""
+        """Return the time stamp in a frame's ancillary data, s since 1970, or None; update the count of drops."""
         found = None
         for level, kind, data in ancillary:
             if level == socket.SOL_SOCKET and kind == _TIMESTAMP_NS:
@@ -55,7 +55,7 @@ class SocketDrops:
         return found
 
     def since(self) -> int:
-        """Return the number dropped after the last received frame."""
+        """Return the number of frames dropped after the last received one."""
         if not self.known:
             return 0
         try:

@@ -1,4 +1,4 @@
-"""Common part of all sensors on a CAN bus: opening and release of the bus, and the reader of their frames."""
+"""Common base of all sensors on a CAN bus: opening and release of the bus, and the reader of their frames."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.recording_format import Event
 
 
 class CanEncoder(HubEncoder[CanHub]):
-    """A sensor on a CAN bus, whose `set_up` makes the `reader`; see `HubEncoder`."""
+    """A sensor on a CAN bus; `set_up` must create the `reader`; see `HubEncoder`."""
 
     shared = hubs
     line = "bus"
@@ -51,7 +51,7 @@ class CanEncoder(HubEncoder[CanHub]):
 
     @property
     def waiting(self) -> int:
-        """Received frames that are not yet read."""
+        """Number of frames received but not yet read."""
         return self.reader.waiting
 
     def events(self) -> list[Event]:

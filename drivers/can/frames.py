@@ -1,4 +1,4 @@
-"""The frames of one identifier, checked: valid and marked ones."""
+"""The frames of one identifier: invalid ones are left out, doubtful ones marked."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from drivers.can.bus import frame_name
 from drivers.can.hub import BEHIND_GAP, NO_SYNC, CanHub, Frames, joined_frames
-from drivers.counts import Pace, judge_sequence, missing_by_pace
+from drivers.counts import Pace, counted, judge_sequence, missing_by_pace
 from drivers.encoder import EncoderConnectionError
 from drivers.hubs import drained
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, ClockJumps, Event, FloatArray, IntArray
@@ -26,9 +26,9 @@ def payload_array(data: list[bytearray], length: int) -> npt.NDArray[np.uint8]:
 
 @dataclasses.dataclass(frozen=True)
 class Judged:
-    """Valid frames: payloads (n, length), times of host and device, status bits, shape (n,).
+    """Valid frames: payloads, shape (n, length); host and device times, s, and status bits, shape (n,).
 
-    `jumped`: the clock of the stamps jumped there.
+    `jumped`: mask of the frames at which the clock of the stamps jumped, shape (n,).
     """
 
     payloads: npt.NDArray[np.uint8]
@@ -39,22 +39,22 @@ class Judged:
 
 
 class FrameReader:
-    """The frames of one identifier as payloads, stamps and status: the common part of CANopen and DBC channels.
+    """Reads the frames of one identifier as payloads, stamps and status: common to CANopen and DBC channels.
 
     Parameters
     ----------
     hub
         The bus.
     identifier
-        The `frame_key` of its frames: the bare identifier where that has 11 bits and the frame is a classical one.
+        The `frame_key` of its frames: of classical 11-bit frames the identifier itself.
     length
-        Bytes of the frame; others are skipped with an event.
+        Payload length, bytes; frames of other lengths are skipped with an event.
     sync_step
-        The frame answers every `sync_step`-th SYNC and is stamped by it; None: stamped by itself.
+        The frame answers every `sync_step`-th SYNC and gets the SYNC's time stamp; None: it has its own stamp.
     channel
         The channel's name, for events.
     period
-        Seconds between frames sent by a timer, None if not known: a longer silence is a gap.
+        Interval of frames sent by a timer, s, None if unknown; a longer silence is a gap.
 
     Attributes
     ----------
@@ -92,11 +92,11 @@ class FrameReader:
 
     @property
     def waiting(self) -> int:
-        """Received frames that are not yet read."""
+        """Number of frames received but not yet read."""
         return self._blocks.waiting
 
     def say(self, time_host: float, text: str, status: int = 0) -> None:
-        """Note an event, and status bits for the sample that comes next."""
+        """Add an event, and status bits for the next sample."""
         self._events.append(Event(time_host, self.channel, text))
         if status:
             self._marks.append(status)
@@ -106,27 +106,27 @@ class FrameReader:
         return self.hub.events() + drained(self._events)
 
     def finish(self) -> None:
-        """Note the samples missing after the last one, at the end of reading."""
+        """Report the samples missing after the last one, at the end of reading."""
         self.hub.finish()
         if self.sync_step is not None and self._newest is not None:
             sync, unread = self.hub.handed_on, []
-            with contextlib.suppress(EncoderConnectionError):  # said before, where the bus broke
-                # What came behind the end is answered, though not recorded.
+            with contextlib.suppress(EncoderConnectionError):  # reported when the bus failed
+                # SYNCs answered after the end of the recording are not missing.
                 unread = [int(block.sync[-1]) // self.sync_step for _, block in self._blocks.take(0.0)]
             missing = sync // self.sync_step - max([self._newest, *unread]) - 1  # the newest may still be answered
             if missing > 0:
                 self.lost += missing
-                self.say(time.time(), f"{missing} SYNC without a sample behind the last one")
+                self.say(time.time(), f"{missing} SYNC without a sample after the last one")
         elif self.hub.gaps > self._gap:
-            self.say(time.time(), f"{self._name} may be lost behind the last one")
+            self.say(time.time(), f"{self._name} may be lost after the last one")
 
     def read(self, timeout: float) -> Judged | None:
-        """Return the received frames.
+        """Return the received frames, waiting up to `timeout` s; None if there is none.
 
         Raises
         ------
         EncoderConnectionError
-            If the bus failed, once earlier frames are read.
+            If the bus failed, once all earlier frames are read.
         """
         losses: list[tuple[int, int]] = []
         blocks: list[Frames] = []
@@ -139,14 +139,14 @@ class FrameReader:
         return self._judged(joined_frames(blocks), losses) if blocks else None
 
     def _judged(self, frames: Frames, losses: list[tuple[int, int]]) -> Judged | None:
-        """Leave out invalid frames and mark the next ones."""
+        """Leave out invalid frames and mark the next valid ones."""
         n = len(frames.data)
         stamps = frames.time if self.sync_step is None else frames.sync_time
-        before = np.zeros(n, np.int64)  # bits for the sample at, or the next kept one after, each place
+        before = np.zeros(n, np.int64)  # status bits for the frame at each place, or else the next one kept
         unread = np.zeros(n, np.int64)
         for place, lost in losses:
             unread[place] = lost
-            self.say(frames.time[place], f"{lost} {self._name} lost: the recorder was too slow")
+            self.say(frames.time[place], f"{lost} × {self._name} lost: the recorder was too slow")
         behind = (np.diff(frames.gap, prepend=self._gap) > 0) | (unread > 0)
         self._gap = int(frames.gap[-1])
         before[behind] |= GAP
@@ -162,7 +162,7 @@ class FrameReader:
         else:
             good &= self._synced(frames, before)
         kept = np.flatnonzero(good)
-        # What was noted before a frame left out holds for the next one kept, be it in this block or a later one.
+        # Bits of a frame left out go to the next one kept, in this block or a later one.
         marks = np.zeros(len(kept) + 1, np.int64)
         noted = np.flatnonzero(before)
         np.bitwise_or.at(marks, np.searchsorted(kept, noted), before[noted])
@@ -182,7 +182,7 @@ class FrameReader:
                 gaps = np.flatnonzero(missing)
                 self.say(
                     stamps[kept[gaps[0]]],
-                    f"{int(missing.sum())} SYNC without a sample, in {len(gaps)} gaps from here on",
+                    f"{int(missing.sum())} SYNC without a sample, in {counted(len(gaps), 'gap')} from here on",
                 )
         own = frames.device if self.sync_step is None else frames.sync_device
         device = None if own is None else own[kept]
@@ -190,12 +190,12 @@ class FrameReader:
         return Judged(payload_array(data, self.length), stamps[kept], device, status, jumped[kept])
 
     def _synced(self, frames: Frames, before: IntArray) -> npt.NDArray[np.bool_]:
-        """Return which frames have a SYNC of their own, and note in `before` what the others were."""
+        """Return the mask of frames with their own SYNC, and set the bits of the others in `before`."""
         sync = frames.sync
         previous = np.concatenate([[self._last_seen], sync[:-1]])
         self._last_seen = int(sync[-1])
         self._say_count(sync == NO_SYNC, frames, "skipped: before the first SYNC")
-        self._say_count(sync == BEHIND_GAP, frames, "skipped: behind a gap in which its SYNC may be")
+        self._say_count(sync == BEHIND_GAP, frames, "skipped: after a gap in which its SYNC may be lost")
         before[sync == BEHIND_GAP] |= GAP
         second = (sync >= 0) & (sync == previous)
         last = None if self._last is None else self._last[1]
@@ -203,21 +203,21 @@ class FrameReader:
         for i in np.flatnonzero(second):  # few: payloads are compared only where it matters
             same[i] = frames.data[i] == (frames.data[i - 1] if i else last)
         self._last = (0.0, frames.data[-1], 0.0)
-        self._say_count(second & same, frames, "skipped: a duplicate of the frame before, or without a SYNC of its own")
-        self._say_count(second & ~same, frames, "skipped: without a SYNC of its own, so its time is unknown")
+        self._say_count(second & same, frames, "skipped: a duplicate of the previous frame, or without its own SYNC")
+        self._say_count(second & ~same, frames, "skipped: without its own SYNC, so its time is unknown")
         before[second] |= np.where(same, DUPLICATE, GAP)[second]
         if self._first is None and len(answered := sync[sync >= 0]):
             self._first = int(answered[0])
-        # A frame that answers an earlier SYNC is counted by that one, which has no sample; not before the first sample.
+        # A frame that answers an earlier SYNC counts as lost with that SYNC, except before the first sample.
         self.lost += int(np.count_nonzero(second & ~same & (sync == self._first)))
         return np.asarray((sync >= 0) & ~second)
 
     def _clocked(
         self, frames: Frames, before: IntArray, behind: npt.NDArray[np.bool_], unread: npt.NDArray[np.int64]
     ) -> npt.NDArray[np.bool_]:
-        """Note in `before` what the stamps tell, at the gaps `behind` which frames stand and elsewhere.
+        """Set the bits in `before` that follow from the stamps; return the mask of jumps of their clock.
 
-        Returns where the clock jumped.
+        `behind`: mask of frames after a known gap; `unread`: number of frames lost there to a slow recorder.
         """
         times = frames.time if frames.device is None else frames.device
         first = self._last is None
@@ -234,16 +234,16 @@ class FrameReader:
         before[jumps] |= GAP
         early = (step < 0) & ~jumps
         before[early] |= OUT_OF_ORDER
-        self._say_count(early, frames, "older than the one before")
-        self._say_count(copies, frames, "a duplicate of the frame before")
+        self._say_count(early, frames, "older than the previous one")
+        self._say_count(copies, frames, "a duplicate of the previous frame")
         before[copies] |= DUPLICATE
         missing = self._missing(times, step, jumps, behind)
         if missing.any():
-            by = "by the event timer" if self.period is not None else "by the usual time between them"
+            by = "by the event timer" if self.period is not None else "by their usual interval"
             gaps = np.flatnonzero(missing)
             self.say(
                 frames.time[gaps[0]],
-                f"{int(missing.sum())} {self._name} missing {by}, in {len(gaps)} gaps from here on",
+                f"{int(missing.sum())} × {self._name} missing {by}, in {counted(len(gaps), 'gap')} from here on",
             )
             before[gaps] |= GAP
         self.lost += int(np.maximum(missing, unread).sum())
@@ -256,7 +256,7 @@ class FrameReader:
     def _missing(
         self, times: FloatArray, step: FloatArray, jumps: npt.NDArray[np.bool_], behind: npt.NDArray[np.bool_]
     ) -> IntArray:
-        """Return how many frames are missing before each, by their timer or their usual pace, shape (n,)."""
+        """Return how many frames are missing before each one, from their timer or usual interval, shape (n,)."""
         period = self.period or self._pace.period
         if period is None:
             return np.zeros(len(step), np.int64)
@@ -267,4 +267,4 @@ class FrameReader:
     def _say_count(self, which: npt.NDArray[np.bool_], frames: Frames, what: str) -> None:
         if which.any():
             first = int(np.flatnonzero(which)[0])
-            self.say(frames.time[first], f"{int(which.sum())} {self._name} {what}")
+            self.say(frames.time[first], f"{int(which.sum())} × {self._name} {what}")

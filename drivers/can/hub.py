@@ -1,7 +1,7 @@
-"""One reader for each CAN bus: data frames in blocks to the channels, everything else to CANopen's supervision.
+"""One reader per CAN bus: data frames go to the channels in blocks, all other frames to the CANopen network.
 
-A callback per frame costs more than the frame. So one thread reads the bus, sorts frames by identifier, notes for each
-data frame the SYNC that it answers, and passes blocks on for NumPy to decode.
+A callback per frame costs more than reading the frame. So one thread reads the bus, sorts frames by identifier, assigns
+each data frame to the SYNC that it answers, and passes on blocks for NumPy to decode.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from drivers.recording_format import CLOCK_JUMP, Event, FloatArray, IntArray
 
 SYNC_COUNTER_MAX = 240
 BLOCK_FRAMES = 4096
-NO_SYNC, BEHIND_GAP = -1, -2  # in place of a SYNC's number: none came yet; it may be in the gap before
+NO_SYNC, BEHIND_GAP = -1, -2  # in place of a SYNC's number: none received yet; it may be lost in the gap before
 
-_BUS_OFF, _CONTROLLER = 0x40, 0x04  # of an error frame's identifier, as Linux and python-can number them
-_OVERRUN = 0x01  # of the second byte of an error frame of the controller
+_BUS_OFF, _CONTROLLER = 0x40, 0x04  # bits of an error frame's identifier in Linux and python-can
+_OVERRUN = 0x01  # bit in the second byte of a controller's error frame
 _DRAIN_SECONDS = 10.0
-_PAUSE = 0.25  # s without SYNC that is a gap even where no frame was lost
+_PAUSE = 0.25  # s without SYNC that are a gap even if no frame was lost
 
 
 @dataclasses.dataclass
 class Frames:
-    """Data frames of one identifier, in order; arrays of shape (n,).
+    """Data frames of one identifier, in order; arrays of shape (n,), times in s.
 
-    `sync` is the running number of the previous SYNC, `NO_SYNC` if there was none, `BEHIND_GAP` if it may be lost;
-    `gap` counts the gaps of the bus before each; `device` and `sync_device` are stamps of an interface that has a clock
-    of its own, None otherwise; `arrived` is when the block was taken, on the host's monotonic clock.
+    `sync` is the sequence number of the previous SYNC, `NO_SYNC` if there was none, `BEHIND_GAP` if it may be lost;
+    `gap` counts the gaps of the bus before each frame; `device` and `sync_device` are stamps of an interface with its
+    own clock, otherwise None; `arrived` is when the block was read, on the host's monotonic clock.
     """
 
     sync: IntArray
@@ -71,19 +71,19 @@ def joined_frames(blocks: list[Frames]) -> Frames:
 class CanHub:
     """The reader of one bus; see `hubs`.
 
-    Frames are distinguished by their `frame_key`. After a gap no frame is assigned to the SYNC before it, and SYNC
-    numbers are continued by the elapsed time.
+    Frames are identified by their `frame_key`. After a gap no frame is assigned to a SYNC before it, and SYNCs are
+    counted from the elapsed time.
 
     Attributes
     ----------
     network
         A `canopen.Network` for SDO, NMT, heartbeat and EMCY, fed by the reader.
     gaps, sync, handed_on
-        Gaps of the bus so far, the running number of the newest SYNC, and of the newest up to which all frames are in
-        the queues.
+        Number of gaps of the bus so far; sequence number of the newest SYNC, and of the newest SYNC up to which all
+        frames are in the queues.
     tells_drops
-        Whether every frame that was not read in time is known: by the kernel's count, or because the bus keeps all.
-        Otherwise gaps are detected only by the stamps.
+        Whether all drops are known: the kernel counts them, or the bus never drops frames. Otherwise gaps are detected
+        only from the stamps.
     """
 
     def __init__(self, config: BusConfig) -> None:
@@ -105,7 +105,7 @@ class CanHub:
         self._drops = getattr(self.bus, "drops", None)
         self._dropped = 0
         self.tells_drops = config.interface == "virtual" or (self._drops is not None and self._drops.known)
-        self._block_gaps: list[tuple[int, int]] = []  # before which place of the block, and frames lost, 0: unknown
+        self._block_gaps: list[tuple[int, int]] = []  # place in the block, number of frames lost there (0: unknown)
         self._drain_from: float | None = None
         self._drained, self._drained_at = threading.Event(), 0.0
         self._own_clock: bool | None = None
@@ -133,17 +133,17 @@ class CanHub:
         self._wanted = frozenset({SYNC_ID, *self._queues})
 
     def node(self, number: int, quantity: str) -> Any:
-        """Return the remote node for one of its quantities; `leave_node` releases it.
+        """Return the remote node of this number, reserved for one of its quantities until `leave_node`.
 
         Raises
         ------
         EncoderSetupError
-            If another channel has this quantity of this node.
+            If another channel uses this quantity of this node.
         """
         taken = self._quantities.setdefault(number, set())
         if quantity in taken:
             raise EncoderSetupError(
-                f"The {quantity} of node {number} on the CAN bus {self.config.place} is taken by another channel."
+                f"The {quantity} of node {number} on the CAN bus {self.config.place} is in use by another channel."
             )
         taken.add(quantity)
         if number not in self.network:
@@ -167,7 +167,7 @@ class CanHub:
         return drained(self._events)
 
     def drain(self) -> None:
-        """Wait until all present frames of the bus are in the queues."""
+        """Wait until all frames now on the bus are in the queues."""
         if time.monotonic() - self._drained_at < BLOCK_SECONDS:  # for another channel of this bus, just now
             return
         self._drained.clear()
@@ -175,10 +175,10 @@ class CanHub:
         came = self.broken or self._drained.wait(_DRAIN_SECONDS)
         self._drained_at = time.monotonic()
         if not came:
-            self._events.append(Event(time.time(), "", f"frames still wait on the CAN bus {self.config.place}"))
+            self._events.append(Event(time.time(), "", f"unread frames remain on the CAN bus {self.config.place}"))
 
     def finish(self) -> None:
-        """Note the frames lost after the last one, at the end of reading."""
+        """Report the frames lost after the last one, at the end of reading."""
         if self._drops is not None and (lost := self._drops.since()):
             self._say_lost(lost, time.time())
             self.gaps += 1
@@ -200,17 +200,17 @@ class CanHub:
                 arrivals: list[float] = []
                 try:
                     self._receive(block, arrivals)
-                finally:  # what came before the bus broke came
+                finally:  # keep frames received before the bus failed
                     self._take(block, arrivals)
                 if self._drain_from is not None and self._emptied:
                     self._drain_from = None
                     self._drained.set()
-        except Exception as problem:  # the reader must say why it ends: nobody else sees it
+        except Exception as problem:  # nobody else sees why this thread ends
             self._break(problem)
 
     def _break(self, problem: Exception) -> None:
         self._failure = EncoderConnectionError(
-            f"The CAN bus {self.config.place} broke: {reason(problem, 'interface')}."
+            f"The CAN bus {self.config.place} failed: {reason(problem, 'interface')}."
         )
         self.broken = True
         self._drained.set()
@@ -219,14 +219,14 @@ class CanHub:
                 blocks.fail(self._failure)
 
     def _produce(self) -> None:
-        """Send SYNC at its times; missed times are left out."""
+        """Send SYNC periodically; missed times are skipped."""
         period = self.config.sync_period
         assert period is not None
         message = can.Message(arbitration_id=SYNC_ID, is_extended_id=False)
         begun, number = time.monotonic(), 0
         try:
             while not self._stopping.wait(max(0.0, begun + number * period - time.monotonic())):
-                number = max(number, int((time.monotonic() - begun) / period))  # it may be late by some
+                number = max(number, int((time.monotonic() - begun) / period))  # some may be missed
                 self._produced.append((number, time.time()))
                 self.bus.send(message)
                 number = max(number + 1, int((time.monotonic() - begun) / period))
@@ -234,16 +234,16 @@ class CanHub:
             self._break(problem)
 
     def _receive(self, block: list[can.Message], arrivals: list[float]) -> None:
-        """Append the data and SYNC frames of a block; what else comes is served at once, somebody waits for it.
+        """Append the data and SYNC frames of a block; serve other frames at once, as callers wait for them.
 
-        `arrivals` gets the host's time of each where the interface has a clock of its own.
+        If the interface has its own clock, append the host's time of each frame to `arrivals`.
         """
         receive, append, own_clock, drops = self.bus.recv, block.append, self._own_clock, self._drops
         end = time.monotonic() + BLOCK_SECONDS
         self._emptied = False
         for _ in range(BLOCK_FRAMES):
             message = receive(0.0)
-            if message is None:  # the clock is only asked where there is time for it
+            if message is None:  # read the clock only when there is time for it
                 if self._drain_from is not None:
                     self._emptied = True
                     return
@@ -251,7 +251,7 @@ class CanHub:
                 if message is None:
                     return
             if own_clock is None and message.is_rx:
-                # Some interfaces count from power-up: theirs is a clock of its own.
+                # Some interfaces count from power-up, on their own clock.
                 own_clock = self._own_clock = abs(time.time() - message.timestamp) > 3600
             if drops is not None and drops.total != self._dropped:
                 self._block_gaps.append((len(block), drops.total - self._dropped))
@@ -265,11 +265,11 @@ class CanHub:
                     arrivals.append(time.time())
             else:
                 self._serve(message, key, len(block))
-        since = self._drain_from  # under a flood the bus is never empty
+        since = self._drain_from  # with constant traffic the bus is never empty
         self._emptied = since is not None and (bool(own_clock) or (bool(block) and block[-1].timestamp > since))
 
     def _serve(self, message: can.Message, key: int, place: int) -> None:
-        """Pass a frame without a channel, at this place of the block, to CANopen's services."""
+        """Pass a frame of no channel to CANopen's services; `place`: number of frames before it in the block."""
         if message.is_error_frame:
             self._odd["error frames"] += 1
             if message.arbitration_id & _CONTROLLER and _OVERRUN & sum(message.data[1:2]):
@@ -285,7 +285,7 @@ class CanHub:
                 self.network.notify(message.arbitration_id, message.data, stamp)
 
     def _take(self, block: list[can.Message], arrivals: list[float]) -> None:
-        """Sort a block's frames by their key, each with the SYNC before it, and hand them on."""
+        """Sort a block's frames by key, each with the SYNC before it, into the queues."""
         gaps, self._block_gaps = self._block_gaps, []
         if any([m.is_remote_frame or not m.is_rx for m in block]):
             kept = self._plain(block)
@@ -299,7 +299,7 @@ class CanHub:
                 self._odd[what] = 0
 
     def _plain(self, block: list[can.Message]) -> list[int]:
-        """Return the places of frames other than remote frames and echoes of own frames, except SYNC."""
+        """Return the places of all frames except remote frames and echoes of own frames other than SYNC."""
         kept = []
         for place, message in enumerate(block):
             if message.is_remote_frame:
@@ -313,14 +313,14 @@ class CanHub:
     def _publish(
         self, block: list[can.Message], arrivals: list[float], gaps: list[tuple[int, int]], arrived: float
     ) -> None:
-        """Put the frames of a block into their queues, gaps being places before which some were lost, and how many."""
+        """Put the frames of a block into their queues; `gaps`: places in the block and numbers of frames lost there."""
         keys = np.array([m.arbitration_id for m in block], np.int64)
         if any([m.is_extended_id or m.is_fd for m in block]):
             keys |= np.array([frame_key(0, extended=m.is_extended_id, fd=m.is_fd) for m in block])
         stamps = np.array([m.timestamp for m in block])
         host = np.array(arrivals) if arrivals else stamps
         synced = keys == SYNC_ID
-        # What changes along the block, in order: before the frame at a gap, and with a SYNC.
+        # Changes of the state along the block, in order: before a frame after a gap, and at each SYNC.
         changes = sorted([(place, 0) for place, _ in gaps] + [(place, 1) for place in np.flatnonzero(synced).tolist()])
         seen = [self._state()]
         for place, is_sync in changes:
@@ -351,18 +351,18 @@ class CanHub:
         self.handed_on = self.sync
 
     def _state(self) -> tuple[int, float, float, int]:
-        """Return the SYNC of the next frame: number, time and own stamp; and the gaps so far."""
+        """Return number, host time and device stamp of the next frame's SYNC, and the number of gaps so far."""
         bound = BEHIND_GAP if self._in_gap and self.sync >= 0 else self.sync
         return bound, self._sync_time, self._sync_device, self.gaps
 
     def _say_lost(self, lost: int, at: float) -> None:
-        what, why = (f"{lost} frames", "they were not read in time") if lost else ("frames", "the controller overran")
+        what, why = (f"{lost} frames", "not read in time") if lost else ("frames", "overrun of the controller")
         self._events.append(Event(at, "", f"{what} lost on the CAN bus {self.config.place}: {why}"))
 
     def _on_sync(self, data: bytearray, host: float, stamp: float, arrived: float) -> None:
-        """Count a SYNC, with those that are missing before it."""
+        """Count a SYNC and those missing before it."""
         elapsed = stamp - self._sync_device
-        # As ClockJumps, frame by frame: the clock goes back, or a stamp is later than its arrival.
+        # Like ClockJumps, frame by frame: the clock goes back, or a stamp is later than its arrival.
         jumped = self.sync >= 0 and (elapsed < -CLOCK_JUMP or arrived - stamp < self._floor - CLOCK_JUMP)
         self._floor = arrived - stamp if jumped else min(self._floor, arrived - stamp)
         if jumped:
@@ -390,34 +390,37 @@ class CanHub:
         self._sync_time, self._sync_device = host, stamp
 
     def _counter_step(self, counter: int, expected: float | None) -> int:
-        """Return the number of SYNC steps of a counter, which starts again at 1 as set in its controller (0x1019)."""
+        """Return the steps of a SYNC counter, which rolls over to 1 at the value set in its producer (0x1019).
+
+        `expected`: steps expected from the elapsed time, None if unknown.
+        """
         modulus = self._counter_max
         step = (counter - self._counter) % modulus or modulus
         if counter > modulus or self._counter > modulus:
             modulus = self._counter_max = SYNC_COUNTER_MAX
             step = (counter - self._counter) % modulus or modulus
         elif counter == 1 and not self._in_gap and (expected is None or abs(expected - 1) < abs(expected - step)):
-            step, self._counter_max = 1, self._counter  # it is nearer to the next SYNC than to one of 240
+            step, self._counter_max = 1, self._counter  # by its time it is the next SYNC, not one 240 - counter later
         if expected is not None and (self._in_gap or not self.tells_drops):
             step += modulus * int(wraps(np.array([step]), modulus, np.array([expected]))[0])
         return step
 
     def _say_held_up(self, host: float, elapsed: float) -> None:
-        """Note the SYNC frames that this recorder left out before the received one: the samples have a gap."""
+        """Report the SYNCs that this recorder failed to send before the received one: the samples have a gap."""
         assert self.config.sync_period is not None, "it sends SYNC"
         number, _ = self._produced.popleft()
-        while not self._own_clock and self._produced and self._produced[0][1] <= host:  # an echo that was lost
+        while not self._own_clock and self._produced and self._produced[0][1] <= host:  # its echo was lost
             number, _ = self._produced.popleft()
         before, self._produced_last = self._produced_last, number
         if before is None or self._in_gap:
             return
         missed = number - before - 1
-        if elapsed > 3 * self.config.sync_period:  # held up between taking the number and sending
+        if elapsed > 3 * self.config.sync_period:  # delayed between taking the number and sending
             missed = max(missed, round(elapsed / self.config.sync_period) - 1)
         if missed:
             self.gaps += 1
             said = f"{missed} SYNC not sent in time on the CAN bus {self.config.place}"
-            self._events.append(Event(host, "", f"{said}: the recorder was held up"))
+            self._events.append(Event(host, "", f"{said}: the recorder was delayed"))
 
 
 hubs = SharedHubs(CanHub)

@@ -19,20 +19,20 @@ _BIT_RATE_SWITCH, _ERROR_STATE = 1, 2
 
 
 class CountingSocketcanBus(SocketcanBus):  # type: ignore[misc]
-    """A SocketCAN interface whose `drops` count the frames that were not read in time."""
+    """A SocketCAN interface that counts in `drops` the frames not read in time."""
 
     def __init__(self, channel: str, **options: Any) -> None:
         super().__init__(channel, **options)
         self.drops = SocketDrops(self.socket)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """Return the next frame; python-can's documented place for a backend to do so."""
+        """Return the next frame; python-can documents this method for backends to override."""
         try:
             if not select.select([self.socket], [], [], timeout)[0]:
                 return None, self._is_filtered
             frame, ancillary, flags, _ = self.socket.recvmsg(_FD_SIZE, ANCILLARY)
         except OSError as problem:
-            raise can.CanOperationError(f"it gives no frame: {problem.strerror}", problem.errno) from problem
+            raise can.CanOperationError(f"no frame can be read: {problem.strerror}", problem.errno) from problem
         identifier, length, kind = _HEAD.unpack_from(frame)
         extended, fd = bool(identifier & _EXTENDED), len(frame) == _FD_SIZE
         message = can.Message(
@@ -45,7 +45,7 @@ class CountingSocketcanBus(SocketcanBus):  # type: ignore[misc]
             is_fd=fd,
             bitrate_switch=fd and bool(kind & _BIT_RATE_SWITCH),
             error_state_indicator=fd and bool(kind & _ERROR_STATE),
-            is_rx=not flags & socket.MSG_DONTROUTE,  # set on what this machine sent: can.rst, 4.1.7
+            is_rx=not flags & socket.MSG_DONTROUTE,  # set on frames sent by this machine: can.rst, 4.1.7
             dlc=length,
             data=frame[_HEAD.size : _HEAD.size + length],
         )

@@ -18,12 +18,12 @@ def export(
         Path, output_option((".csv", ".nc", ".parquet", ".mf4"), "RUN.csv|nc|parquet|mf4", "File to write.")
     ],
 ) -> None:
-    """Write a recording in another format, by the file's ending; it may be larger than the memory.
+    """Write a recording in the format of the file's ending; it may be larger than memory.
 
     Example: [cyan]cycloid-bench export run.arrows -o run.csv[/]
 
     .csv is one table: the two angles, paired by the SYNC that latched both, and the torque interpolated to these times.
-    .nc (netCDF), .parquet and .mf4 (MDF4, ASAM) hold every channel's samples as they came.
+    .nc (netCDF), .parquet and .mf4 (MDF4, ASAM) hold the samples of each channel as received.
     """
     with bytes_of(recording) as advance:
         done = drivers.export(recording, output, progress=advance)

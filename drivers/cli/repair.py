@@ -16,14 +16,14 @@ from drivers.cli.shown import bytes_of
 def repair(
     recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording.")],
     output: Annotated[
-        Path | None, output_option((".arrows",), "WHOLE.arrows", "Write the recovered recording here.")
+        Path | None, output_option((".arrows",), "WHOLE.arrows", "File for the recovered recording.")
     ] = None,
 ) -> None:
-    """Report the contents of a torn or damaged recording, and write them as a whole one if asked.
+    """Report the intact content of a truncated or damaged recording, and with -o write it to a new file.
 
     Example: [cyan]cycloid-bench repair torn.arrows -o whole.arrows[/]
 
-    The file itself is not changed. Exit status 1 where something is wrong with it.
+    The file itself is not changed. Exit status 1 if it is damaged.
     """
     with bytes_of(recording) as advance:
         kept = drivers.repair(recording, output, progress=advance)

@@ -17,15 +17,17 @@ if TYPE_CHECKING:
 
 
 def run(
-    sequence: Annotated[Path, typer.Argument(metavar="SEQUENCE.toml", help="Speeds, loads, directions, loops.")],
+    sequence: Annotated[
+        Path, typer.Argument(metavar="SEQUENCE.toml", help="The sequence: speeds, loads, directions, loops.")
+    ],
     allow: Allowed = None,
 ) -> None:
     """Run a test sequence: prompt for or drive each step, check it, and write one recording for each step.
 
     Example: [cyan]cycloid-bench run sequence.toml[/]
 
-    Recordings are written beside the sequence; steps that are recorded are left out, so an interrupted sequence goes on
-    where it was. A step that falls short is kept under another name, and made again if you say so.
+    Recordings are written next to the sequence file. Steps already recorded are skipped, so an interrupted sequence is
+    resumed. A recording that falls short is kept under another name, and you are asked whether to repeat the step.
     """
     from drivers.recorder.sequence import read_sequence
     from drivers.recorder.watchdog import watched
@@ -39,12 +41,12 @@ def run(
         typer.echo(begun)
 
     def ready(step: Step) -> None:
-        typer.prompt("Press Enter when it runs", default="", show_default=False, err=True)
+        typer.prompt("Press Enter when the bench is running", default="", show_default=False, err=True)
 
     def again(step: Step, trial: Path, short: list[str]) -> bool:
         line.pause()
         typer.echo(f"{trial}: not reached: {'; '.join(short)}.", err=True)
-        return not driven and typer.confirm("Make it again?", default=True, err=True)
+        return not driven and typer.confirm("Repeat this step?", default=True, err=True)
 
     with recording(), LiveLine() as line:
         done = drivers.run_sequence(made, note=note, ready=ready, again=again, progress=line)

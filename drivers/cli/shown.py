@@ -1,4 +1,4 @@
-"""What the commands show of a recording: the line while it grows, what it got, and why it failed."""
+"""Output of the commands on a recording: live line, summary, failures."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Allowed = Annotated[
     list[str] | None,
     typer.Option(
         "--allow", metavar="KIND",
-        help="Kind of connection that the bench file may open besides devices, socket:// and CAN: rfc2217.",
+        help="Further connection that the bench file may open besides devices, socket:// and CAN, such as rfc2217.",
     ),
 ]  # fmt: skip
 
 
 def live_text(live: Live) -> str:
-    """Return the state of a recording, in one line: rates, counts, positions, marks, buffer, disk and running TE."""
+    """Return the state of a recording in one line: counts, rates, values, marks, buffer, running TE and disk."""
     parts = []
     for name, state in live.channels.items():
         shown = "–" if state.value is None else f"{state.value:.5g}"
@@ -38,7 +38,7 @@ def live_text(live: Live) -> str:
         part += "".join(f", {n} {mark}" for mark, n in state.marks.items() if n and mark != "rollovers")
         part += f", {state.lost} lost" if state.lost else ""
         part += f", {state.waiting} waiting" if state.waiting else ""
-        parts.append(part + (" OUT" if state.failure is not None else ""))
+        parts.append(part + (", FAILED" if state.failure is not None else ""))
     if live.transmission_error is not None:
         parts.append(f"TE {math.degrees(live.transmission_error) * 3600:+.2f}″")
     parts.append(f"{live.events} events, disk {live.disk_free / 1e9:.1f} GB free")
@@ -46,9 +46,9 @@ def live_text(live: Live) -> str:
 
 
 class LiveLine:
-    """The live line on the error stream, as the output is what scripts read: from the first call until a pause.
+    """A live line on standard error, since scripts read standard output; shown from the first call until `pause`.
 
-    A terminal that is gone is no reason to end a recording: from then on nothing is shown.
+    If the terminal is closed, the recording continues and nothing more is shown.
     """
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class LiveLine:
             self._gone = True
 
     def pause(self) -> None:
-        """Take the line away until the next call."""
+        """Remove the line until the next call."""
         display, self._display = self._display, None
         if display is not None:
             with contextlib.suppress(OSError):
@@ -86,13 +86,13 @@ class LiveLine:
 
 
 def bytes_of(path: Path) -> contextlib.AbstractContextManager[Callable[[float], None]]:
-    """Show how much of a file is read."""
+    """Return a progress display in bytes of a file read."""
     return progress("bytes", path.stat().st_size if path.is_file() else None)
 
 
 @contextlib.contextmanager
 def failures() -> Iterator[None]:
-    """Show why a bench or a recording failed, with the exit status that belongs to it."""
+    """Print the error of a bench or recording, and exit with its status."""
     from drivers.encoder import EncoderError
     from drivers.recorder.session import RecordingError
 
@@ -107,7 +107,7 @@ def failures() -> Iterator[None]:
 
 @contextlib.contextmanager
 def recording() -> Iterator[None]:
-    """Print what an interrupted recording got, and end with the exit status of its signal; see also `failures`."""
+    """Print the summary of an interrupted recording, and exit with the status of its signal; see also `failures`."""
     from drivers.recorder.session import RecordingInterrupted
 
     try:
@@ -126,7 +126,7 @@ def recording() -> Iterator[None]:
 
 
 def _print(done: Recorded) -> None:
-    """Print what a recording got."""
+    """Print the summary of a recording."""
     typer.echo(f"{done.path}: {', '.join(f'{n} {name}' for name, n in done.samples.items())}; {done.events} events")
     for name, marks in done.marks.items():
         said = [f"{n} {mark}" for mark, n in marks.items()]
@@ -136,14 +136,14 @@ def _print(done: Recorded) -> None:
     for failure in done.failures:
         typer.echo(str(failure), err=True)
     if not any(done.samples.values()):
-        typer.echo("No sample came: is the bench sending?", err=True)
+        typer.echo("No samples arrived: is the bench sending?", err=True)
 
 
 def report(done: Recorded) -> None:
-    """Print what a recording got; exit status 1 where a channel was out at the end or nothing came, 3 after silence."""
+    """Print the summary of a recording; exit status 1 if a channel was out at the end or empty, 3 after silence."""
     _print(done)
     if done.ended == "idle" and not done.failures:
-        typer.echo("It ended because no more samples came.", err=True)
+        typer.echo("It ended because no more samples arrived.", err=True)
         raise typer.Exit(edge.SILENT)
     if done.failures or not any(done.samples.values()):
         raise typer.Exit(edge.FAILED)

@@ -12,7 +12,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge.commands import choice_option, output_option, quantity_option
 from drivers.cli.shown import LiveLine, recording, report
 
-_BUS = "CAN interface of python-can; loopback: other processes of this machine."
+_BUS = "CAN interface of python-can; loopback reaches other processes on this machine."
 
 
 def simulate(
@@ -25,35 +25,35 @@ def simulate(
     samples_per_turn: Annotated[int, typer.Option(min=3, help="Samples per crank turn.")] = 96,
     direction: Annotated[Any, choice_option(("forward", "backward"), "Direction of the crank's rotation.")] = "forward",
     speed: Annotated[float, quantity_option("rad/s", "Crank speed.", show_default="60 rpm")] = 6.283185307179586,
-    noise: Annotated[float, quantity_option("rad", "Noise of each encoder, rms.")] = 0.0,
-    torque_noise: Annotated[float, quantity_option("N*m", "Noise of the torque, rms.")] = 0.0,
+    noise: Annotated[float, quantity_option("rad", "RMS noise of each encoder.")] = 0.0,
+    torque_noise: Annotated[float, quantity_option("N*m", "RMS noise of the torque.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Random seed of the noise.")] = 0,
     interface: Annotated[str, typer.Option("--bus", help=_BUS)] = "loopback",
     channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
     trigger: Annotated[
-        Any, choice_option(("controller", "sync", "timer"), "What triggers the encoders on CAN.")
+        Any, choice_option(("controller", "sync", "timer"), "Trigger of the encoders on CAN.")
     ] = "controller",
     serial: Annotated[
         Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
     ] = None,
     plc: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="A Beckhoff PLC on this address, such as 127.0.0.1.")
+        str | None, typer.Option(metavar="ADDRESS", help="A Beckhoff PLC at this address, such as 127.0.0.1.")
     ] = None,
     clock_drift: Annotated[
         float,
-        typer.Option(help="Relative drift of the clock of ASCII counter, CAN bus or PLC, such as 50e-6."),
+        typer.Option(help="Relative drift of the clock of the ASCII counter, CAN bus or PLC, such as 50e-6."),
     ] = 0.0,
     hysteresis: Annotated[
         bool,
         typer.Option(
-            "--hysteresis", help="Lock the input; the torque runs through 0, +T, 0, -T, 0, once for each of --turns."
+            "--hysteresis", help="Lock the input and cycle the torque through 0, +T, 0, -T, 0, --turns times."
         ),
     ] = False,
     faults: Annotated[
         Path | None, typer.Option(metavar="FAULTS.toml", help="Faults to simulate, with their times.")
     ] = None,
     speed_factor: Annotated[
-        float | None, typer.Option(help="1: in real time. Default: as fast as the bus permits.")
+        float | None, typer.Option(help="Speed relative to real time. Default: as fast as the bus permits.")
     ] = None,
     write_bench: Annotated[Path, output_option((".toml",), "BENCH.toml", "Wiring to write.", "--write-bench")] = Path(
         "BENCH.toml"
@@ -62,15 +62,15 @@ def simulate(
         Path | None, output_option((".arrows",), "RUN.arrows", "Record the simulated run here directly.")
     ] = None,
 ) -> None:
-    """Simulate a bench: wait for a recorder, then send a motion as real encoders and transducers do.
+    """Simulate a bench: wait for a recorder, then send the signals of a motion as real sensors do.
 
     Example: [cyan]cycloid-bench simulate --fmu drive.fmu --ratio -39 --torque "20 N*m" --write-bench BENCH.toml[/],
     and in a second terminal [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/].
-    The virtual bus ends at its process: with [cyan]--bus virtual[/] add [cyan]-o run.arrows[/].
+    The virtual bus cannot be reached from other processes: with [cyan]--bus virtual[/] add [cyan]-o run.arrows[/].
     """
     if interface == "virtual" and output is None and serial is None and plc is None:
         raise edge.ArgumentError(
-            "interface", "this bus ends at its process; add -o RUN.arrows or use loopback", interface
+            "interface", "other processes cannot reach this bus; add -o RUN.arrows or use loopback", interface
         )
     bench = drivers.simulate_bench(
         drive, torque=torque, ratio=ratio, turns=turns, samples_per_turn=samples_per_turn, direction=direction,
@@ -86,7 +86,7 @@ def simulate(
             return
         bench.write_wiring(write_bench)
         count = bench.motion.run.samples
-        typer.echo(f"{write_bench}: wiring of a bench that sends {count} samples once it is recorded", err=True)
+        typer.echo(f"{write_bench}: wiring of the bench, which sends {count} samples once a recorder starts", err=True)
         while not bench.wait(0.2):
             pass
         typer.echo("The motion ended.", err=True)

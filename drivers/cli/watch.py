@@ -22,7 +22,7 @@ def watch(
 
     Example: [cyan]cycloid-bench watch run.arrows[/]
 
-    It listens on this machine only. With [cyan]--host 0.0.0.0[/] others see it too, who know the token.
+    The page is reachable from this machine only; with [cyan]--host 0.0.0.0[/] also from others, with the token.
     """
     with drivers.watch(recording, host=host, port=port) as server, contextlib.suppress(KeyboardInterrupt):
         typer.echo(f"Open {server.url} (Ctrl-C ends it)")

@@ -1,1 +1,1 @@
-"""The protocols of this package."""
+"""The encoder protocols of this package."""

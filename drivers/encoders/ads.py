@@ -1,4 +1,4 @@
-"""A column of the ring of samples in a Beckhoff PLC, read by ADS."""
+"""A column of the ring buffer of samples in a Beckhoff PLC, read over ADS."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class AdsConfig(AngleConfig):
     Attributes
     ----------
     plc, column
-        The PLC, and the number of the value in its ring, from 1.
+        Name of the PLC's table, and number of the column in its ring, from 1.
     counts_modulus
-        Where the value of an angle starts again from 0; absent: it does not.
+        Number of counts after which an angle starts again from 0; absent: it does not.
     torque_per_count
-        Torque of one count, such as "1 mN*m"; an angle has `counts_per_turn` instead.
+        Torque of one count, N*m or text such as "1 mN*m"; an angle has `counts_per_turn` instead.
     """
 
     plc: str
@@ -38,11 +38,11 @@ class AdsConfig(AngleConfig):
 
 
 class AdsEncoder(HubEncoder[PlcHub]):
-    """A column of a PLC's ring. The columns of one sample have exactly the same time.
+    """A column of a PLC's ring. All columns of a sample have exactly the same time.
 
-    Samples overwritten by the PLC before they were read are missing by their number: counted, noted as an event, the
-    next sample marked. While the PLC can't be reached its ring continues: samples still in it afterwards are recorded
-    then.
+    Samples that the PLC overwrote before they were read are detected by their numbers: they are counted and reported as
+    an event, and the next sample is marked. While the PLC can't be reached its ring continues; samples still in it
+    are recorded afterwards.
     """
 
     configuration = AdsConfig
@@ -74,29 +74,29 @@ class AdsEncoder(HubEncoder[PlcHub]):
         )
 
     def start(self) -> None:
-        """Follow the ring from now on, or from where it was followed last."""
+        """Follow the ring from now on, or after an interruption from the last sample read."""
         assert self.hub is not None, "start() is for an encoder that is open"
         self._blocks = BlockQueue()
         self.hub.follow(self._blocks, self._last)
 
     def leave(self, hub: PlcHub) -> None:
-        """Follow it no more."""
+        """Stop following the ring."""
         hub.leave(self._blocks)
 
     @property
     def waiting(self) -> int:
-        """Samples that came and are not yet read."""
+        """Number of samples received but not yet read."""
         return self._blocks.waiting
 
     @property
     def lost(self) -> int:
-        """Samples that are known to be missing since the encoder was made."""
+        """Number of samples known to be lost since the encoder was created."""
         return self._lost
 
     def drain(self) -> None:
-        """Take in what the ring holds by now, so that the next `read` gives it."""
+        """Read the new samples of the ring, so that the next `read` returns them."""
         if self.hub is not None and not self.hub.broken:
-            with contextlib.suppress(Exception):  # the hub's thread meets it too, and says it
+            with contextlib.suppress(Exception):  # the hub's thread runs into it too, and reports it
                 self.hub.take()
 
     def events(self) -> list[Event]:
@@ -104,8 +104,8 @@ class AdsEncoder(HubEncoder[PlcHub]):
         return drained(self._events)
 
     def read(self, timeout: float) -> Samples | None:
-        """Return the samples that came; see `Encoder.read`."""
-        # Readings that a slow recorder lost are missing by their numbers too.
+        """Return the new samples; see `Encoder.read`."""
+        # Samples lost to a slow recorder are detected by their numbers too.
         blocks = [self._samples(block) for _, block in self._blocks.take(timeout)]
         blocks = [block for block in blocks if len(block)]
         return joined(self.name, blocks) if blocks else None
@@ -113,7 +113,7 @@ class AdsEncoder(HubEncoder[PlcHub]):
     def _samples(self, block: Block) -> Samples:
         restarted = self._last is not None and self._last[0] != block.started
         after = 0 if restarted else block.numbers[0] - 1 if self._last is None else self._last[1]
-        new = block.numbers > after  # another channel of this ring may want earlier ones again
+        new = block.numbers > after  # another channel of this ring may have requested earlier ones again
         numbers, host = block.numbers[new], block.time_host[new]
         counts = block.values[new, self.config.column - 1].astype(np.int64)
         status = np.zeros(len(numbers), np.int64)
@@ -121,7 +121,7 @@ class AdsEncoder(HubEncoder[PlcHub]):
             return Samples.checked(self.name, [], [], time_device=[], counts=[])
         if restarted:
             status[0] = RESET | GAP
-            self._events.append(Event(float(host[0]), self.name, "the PLC's program started again"))
+            self._events.append(Event(float(host[0]), self.name, "the PLC's program restarted"))
             self._counts = None
         missing = np.diff(numbers, prepend=after) - 1
         if missing.any():

@@ -1,10 +1,10 @@
-"""Encoders of the AMT21 family (Same Sky, CUI Devices) on RS-485: a byte asks, two bytes answer.
+"""Encoders of the AMT21 family (Same Sky, CUI Devices) on RS-485: a one-byte request, a two-byte answer.
 
 The answer is a 16-bit word, low byte first: check bits K1 K0 and 14 bits H5 … H0 L7 … L0 of position,
-K1 = NOT(H5 ^ H3 ^ H1 ^ L7 ^ L5 ^ L3 ^ L1), K0 = NOT(H4 ^ H2 ^ H0 ^ L6 ^ L4 ^ L2 ^ L0) (AMT21 datasheet). So all odd
-bits of a good word together have odd parity, and so have all even ones. A 12-bit encoder leaves the lowest two of the
-14 bits zero. The address is a multiple of four; address + 1 asks a multi-turn encoder for its turns, a signed word of
-14 bits with the same check bits; address + 2 opens extended commands.
+K1 = NOT(H5 ^ H3 ^ H1 ^ L7 ^ L5 ^ L3 ^ L1), K0 = NOT(H4 ^ H2 ^ H0 ^ L6 ^ L4 ^ L2 ^ L0) (AMT21 datasheet). So the odd
+bits of a valid word together have odd parity, and so do the even bits. In a 12-bit encoder the lowest two of the 14
+bits are zero. The address is a multiple of four; address + 1 requests the turns of a multi-turn encoder, a signed word
+of 14 bits with the same check bits; address + 2 opens extended commands.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ODD, _EVEN = 0xAAAA, 0x5555
 
 
 def check_bits(position: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
-    """Return the words that carry these 14-bit positions, check bits included."""
+    """Return the words of these 14-bit positions, check bits included, shape (n,)."""
     low = np.asarray(position, np.uint16) & np.uint16(0x3FFF)
     odd = 1 - np.bitwise_count(low & np.uint16(_ODD)) % 2
     even = 1 - np.bitwise_count(low & np.uint16(_EVEN)) % 2
@@ -34,14 +34,24 @@ def check_bits(position: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
 
 
 def checked_position(words: npt.NDArray[np.uint16]) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.bool_]]:
-    """Return the 14-bit positions of words as sent, and which of them the check bits confirm."""
+    """Return the 14-bit positions of words as sent, and the mask of those with correct check bits, both (n,)."""
     words = np.asarray(words, np.uint16)
     good = (np.bitwise_count(words & np.uint16(_ODD)) % 2 == 1) & (np.bitwise_count(words & np.uint16(_EVEN)) % 2 == 1)
     return words & np.uint16(0x3FFF), good
 
 
 class Amt21Config(AngleConfig):
-    """A `[channel.X]` with protocol = "amt21"; `multi_turn`: the encoder counts turns, ask for them each time."""
+    """A `[channel.X]` with protocol = "amt21".
+
+    Attributes
+    ----------
+    port, address
+        Name of the port's table, and address of the encoder, a multiple of four.
+    bits
+        Resolution of one turn, bits.
+    multi_turn
+        Whether the encoder counts turns; they are then requested with each position.
+    """
 
     port: str
     address: Annotated[int, pydantic.Field(ge=0, le=0xFC, multiple_of=4)] = 0x54
@@ -52,9 +62,9 @@ class Amt21Config(AngleConfig):
 class Amt21Encoder(PolledEncoder):
     """One encoder at one address of a port.
 
-    A single-turn encoder's turns are counted here; over a gap in which it may turn by half a turn and more they are
-    those of the speed before it, and marked as reset. A multi-turn encoder counts them itself: turns that readings
-    missed are an event and a mark, and the angle is right.
+    The turns of a single-turn encoder are counted here; after a gap in which it may have turned by half a turn or more,
+    they are extrapolated from the speed before it, and the sample is marked as reset. A multi-turn encoder counts its
+    turns itself: if readings missed some, the angle is still right, the sample is marked and an event reports it.
     """
 
     configuration = Amt21Config
@@ -70,7 +80,7 @@ class Amt21Encoder(PolledEncoder):
         self._unseen = UnseenTurns(1 << config.bits)
 
     def question(self, port: Any) -> bytes:
-        """Ask for the position and, where the encoder has them, the turns; see `SerialEncoder.question`."""
+        """Request the position and, from a multi-turn encoder, the turns; see `SerialEncoder.question`."""
         answer = ask(port, self._questions[0], 2)
         return answer + ask(port, self._questions[1], 2) if self.config.multi_turn else answer
 
@@ -104,7 +114,7 @@ class Amt21Encoder(PolledEncoder):
             counts, missed = self._with_turns(counts, raw, position[:, 1])
             status = status | missed * (GAP | RESET)
             for i in np.flatnonzero(missed):
-                self.say(times[i], "the encoder counted turns that the readings missed")
+                self.say(times[i], "the encoder made turns that the readings missed")
         else:
             counts = self.over_gaps(self._unseen, times, counts, status)
         self._previous = int(counts[-1])
@@ -112,10 +122,10 @@ class Amt21Encoder(PolledEncoder):
         return Samples.checked(self.name, times, value, counts=counts, status=status)
 
     def _with_turns(self, counts: IntArray, raw: IntArray, turns: IntArray) -> tuple[IntArray, npt.NDArray[np.bool_]]:
-        """Return counts with the encoder's own turns, and where those differ from the turns counted here.
+        """Return counts with the encoder's own turns, and the mask of changes against the turns counted here, (n,).
 
-        Position and turns are two questions, between which the encoder may pass its zero: the turns are believed only
-        where the position is far from it.
+        Position and turns are two requests, between which the encoder may pass its zero: its turns are used only where
+        the position is far from zero.
         """
         counts_per_turn = 1 << self.config.bits
         sure = np.flatnonzero((raw >= counts_per_turn // 4) & (raw < 3 * counts_per_turn // 4))

@@ -1,8 +1,8 @@
 """Counters and transducers that send lines of text, described by a line with fields: "{sequence};{time};{counts}".
 
-Fields: `{counts}` or `{value}` is what is measured (one of both must be there), `{time}` the device's own clock,
-`{sequence}` the line's running number, `{checksum}` two hexadecimal digits, `{skip}` anything else. What is between
-the fields must come as written; a line that differs is lost, counted and marked.
+Fields: `{counts}` or `{value}` is the measured quantity (exactly one is required), `{time}` the device's own clock,
+`{sequence}` the line's sequence number, `{checksum}` two hexadecimal digits, `{skip}` any text. Text between the fields
+must match exactly; a line that differs is lost, which is counted and marked.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy.typing as npt
 import pydantic
 
 from cycloid_fmu import edge
-from drivers.counts import Pace, counts_to_value, judge_sequence, missing_by_pace, unwrap
+from drivers.counts import Pace, counted, counts_to_value, judge_sequence, missing_by_pace, unwrap
 from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderTimeout, PortConfig, channel_of
 from drivers.recording_format import GAP, OUT_OF_ORDER, RESET, ROLLOVER, Samples
 from drivers.serial.polled import SerialEncoder
@@ -37,7 +37,7 @@ _FIELDS = {
     "sequence": r"(\d{1,18})",
     "checksum": r"([0-9A-Fa-f]{2})",
 }
-_MOST_SKIPS = 6  # to try all places of many in a line takes for ever
+_MOST_SKIPS = 6  # matching takes too long with more
 _CHECKSUMS: dict[str, Callable[[bytes], int]] = {
     "xor": lambda text: functools.reduce(operator.xor, text, 0),
     "sum": lambda text: sum(text) & 0xFF,
@@ -50,11 +50,11 @@ class AsciiConfig(AngleConfig):
     Attributes
     ----------
     port
-        The port.
+        Name of the port's table.
     line
-        The line without its end, with fields; see the module's text.
+        The line with fields, without its line end; see the module's docstring.
     request
-        What to send for each line; absent: the device sends by itself.
+        Text that requests a line; absent: the device sends lines on its own.
     counts_modulus, sequence_modulus, time_modulus
         Values at which the device's numbers start again from 0; absent: they do not (the sequence: 2^32).
     time_unit
@@ -62,8 +62,8 @@ class AsciiConfig(AngleConfig):
     unit
         Unit of `{value}`, such as "N*m".
     checksum
-        "xor" (NMEA 0183: of all between a leading "$" or "!" and the "*" before the field) or "sum" (modulo 256, of
-        all before the field).
+        "xor" (NMEA 0183: of the text between a leading "$" or "!" and the "*" before the field) or "sum" (modulo 256,
+        of all text before the field).
     """
 
     port: str
@@ -82,19 +82,19 @@ class AsciiConfig(AngleConfig):
         fields = re.findall(r"\{(\w*)\}", value)
         unknown = [f for f in fields if f not in _FIELDS and f != "skip"]
         if unknown:
-            raise ValueError(f"there is no field {{{unknown[0]}}}; there are {', '.join(_FIELDS)} and skip")
+            raise ValueError(f"there is no field {{{unknown[0]}}}; the fields are {', '.join(_FIELDS)} and skip")
         if ("counts" in fields) == ("value" in fields):
-            raise ValueError("write one of the fields {counts} and {value}")
+            raise ValueError("write exactly one of the fields {counts} and {value}")
         if fields.count("skip") > _MOST_SKIPS or "{skip}{skip}" in value:
-            raise ValueError(f"{{skip}} may stand in it {_MOST_SKIPS} times, and not twice in a row")
+            raise ValueError(f"{{skip}} is allowed at most {_MOST_SKIPS} times, and not twice in a row")
         twice = [f for f in _FIELDS if fields.count(f) > 1]
         if twice:
-            raise ValueError(f"the field {{{twice[0]}}} is in it twice")
+            raise ValueError(f"the field {{{twice[0]}}} occurs twice")
         return value
 
 
 def line_pattern(line: str) -> tuple[re.Pattern[bytes], list[str]]:
-    """Return the pattern of a described line and the names of its groups, in order."""
+    """Return the regular expression of a line with fields, and the names of its groups in order."""
     parts, names = [], []
     for part in re.split(r"(\{\w+\})", line):
         name = part[1:-1] if part.startswith("{") else ""
@@ -107,7 +107,7 @@ def line_pattern(line: str) -> tuple[re.Pattern[bytes], list[str]]:
 
 
 class _Line(NamedTuple):
-    """A line without its end, when its end came, and of the exchange that brought it what `Exchange` says."""
+    """A line without its line end, when that arrived, s since 1970, and `note` and `late` of its `Exchange`."""
 
     time: float
     text: bytes
@@ -116,15 +116,15 @@ class _Line(NamedTuple):
 
 
 class AsciiCounter(SerialEncoder):
-    """One device that sends a line for each sample.
+    """A device that sends one line per sample.
 
-    Lost lines are found by their running number; without one by the device's clock; without both by errors of the port.
-    A line that may have waited in the port has no known time without the device's clock, and is left out.
+    Lost lines are detected by the sequence number, else by the device's clock, else by errors of the port and pauses. A
+    line without the device's clock that may have waited in the port has no known time and is left out.
 
     Raises
     ------
     edge.InputError
-        If an angle has no counts per turn, or the unit is not one.
+        If an angle has no counts per turn, or the unit is unknown.
     """
 
     configuration = AsciiConfig
@@ -136,7 +136,7 @@ class AsciiCounter(SerialEncoder):
         self._unit = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}.get(name, config.unit or "rad")
         self._scale = 1.0
         if "counts" in self._names and config.counts_per_turn is None:
-            raise edge.InputError("counts_per_turn is missing: lines of counts do not contain it.")
+            raise edge.InputError("counts_per_turn is missing: lines with counts do not state it.")
         if "checksum" in self._names and config.checksum is None:
             raise edge.InputError('checksum is missing: write "xor" or "sum".')
         if "value" in self._names:
@@ -144,13 +144,13 @@ class AsciiCounter(SerialEncoder):
                 self._scale = edge.unit_scale(config.unit or self._unit, self._unit)
             except ValueError as problem:
                 raise edge.InputError(f'unit = "{config.unit}": {problem}.') from None
-        self._told = not {"sequence", "time"}.isdisjoint(self._names)  # which tell what is missing
+        self._told = not {"sequence", "time"}.isdisjoint(self._names)  # these show missing lines
         self._request = (config.request or "").encode()
         self.asked = bool(self._request)
         self._forget()
 
     def _forget(self) -> None:
-        """Start without a line before."""
+        """Reset to the state before the first line."""
         self._rest, self._skipping = b"", True
         self._counts: int | None = None
         self._newest: int | None = None
@@ -161,11 +161,11 @@ class AsciiCounter(SerialEncoder):
         self._pace = Pace()
 
     def question(self, port: Any) -> bytes:
-        """Return the line asked for; see `SerialEncoder.question`."""
+        """Request a line and return it; see `SerialEncoder.question`."""
         return ask(port, self._request, 0) + bytes(port.read_until(b"\n", LONGEST_LINE))
 
     def set_up(self, hub: PortHub) -> None:
-        """Wait for a line that fits; see `HubEncoder.set_up`."""
+        """Wait for a line that matches; see `HubEncoder.set_up`."""
         self._rest, self._skipping = b"", not self._request
         deadline = time.monotonic() + FIRST_LINE_SECONDS
         came = b""
@@ -191,7 +191,7 @@ class AsciiCounter(SerialEncoder):
         )
 
     def _fields(self, line: bytes) -> dict[str, str] | None:
-        """Return the fields of a line, None where it is not as described."""
+        """Return the fields of a line; None if it does not match."""
         match = self._pattern.fullmatch(line.rstrip(b"\r"))
         return None if match is None else dict(zip(self._names, (g.decode() for g in match.groups()), strict=True))
 
@@ -206,11 +206,11 @@ class AsciiCounter(SerialEncoder):
         return _CHECKSUMS[self.config.checksum](text) == int(fields["checksum"], 16)
 
     def _lines(self, exchanges: list[Exchange]) -> list[_Line]:
-        """Cut what came into lines, each with the time its end came."""
+        """Split the received bytes into lines, each with the arrival time of its line end."""
         lines: list[_Line] = []
         for exchange in exchanges:
             when, data, note, late = exchange
-            if note:  # where a line has begun, what is lost may be in it or behind it
+            if note:  # within a line, the loss may be in it or after it
                 self._noted = 1 + bool(self._rest)
             if self._request and not data.endswith(b"\n"):
                 ended = [data]
@@ -222,13 +222,13 @@ class AsciiCounter(SerialEncoder):
             for text in ended:
                 lines.append(_Line(when, text, self._noted > 0, late))
                 self._noted = max(0, self._noted - 1)
-        if lines and self._skipping:  # where the listening began, the line had begun before
+        if lines and self._skipping:  # the first line may have begun before listening did
             self._skipping = False
             return lines[1:]
         return lines
 
     def read(self, timeout: float) -> Samples | None:
-        """Return the samples of the lines that came; see `Encoder.read`."""
+        """Return the samples of the new lines; see `Encoder.read`."""
         lines = self._lines(self.taken(timeout))
         if not lines:
             return None
@@ -240,12 +240,12 @@ class AsciiCounter(SerialEncoder):
         wrong = there & ~right
         late = right & np.array([line.late and "time" not in self._names for line in lines])
         for which, what in (
-            (~there, "not as described"), (wrong, "wrong checksum"), (late, "it waited, so its time is unknown")
+            (~there, "not as described"), (wrong, "wrong checksum"), (late, "delayed, so its time is unknown")
         ):  # fmt: skip
             if which.any():
                 first = int(np.flatnonzero(which)[0])
                 shown = lines[first].text[:40].decode("ascii", "backslashreplace")
-                self.say(lines[first].time, f'{int(which.sum())} line lost: {what} ("{shown}")')
+                self.say(lines[first].time, f'{counted(int(which.sum()), "line")} lost: {what} ("{shown}")')
         told = self._told
         noted = np.array([line.noted and not told for line in lines])
         right &= ~late
@@ -257,7 +257,7 @@ class AsciiCounter(SerialEncoder):
             return None
         fields = [parsed[i] or {} for i in kept]
         times = np.array([lines[i].time for i in kept])
-        # Where lines waited or the port said so, some are easily lost; so too between them and the next one.
+        # Near delayed lines and errors of the port, before or after them, lines may be lost.
         doubtful = np.array([self._doubtful, *(line.late or line.noted for line in lines)])
         self._doubtful = bool(doubtful[-1])
         doubtful = (doubtful[1:] | doubtful[:-1])[kept]
@@ -278,10 +278,22 @@ class AsciiCounter(SerialEncoder):
     def _clocked(
         self, fields: list[dict[str, str]], times: Any, status: Any, doubtful: npt.NDArray[np.bool_]
     ) -> tuple[Any, Any, Any]:
-        """Return what the device's clock tells, shape (n,) each.
+        """Evaluate the device's clock.
 
-        The status with resets of it, and gaps where nothing else tells them; its times, s, made continuous, and how
-        many lines have passed since the one before, NaN where that is not known; both None where it has no clock.
+        Parameters
+        ----------
+        fields, times, status
+            Fields, arrival times, s, and status bits of the lines, n each.
+        doubtful
+            Mask of the lines before which others may be lost, shape (n,).
+
+        Returns
+        -------
+        status
+            Status with resets of the clock, and with gaps that nothing else shows, shape (n,).
+        time_device, expected
+            Unwrapped device times, s, and number of lines expected since the previous one, NaN where unknown, shape
+            (n,) both; None without a device clock.
         """
         first = self._ticks is None
         if "time" not in self._names:
@@ -299,7 +311,7 @@ class AsciiCounter(SerialEncoder):
         if self.config.time_modulus is not None:
             step = step % self.config.time_modulus
             step = np.where(step > self.config.time_modulus / 2, step - self.config.time_modulus, step)
-        # A line out of order goes back a little, a device that starts again by all the time that it was on.
+        # The clock goes back slightly at a line out of order, and by all its time at a restart of the device.
         reset = (ticks < before / 2) & (np.abs(step * self.config.time_unit - waited) > _RESET_SECONDS)
         reset |= (ticks < before / 2) & (step < 0)
         step = np.where(reset, ticks - before, step)
@@ -309,41 +321,41 @@ class AsciiCounter(SerialEncoder):
             device += ticks[0]
         self._device = float(device[-1])
         if reset.any():
-            self.say(times[np.flatnonzero(reset)[0]], "the device's clock went back: it started again")
+            self.say(times[np.flatnonzero(reset)[0]], "the device's clock went back: it restarted")
             status = status | reset * (RESET | GAP)
         device, step = device * self.config.time_unit, step * self.config.time_unit
         period = self._pace.period
         expected = np.where(reset, np.nan, step / (period or math.nan))
         gaps = ~reset & ((step > self._pace.longest) | (status & GAP > 0) | (doubtful & (expected > 1.5)))
-        if "sequence" in self._names:  # which tells more surely
+        if "sequence" in self._names:  # which is more reliable
             gaps[:] = False
         missing = self._paced(times, device, step, gaps, first, reset | (status & GAP > 0) | (expected > 30))
         status = status | (missing > 0) * GAP
         return status, device, expected
 
     def _paced(self, arrived: Any, times: Any, step: Any, gaps: Any, first: bool, odd: Any = False) -> Any:
-        """Return how many lines are missing at the gaps by the usual time between lines, which goes on being learned.
+        """Return how many lines are missing at the gaps, from the usual interval, and update that interval.
 
-        `first`: the first line has none before it; `odd`: steps that are not usual ones.
+        `first`: there is no line before the first one; `odd`: mask of steps that are no usual interval.
         """
         period = self._pace.period
         missing, waited = missing_by_pace(times, step, gaps & (period is not None), period or 1.0)
         if missing.any():
             self._lost += int(missing.sum())
             where = arrived[np.flatnonzero(missing)[0]]
-            self.say(where, f"{int(missing.sum())} line missing by the usual time between them")
-        # Late ones too: those behind them come early; but not what waited at a gap, as the gap itself is left out.
+            self.say(where, f"{counted(int(missing.sum()), 'line')} missing by the usual interval")
+        # Include late lines, as those after them are early; but not lines delayed at a gap, as the gap is left out.
         plain = (step >= 0) & (missing == 0) & ~waited & ~np.asarray(odd)
         plain[0] &= not first
         self._pace.add(*step[plain].tolist())
         return missing
 
     def _numbered(self, fields: list[dict[str, str]], times: Any, status: Any, expected: Any) -> Any:
-        """Return the status with what the running numbers tell, going round as often as the time says."""
+        """Return the status with the bits from sequence numbers, whose missed rollovers follow from `expected`."""
         if "sequence" not in self._names:
             return status
         numbers = np.array([int(f["sequence"]) for f in fields], np.int64)
-        # Where the device started again its numbers did too.
+        # When the device restarts, so do its numbers.
         starts = [0, *(np.flatnonzero(status & RESET).tolist()), len(numbers)]
         for low, high in itertools.pairwise(starts):
             if low == high:
@@ -355,9 +367,9 @@ class AsciiCounter(SerialEncoder):
                 None if expected is None else expected[low:high],
             )  # fmt: skip
             status[low:high] |= judged
-            # A line out of order was taken for missing before.
+            # A line out of order was counted as missing before.
             self._lost += int(missing.sum()) - int(np.count_nonzero(judged & OUT_OF_ORDER))
             if missing.any():
                 where = times[low + np.flatnonzero(missing)[0]]
-                self.say(where, f"{int(missing.sum())} line missing by its running number")
+                self.say(where, f"{counted(int(missing.sum()), 'line')} missing by the sequence number")
         return status

@@ -1,4 +1,4 @@
-"""Encoders of CiA 406 on CANopen (CiA 301): set up by SDO, started by NMT, read from their TPDO."""
+"""CiA 406 encoders on CANopen (CiA 301): set up by SDO, started by NMT, read from their TPDO."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ from drivers.recording_format import RESET, ROLLOVER, Samples
 POSITION, SPEED, COUNTS_PER_TURN, TURNS = 0x6004, 0x6030, 0x6501, 0x6502
 HEARTBEAT_TIME = 0x1017
 _HEARTBEAT_ID = 0x700
-TPDOS = 4  # CiA 301 predefines so many
+TPDOS = 4  # predefined by CiA 301
 _MISSED_HEARTBEATS = 3
 _NO_SUCH_OBJECT = (0x06020000, 0x06090011, 0x060A0023)
-# CiA 406: what the encoder says of itself besides counts and turns: index, subindex, whether signed.
+# CiA 406: data of the encoder besides counts and turns: index, subindex, whether signed.
 _IDENTITY = {
     (0x6504, 0, False): "supported alarms 0x{:04X}", (0x6506, 0, False): "supported warnings 0x{:04X}",
     (0x6507, 0, False): "profile and software 0x{:08X}", (0x6509, 0, True): "offset {}",
@@ -57,15 +57,16 @@ class CanopenConfig(AngleConfig):
     Attributes
     ----------
     bus, node
-        Bus and node.
+        Name of the bus's table, and CANopen node number.
     quantity, speed_unit
-        "position" is object 0x6004; "speed" is 0x6030, whose unit the wiring must state, such as "1 rpm" per count.
+        "position" is object 0x6004; "speed" is 0x6030, for which `speed_unit` is the speed of one count, rad/s or text
+        such as "1 rpm".
     signed
-        A first position in the upper half of the range is one below zero.
+        Whether a first position in the upper half of the range is negative.
     eds
-        File with the mapping of the TPDO, instead of the node.
+        EDS file from which to take the mapping of the TPDO, instead of from the node.
     heartbeat
-        Seconds between heartbeats, set in the node; absent: as the node is set, unsupervised where that is 0.
+        Heartbeat interval to set in the node, s; absent: that of the node, which is not supervised if it is 0.
     """
 
     bus: str
@@ -78,13 +79,13 @@ class CanopenConfig(AngleConfig):
 
 
 class CanopenEncoder(CanEncoder):
-    """One node of CiA 406 with a TPDO that maps the position 0x6004 or the speed 0x6030.
+    """A CiA 406 node with a TPDO that maps the position 0x6004 or the speed 0x6030.
 
-    Node or EDS (`dictionary`) give the identifier and mapping of its TPDO (0x1800 ff., 0x1A00 ff.), when it sends
-    (transmission type 1 to 240: on every n-th SYNC, which then stamps the sample; 254, 255: at its own pace, stamped
-    frame by frame, a gap being more than its event timer), its counts per turn (0x6501) and turns (0x6502), at whose
-    product the position rolls over. A node that starts again is set operational again; one without heartbeat and frames
-    is given up.
+    Read from the node or an EDS (`dictionary`): identifier and mapping of the TPDO (0x1800 ff., 0x1A00 ff.) and its
+    transmission type. Types 1 to 240 send on every n-th SYNC, whose time stamp the sample gets; types 254 and 255 send
+    by event, each frame has its own stamp, and a pause longer than the event timer is a gap. Read from the node: counts
+    per turn (0x6501) and number of turns (0x6502), at whose product the position rolls over. A node that restarts is
+    set operational again; one that sends neither heartbeat nor frames has failed.
     """
 
     configuration = CanopenConfig
@@ -127,8 +128,8 @@ class CanopenEncoder(CanEncoder):
             said = self._object(COUNTS_PER_TURN, 0, self.config.counts_per_turn)
             self._counts_per_turn = device_counts(self.config, said, self._where) if said else 0
             if self._counts_per_turn == 0:
-                raise EncoderProtocolError(f"{self._where} says 0 counts per turn (0x6501).")
-            # The position has 0x6501 * 0x6502 values, or all 2^bits where the node does not say its turns.
+                raise EncoderProtocolError(f"{self._where} reports 0 counts per turn (0x6501).")
+            # The position has 0x6501 * 0x6502 values, or all 2^bits if the node does not report its turns.
             turns = self._object(TURNS, 0, 0)
             self._modulus = min(self._counts_per_turn * turns, 1 << self._bits) if turns else 1 << self._bits
         self._supervise()
@@ -146,7 +147,7 @@ class CanopenEncoder(CanEncoder):
         self._listening = True
 
     def _uploaded(self, index: int, subindex: int, *, optional: bool) -> bytes | None:
-        """Return an object by SDO; None where it is `optional` and the node has no such object."""
+        """Read an object by SDO; None if it is `optional` and the node does not have it."""
         try:
             return bytes(self._node.sdo.upload(index, subindex))
         except canopen.SdoAbortedError as problem:
@@ -159,12 +160,12 @@ class CanopenEncoder(CanEncoder):
             ) from problem
 
     def _object(self, index: int, subindex: int, default: int | None = None) -> int:
-        """Return an unsigned object by SDO; `default` where the node has no such object."""
+        """Read an unsigned object by SDO; return `default` if the node does not have it."""
         data = self._uploaded(index, subindex, optional=default is not None)
         return int.from_bytes(data, "little") if data is not None else default or 0
 
     def _said(self, objects: Mapping[tuple[int, int, bool], str]) -> list[str]:
-        """Return these objects, without those that the node does not have."""
+        """Return the texts of those of these objects that the node has."""
         said = []
         for (index, subindex, signed), text in objects.items():
             data = self._uploaded(index, subindex, optional=True)
@@ -173,7 +174,7 @@ class CanopenEncoder(CanEncoder):
         return said
 
     def _communication(self, index: int, subindex: int, default: int | None = None) -> int:
-        """Return an object of the TPDO from the EDS, where the wiring names one, else from the node."""
+        """Return an object of the TPDO from the EDS, if the wiring names one, else from the node."""
         if self._dictionary is None:
             return self._object(index, subindex, default)
         try:
@@ -183,14 +184,14 @@ class CanopenEncoder(CanEncoder):
             value = None
         if value is None and default is None:
             raise EncoderProtocolError(
-                f"{self._where}: {self.config.eds} has no value of 0x{index:04X}:{subindex:02X}."
+                f"{self._where}: {self.config.eds} has no value for 0x{index:04X}:{subindex:02X}."
             )
         return int(default if value is None else value)  # type: ignore[arg-type]
 
     def _tpdo(self) -> tuple[int, int, int, int]:
-        """Find the TPDO that maps the quantity: frame key, transmission type, event timer in ms, length in bytes.
+        """Return frame key, transmission type, event timer, ms, and length, bytes, of the TPDO with the quantity.
 
-        Keeps the place of the quantity in it.
+        Stores the position and length of the quantity in it.
         """
         wanted = POSITION if self.config.quantity == "position" else SPEED
         off = None
@@ -225,35 +226,35 @@ class CanopenEncoder(CanEncoder):
             try:
                 self._node.sdo.download(HEARTBEAT_TIME, 0, wanted)
             except (canopen.SdoAbortedError, canopen.SdoCommunicationError) as problem:
-                raise EncoderProtocolError(f"{self._where} takes no heartbeat time (0x1017): {problem}.") from problem
+                raise EncoderProtocolError(f"{self._where} accepts no heartbeat time (0x1017): {problem}.") from problem
         self._heartbeat = self.config.heartbeat or self._object(HEARTBEAT_TIME, 0, 0) / 1000
         self._listened = ListeningTime()
         self._alive = self._framed = 0.0
         self._dead = False
 
     def _on_emergency(self, problem: Any) -> None:
-        """Take an EMCY; runs in the reader's thread."""
+        """Handle an EMCY; runs in the reader's thread."""
         said = f"EMCY 0x{problem.code:04X}, register 0x{problem.register:02X}: {problem.get_desc()}"
         self.reader.say(problem.timestamp, said)
 
     def _on_heartbeat(self, identifier: int, data: bytearray, stamp: float) -> None:
-        """Take a heartbeat; runs in the reader's thread."""
+        """Handle a heartbeat; runs in the reader's thread."""
         self._alive = self._listened.seconds
         if len(data) == 1 and data[0] == 0:
-            self.reader.say(time.time(), "the node started again", RESET)
+            self.reader.say(time.time(), "the node restarted", RESET)
             self._restarted = True
 
     def start(self) -> None:
-        """Set the node operational: it sends from now on."""
+        """Set the node operational, so that it sends."""
         self._node.nmt.state = "OPERATIONAL"
         self._started = True
         self._alive = self._framed = self._listened()
         super().start()
 
     def leave(self, hub: CanHub) -> None:
-        """Set the node back to pre-operational, where `start` was called, and give it back."""
+        """Set the node back to pre-operational, if it was started, and release it."""
         if self._started:
-            with contextlib.suppress(Exception):  # a broken bus can't be told
+            with contextlib.suppress(Exception):  # the bus may have failed
                 self._node.nmt.state = "PRE-OPERATIONAL"
         if self._listening:
             self._node.emcy.callbacks.remove(self._on_emergency)
@@ -269,7 +270,7 @@ class CanopenEncoder(CanEncoder):
             bus.send(can.Message(arbitration_id=0, data=[0x80, self.config.node], is_extended_id=False))
 
     def read(self, timeout: float) -> Samples | None:
-        """Return the positions or speeds that came; see `Encoder.read`."""
+        """Return the new positions or speeds; see `Encoder.read`."""
         block = self.reader.read(timeout)
         now = self._listened()
         if self._restarted:
@@ -296,7 +297,7 @@ class CanopenEncoder(CanEncoder):
         )  # fmt: skip
 
     def _check_alive(self, now: float) -> None:
-        """Note a missing heartbeat; give the node up if its frames are missing too."""
+        """Report a missing heartbeat; raise `EncoderTimeout` if frames are missing too."""
         if not self._heartbeat or not self._started:
             return
         silent = now - self._alive
@@ -304,7 +305,7 @@ class CanopenEncoder(CanEncoder):
         if late and now - self._framed > max(_MISSED_HEARTBEATS * self._heartbeat, 0.2):
             raise EncoderTimeout(f"{self._where}: no heartbeat and no frame for {silent:.2f} s.")
         if late and not self._dead:
-            self.reader.say(time.time(), f"no heartbeat for {silent:.2f} s, though frames come")
+            self.reader.say(time.time(), f"no heartbeat for {silent:.2f} s, though frames arrive")
         elif self._dead and not late:
             self.reader.say(time.time(), "the heartbeat is back")
         self._dead = late

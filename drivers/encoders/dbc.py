@@ -1,4 +1,4 @@
-"""A signal of a CAN frame that a DBC file describes, such as a torque transducer's."""
+"""A signal of a CAN frame described by a DBC file, such as a torque transducer's."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drivers.can.bus import SYNC_ID, frame_key, time_source
 from drivers.can.encoder import CanEncoder
 from drivers.can.frames import FrameReader, Judged
 from drivers.can.hub import CanHub
-from drivers.counts import Pace, extract_bits, judge_sequence
+from drivers.counts import Pace, counted, extract_bits, judge_sequence
 from drivers.encoder import BusConfig, ChannelConfig, Wiring, channel_of
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, FloatArray, IntArray, Samples
 
@@ -28,8 +28,18 @@ _SI = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}
 class DbcConfig(ChannelConfig):
     """A `[channel.X]` with protocol = "dbc".
 
-    `unit` overrules the file's; `sync`: the frame answers every SYNC; `counter`: the signal that counts the frames, by
-    which missing, duplicate and misplaced ones are found.
+    Attributes
+    ----------
+    bus, file
+        Name of the bus's table, and the DBC file.
+    message, signal
+        Names in the file.
+    unit
+        Unit of the signal; absent: that of the file.
+    sync
+        Whether the frame answers every SYNC and gets its time stamp.
+    counter
+        Signal that counts the frames, by which missing, duplicate and out-of-order frames are detected.
     """
 
     bus: str
@@ -44,12 +54,12 @@ class DbcConfig(ChannelConfig):
 class DbcSensor(CanEncoder):
     """One signal of one frame.
 
-    The channel's name gives the SI unit that the signal must have: "torque" N*m, the angles rad, others any.
+    The channel's name determines the SI unit of the values: "torque" N*m, the two angles rad, others any.
 
     Raises
     ------
     edge.InputError
-        If file (relative to `folder`), message, signal or unit are not there or can't be used.
+        If file (relative to `folder`), message, signal or unit is missing or unusable.
     """
 
     configuration = DbcConfig
@@ -108,7 +118,7 @@ class DbcSensor(CanEncoder):
 
     @property
     def measuring_range(self) -> tuple[float, float] | None:
-        """Smallest and largest value of the signal in the file, SI."""
+        """Smallest and largest value of the signal stated in the file, SI units; None if not stated."""
         if self._signal.minimum is None or self._signal.maximum is None:
             return None
         low, high = sorted(self.config.direction * self._si * float(v) for v in (
@@ -117,7 +127,7 @@ class DbcSensor(CanEncoder):
         return (low, high) if low < high else None
 
     def read(self, timeout: float) -> Samples | None:
-        """Return the values that came; see `Encoder.read`."""
+        """Return the new values; see `Encoder.read`."""
         block = self.reader.read(timeout)
         if block is None:
             return None
@@ -136,16 +146,16 @@ class DbcSensor(CanEncoder):
 
     @property
     def lost(self) -> int:
-        """Frames that are known to be lost: by the counter where there is one."""
+        """Number of frames known to be lost, from the counter if there is one."""
         return super().lost if self._counter is None else self._missed
 
     def _counted(self, counter: Any, block: Judged) -> npt.NDArray[np.uint8]:
-        """Return what the frames' own counter tells of each, shape (n,)."""
+        """Return the status bits of the frames from their counter, shape (n,)."""
         numbers = _raw(counter, block.payloads)
         times = block.time_host if block.time_device is None else block.time_device
         step = np.diff(times, prepend=self._last_time if self._newest is not None else times[0])
-        # Where frames are known to be lost, or may be unseen, the counter may have gone round.
-        assert self.hub is not None, "frames come to a sensor that is open"
+        # Where frames were lost or may have been, the counter may have rolled over.
+        assert self.hub is not None, "only an open sensor receives frames"
         unsure = ((block.status & GAP > 0) | (not self.hub.tells_drops)) & ~block.jumped
         period = self._pace.period or math.nan
         expected = np.where(unsure, step / period, np.nan)
@@ -155,16 +165,16 @@ class DbcSensor(CanEncoder):
         plain[0] &= not first
         self._pace.add(*step[plain].tolist())
         self._last_time = float(times[-1])
-        for which, what in ((missing, "frame missing"), ((judged & DUPLICATE > 0).astype(np.int64), "duplicate")):
+        for which, what in ((missing, "missing"), ((judged & DUPLICATE > 0).astype(np.int64), "duplicated")):
             if which.any():
-                said = f"{int(which.sum())} {what} by the counter {counter.name}"
+                said = f"{counted(int(which.sum()), 'frame')} {what} by the counter {counter.name}"
                 self.reader.say(float(block.time_host[np.flatnonzero(which)[0]]), said)
-        # A frame out of order was taken for missing before.
+        # A frame out of order was counted as missing before.
         self._missed += int(missing.sum()) - int(np.count_nonzero(judged & OUT_OF_ORDER))
         return judged
 
     def _decoded(self, payloads: npt.NDArray[np.uint8]) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Return the signal in the file's unit and where it is, both of shape (n,): a multiplexed one is not in all."""
+        """Return the signal in the file's unit and the mask of frames that contain it (multiplexing), both (n,)."""
         signal = self._signal
         if not (signal.is_multiplexer or signal.multiplexer_ids):
             raw = _raw(signal, payloads)
@@ -176,7 +186,7 @@ class DbcSensor(CanEncoder):
         for i, payload in enumerate(payloads):
             try:
                 decoded[i] = self._message.decode(payload.tobytes(), decode_choices=False).get(signal.name, np.nan)
-            except Exception:  # cantools raises several; a frame it can't decode is lost, the next ones are not
+            except Exception:  # cantools raises several kinds; only this frame is lost
                 wrong += 1
         if wrong:
             self.reader.say(time.time(), f"{wrong} {self.config.message} skipped: it can't be decoded", GAP)
@@ -184,7 +194,7 @@ class DbcSensor(CanEncoder):
 
 
 def _raw(signal: Any, payloads: npt.NDArray[np.uint8]) -> IntArray:
-    """Return a signal's integer as sent, shape (n,)."""
+    """Return the raw integers of a signal, shape (n,)."""
     little = signal.byte_order == "little_endian"
     # DBC counts a big-endian start bit from the byte's lowest bit, the field from the byte's highest.
     start = signal.start if little else signal.start // 8 * 8 + 7 - signal.start % 8

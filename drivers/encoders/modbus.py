@@ -1,4 +1,4 @@
-"""Encoders on Modbus RTU (Modbus over serial line, V1.02): registers read in turn, frames and CRC-16 by pymodbus."""
+"""Encoders on Modbus RTU (Modbus over serial line, V1.02): polled registers; frames and CRC-16 by pymodbus."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ class ModbusConfig(AngleConfig):
     Attributes
     ----------
     port, device
-        The port and the device's address.
+        Name of the port's table, and address of the device.
     register, registers, table
-        First register of the position as it goes over the line (from 0), how many it takes, and of which table.
+        First register of the position, as sent (from 0), number of registers, and their table.
     low_word_first
-        Whether the first register holds the low bits; usual is the high ones.
+        Whether the first register holds the low bits; usually it holds the high ones.
     bits
-        Bits that count, from the lowest; absent: all. The position rolls over at 2^bits.
+        Number of low bits of the registers that are the position; absent: all. It rolls over at 2^bits.
     signed
-        A first position in the upper half of the range is one below zero.
+        Whether a first position in the upper half of the range is negative.
     """
 
     port: str
@@ -51,7 +51,7 @@ class ModbusConfig(AngleConfig):
 
 
 class ModbusEncoder(PolledEncoder):
-    """The position in some registers of a Modbus device."""
+    """A position in registers of a Modbus device."""
 
     configuration = ModbusConfig
     checksum_name: ClassVar[str] = "CRC-16 is"
@@ -68,8 +68,8 @@ class ModbusEncoder(PolledEncoder):
         self._previous: int | None = None
 
     def question(self, port: Any) -> bytes:
-        """Ask for the registers; see `SerialEncoder.question`."""
-        head = ask(port, self._request, 5)  # an exception is five bytes long
+        """Request the registers; see `SerialEncoder.question`."""
+        head = ask(port, self._request, 5)  # an exception response has five bytes
         if len(head) < 5 or head[1] & 0x80:
             return head
         return head + bytes(port.read(self.answer_bytes - 5))

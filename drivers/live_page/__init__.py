@@ -1,1 +1,1 @@
-"""A page in the browser that follows a recording."""
+"""A page in the browser that shows a growing recording."""

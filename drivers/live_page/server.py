@@ -1,6 +1,6 @@
-"""A live page in the browser: transmission error, its spectrum and the bench's health, from the growing recording.
+"""A live page in the browser: transmission error, its spectrum and the bench's health, from a growing recording.
 
-It reads the recorder's file in a separate process: it can't cause the recorder to lose samples.
+It reads the recorder's file in a separate process, so it can't cause the recorder to lose samples.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from cycloid_fmu.edge.page_server import PageHandler, PageServer, is_loopback
 from drivers.recording_format import MARKS, FloatArray, RecordingReader, Samples
 
 REFRESH_SECONDS = 0.2
-WINDOW = 1 << 17  # samples of each channel that are looked at
-_POINTS = 1000  # that are drawn
-_TURNS = 16  # crank turns of the spectrum at most
+WINDOW = 1 << 17  # newest samples of each channel that are evaluated
+_POINTS = 1000  # points drawn
+_TURNS = 16  # most crank turns of the spectrum
 _ORDERS = 100
-_STREAM_SECONDS = 600.0  # of a stream of data; a browser asks for the next one by itself
+_STREAM_SECONDS = 600.0  # length of a stream of data; a browser then reconnects by itself
 
 
 def order_spectrum(input_angle: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return orders of the crank and the TE's amplitudes over the last whole crank turns.
+    """Return orders of the crank and amplitudes of the TE over the last whole crank turns.
 
     Parameters
     ----------
     input_angle
-        Crank angle, rad, rising or falling, shape (n,).
+        Crank angle, rad, increasing or decreasing, shape (n,).
     error
         TE, any unit, shape (n,).
 
     Returns
     -------
     orders, amplitudes
-        Cycles per crank turn and the amplitude of each, unit of `error`; empty for less than one turn.
+        Orders, cycles per crank turn, and the amplitude of each, unit of `error`; empty below one full turn.
     """
     rising = input_angle if input_angle[-1] >= input_angle[0] else -input_angle
     ordered = np.maximum.accumulate(rising)
@@ -65,7 +65,7 @@ class Watcher:
     Raises
     ------
     edge.InputError
-        If it is none.
+        If the file is not a recording.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -135,14 +135,14 @@ class Watcher:
 
 
 def _tail(blocks: list[Samples]) -> Samples:
-    """Return the last `WINDOW` samples of blocks of one channel; only what the page uses of them."""
+    """Return times and values of the last `WINDOW` samples in blocks of one channel."""
     time_host = np.concatenate([b.time_host for b in blocks])[-WINDOW:]
     value = np.concatenate([b.value for b in blocks])[-WINDOW:]
     return Samples.checked(blocks[0].channel, time_host, value)
 
 
 class _Newest:
-    """The newest data, for any number of clients: a slow one skips data."""
+    """The newest data, for any number of clients; slow ones skip data."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -155,16 +155,16 @@ class _Newest:
             self._changed.notify_all()
 
     def after(self, number: int, timeout: float) -> tuple[int, str]:
-        """Return data newer than this number, waiting for it, and its number."""
+        """Return number and text of data newer than this number, waiting up to `timeout` s."""
         with self._changed:
             self._changed.wait_for(lambda: self._number > number, timeout)
             return self._number, self._text
 
 
 class WatchServer(PageServer):
-    """The page and its data over HTTP; it serves from the beginning, and is a context manager that ends it.
+    """Serves the page and its data over HTTP from its creation; a context manager that ends it.
 
-    Port 0 takes a free one. A client must send the `token`; None: only clients that use a local name are answered.
+    Port 0: any free port. A client must send the `token`; None: only clients that use a local host name are answered.
     """
 
     def __init__(self, watcher: Watcher, host: str, port: int, token: str | None) -> None:
@@ -176,14 +176,14 @@ class WatchServer(PageServer):
         while not self._stopping.is_set():
             try:
                 data = self._watcher.refresh()
-            except Exception as problem:  # the page must say why it stands still
+            except Exception as problem:  # the page must show why it stops updating
                 data = {"problem": f"{type(problem).__name__}: {problem}"}
             self.newest.put(edge.json_text(data).replace("\n", ""))
             self._stopping.wait(REFRESH_SECONDS)
 
 
 def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: int = 0) -> WatchServer:
-    """Serve a page that follows a recording while it grows: transmission error, spectrum, health.
+    """Serve a page that shows a growing recording: transmission error, spectrum, state of the channels.
 
     Parameters
     ----------
@@ -192,12 +192,12 @@ def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: i
     host
         Address to listen on; a non-local one requires a token, which is in the `url`.
     port
-        0: any that is free.
+        Port to listen on; 0: any free port.
 
     Returns
     -------
     WatchServer
-        It serves already; a context manager that ends it.
+        The running server; a context manager that ends it.
 
     Raises
     ------
@@ -229,7 +229,7 @@ class _Handler(PageHandler):
     name = "cycloid-bench"
 
     def answer(self, path: str) -> bool:
-        """Answer the stream of the page's data."""
+        """Send the page's data as a stream of events."""
         if path != "/data":
             return False
         self.send_response(200)
@@ -241,6 +241,6 @@ class _Handler(PageHandler):
             while True:
                 number, text = self.server.newest.after(number, 5.0)
                 self.wfile.write(f"data: {text}\n\n".encode())
-        except OSError:  # the client went, or took nothing for `timeout`
+        except OSError:  # the client disconnected, or read nothing for `timeout`
             self.close_connection = True
         return True

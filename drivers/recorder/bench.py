@@ -28,7 +28,7 @@ BENCH_FORMAT = "cycloid-bench/1"
 
 
 class Conditions(edge.Config):
-    """Content of `[conditions]`: load on the output (signed), crank speed, direction, temperature, a free note."""
+    """Content of `[conditions]`: signed load on the output, N*m, speed, rad/s, temperature, K, direction, note."""
 
     load: edge.Torque | None = None
     speed: edge.Speed | None = None
@@ -76,9 +76,9 @@ class Bench:
         Name of the gear pair.
     conditions
         SI numbers and text: load N*m, speed rad/s, direction, temperature K, note, and largest_deviation rad, the
-        largest deviation of the output angle from the line of the ratio; absent if not stated.
+        largest deviation of the output angle from input angle / ratio. Those not stated are absent.
     channels
-        Class and configuration of each channel's encoder by its name.
+        Class and configuration of each channel's encoder, by the channel's name.
     wiring
         Buses, ports and PLCs.
 
@@ -110,13 +110,13 @@ def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> 
     path
         The file.
     allow
-        Further connections besides serial devices, `socket://` and the buses of `drivers.lines`: schemes of pyserial's
-        URLs and interfaces of python-can, such as "rfc2217".
+        Connections allowed in addition to serial devices, `socket://` and the buses of `drivers.lines`: URL schemes of
+        pyserial and interfaces of python-can, such as "rfc2217".
 
     Raises
     ------
     edge.InputError
-        Naming file, table and key.
+        If the file is invalid; names file, table and key.
 
     Examples
     --------

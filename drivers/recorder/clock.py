@@ -1,8 +1,8 @@
-"""A device's clock against the host's: offset and drift by the lower convex hull of arrival times.
+"""A device's clock against the host's: offset and drift from the lower convex hull of arrival times.
 
-A sample arrives when it was taken plus a delay that is never negative and mostly small, sometimes large (schedulers,
-buffers). So the device's clock, seen on the host's, is the line that lies below all points (device time, arrival time)
-and comes closest to them: an edge of their lower convex hull. Least squares would follow the delays instead (A. Moon,
+A sample arrives after a delay that is never negative and mostly small, sometimes large (schedulers, buffers). So the
+device's clock, on the host's, is the line below all points (device time, arrival time) that comes closest to them: an
+edge of their lower convex hull. Least squares would follow the delays instead (A. Moon,
 P. Skelly and D. Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM 1999, which
 chooses this edge as the solution of a linear programme).
 """
@@ -14,21 +14,21 @@ import numpy.typing as npt
 
 from drivers.recording_format import Clock, FloatArray
 
-_FEW = 32  # points that a loop goes through as fast as arrays do
-_COVERAGE = 5.0  # found in trials: with it the band holds the true line at both ends in 95 % of them
+_FEW = 32  # points up to which a loop is as fast as array operations
+_COVERAGE = 5.0  # from simulations: the band then contains the true line at both ends in 95 % of them
 
 
 def lower_hull(x: FloatArray, y: FloatArray) -> npt.NDArray[np.intp]:
-    """Return which points make the lower convex hull, in the order of x (Andrew's monotone chain).
+    """Return the indices of the points on the lower convex hull, in the order of x (Andrew's monotone chain).
 
     Parameters
     ----------
     x, y
-        Points, shape (n,), any order.
+        Coordinates of the points, shape (n,), in any order.
     """
     order = np.lexsort((y, x))
     order = order[np.diff(x[order], prepend=-np.inf) > 0]
-    # A point on or above the chord between its neighbours is none of the hull's: most go so, many at a time.
+    # A point on or above the chord of its neighbours is not on the hull: this removes most points, many at a time.
     while len(order) > _FEW:
         before, at, after = order[:-2], order[1:-1], order[2:]
         below = (x[at] - x[before]) * (y[after] - y[before]) > (y[at] - y[before]) * (x[after] - x[before])
@@ -47,10 +47,10 @@ def lower_hull(x: FloatArray, y: FloatArray) -> npt.NDArray[np.intp]:
 
 
 class ClockEstimate:
-    """Offset and drift of a device's clock from all arrivals so far, at constant memory.
+    """Offset and drift of a device's clock from all arrivals so far, in constant memory.
 
-    Only the two outermost hulls are kept, the second being that of all points without the first; a point that once
-    lies above both never gets back onto them.
+    Only the two outermost hulls are kept, the second from all points that are not on the first: a point above both can
+    never be on one of them again.
     """
 
     def __init__(self) -> None:
@@ -62,12 +62,12 @@ class ClockEstimate:
         self.samples = 0
 
     def add(self, device: FloatArray, host: FloatArray) -> None:
-        """Take in the arrivals of a block: device and host times, s, shape (n,)."""
+        """Add the arrivals of a block: device and host times, s, shape (n,) both."""
         if len(device) == 0:
             return
         if self.samples == 0:
             self._start = (float(device[0]), float(host[0]))
-        # Differences from the start keep the digits that seconds since 1970 would cost.
+        # Relative to the start, because seconds since 1970 would lose digits.
         away = device - self._start[0]
         x = np.concatenate([self._points[0], away])
         y = np.concatenate([self._points[1], (host - self._start[1]) - away])
@@ -82,23 +82,23 @@ class ClockEstimate:
         self.samples += len(device)
 
     def fit(self) -> Clock | None:
-        """Return the line, None where there are too few arrivals to tell how well it is known.
+        """Return the line, or None with too few arrivals to estimate its uncertainty.
 
-        Its uncertainty, which holds the true line 19 times of 20, comes from how far the line would move without the
-        points that hold it; the smallest delay of all is not in it.
+        The uncertainty contains the true line 19 times in 20. It is derived from the shift of the line when the points
+        that define it are removed; it does not include the smallest delay, which all arrivals share.
         """
         if not self._layers or min(map(len, self._layers)) < 2:
             return None
         middle = self._sum / self.samples
         lines = [_edge_at(self._points[0][layer], self._points[1][layer], middle) for layer in self._layers]
         (at, drift), (other_at, other_drift) = lines
-        # What the line would be without the points that hold it says how well they hold it.
+        # The shift of the line without the points that define it measures how well they define it.
         moved = [abs(other_at - at + (other_drift - drift) * (end - middle)) for end in (*self._ends, middle)]
         return Clock(middle + self._start[0], middle + at + self._start[1], drift, _COVERAGE * max(moved))
 
 
 def _edge_at(x: FloatArray, y: FloatArray, middle: float) -> tuple[float, float]:
-    """Return height at `middle` and slope of the hull's edge there: of all lines below, the closest in the mean."""
+    """Return height at `middle` and slope of the hull's edge there: of all lines below, the closest on average."""
     edge = min(max(int(np.searchsorted(x, middle, side="right")) - 1, 0), len(x) - 2)
     slope = float((y[edge + 1] - y[edge]) / (x[edge + 1] - x[edge]))
     return float(y[edge]) + slope * (middle - float(x[edge])), slope

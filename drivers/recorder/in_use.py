@@ -1,4 +1,4 @@
-"""Detection of a bench in use: a lock between the runs of one machine, and listening on its buses."""
+"""Detection of a bench in use: locks between the runs on one machine, and listening on the buses."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ import platformdirs
 from drivers.can.bus import SYNC_ID, open_bus
 from drivers.encoder import BusConfig, EncoderSetupError, PortConfig, Wiring
 
-WAIT_SECONDS = 5.0  # for a run that was killed to bring its drive to rest
+WAIT_SECONDS = 5.0  # for a killed run to bring its drive to rest
 LISTEN_SECONDS = 0.25
-_MOVED = 16  # counts: more than an encoder at rest shows, less than one at a turn a minute
-_STRAIGHT = 0.9  # of the way must lead on: noise goes to and fro
-_FEWEST = 3  # positions
+_MOVED = 16  # counts: more than the noise of an encoder at rest, fewer than at 1 rpm
+_STRAIGHT = 0.9  # least ratio of net to total motion: noise goes back and forth
+_FEWEST = 3  # positions needed
 
 
 class Claims:
     """The buses and ports reserved by a run on this machine; a context manager that releases them.
 
-    A claim is a lock on a file that the system releases when the last process that has it ends.
+    A claim is a file lock, which the system releases when the last process that holds it ends.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Claims:
 
     @property
     def descriptors(self) -> tuple[int, ...]:
-        """Of the files; a child that inherits them holds the claim too."""
+        """File descriptors of the locks; a child process that inherits them holds the claim too."""
         return tuple(file.fileno() for file, _ in self._files.values())
 
     def claim(self, wiring: Wiring) -> None:
@@ -53,7 +53,7 @@ class Claims:
         Raises
         ------
         EncoderSetupError
-            If another run has one of them, and still has it after `WAIT_SECONDS`.
+            If another run still holds one of them after `WAIT_SECONDS`.
         """
         lines: list[BusConfig | PortConfig] = [*wiring.buses.values(), *wiring.ports.values()]
         for line in lines:
@@ -69,7 +69,7 @@ def _locked(path: Path, what: str) -> IO[str]:
     end = time.monotonic() + WAIT_SECONDS
     while True:
         file = path.open("a+", encoding="utf-8")
-        # Whoever had it last may just have removed it.
+        # The previous holder may just have removed the file.
         if _lock(file) and path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
             file.truncate(0)
             file.write(str(os.getpid()))
@@ -84,7 +84,7 @@ def _locked(path: Path, what: str) -> IO[str]:
 
 
 def _lock(file: IO[str]) -> bool:
-    """Lock a file for this process and its children; False if another has it."""
+    """Lock a file for this process and its children; False if another process holds it."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -106,14 +106,14 @@ def check_at_rest(wiring: Wiring, nodes: dict[str, set[int]]) -> None:
     Parameters
     ----------
     wiring
-        Buses.
+        The buses.
     nodes
-        Numbers of the CANopen nodes that are wired to each, by the bus's name.
+        Numbers of the CANopen nodes on each bus, by the bus's name.
 
     Raises
     ------
     EncoderSetupError
-        If a node's position moves, or another device sends SYNC in place of the recorder.
+        If a node's position moves, or another device sends SYNC although the recorder is to send it.
     """
     for name, config in wiring.buses.items():
         identifiers = {base + node: node for node in nodes.get(name, ()) for base in (0x180, 0x280, 0x380, 0x480)}
@@ -137,8 +137,8 @@ def check_at_rest(wiring: Wiring, nodes: dict[str, set[int]]) -> None:
             )
         if synced and config.sync_period is not None:
             raise EncoderSetupError(
-                f"The CAN bus {config.place} is in use: another device sends SYNC, which sync_period leaves to the "
-                "recorder; stop the other, or leave sync_period out."
+                f"The CAN bus {config.place} is in use: another device sends SYNC, which the recorder is to send by "
+                "sync_period; stop the other device, or remove sync_period."
             )
 
 

@@ -29,9 +29,9 @@ from drivers.recorder.watchdog import watched
 from drivers.recording_format import Samples, read_recording
 
 FORMAT = "cycloid-sequence/1"
-_STANDS = math.radians(0.5)  # an input that is locked may give by so much
-_NEAR_ZERO = 0.02  # of the loop's torque
-_AT_PEAK = 0.98
+_STANDS = math.radians(0.5)  # largest motion of a locked input
+_NEAR_ZERO = 0.02  # of the loop's torque: counts as zero
+_AT_PEAK = 0.98  # of the loop's torque: counts as its peak
 _RETRY_SECONDS = 0.2
 
 Direction: TypeAlias = Literal["forward", "backward"]
@@ -57,19 +57,20 @@ class SequenceFile(edge.Config):
     bench
         The `BENCH.toml`, relative to the sequence's folder.
     loads, speeds, directions
-        Every combination is a step. Loads are those of a brake: their torque opposes the motion.
+        Brake torques, N*m, >= 0, which oppose the motion; crank speeds, rad/s, > 0; directions of the crank. Each
+        combination is a step.
     turns
         Crank turns of a step.
     load_tolerance, speed_tolerance
-        N*m, rad/s: tolerances of the means.
+        Largest deviations of the mean torque, N*m, and of the mean speed, rad/s, from those of the step.
     hysteresis
-        Loops with the input locked: torque and number.
+        Loops with the input locked: peak torque, N*m, and number of loops.
     drive
-        Commands that drive the bench, `{torque}`, `{speed}`, `{direction}` and `{turns}` filled in; without them the
-        sequence prompts. `stop` brings the drive to rest: it is run if one of them does not end with status 0, also if
-        the sequence itself is killed. `start_time` is the time to wait for the encoders.
+        Commands that drive the bench, with `{torque}`, `{speed}`, `{direction}` and `{turns}` filled in; without them
+        the sequence prompts. `stop` brings the drive to rest: it runs after a command that does not end with status 0,
+        even if the sequence itself is killed. `start_time` is the time to wait for the encoders, s.
     pair, report
-        Pair file and report for `cycloid-fit report`, absent: no report.
+        Pair file and report file for `cycloid-fit report`; absent: no report.
     """
 
     bench: str
@@ -92,15 +93,15 @@ class Step:
     Attributes
     ----------
     name
-        Of its file.
+        Name of its file, without the ending.
     torque
-        Mean torque on the output, N*m with sign, or the peak of a hysteresis loop.
+        Signed mean torque on the output, N*m, or the peak torque of a hysteresis loop.
     speed
         Crank speed, rad/s; 0: the input is locked.
     direction
-        Of the crank.
+        Direction of the crank.
     turns
-        Crank turns, or loops.
+        Crank turns, or number of loops.
     """
 
     name: str
@@ -111,7 +112,7 @@ class Step:
 
     @property
     def is_hysteresis(self) -> bool:
-        """Whether the input is locked and the torque goes round."""
+        """Whether the step is a hysteresis loop: the input is locked and the torque cycles."""
         return self.speed == 0
 
     @property
@@ -130,7 +131,7 @@ class Step:
 
 @dataclasses.dataclass(frozen=True)
 class BenchSequence:
-    """A sequence to run: its file, bench, steps, folder, and the further connections of its bench."""
+    """A sequence to run: file content, bench, steps, folder, file name, and additionally allowed connections."""
 
     file: SequenceFile
     bench: Bench
@@ -153,7 +154,7 @@ def read_sequence(path: str | os.PathLike[str], *, allow: Collection[str] = ()) 
     Raises
     ------
     edge.InputError
-        Naming file and key; also where the torque sensor can't measure a load.
+        If a file is invalid, or the torque sensor can't measure a load; names file and key.
     """
     source = str(path)
     folder = Path(path).parent
@@ -169,7 +170,9 @@ def read_sequence(path: str | os.PathLike[str], *, allow: Collection[str] = ()) 
     if file.hysteresis is not None and file.drive is not None and file.drive.hysteresis is None:
         raise edge.InputError(f"{source}: [drive] hysteresis is missing: the command that drives the loop.")
     if file.loads and bench.channels and bench.ratio is None:
-        raise edge.InputError(f"{folder / file.bench}: ratio is missing: a brake's torque opposes the output's motion.")
+        raise edge.InputError(
+            f"{folder / file.bench}: ratio is missing: its sign gives the sign of the brake's torque."
+        )
     steps = _steps(file, bench.ratio or -1.0)
     _check_range(bench, file, source)
     return BenchSequence(file, bench, steps, folder, source, tuple(allow))
@@ -200,8 +203,8 @@ def _check_range(bench: Bench, file: SequenceFile, source: str) -> None:
         for key, torque in wanted:
             if not low <= torque <= high:
                 raise edge.InputError(
-                    f"{source}: {key}: {torque:g} N*m is beyond the torque sensor, "
-                    f"which measures {low:g} to {high:g} N*m."
+                    f"{source}: {key}: {torque:g} N*m is outside the range of the torque sensor, "
+                    f"{low:g} to {high:g} N*m."
                 )
 
 
@@ -213,9 +216,9 @@ def shortfalls(step: Step, samples: dict[str, Samples], file: SequenceFile) -> l
     step
         The step.
     samples
-        Samples of the roles "input_angle", "output_angle" and "torque".
+        Samples by role: "input_angle", "output_angle" and "torque".
     file
-        Tolerances.
+        The sequence, for its tolerances.
     """
     said = [f"there is no sample of {role}" for role in ("input_angle", "torque") if not len(samples.get(role, ()))]
     if said:
@@ -230,10 +233,10 @@ def shortfalls(step: Step, samples: dict[str, Samples], file: SequenceFile) -> l
             if reached < _AT_PEAK * step.torque:
                 said.append(f"the {name} torque reaches {reached:.4g} of {step.torque:.4g} N*m")
         if abs(torque[-1]) > 2 * _NEAR_ZERO * step.torque:
-            said.append(f"it does not end at zero torque but at {torque[-1]:.4g} N*m")
+            said.append(f"the torque ends at {torque[-1]:.4g} N*m, not at zero")
         return said
     if way * (1 if step.direction == "forward" else -1) < 0:
-        said.append(f"the crank turns the other way, not {step.direction}")
+        said.append(f"the crank does not turn {step.direction} but the other way")
     turned = abs(way) / (2 * math.pi)
     if turned < step.turns * (1 - 1e-3) - 0.05:
         said.append(f"the crank makes {turned:.3g} turns, not {step.turns:g}")
@@ -253,7 +256,7 @@ def shortfalls(step: Step, samples: dict[str, Samples], file: SequenceFile) -> l
 
 
 class _End:
-    """Whether a step is complete, from its recording so far."""
+    """Detects from the recording so far that a step is complete."""
 
     def __init__(self, step: Step) -> None:
         self.step = step
@@ -261,7 +264,7 @@ class _End:
         self.reached = False
 
     def __call__(self, live: Live) -> None:
-        """Look at the newest blocks."""
+        """Check the newest blocks."""
         angle, torque = (live.channels.get(n) for n in ("input_angle", "torque"))
         if self.step.is_hysteresis:
             if torque is not None and torque.value is not None:
@@ -272,7 +275,7 @@ class _End:
             self.reached = abs(angle.value - angle.first) >= 2 * math.pi * self.step.turns
 
     def _pass_peaks(self, torque: ChannelState) -> None:
-        """Count the peaks, which are passed in turn, + then -, so many as the loops have."""
+        """Count the peaks of the loops, alternately positive and negative."""
         peak = _AT_PEAK * self.step.torque
         for _ in range(2):  # a block may hold one of each
             furthest = torque.highest if self._peaks % 2 == 0 else -(torque.lowest or 0.0)
@@ -282,7 +285,7 @@ class _End:
 
 @contextlib.contextmanager
 def _driven(sequence: BenchSequence, step: Step, claims: Claims) -> Iterator[subprocess.Popen[bytes] | None]:
-    """Run the command that drives a step in parallel, if there is one and the bench is at rest."""
+    """Start the command that drives a step, if there is one and the bench is at rest."""
     drive = sequence.file.drive
     if drive is None:
         yield None
@@ -352,7 +355,7 @@ def _run_step(
 
 
 def _opened(sequence: BenchSequence, process: Any) -> tuple[Bench, list[Any], contextlib.ExitStack]:
-    """Open the encoders, waiting for those of a bench that is just being started."""
+    """Open the encoders, waiting for those of a bench that is starting."""
     start = sequence.file.drive.start_time if sequence.file.drive is not None else 0.0
     deadline = time.monotonic() + start
     wiring = sequence.folder / sequence.file.bench
@@ -366,7 +369,7 @@ def _opened(sequence: BenchSequence, process: Any) -> tuple[Bench, list[Any], co
             if time.monotonic() > deadline:
                 raise
             if process is not None and process.poll() is not None:
-                raise EncoderError(f"The command that drives the bench ended by itself: {problem}") from problem
+                raise EncoderError(f"The command that drives the bench ended early: {problem}") from problem
             time.sleep(_RETRY_SECONDS)
 
 
@@ -379,7 +382,7 @@ class SequenceResult:
     recordings
         One file for each completed step, in the sequence's order.
     shortfalls
-        Shortfalls of the last trial of each other step, by the step's name.
+        Shortfalls of the last trial of each incomplete step, by the step's name.
     report_command
         The `cycloid-fit report` command for these recordings; None if the sequence has no report.
     """
@@ -399,8 +402,8 @@ def run_sequence(
 ) -> SequenceResult:
     """Run a test sequence: make each step, check it, and write one recording for each step.
 
-    Recordings are written next to the sequence; recorded steps are skipped, so an interrupted sequence continues. A
-    trial that falls short is kept as `STEP.trial-N.arrows`.
+    Recordings are written next to the sequence file. Steps already recorded are skipped, so an interrupted sequence is
+    resumed. A trial that falls short is kept as `STEP.trial-N.arrows`.
 
     Parameters
     ----------
@@ -409,9 +412,9 @@ def run_sequence(
     note
         Called with each step and None at its start, and with its recording at its end.
     ready
-        Called before each trial of a step without a drive command; it returns when the bench runs.
+        Called before each trial of a step without a drive command; must return when the bench is running.
     again
-        Called with a step, its trial and the shortfalls; returns whether to repeat it. Default: no.
+        Called with a step, the trial's recording and its shortfalls; returns whether to repeat the step. Default: no.
     progress
         See `drivers.record`.
 
@@ -467,7 +470,7 @@ def _run_steps(
 
 
 def _report_command(sequence: BenchSequence, recordings: Sequence[Path]) -> tuple[str, ...] | None:
-    """Return the command next to this Python, so that no environment has to be activated."""
+    """Return the report command, from the folder of this Python so that no environment need be active."""
     file = sequence.file
     if file.report is None or not recordings:
         return None

@@ -1,4 +1,4 @@
-"""Samples -> crash-safe recording on disk."""
+"""Recording of samples to disk, safe from crashes."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from drivers.recorder.supervision import Supervised
 from drivers.recording_format import MARKS, Event, Header, RecordingWriter, Samples, check_new
 
 _WAIT = 0.05
-_CLOCK_SECONDS = 10.0  # between two notes of a device's clock
-_CALENDAR_STEP = 0.1  # s; slower corrections are slewed, and the monotonic clock follows them
+_CLOCK_SECONDS = 10.0  # between two estimates of a device's clock in the file
+_CALENDAR_STEP = 0.1  # s; smaller corrections are slewed, and the monotonic clock follows them
 
 
 class RecordingError(Exception):
-    """A recording can't be continued; the text states the data that are safe."""
+    """A recording can't be continued; the text states which data are safe."""
 
 
 @dataclasses.dataclass
@@ -45,17 +45,18 @@ class ChannelState:
     Attributes
     ----------
     samples, marks
-        Number in the file, and number with each mark, by name.
+        Number of samples in the file, and of those with each mark, by the mark's name.
     lost
         Number of lost readings.
     rate, waiting
-        Samples per second over about the last second; received readings that are not yet written.
+        Samples per second over about the last second; number of readings received but not yet written.
     time, value, first
-        Of the newest sample: seconds since the start, SI; value of the first sample; None before the first.
+        Time of the newest sample, s since the start, its value, SI, and the value of the first sample. None before the
+        first sample.
     lowest, highest
-        Values of the newest block.
+        Lowest and highest value in the newest block, SI; None before the first.
     failure
-        Reason of the present failure, or None.
+        The error of a channel that is out at present, or None.
     """
 
     samples: int = 0
@@ -73,7 +74,7 @@ class ChannelState:
 
 @dataclasses.dataclass
 class Live:
-    """A recording in progress, for display: state by channel, number of events, free bytes on the disk.
+    """A recording in progress, for display: state by channel, number of events, free bytes on disk.
 
     `transmission_error` is the newest TE, rad at the output, minus the first one: output angle - input angle / ratio at
     one instant; None where an angle or the ratio is missing.
@@ -99,15 +100,15 @@ class Recorded:
     path
         The file.
     samples, events
-        Number of samples by channel, and of events.
+        Number of samples by channel, and number of events.
     marks
-        Number of samples with each mark, by channel and name; unused marks are absent.
+        Number of samples with each mark, by channel and mark; unused marks are absent.
     lost
-        Number of lost readings of each channel.
+        Number of lost readings by channel.
     failures
-        Reasons of channels that failed at the end.
+        Errors of the channels that were out at the end.
     ended
-        Reason of the end: "duration", "samples", "idle", "stop", or the name of a signal, such as "SIGINT".
+        Why the recording ended: "duration", "samples", "idle", "stop", or the name of a signal, such as "SIGINT".
     """
 
     path: Path
@@ -123,16 +124,16 @@ class RecordingInterrupted(KeyboardInterrupt):
     """A recording ended by a signal, with a complete file: `recorded` is its result, `exit_status` 128 + signal."""
 
     def __init__(self, recorded: Recorded) -> None:
-        super().__init__(f"Interrupted by {recorded.ended}; {recorded.path} has the data until then.")
+        super().__init__(f"Interrupted by {recorded.ended}; {recorded.path} has all data up to then.")
         self.recorded = recorded
         self.exit_status = 128 + signal.Signals[recorded.ended]
 
 
 @contextlib.contextmanager
 def _interrupts() -> Iterator[list[str]]:
-    """Catch the first SIGINT, SIGTERM or SIGHUP and store its name, so that waiting data are written first.
+    """Yield a list for the name of the first SIGINT, SIGTERM or SIGHUP, which is caught so that all data are written.
 
-    The next one takes effect at once, except SIGHUP: a closed terminal sends several.
+    The next signal takes effect at once, except SIGHUP: a closed terminal sends several.
     """
     asked: list[str] = []
     if threading.current_thread() is not threading.main_thread():
@@ -155,7 +156,7 @@ def _interrupts() -> Iterator[list[str]]:
 
 
 class _Session:
-    """One recording being made: encoders in, batches out."""
+    """A recording in progress: encoders in, batches out."""
 
     def __init__(
         self,
@@ -182,8 +183,8 @@ class _Session:
         self._calendar = time.time() - time.monotonic()
 
     def take(self, timeout: float) -> bool:
-        """Write the samples of all channels, waiting for the first one; return whether there were any."""
-        # Only the first channel is waited for: the others have come meanwhile.
+        """Write the new samples of all channels, waiting up to `timeout` s; return whether there were any."""
+        # Wait for the first channel only: samples of the others arrive meanwhile.
         blocks = [self._read(e, 0.0 if i else timeout) for i, e in enumerate(self.encoders)]
         for encoder, block, events in self._judged(blocks):
             if block is not None or events:
@@ -207,7 +208,7 @@ class _Session:
     def _judged(
         self, blocks: Sequence[tuple[Supervised, Samples | None, list[Event]]]
     ) -> Iterator[tuple[Supervised, Samples | None, list[Event]]]:
-        """Yield the samples with implausible ones marked, and the findings among the events."""
+        """Yield the blocks with implausible samples marked, and the findings added to the events."""
         angles = {self._roles[b.channel]: b for _, b, _ in blocks if b is not None and b.channel in self._roles}
         marks, found = self._plausibility.add(angles) if angles else ({}, [])
         for encoder, block, events in blocks:
@@ -224,7 +225,7 @@ class _Session:
         return [dataclasses.replace(e, time=e.time - self.epoch) for e in encoder.events()]
 
     def write(self, block: Samples, events: list[Event]) -> None:
-        """Write a batch; a `RecordingError` states the kept data if the disk is full."""
+        """Write a batch; if the disk is full, raise a `RecordingError` that states the data kept."""
         try:
             self.writer.write(block, events)
         except OSError as problem:
@@ -232,7 +233,7 @@ class _Session:
         self.live.events += len(events)
 
     def full(self, problem: OSError) -> RecordingError:
-        """Return the error for a full disk, with the content of the file."""
+        """Return the error for a full disk, which states the content of the file."""
         kept = ", ".join(f"{n} {name}" for name, n in self.writer.counts.items())
         said = problem.strerror or problem
         return RecordingError(
@@ -240,13 +241,13 @@ class _Session:
         )
 
     def take_all(self) -> bool:
-        """Read the waiting data of buses and ports, and write it; return whether there were samples."""
+        """Read and write all data waiting on buses and ports; return whether there were samples."""
         for encoder in self.encoders:
             encoder.drain()
         return self.take(0.0)
 
     def finish(self) -> None:
-        """Write the samples missing at the end, and the estimates of the clocks."""
+        """Write the losses at the end and the final estimates of the clocks, as events."""
         for encoder in self.encoders:
             encoder.finish()
             name = encoder.channel.name
@@ -264,7 +265,7 @@ class _Session:
         return Recorded(Path(self.path), self.live.samples, marks, lost, self.live.events, failures, ended)
 
     def _note(self, role: str, block: Samples, state: ChannelState) -> None:
-        """Count a block and follow the TE."""
+        """Update a channel's state and the running TE."""
         state.samples += len(block)
         present = np.bitwise_or.reduce(block.status) if len(block) else 0
         for mark, bit in MARKS.items():
@@ -288,7 +289,7 @@ class _Session:
                 self.live.transmission_error = error - self._zero
 
     def _clock(self, block: Samples) -> list[Event]:
-        """Follow the device's clock and note its estimate from time to time and at the end."""
+        """Update the estimate of the device's clock; return it as an event every `_CLOCK_SECONDS` and at a restart."""
         if block.time_device is None or not len(block):
             return []
         name = block.channel
@@ -314,7 +315,7 @@ class _Session:
         return [rf.clock_event(now, name, clock, self._restarts[name])]
 
     def _jump(self, name: str) -> list[Event]:
-        """Note that the host's calendar clock was set; our own stamps do not follow it, a kernel's do."""
+        """Return an event if the host's calendar clock was set: it moves the kernel's stamps, not those made here."""
         calendar = time.time() - time.monotonic()
         step, self._calendar = calendar - self._calendar, calendar
         if abs(step) < _CALENDAR_STEP:
@@ -322,7 +323,7 @@ class _Session:
         return [Event(steady_time() - self.epoch, name, f"the host's calendar clock was set by {step:+.3f} s")]
 
     def refresh(self) -> None:
-        """Compute rates and free space, once a second."""
+        """Update rates and free space, once a second."""
         then, counted = self._rates
         now = time.monotonic()
         if now - then < 1.0 and self.live.disk_free:
@@ -348,11 +349,12 @@ def record_encoders(
 ) -> Recorded:
     """Record open, started encoders until one of the end conditions; see `record` for the parameters and errors.
 
-    A failed channel is noted, opened again until it answers, and marked; the others continue. At every end the waiting
-    data of buses and ports are read, and missing samples are noted; also after SIGINT, SIGTERM and SIGHUP, which then
-    raise `RecordingInterrupted`. Memory does not grow with the recording. Data are safe from a kill within
-    `hubs.BLOCK_SECONDS` of its arrival and from a power cut within `recording_format.FLUSH_SECONDS`. `ratio`, `pair`
-    and `conditions` go into the header, see `Bench`.
+    A failed channel is reported as an event, reopened until it answers, and its next sample marked; the others
+    continue. At the end, also after SIGINT, SIGTERM and SIGHUP, all data waiting on buses and ports are read and
+    missing samples reported; the signals then raise `RecordingInterrupted`. Memory does not grow with the recording.
+    Data are safe from a kill within `hubs.BLOCK_SECONDS` of their arrival and from a power cut within
+    `recording_format.FLUSH_SECONDS`. `ratio`, `pair` and `conditions` go into the header, see `Bench`; `stop` is called
+    after each round of reading and ends the recording if true; `progress` is called with the state.
 
     Raises
     ------
@@ -409,7 +411,7 @@ def _run(
             return "samples"
         if stop is not None and stop():
             return "stop"
-        # Silent is the line, not who was too slow to read it: what waits there is read first.
+        # The line must be silent, not this process slow: first read what is waiting.
         if idle is not None and now - heard >= idle:
             if not session.take_all():
                 return "idle"
@@ -430,8 +432,8 @@ def record(
 ) -> Recorded:
     """Record all channels of a bench until Ctrl-C or the first of the other end conditions.
 
-    What came is in the file a twentieth of a second later, safe from a kill of the process; every second the disk is
-    told to hold it, safe from a power cut. Buses and ports that fail are opened again.
+    Samples are in the file within 50 ms, safe from a kill of the process; the file is synced to disk every second,
+    safe from a power cut. Failed buses and ports are reopened.
 
     Parameters
     ----------
@@ -459,7 +461,7 @@ def record(
     RecordingError
         If the disk is full; the file keeps all earlier data.
     RecordingInterrupted
-        If interrupted by SIGINT, SIGTERM or SIGHUP, a KeyboardInterrupt; the file is closed and whole.
+        At SIGINT, SIGTERM or SIGHUP, a KeyboardInterrupt; the file is closed and complete.
 
     Examples
     --------
@@ -473,7 +475,7 @@ def record(
     wired = bench if isinstance(bench, Bench) else read_bench(bench, allow=allow)
     duration = None if duration is None else in_si(duration, "s", "duration", above=0.0)
     idle = None if idle is None else in_si(idle, "s", "idle", above=0.0)
-    check_new(edge.output_path(path, "path", (".arrows",)))  # before any device is set going
+    check_new(edge.output_path(path, "path", (".arrows",)))  # before any device is started
     with open_encoders(wired) as encoders:
         return record_encoders(
             encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, duration=duration,

@@ -1,4 +1,4 @@
-"""Supervised encoders: a failed one is closed, reported, and opened again until it answers."""
+"""Supervised encoders: a failed one is closed, reported, and reopened until it answers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ RETRY_SECONDS = 0.5
 
 
 class Supervised:
-    """An encoder, open and started, that is opened again whenever it fails.
+    """An encoder, open and started, that is reopened whenever it fails.
 
-    Its first sample afterwards is marked "gap before" and, where its zero is only good for one power cycle, "reset".
+    Its first sample afterwards is marked "gap before" and, if it loses its zero when switched off, "reset".
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Supervised:
             block = self.encoder.read(timeout)
         except EncoderError as problem:
             self.failure = problem
-            if str(problem) != self._said:  # one that opens but never delivers is said once, not twice a second
+            if str(problem) != self._said:  # one that opens but never delivers is reported once, not twice a second
                 self._say(f"failed and will be opened again: {problem}")
             self._said = str(problem)
             self._events += self.encoder.events()
@@ -65,7 +65,7 @@ class Supervised:
             self._thread.start()
             return None
         if block is not None and len(block) and self._said:
-            self._say("samples come again")
+            self._say("samples arrive again")
             self._said = ""
         if block is not None and len(block) and self._mark:
             status = block.status.copy()
@@ -120,5 +120,5 @@ class Supervised:
 
 
 def _device(channel: Channel) -> Channel:
-    """Return a channel without its device's state, such as operating time, which changes while it is away."""
+    """Return a channel without the state of its device, such as operating time, which changes during an outage."""
     return dataclasses.replace(channel, identity=channel.identity.partition(";")[0])

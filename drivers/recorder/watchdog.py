@@ -1,8 +1,8 @@
-"""A command that never outlives its starter: even if that is killed, no device is left turning.
+"""A command that never outlives its starter: even if the starter is killed, no device is left turning.
 
-A process between the two waits for the end of a pipe that only the starter holds open; the system closes it with the
-starter, on every platform and after every signal. Then the command is ended, the drive's own stop command is run, and
-the devices that were started on the buses of the wiring are stopped.
+A process between the two waits for the end of a pipe that only the starter holds open; the system closes it when the
+starter ends, on every platform and after every signal. Then the command is ended, the drive's own stop command is run,
+and the devices that were started on the buses of the wiring are stopped.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import threading
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
-_INPUT = 0  # read without Python's buffers: a thread that waits there is in nobody's way
+_INPUT = 0  # read without Python's buffers, whose lock a waiting thread would hold at exit
 _DONE = b"done\n"
-GRACE_SECONDS = 2.0  # for the command to end by itself when it is asked to
+GRACE_SECONDS = 2.0  # for the command to end after SIGTERM
 STOP_SECONDS = 10.0  # for the drive's stop command
 
 
@@ -43,19 +43,19 @@ def watched(
     command, folder
         The command and its folder.
     stop
-        Run if the command did not end with status 0.
+        Command to run if the first did not end with status 0.
     wiring, allow
-        `BENCH.toml` whose devices are stopped if this process ends without leaving the block, and its further
-        connections, see `recorder.bench.read_bench`.
+        `BENCH.toml` whose devices are stopped if this process ends without leaving the block, and the connections
+        allowed for it; see `recorder.bench.read_bench`.
     quiet
-        Whether its standard error is hidden.
+        Whether to discard the command's standard error.
     held
-        Descriptors, such as locks, that stay open until the command and what it drives have come to rest.
+        File descriptors, such as locks, to keep open until the command has ended and its devices are at rest.
 
     Yields
     ------
     subprocess.Popen
-        A process that ends when the command does, with its status.
+        A process that ends when the command does, with the same status.
 
     Raises
     ------
@@ -87,11 +87,11 @@ def watched(
         with contextlib.suppress(BrokenPipeError):
             process.stdin.close()
         process.wait()
-        _kill_group(process.pid)  # where the process between was killed itself
+        _kill_group(process.pid)  # in case the process between was killed
 
 
 def _check_program(name: str, folder: Path | None) -> None:
-    """Raise the OSError of starting a program if it is missing or not executable."""
+    """Raise the OSError that starting a program would raise, if it is missing or not executable."""
     path = Path(folder or ".") / name if os.path.dirname(name) else shutil.which(name)
     if path is None or not os.path.exists(path):
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), name)
@@ -106,7 +106,7 @@ def _kill_group(number: int) -> None:
 
 
 def main() -> None:
-    """Run as the process between: the command comes as a line of JSON, the starter's end as the end of the input."""
+    """Run as the process between: read the command as a line of JSON; end of input means that the starter ended."""
     line = b""
     while not line.endswith(b"\n"):
         more = os.read(_INPUT, 1)
@@ -127,14 +127,14 @@ def main() -> None:
     threading.Thread(target=_until_left, args=(command, left, said), daemon=True).start()
     status = command.wait()
     if os.name == "posix":
-        # What it started ends with it, even where the starter is killed later on: then nobody is left to do so.
+        # Its child processes end with it: if the starter is killed later, nobody is left to end them.
         os.killpg(os.getpgrp(), signal.SIGTERM)
     if status or left.is_set():
         _stop(told["stop"], told["folder"])
     if left.is_set() and said != [_DONE] and told["wiring"] is not None:
         _rest(told["wiring"], told["allow"])
     if left.is_set():
-        _kill_group(os.getpgrp() if os.name == "posix" else 0)  # what the command itself has started, and this one
+        _kill_group(os.getpgrp() if os.name == "posix" else 0)  # child processes of the command, and this process
     sys.exit(status & 0xFF)
 
 
@@ -165,7 +165,7 @@ def _rest(wiring: str, allow: list[str]) -> None:
     """Stop the devices of a wiring; a failure of one does not affect the others."""
     from drivers.recorder.bench import read_bench
 
-    with contextlib.suppress(Exception):  # nobody is left to be told
+    with contextlib.suppress(Exception):  # nobody is left to read an error
         for encoder in read_bench(wiring, allow=allow).encoders():
             with contextlib.suppress(Exception):
                 encoder.rest()

@@ -1,6 +1,6 @@
-"""The bench recording, `cycloid-recording/1`: its schema, its writer, its reader and the clocks in it.
+"""The bench recording, `cycloid-recording/1`: schema, writer, reader and device clocks.
 
-No bus library is needed for it. `schema` defines the format; `export` and `repair` are the tools for finished files.
+It needs no bus library. `schema` defines the format; `export` and `repair` are the tools for finished files.
 """
 
 from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, ClockJumps, clock_event

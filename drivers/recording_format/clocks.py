@@ -1,4 +1,4 @@
-"""The clocks of devices in a recording: their lines against the host's, and samples put onto it."""
+"""Device clocks in a recording: their lines against the host's clock, and samples aligned with it."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import numpy.typing as npt
 
 from drivers.recording_format.schema import RESET, Event, FloatArray, Samples
 
-CLOCK_JUMP = 1.0  # s between the stamps' step and the arrivals' that no bus and no scheduler explains
+CLOCK_JUMP = 1.0  # s: difference of the steps of stamps and arrivals that no bus or scheduler explains
 _CLOCK = "clock: "
 
 
 @dataclasses.dataclass(frozen=True)
 class Clock:
-    """How a device's clock runs against the host's: host = origin_host + (1 + drift) (device - origin_device).
+    """A device's clock against the host's: host = origin_host + (1 + drift) (device - origin_device).
 
     Attributes
     ----------
     origin_device, origin_host
-        A point of the line in the middle of the samples, s.
+        Device and host time of a point on the line, in the middle of the samples, s.
     drift
-        Relative rate of the host's clock to the device's, minus one.
+        Rate of the host's clock relative to the device's, minus one.
     uncertainty
-        Half width at 95 %, s, at the ends of the samples, of a band about the line.
+        Half width of the 95 % band around the line at the ends of the samples, s.
     """
 
     origin_device: float
@@ -35,13 +35,16 @@ class Clock:
     uncertainty: float
 
     def host(self, device: npt.ArrayLike) -> FloatArray:
-        """Return the host's time, s, of device times, s: earliest arrival, the constant part of the delay included."""
+        """Return the host times of device times, s: earliest arrivals, which include the constant part of the delay."""
         away = np.asarray(device, np.float64) - self.origin_device
         return np.asarray(self.origin_host + away + self.drift * away, np.float64)
 
 
 def clock_event(time: float, channel: str, clock: Clock, restarts: int) -> Event:
-    """Return the event that states how a channel's own clock runs after so many restarts; see `read_clocks`."""
+    """Return the event that stores the estimate of a channel's clock after this number of restarts; see `read_clocks`.
+
+    `time` is in s since the start of the recording.
+    """
     return Event(time, channel, _CLOCK + json.dumps({**dataclasses.asdict(clock), "restarts": restarts}))
 
 
@@ -57,10 +60,10 @@ def clocks_of(events: Iterable[Event]) -> dict[str, dict[int, Clock]]:
 
 
 class ClockJumps:
-    """Tells at which readings, block by block, a clock starts again or jumps: `CLOCK_JUMP` or more.
+    """Detects, block by block, the readings at which a clock restarts or jumps by `CLOCK_JUMP` or more.
 
-    It does where it goes back, or where a reading would have arrived before it was taken: the delay to its arrival
-    falls below the smallest one so far. Readings that were held up and then come at once, gaps among them, are neither.
+    A clock jumps where it goes back, or where a reading would have arrived before it was taken: its delay falls below
+    the smallest one so far. Readings that arrive together after a delay are no jump, even with gaps among them.
     """
 
     def __init__(self) -> None:
@@ -70,14 +73,14 @@ class ClockJumps:
     def __call__(
         self, taken: FloatArray, arrived: FloatArray, reset: npt.NDArray[np.bool_] | None = None
     ) -> npt.NDArray[np.bool_]:
-        """Return where it does, shape (n,).
+        """Return the mask of the readings at which the clock restarts or jumps, shape (n,).
 
         Parameters
         ----------
         taken, arrived
-            Times by the clock, and of the arrivals by a steady one, s, shape (n,), n > 0.
+            Times of the readings on this clock, and of their arrivals on a steady clock, s, shape (n,), n > 0.
         reset
-            Where it is known to start again, shape (n,).
+            Mask of known restarts, shape (n,).
         """
         back = np.diff(taken, prepend=taken[0] if self._last is None else self._last) < -CLOCK_JUMP
         if reset is not None:
@@ -94,12 +97,12 @@ class ClockJumps:
 
 
 class Alignment:
-    """Puts one channel's samples, block by block in their order, on the host's clock by the device's own.
+    """Converts one channel's device times to the host's clock, block by block in order.
 
     Parameters
     ----------
     clocks
-        The device's clock after each of its restarts, as `read_clocks` gives it.
+        The device's clock by the number of its restarts, from `read_clocks`.
     """
 
     def __init__(self, clocks: Mapping[int, Clock]) -> None:
@@ -108,7 +111,7 @@ class Alignment:
         self._jumps = ClockJumps()
 
     def time(self, samples: Samples) -> FloatArray:
-        """Return when the samples were taken, s since the start; `time_host` where the device's clock is not known."""
+        """Return when the samples were taken, s since the start; `time_host` where the device's clock is unknown."""
         if samples.time_device is None or not len(samples):
             return samples.time_host
         marked = samples.status & RESET != 0

@@ -25,12 +25,12 @@ from drivers.recording_format.schema import (
 )
 
 Progress = Callable[[float], None]
-_CHUNK = 1 << 16  # samples gathered before they are written: small batches make large files of netCDF and MDF4
+_CHUNK = 1 << 16  # samples gathered for one write: small pieces make netCDF and MDF4 files large
 
 
 @dataclasses.dataclass(frozen=True)
 class Exported:
-    """A recording in another format: the file, its rows, and one sentence for each problem of the recording."""
+    """A recording in another format: file, number of rows, and one sentence for each problem of the recording."""
 
     path: Path
     rows: int
@@ -40,7 +40,7 @@ class Exported:
 def export(
     recording: str | os.PathLike[str], output: str | os.PathLike[str], *, progress: Progress | None = None
 ) -> Exported:
-    """Write a recording in the format of the file's ending, at constant memory; never a partial file.
+    """Write a recording in the format of the file's ending, in constant memory; never leaves a partial file.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ def export(
         `.csv`: one table of the two angles, paired by the SYNC that latched both, and the torque interpolated to those
         instants. `.nc` (netCDF), `.parquet`, `.mf4` (MDF4, ASAM): the samples of each channel as received.
     progress
-        Called with the number of bytes read since the call before.
+        Called with the number of bytes read since the previous call.
 
     Raises
     ------
     edge.InputError
-        If the ending is another, a library is missing, or the CSV's channels are missing.
+        If the ending is unknown, a library is missing, or a channel that the CSV needs is missing.
 
     Examples
     --------
@@ -72,7 +72,7 @@ def export(
 
 
 def batches(reader: RecordingReader, progress: Progress) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
-    """Yield what `RecordingReader.batches` does and report the bytes read."""
+    """Yield the batches of `RecordingReader.batches` and report the bytes read."""
     done = 0
     for batch in reader.batches():
         progress(reader.position - done)
@@ -100,7 +100,7 @@ def _event_text(events: list[Event]) -> str:
 
 
 def _parquet(reader: RecordingReader, path: Path, progress: Progress) -> int:
-    """Write the recording's own table, metadata and all; the events go into the file's metadata."""
+    """Write the recording's own table with its metadata; the events become metadata of the file."""
     import pyarrow.parquet as pq
 
     schema, rows, events = recording_schema(reader.header), 0, []  # type: tuple[Any, int, list[Event]]
@@ -113,7 +113,7 @@ def _parquet(reader: RecordingReader, path: Path, progress: Progress) -> int:
 
 
 def _netcdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
-    """Write a group for each channel; xarray opens them with `group=`."""
+    """Write one group per channel; xarray opens each with `group=`."""
     import h5netcdf
 
     rows, events = 0, []  # type: tuple[int, list[Event]]
@@ -146,7 +146,7 @@ def _netcdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
 
 
 def _mdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
-    """Write a channel group for each channel, the time since the start as its master."""
+    """Write one channel group per channel, with the time since the start as its master channel."""
     with edge.needs_extra("bench-files", lambda said: edge.InputError(f"{path}: {said}.")):
         from asammdf import MDF, Signal
 
@@ -186,10 +186,10 @@ _TABLE = ("input_angle", "output_angle", "torque")
 
 
 def _csv(reader: RecordingReader, path: Path, progress: Progress) -> int:
-    """Write the table that `cycloid-fit` reads: the angles by equal `time_host`, the torque between its samples.
+    """Write the table that `cycloid-fit` reads: angles paired by equal `time_host`, torque interpolated to these times.
 
-    Channels latched by one SYNC share it to the last bit. A crank at 1500 rpm turns 33 arcsec in a microsecond,
-    so angles read one after the other are not a pair. The torque is NaN outside of its own times.
+    Channels latched by one SYNC have identical time stamps. A crank at 1500 rpm turns 33 arcsec in a microsecond, so
+    angles read one after the other are not a pair. The torque is NaN outside the times of its own samples.
     """
     names = {c.role: c.name for c in reader.header.channels}
     source = reader.source
@@ -206,8 +206,8 @@ def _csv(reader: RecordingReader, path: Path, progress: Progress) -> int:
             rows += len(time)
     if rows == 0:
         raise edge.InputError(
-            f"{source}: input_angle and output_angle share no instant (they were not latched by one SYNC), so they are "
-            "no pairs; export .nc, .parquet or .mf4, or give the recording itself to cycloid-fit."
+            f"{source}: input_angle and output_angle have no time in common (they were not latched by one SYNC) and "
+            "cannot be paired; export .nc, .parquet or .mf4, or give the recording itself to cycloid-fit."
         )
     return rows
 
@@ -225,13 +225,13 @@ def _last_times(source: str) -> dict[str, float]:
 def _paired(
     reader: RecordingReader, names: dict[str, str], ends: dict[str, float], progress: Progress
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """Yield time, input angle, output angle and torque, holding back only what has no partner yet."""
+    """Yield time, input angle, output angle and torque; samples without a partner wait for it."""
     roles = {names[role]: role for role in _TABLE}
     held = {role: (np.zeros(0), np.zeros(0)) for role in _TABLE}
     newest = dict.fromkeys(_TABLE, -np.inf)
 
     def ready() -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-        # Up to here no channel will add anything; one that has come to its end adds nothing any more.
+        # No channel will add samples before this time; a channel that has ended adds none at all.
         until = min((newest[r] for r in _TABLE if newest[r] < ends[names[r]]), default=np.inf)
         (ta, a), (tb, b), (tt, torque) = (held[r] for r in _TABLE)
         time, i, j = np.intersect1d(ta[ta < until], tb[tb < until], return_indices=True)

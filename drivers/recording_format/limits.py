@@ -1,4 +1,4 @@
-"""Limits of the encoders of a bench, and findings beyond them."""
+"""Limits of the encoders of a bench, and findings where they are exceeded."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.recording_format.schema import (
     Header,
 )
 
-LARGEST_DEVIATION = math.radians(1.0)  # far above TE, lost motion and windup of a gear drive, far below half a turn
+LARGEST_DEVIATION = math.radians(1.0)  # far above TE, lost motion and windup of a drive, far below half a turn
 LARGEST_DEVIATION_KEY = "largest_deviation"
 Mask = npt.NDArray[np.bool_]
 
@@ -28,10 +28,10 @@ class Limits:
     deviation
         Largest change of output angle - input angle / ratio, rad: TE, lost motion and windup together.
     input_speed, output_speed
-        Largest speeds, rad/s; None: not known. Then a step that differs by a quarter turn from the motion before and
-        after it is a jump.
+        Largest speeds, rad/s. None: unknown; a step that differs by a quarter turn from the motion before and after it
+        is then a jump.
     input_resolution, output_resolution
-        Step of the encoders, rad; 0: not known, or negligible.
+        Angle of one count, rad; 0: unknown or negligible.
     """
 
     deviation: float = LARGEST_DEVIATION
@@ -42,10 +42,10 @@ class Limits:
 
 
 def limits_of(header: Header) -> Limits:
-    """Return the limits of the encoders of a recording, as stated.
+    """Return the limits of the encoders that the header of a recording states.
 
-    The largest speeds and the counts per turn are its channels'; the deviation is its condition `largest_deviation`,
-    rad, where it has one.
+    Largest speeds and counts per turn come from its channels, the deviation from its condition `largest_deviation`,
+    rad, if there is one.
     """
     of = {c.role: c for c in header.channels if c.unit == "rad"}
     turning, driven = (of.get(role) for role in ANGLES)
@@ -64,7 +64,7 @@ def limits_of(header: Header) -> Limits:
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """An implausibility: its start, s, maybe before the block in which it is found, the roles, and a text."""
+    """An implausibility: start, s, possibly before the block in which it is found, roles concerned, and a text."""
 
     time: float
     roles: tuple[str, ...]

@@ -1,9 +1,9 @@
-"""Plausibility of two angles of one drive: stuck encoders, jumps, values away from the ratio's line.
+"""Plausibility of the two angles of a drive: stuck encoders, jumps, deviations from the line of the ratio.
 
-Effects of the drive must pass: transmission error, backlash, lost motion, windup, load steps and reversals all keep the
-output angle within a small deviation of the line input angle / ratio. Those of a failed encoder do not. A wrong ratio,
-swapped angles or a wrong unit are not faults of single samples and are not marked here: no section of such a recording
-follows the line.
+Effects of the drive must pass: with transmission error, backlash, lost motion, windup, load steps and reversals the
+output angle stays close to the line input angle / ratio. With a failed encoder it does not. A wrong ratio, swapped
+angles or a wrong unit are not faults of single samples and are not marked here: no section of such a recording follows
+the line.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from drivers.recording_format.schema import (
     Samples,
 )
 
-_JUMP = 0.5 * math.pi  # off the motion before and after, where no largest speed is stated
-_SPIKE = 3  # samples after which a jump back ends a spike
-_LATE = 1.5  # usual steps of time: arrivals that were held up and come at once are no speed
-_WAITING = 1 << 16  # samples of one angle that wait for the other
-STAMP_SECONDS = 0.1  # by which the stamps of angles that share no instants may be late on a busy host
+_JUMP = 0.5 * math.pi  # rad: deviation from the motion before and after, if no largest speed is stated
+_SPIKE = 3  # samples within which a jump back ends a spike
+_LATE = 1.5  # usual time steps, the least assumed: samples that arrive together after a delay show no speed
+_WAITING = 1 << 16  # most samples of one angle that wait for the other
+STAMP_SECONDS = 0.1  # s: lateness, on a busy host, of the stamps of angles that share no times
 
 
 @dataclasses.dataclass
 class _Judged:
-    """Samples of one angle whose steps are judged, arrays of one length; `jumps` are marks too."""
+    """Samples of one angle after `Steps`, arrays of equal length; `jumps` masks the samples marked there."""
 
     time: FloatArray
     value: FloatArray
@@ -59,9 +59,9 @@ class Steps:
     Parameters
     ----------
     role
-        Its name.
+        Role of the angle, for the findings.
     largest_speed, resolution
-        rad/s or None, and rad; see `Limits`.
+        Largest speed, rad/s, or None, and angle of one count, rad; see `Limits`.
     """
 
     def __init__(self, role: str, largest_speed: float | None, resolution: float) -> None:
@@ -69,18 +69,18 @@ class Steps:
         self._time, self._value, self._broken = np.zeros(0), np.zeros(0), np.zeros(0, np.bool_)
         self._usual: collections.deque[float] = collections.deque(maxlen=64)
         self._jumped: tuple[int, float] | None = None
-        self._judged = False  # the last step, which had none after it
+        self._judged = False  # whether the last step, which had none after it, is judged
         self._said = False
 
     def add(self, time: FloatArray, value: FloatArray, broken: Mask) -> tuple[Mask, list[Finding]]:
-        """Return the mask of the next samples after a jump or in a spike, and the findings.
+        """Return the mask of those of the next samples that follow a jump or form a spike, shape (n,), and findings.
 
         Parameters
         ----------
         time, value
-            s, rad, shape (n,).
+            Times, s, and angles, rad, shape (n,).
         broken
-            Where the step from the sample before is not judged, shape (n,); see `unjudged_steps`.
+            Mask of the samples whose step from the previous one is not judged: after a gap or reset, shape (n,).
         """
         held = self._time.size
         if self._judged and self._speed is None and value.size > 3 and not broken.any():
@@ -115,7 +115,7 @@ class Steps:
         return marks[held:], found
 
     def _off(self, t: FloatArray, v: FloatArray, cut: Mask) -> tuple[Mask, FloatArray]:
-        """Return the samples at which a step exceeds the motion or the largest speed, and by how much."""
+        """Return the mask of samples whose step deviates from the motion or exceeds the speed, and by how much, rad."""
         way, lasts = np.diff(v, prepend=v[0]), np.diff(t, prepend=t[0])
         judged = ~cut
         judged[0] = False
@@ -130,7 +130,7 @@ class Steps:
             with np.errstate(invalid="ignore", divide="ignore"):
                 scaled = np.where(lasts[there] > 0.0, way[there] / lasts[there] * lasts[here], way[there])
             low, high = np.minimum(way[there], scaled), np.maximum(way[there], scaled)
-            # With a neighbour on one side alone it may have turned back there.
+            # With a neighbour on one side only, the drive may have reversed there.
             turns = ~judged[slice(2, None) if row == 0 else slice(None, -2)]
             turns = np.append(turns, True) if row == 0 else np.append(True, turns)
             largest = np.maximum(np.abs(low), np.abs(high))
@@ -140,7 +140,7 @@ class Steps:
             known[row, here] = judged[there]
         nearest = np.where(np.abs(away[0]) <= np.abs(away[1]), away[0], away[1])
         off = np.where(known[0], np.where(known[1], nearest, away[0]), np.where(known[1], away[1], 0.0))
-        # Without the step after it a step is not judged yet: a drive may start within one.
+        # A step without one after it is not judged yet: a drive may start within one step.
         decided = known[1] | (np.append(cut[1:], False) & known[0])
         wide = judged & decided & (np.abs(off) > _JUMP)
         if self._speed is not None:
@@ -151,7 +151,7 @@ class Steps:
         return wide, off
 
     def _mark(self, marks: Mask, place: int, off: float, held: int) -> None:
-        """Mark the sample of a jump; one back ends a spike, whose samples are marked instead."""
+        """Mark the sample after a jump; a jump back ends a spike, whose samples are marked instead."""
         if self._jumped is not None:
             begun, by = self._jumped
             if place - begun <= _SPIKE and off * by < 0.0 and abs(off + by) <= max(_JUMP, 0.5 * abs(by)):
@@ -164,14 +164,14 @@ class Steps:
 
 
 class Plausibility:
-    """Judges the two angles of a drive, block by block: by their steps, and with a ratio by its line.
+    """Judges the two angles of a drive, block by block: by their steps and, given a ratio, by the line of the ratio.
 
     Parameters
     ----------
     ratio
         Signed ratio input/output of the drive between the encoders, or None.
     limits
-        Limits of the encoders.
+        Limits of the encoders; None: the default limits.
 
     Examples
     --------
@@ -212,7 +212,7 @@ class Plausibility:
         Returns
         -------
         implausible, findings
-            Of shape (n,) by role, and one finding for each fault that begins; one may have begun before the block.
+            Masks of shape (n,) by role, and one finding for each new fault; it may have begun before the block.
         """
         marks: dict[str, Mask] = {}
         found: list[Finding] = []
@@ -258,7 +258,7 @@ class Plausibility:
             place = np.arange(own.size) if own is time else np.searchsorted(time, own)
             inside = (place < time.size) & kept[role]
             place = np.minimum(place, time.size - 1)
-            mine[inside & returned[place]] = False  # what is back on the line did jump, to where it belongs
+            mine[inside & returned[place]] = False  # the jump was the return to the line
             mine |= inside & by_role[role][place]
             mine |= ~inside & kept[role] & self._line.still_away(role, blocks[role].value)
         jumps_said = {(f.time, role) for f in found for role in f.roles}
@@ -267,7 +267,7 @@ class Plausibility:
         return marks, found + [f for f in said if not any((f.time, role) in jumps_said for role in f.roles)]
 
     def _paired(self) -> tuple[FloatArray, dict[str, FloatArray], Mask, dict[str, Mask]] | None:
-        """Return the times at which both angles are known, and the angles; later samples wait."""
+        """Return times at which both angles are known, the angles, gaps and jumps; later samples wait."""
         turning, driven = (_Judged.joined(self._waiting[role]) for role in ANGLES)
         if turning.time.size == driven.time.size and np.array_equal(turning.time, driven.time):
             self._waiting = {role: [] for role in ANGLES}

@@ -1,4 +1,4 @@
-"""Two angles judged by the line of the ratio: input angle / ratio, from which a drive deviates only a little."""
+"""Two angles judged by the line of the ratio, input angle / ratio, from which a drive deviates only slightly."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from drivers.recording_format.schema import (
     FloatArray,
 )
 
-_SPIKE = 3  # samples after which a jump back ends a spike
-_FOLLOW = 0.25  # of the way: a line that runs away slower than this is a wrong ratio or a clock that drifts
-_STAMPS = 0.01  # s: one angle may be later than the other by so much (a filter, a delay that nobody stated)
+_SPIKE = 3  # samples within which a jump back ends a spike
+_FOLLOW = 0.25  # of the travel: a slower drift off the line is a wrong ratio or clock drift
+_STAMPS = 0.01  # s: unstated delay of one angle against the other, such as a filter's
 _SEEN = 8  # samples that make a line
-_ESTABLISHED = 4.0  # deviations of way over which a line has held
-_LOCKED = 4.0  # deviations that an input which never moved may be away: a loop with the input locked
-_SMALL = 0.02  # of the deviation: a jump that moves the angles less from the line does not show in it
-_EQUAL = 3  # samples that stand still
+_ESTABLISHED = 4.0  # travel, in largest deviations, after which a line is established
+_LOCKED = 4.0  # largest deviations allowed while the input has never moved: a loop with the input locked
+_SMALL = 0.02  # of the largest deviation: a smaller jump does not show as one off the line
+_EQUAL = 3  # equal samples that make a stuck encoder
 
 
 @dataclasses.dataclass
 class _Away:
-    """An angle that is off the line: between which deviations it is back, whose fault, the line's deviation before it.
+    """An angle off the line: deviations between which it is back, roles at fault, deviation before the fault, rad.
 
-    `value` is what a stuck encoder shows.
+    `value` is the constant value of a stuck encoder, rad.
     """
 
     low: float
@@ -43,9 +43,9 @@ class _Away:
 
 @dataclasses.dataclass
 class _Last:
-    """The sample before: time, angles, deviation, that of the one before it, and the rates of both, rad/s, output's.
+    """The previous sample: time, s, angles and deviation, rad, deviation of the one before, rates, rad/s of the output.
 
-    `returned`: it was the first back on the line.
+    `returned`: it was the first sample back on the line.
     """
 
     time: float
@@ -60,7 +60,7 @@ class _Last:
 
 @dataclasses.dataclass
 class _Stretch:
-    """Samples of both angles without a gap between: arrays of one length."""
+    """Gapless samples of both angles: arrays of equal length."""
 
     time: FloatArray
     turning: FloatArray
@@ -70,16 +70,16 @@ class _Stretch:
 
 
 class Line:
-    """Judges two angles, taken at the same instants, by the line of the ratio, block by block.
+    """Judges two angles, sampled at the same times, by the line of the ratio, block by block.
 
     Parameters
     ----------
     ratio
         Signed ratio input/output.
     limits
-        What the encoders can show.
+        Limits of the encoders.
     apart
-        s by which the two angles' times may be wrong against each other, such as stamps of a busy host.
+        Largest error of the two angles' times against each other, s, such as from stamps of a busy host.
     """
 
     def __init__(self, ratio: float, limits: Limits, apart: float = 0.0) -> None:
@@ -87,9 +87,9 @@ class Line:
         self._wide = limits.deviation + 2.0 * (limits.output_resolution + limits.input_resolution / abs(ratio))
         self._apart = apart
         self._stamps = _STAMPS + apart
-        self._turns = 0.0  # of the input that were lost in gaps, as deviation
-        self._runs = [0, 0]  # samples before this one that are equal to it
-        self._stood = [(0.0, 0.0)] * 2  # when these runs began, s, and the deviation then, rad
+        self._turns = 0.0  # input turns lost in gaps, as a deviation, rad
+        self._runs = [0, 0]  # number of equal samples before the last one
+        self._stood = [(0.0, 0.0)] * 2  # start of these runs, s, and the deviation then, rad
         self._moved = False
         self._last: _Last | None = None
         self._travel = 0.0
@@ -100,16 +100,16 @@ class Line:
     def add(
         self, time: FloatArray, angles: Mapping[str, FloatArray], broken: Mask, jumps: Mapping[str, Mask]
     ) -> tuple[dict[str, Mask], Mask, list[Finding]]:
-        """Return which of the next samples are implausible, by role, which are back on the line, and what was found.
+        """Return masks of implausible samples by role, the mask of those back on the line, shape (n,), and findings.
 
         Parameters
         ----------
         time, angles
-            s, and rad by role, shape (n,).
+            Times, s, and angles by role, rad, shape (n,).
         broken
-            Where a gap lies before a sample, in which the crank may have turned unseen, shape (n,).
+            Mask of the samples after a gap, in which the crank may have turned unseen, shape (n,).
         jumps
-            Where `Steps` found a jump, by role, shape (n,).
+            Masks of the jumps that `Steps` found, by role, shape (n,).
         """
         marks = {role: np.zeros(time.size, np.bool_) for role in ANGLES}
         returned = np.zeros(time.size, np.bool_)
@@ -129,13 +129,13 @@ class Line:
         return marks, returned, found
 
     def still_away(self, role: str, values: FloatArray) -> Mask:
-        """Return which values, behind all that was judged, go on with a fault that was there at its end, shape (n,)."""
+        """Return the mask of later values, not judged yet, that continue the present fault, shape (n,)."""
         if self._away is None or role not in self._away.roles:
             return np.zeros(values.size, np.bool_)
         return np.ones(values.size, np.bool_) if self._away.value is None else values == self._away.value
 
     def _stretch(self, given: _Stretch, gap: bool, marks: dict[str, Mask], returned: Mask) -> Iterator[Finding]:
-        """Judge samples without a gap but before the first."""
+        """Judge gapless samples; `gap`: there is a gap before the first."""
         time, size = given.time, given.time.size
         line = given.turning / self._ratio
         if gap and self._last is not None:
@@ -153,7 +153,7 @@ class Line:
         speed = np.maximum(np.abs(turned), np.abs(driven)) / lasts
         usual = np.minimum(speed, 4.0 * np.median(speed)) if size > 2 else speed
         if before is not None and before.returned and (given.turning_jumps[0] or given.driven_jumps[0]):
-            given.turning_jumps[0] = given.driven_jumps[0] = False  # it was back to where it belongs
+            given.turning_jumps[0] = given.driven_jumps[0] = False  # the jump was the return to the line
             returned[0] = True
         sudden, whose, rates = self._sudden(turned, driven, lasts, usual, given, before)
         was = np.concatenate([[off[0] if before is None else before.off], off[:-1]])
@@ -188,7 +188,7 @@ class Line:
                 at, sudden[end] = end + 1, False
             elif (found := self._departure(end, given, off, runs, marks)) is not None:
                 yield found
-            else:  # there is no line yet that it departs from
+            else:  # no line is established yet
                 self._begin(keep=False)
                 self._low = self._high = float(off[end])
         self._moved = bool(moved[-1])
@@ -200,9 +200,9 @@ class Line:
         self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(was[-1]), *rates, bool(returned[-1]))
 
     def _keeps(self, given: _Stretch, off: FloatArray, before: _Last) -> bool:
-        """Take samples that are so near to the line that nothing can be wrong with them; False where they are not.
+        """Accept samples so close to the line that they cannot be at fault; False if they are not.
 
-        That is what a sound bench gives for hours, at a fifth of the time.
+        A sound bench delivers such samples for hours; this takes a fifth of the time of the full check.
         """
         if self._away is not None or before.returned or not (self._held and self._moved) or off.size < _SEEN:
             return False
@@ -234,7 +234,7 @@ class Line:
         return True
 
     def _recount(self, off: float) -> None:
-        """Take whole turns of the input that passed unseen in a gap for what they are."""
+        """Correct the deviation for whole input turns missed in a gap."""
         assert self._last is not None
         turn = 2.0 * math.pi / abs(self._ratio)
         was = self._last.off if self._away is None else self._away.middle
@@ -242,7 +242,7 @@ class Line:
             self._turns -= round((off + self._turns - was) / turn) * turn
 
     def _equal(self, place: int, step: FloatArray, *, fresh: bool) -> npt.NDArray[np.int64]:
-        """Return of each sample how many before it are equal to it."""
+        """Return the number of equal samples directly before each sample, shape (n,)."""
         number = np.arange(step.size)
         changed = step != 0.0
         if fresh:
@@ -256,9 +256,9 @@ class Line:
         self, turned: FloatArray, driven: FloatArray, lasts: FloatArray, speed: FloatArray, given: _Stretch,
         before: _Last | None,
     ) -> tuple[Mask, npt.NDArray[np.int64], tuple[float, float]]:  # fmt: skip
-        """Return where the deviation leaps beyond what the motion before explains, and whose leap it is.
+        """Return the mask of jumps of the deviation that the motion before does not explain, and whose each jump is.
 
-        0 is the input's. Third the rates of both before the next sample, rad/s of the output.
+        0 is the input, 1 the output. The third result is the rates of both before the next sample, rad/s of the output.
         """
         steps = np.array([turned, driven])
         first = np.zeros(2) if before is None else np.array([before.turning_rate, before.driven_rate])
@@ -277,8 +277,8 @@ class Line:
         leaps = beyond(number, number) if max(change.max(), -change.min()) > 0.5 * self._wide else np.zeros_like(steps)
         sudden = np.abs(leaps[1] - leaps[0]) > allowed
         if before is None:
-            sudden[:2] = False  # the first has no step, the second none before it
-        for at in np.flatnonzero(sudden).tolist():  # behind a leap the motion is what it was before it
+            sudden[:2] = False  # the first has no step, the second no step before its own
+        for at in np.flatnonzero(sudden).tolist():  # compare with the motion before the jump
             begun = at
             while begun > 0 and sudden[begun - 1] and at - begun < _SPIKE:
                 begun -= 1
@@ -297,10 +297,10 @@ class Line:
     def _leap(
         self, at: int, given: _Stretch, off: FloatArray, was: FloatArray, whose: int, marks: dict[str, Mask]
     ) -> Finding:
-        """Take the angles for off the line from a leap on, where there is a line."""
+        """Mark a jump; with a line, the angle counts as off it from there on."""
         role, before = ANGLES[whose], float(was[at])
         if at == 0 and self._last is not None and abs(off[at] - before) < abs(off[at] - self._last.earlier):
-            before = self._last.earlier  # a jump of the newest sample shows with the next
+            before = self._last.earlier  # a jump of the newest sample shows only with the next one
         by = float(off[at]) - before
         if self._seen >= _SEEN and abs(by) > _SMALL * self._wide:
             half = min(0.5 * abs(by), 2.0 * self._wide)
@@ -314,7 +314,7 @@ class Line:
     def _departure(
         self, at: int, given: _Stretch, off: FloatArray, runs: list[npt.NDArray[np.int64]], marks: dict[str, Mask]
     ) -> Finding | None:
-        """Tell what a departure from the line is; None where there is no line yet that it departs from."""
+        """Return the cause of a departure from the line; None if no line is established yet."""
         if self._seen < _SEEN:
             return None
         stuck = [place for place in (0, 1) if runs[place][at] >= _EQUAL]
@@ -336,7 +336,7 @@ class Line:
             return None
         low, high = self._span
         middle = 0.5 * (self._low + self._high)
-        if high - low > 2.0 * self._wide:  # a line that has run away slowly is where it is now
+        if high - low > 2.0 * self._wide:  # the line has drifted: use its present place
             low = high = middle
         by = math.degrees(float(off[at]) - middle)
         self._away = _Away(min(low, high - self._wide), max(high, low + self._wide), ANGLES, middle)
@@ -352,7 +352,7 @@ class Line:
         high: FloatArray,
         travel: FloatArray,
     ) -> None:
-        """Let the line hold these samples too."""
+        """Add these samples to the line."""
         if not line.size:
             return
         self._low, self._high, self._travel = float(low[-1]), float(high[-1]), float(travel[-1])
@@ -371,7 +371,7 @@ class Line:
             self._ranges = [(math.inf, -math.inf)] * 2
 
     def _begin(self, *, keep: bool) -> None:
-        """Begin a line anew; `keep` what is known of how well the one before held."""
+        """Begin a new line; `keep`: it counts as established if the previous one was."""
         self._low, self._high, self._travel, self._span = math.inf, -math.inf, 0.0, (math.inf, -math.inf)
         if not keep:
             self._seen, self._held, self._ranges = 0, False, [(math.inf, -math.inf)] * 2

@@ -32,7 +32,7 @@ from drivers.recording_format.schema import (
 from drivers.recording_format.writer import END_OF_STREAM, MESSAGE
 
 _SEARCH_BYTES = 1 << 20
-_PIECE_BYTES = 1 << 22  # of a file, decoded at a time
+_PIECE_BYTES = 1 << 22  # of the file, decoded together
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Recording:
     header
         Channels and conditions.
     samples
-        Samples of every channel by its name, in the order of the file; length 0 where a channel has none.
+        Samples by channel name, in the order of the file; of length 0 if a channel has none.
     events
         All events in the order of the file, `time` in seconds since the start.
     problems
@@ -66,27 +66,27 @@ class Recording:
     problems: tuple[str, ...]
 
     def clock(self, channel: str) -> Clock | None:
-        """Return the last estimate of a channel's clock; None if it has none."""
+        """Return the last estimate of a channel's device clock, or None."""
         clocks = clocks_of(self.events).get(channel, {})
         return clocks[max(clocks)] if clocks else None
 
     def aligned_time(self, channel: str) -> FloatArray:
         """Return the times of a channel's samples, s since the start on the host's clock, shape (n,).
 
-        By the device clock if its offset and drift were estimated: without the delays to the host that `time_host` has.
-        Otherwise `time_host`.
+        They are from the device clock if its offset and drift were estimated, and then free of the varying delay in
+        `time_host`; otherwise they are `time_host`.
         """
         return Alignment(clocks_of(self.events).get(channel, {})).time(self.samples[channel])
 
 
 def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header, list[str]]:
-    """Return the header of a recording, and a sentence if it is damaged."""
+    """Return the header of a recording, and one sentence if it is damaged."""
     try:
         text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
     except UnicodeDecodeError:
         raise edge.InputError(f"{source}: the recording's header is damaged; it is not text.") from None
     if "format" not in text:
-        raise edge.InputError(f"{source}: this is an Arrow stream but not a recording; it names no format.")
+        raise edge.InputError(f"{source}: this is an Arrow stream but not a recording; it states no format.")
     if text["format"] != FORMAT:
         raise edge.InputError(f'{source}: format = {edge.shown(text["format"])}: this version reads "{FORMAT}".')
     with edge.parsed_by_others(source, "the recording's header can't be understood"):
@@ -94,22 +94,21 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header
         header = pydantic.TypeAdapter(Header).validate_python({**said, "pair": text["pair"], "start": text["start"]})
         if not all(channel.name.isprintable() for channel in header.channels):
             raise ValueError("a channel's name must be printable")
-    # Without its checksum it is one of the first recordings, unless a damaged key stands in the place.
+    # A header without checksum is from an early recording, unless its key is damaged.
     unknown = text.keys() - recording_metadata(header).keys() - {HEADER_CRC}
     if not unknown and text.get(HEADER_CRC) in (None, header_checksum(text)):
         return header, []
     return header, [
         f"{source}: the header is damaged, its CRC-32 is wrong: its data on channels (units, counts per turn, "
-        "direction, zero), conditions, ratio, pair or start may be wrong; the samples have checksums of their own."
+        "direction, zero), conditions, ratio, pair or start may be wrong; the samples have their own checksums."
     ]
 
 
 class RecordingReader:
-    """A recording read batch by batch, at constant memory; it may be cut, damaged or still growing.
+    """Reads a recording batch by batch, in constant memory; it may be truncated, damaged or still growing.
 
-    A context manager. A batch whose CRC-32 is wrong is left out. After damaged bytes, the next batch with a correct
-    CRC-32 is searched and reading continues there. The next sample of each channel that may have lost samples is marked
-    "gap before".
+    A context manager. A batch with a wrong CRC-32 is left out. After damaged bytes, reading continues at the next batch
+    with a correct CRC-32. In each channel that may have lost samples, the next sample is marked "gap before".
 
     Parameters
     ----------
@@ -121,7 +120,7 @@ class RecordingReader:
     header
         Channels and conditions.
     problems
-        One sentence for each problem of the file, as far as it was read.
+        One sentence for each problem of the file found so far.
     complete
         Number of complete batches read.
 
@@ -139,7 +138,7 @@ class RecordingReader:
         self._file = pa.OSFile(self.source, "rb")
         with edge.parsed_by_others(self.source, "this is not a recording, or it was cut within its header"):
             message = pa.ipc.read_message(self._file)
-            if message.type != "schema":  # Arrow does not ask, and ends the process
+            if message.type != "schema":  # Arrow does not check this, and would end the process
                 raise ValueError(f"it begins with {message.type}, not with a schema")
             schema = pa.ipc.read_schema(message)
             names = edge.listed(schema.names)
@@ -170,11 +169,11 @@ class RecordingReader:
         Parameters
         ----------
         growing
-            The end is the recorder's present position, not a cut: it is not a problem, and a later call continues
+            Whether a recorder may still be writing the file: its end is then no problem, and a later call continues
             there.
         together
-            The batches of a channel in a few megabytes of the file are joined if all are intact: a recording of 11.5
-            million samples is read whole in 0.7 of the processor time.
+            Whether to join the batches of a channel in a few megabytes of the file if all are intact: a recording of
+            11.5 million samples is then read in 0.7 of the processor time.
         """
         while True:
             batches, ends = self._sound()
@@ -191,7 +190,7 @@ class RecordingReader:
                 self._offset = end
                 if (taken := self._judged(one)) is not None:
                     yield taken
-            # What is read many at a time stops at the end, at damage and where a piece is cut: one by one from there.
+            # Reading many together stops at the end, at damage and at the end of a piece: continue one by one.
             size = self._path.stat().st_size
             if self._bytes(self._offset, 8) == END_OF_STREAM:
                 return
@@ -206,7 +205,7 @@ class RecordingReader:
                         )
                     else:
                         self.problems.append(
-                            f"{self.source}: it is cut or damaged after {self.complete} complete batches; "
+                            f"{self.source}: it is truncated or damaged after {self.complete} complete batches; "
                             "these were read."
                         )
                     return
@@ -220,7 +219,7 @@ class RecordingReader:
     def _judged(
         self, decoded: tuple[int, Samples, tuple[Event, ...]] | Exception
     ) -> tuple[Samples, tuple[Event, ...]] | None:
-        """Return samples and events of the next batch, marked where something is lost before; None if it is wrong."""
+        """Return the next batch, with its first sample marked after a loss; None if it is damaged."""
         if isinstance(decoded, Exception):
             self._left_out(decoded)
             return None
@@ -236,7 +235,7 @@ class RecordingReader:
         return self._marked(samples), said
 
     def _marked(self, samples: Samples) -> Samples:
-        """Return samples with the first marked where some of the channel may be lost before it."""
+        """Return samples, the first one marked if samples of the channel may be lost before it."""
         if not len(samples) or samples.channel not in self._lost:
             return samples
         self._lost.discard(samples.channel)
@@ -251,7 +250,7 @@ class RecordingReader:
         self._next_sequence += 1
 
     def _sound(self) -> tuple[list[Batch], list[int]]:
-        """Return the next batches and the byte where each ends, as far as one piece of the file holds them."""
+        """Return the next batches that one piece of the file holds, and the byte at which each ends."""
         begin = self._offset - len(self._preamble)
         source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
         batches: list[Batch] = []
@@ -267,12 +266,12 @@ class RecordingReader:
 
     @property
     def size(self) -> int:
-        """Bytes of the file."""
+        """Size of the file, bytes."""
         return int(self._path.stat().st_size)
 
     @property
     def position(self) -> int:
-        """Byte up to which it was read."""
+        """Byte up to which the file was read."""
         return self._offset
 
     def _bytes(self, offset: int, count: int) -> bytes:
@@ -280,7 +279,7 @@ class RecordingReader:
         return bytes(self._file.read(count))
 
     def _message(self, offset: int, size: int) -> tuple[bytes | None, int] | None:
-        """Return a batch (None if it is none) here and where the message ends; None if there is no message."""
+        """Return the bytes and end of the message here; bytes None if it is no batch; None if there is no message."""
         if offset + 8 > size or self._bytes(offset, 4) != MESSAGE:
             return None
         try:
@@ -294,16 +293,16 @@ class RecordingReader:
         return (self._bytes(offset, end - offset) if message.type == "record batch" else None), end
 
     def _decoded(self, data: bytes) -> tuple[int, Samples, tuple[Event, ...]] | Exception:
-        """Return the batch of a message, as the one batch of a stream, or what is wrong with it."""
+        """Return the decoded batch of a message, or the reason why it is damaged."""
         try:
             with pa.ipc.open_stream(pa.BufferReader(self._preamble + data)) as reader:
                 reader.read_next_batch()
                 return next(decoded([reader.read_next_batch_with_custom_metadata()], self._names))
-        except (ValueError, OSError, pa.ArrowException, StopIteration) as problem:  # OSError of lengths beyond the end
+        except (ValueError, OSError, pa.ArrowException, StopIteration) as problem:  # OSError: lengths beyond the end
             return problem
 
     def _resume(self, size: int) -> bool:
-        """Find the next batch that can be trusted behind a damaged place and go on there; False if there is none."""
+        """Continue at the next batch with a correct CRC-32 after damage; False if there is none."""
         position = self._good_end + 8
         while position < size:
             block = self._bytes(position, _SEARCH_BYTES)
@@ -313,7 +312,7 @@ class RecordingReader:
                 taken = self._message(at, size) if at % 8 == 0 else None
                 if taken is not None and taken[0] is not None and not isinstance(self._decoded(taken[0]), Exception):
                     self.problems.append(
-                        f"{self.source}: damaged from byte {self._good_end} on; reading went on at byte {at}."
+                        f"{self.source}: damaged from byte {self._good_end} on; reading continued at byte {at}."
                     )
                     self._lost = set(self._names)
                     self._offset = at
@@ -326,7 +325,7 @@ class RecordingReader:
 
 
 def _preamble(schema: pa.Schema, names: Sequence[str]) -> bytes:
-    """Return the start of a stream, to the end of an empty batch: schema and the dictionary of channel names."""
+    """Return the start of a stream up to an empty batch: the schema and the dictionary of channel names."""
     sink = pa.BufferOutputStream()
     columns = [pa.DictionaryArray.from_arrays(pa.array([], pa.int16()), pa.array(names, pa.string()))]
     columns += [pa.array([], kind) for kind, _, _ in COLUMNS.values()]
@@ -366,9 +365,9 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
 def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict[str, dict[int, Clock]]:
     """Return the device clocks of channels for `Alignment`: {channel: {number of restarts: clock}}.
 
-    Channels without a device clock are not in it, nor those that are too short. Two channels with stamps of one clock,
-    those of one CAN interface or latched by one SYNC, share the better of its two estimates: equal times stay equal. If
-    no channel has a device clock, the file is read only to each one's first samples.
+    Channels without a device clock, or too short for an estimate, are absent. Two channels stamped by one clock, that
+    of a CAN interface or of the SYNC that latched both, get the better of the two estimates, so that equal times stay
+    equal. If no channel has a device clock, the file is read only up to the first samples of each channel.
 
     Raises
     ------
@@ -398,11 +397,11 @@ def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict
 
 
 def _clock_device(time_source: str) -> str | None:
-    """Return the device whose hardware clock stamps a channel; None if there is none."""
+    """Return the device whose hardware clock stamps a channel, or None."""
     return time_source.rpartition(" (")[2] if time_source.startswith("hardware clock") else None
 
 
 def _stamps(samples: Samples) -> set[tuple[float, float]]:
-    """Return the pairs of device and host time of samples: two clocks have none in common."""
+    """Return the pairs of device and host time of samples; stamps of different clocks have none in common."""
     assert samples.time_device is not None
     return set(zip(samples.time_device.tolist(), samples.time_host.tolist(), strict=True))

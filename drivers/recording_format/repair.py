@@ -1,4 +1,4 @@
-"""Recovery of cut or damaged recordings."""
+"""Recovery of truncated or damaged recordings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from drivers.recording_format.writer import RecordingWriter, check_new
 
 @dataclasses.dataclass
 class HeldChannel:
-    """Recovered content of a channel: samples, how many follow a gap, first and last `time_host` in s."""
+    """Recovered content of a channel: number of samples, of samples after a gap, and first and last `time_host`, s."""
 
     samples: int = 0
     gaps: int = 0
@@ -33,8 +33,8 @@ class HeldChannel:
 class Repaired:
     """The intact content of a recording.
 
-    Header, content of each channel by name, numbers of batches and events, and one sentence for each problem; none if
-    the file is complete.
+    Header, content by channel name, numbers of batches and events, and one sentence for each problem, none if the file
+    is complete.
     """
 
     header: Header
@@ -50,16 +50,16 @@ def repair(
     *,
     progress: Progress | None = None,
 ) -> Repaired:
-    """Read the intact content of a cut or damaged recording, and optionally write it as a new one.
+    """Read the intact content of a truncated or damaged recording, and optionally write it to a new file.
 
     Parameters
     ----------
     recording
         The `.arrows` file; it is not changed.
     output
-        New recording, never a partial file, or None.
+        File for the recovered recording, never left partial; None: only read.
     progress
-        Called with the number of bytes read since the call before.
+        Called with the number of bytes read since the previous call.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def repair(
     with contextlib.ExitStack() as stack:
         reader = stack.enter_context(RecordingReader(recording))
         channels = {c.name: HeldChannel() for c in reader.header.channels}
-        # What is written has a checksum that is right: that the header was damaged must be in it.
+        # The new header gets a correct checksum, so it must state that the old one was damaged.
         damage = {"damaged header": " ".join(reader.problems)} if reader.problems else {}
         header = dataclasses.replace(reader.header, conditions={**reader.header.conditions, **damage})
         writer = None

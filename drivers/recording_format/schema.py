@@ -2,17 +2,17 @@
 
 This module needs no bus library: recorders write this format and evaluations read it.
 
-A file is a schema, record batches and an end mark. Every batch holds samples of one channel as they came, in the
+A file is a schema, record batches and an end mark. Every batch holds samples of one channel as received, in the
 columns `channel` (dictionary of the channels' names), `time_host`, `time_device`, `counts`, `value` and `status`.
 The schema's metadata, UTF-8 text, are `format`, `channels` (a JSON list of objects, the fields of `Channel`),
 `conditions` (a JSON object, SI numbers and text), `ratio` (JSON number or null), `pair`, `start` (ISO 8601, UTC) and
-`header_crc32`, the CRC-32 of the texts before, each behind its key, in this order; the first recordings have none.
+`header_crc32`, the CRC-32 of the preceding keys, each followed by its text, in this order; early recordings lack it.
 Each batch's custom metadata are `sequence` (decimal, from 0), `events` (a JSON list of {time, channel, text}) and
 `crc32` (eight hexadecimal digits).
 
 The CRC-32 is that of zlib and PNG, over these bytes in this order: `sequence` and `events` as stored, the channel's
 name in UTF-8, then the columns `time_host`, `time_device`, `counts`, `value`, `status` as little-endian arrays without
-padding, where a column that is null contributes nothing.
+padding; a column that is null contributes nothing.
 """
 
 from __future__ import annotations
@@ -60,19 +60,19 @@ class Channel:
     unit
         SI unit of the values: "rad", "N*m" or another.
     counts_per_turn
-        Counts of one turn; None if the channel has no counts.
+        Counts in one turn; None if the channel has no counts.
     direction
         +1 if the counts increase with the counter-clockwise angle, -1 if they decrease.
     zero
-        Value, in `unit`, of the sensor (with its direction) when the shaft is at zero; already subtracted.
+        Value of the sensor, with its direction, at the zero of the shaft, in `unit`; already subtracted.
     zero_reference
         "absolute": the zero is the same in every recording; "incremental": each recording has its own.
     identity
-        Identity reported by the device; after a semicolon its state when it was opened.
+        Identity reported by the device, and after a semicolon its state when it was opened.
     time_source
-        The event that `time_host` marks and its clock: the device of a hardware clock is in brackets at the end.
+        The clock of `time_host` and the event that it stamps; the device of a hardware clock is in brackets at the end.
     largest_speed
-        Of an angle, rad/s, if stated: faster steps are implausible.
+        Largest speed of an angle, rad/s, if stated; faster steps are implausible.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Channel:
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """An event of a channel: `time` in seconds on the host's clock, as the samples' `time_host`."""
+    """An event of a channel: `time` in seconds on the host's clock, like the samples' `time_host`."""
 
     time: float
     channel: str
@@ -106,16 +106,16 @@ class Samples:
     channel
         The channel's name.
     time_host
-        Seconds: in a recording since its `start`, directly from an encoder since 1970.
+        Time on the host's clock, s: in a recording since its `start`, from an encoder since 1970.
     time_device
-        Seconds on the device's own clock, or None if it has none.
+        Time on the device's own clock, s; None if it has none.
     counts
-        Unwrapped counts from the device, or None if it sends none.
+        Unwrapped counts from the device; None if it sends none.
     value
-        SI value: continuous radians of an angle, newton metres of a torque.
+        SI value: angles in rad, unwrapped; torques in N*m.
     status
-        Bits: 1 gap before, 2 checksum failed (before), 4 reset, 8 duplicate (it, or one left out before it), 16 out of
-        order, 32 rollover, 128 implausible.
+        Bits: 1 gap before, 2 checksum error (here or before), 4 reset, 8 duplicate (this sample, or one left out before
+        it), 16 out of order, 32 rollover, 128 implausible.
     """
 
     channel: str
@@ -136,12 +136,17 @@ class Samples:
         counts: npt.ArrayLike | None = None,
         status: npt.ArrayLike | None = None,
     ) -> Samples:
-        """Return samples of these arrays, converted; without `status` all samples are good.
+        """Return samples of these arrays, converted to the column types; without `status` no sample is marked.
+
+        Parameters
+        ----------
+        channel, time_host, value, time_device, counts, status
+            As in `Samples`.
 
         Raises
         ------
         ValueError
-            If an array isn't one-dimensional and of the same length as the others.
+            If an array is not one-dimensional or not of the same length as the others.
         """
         host = np.asarray(time_host, np.float64)
         made = cls(
@@ -154,7 +159,7 @@ class Samples:
         )
         shapes = {name: a.shape for name in COLUMNS if (a := getattr(made, name)) is not None}
         if len(host.shape) != 1 or len(set(shapes.values())) != 1:
-            raise ValueError(f"the samples of {channel} must be one-dimensional and of one length, not {shapes}")
+            raise ValueError(f"the samples of {channel} must be one-dimensional and of equal length, not {shapes}")
         return made
 
     def __len__(self) -> int:
@@ -163,7 +168,7 @@ class Samples:
 
 @dataclasses.dataclass(frozen=True)
 class Header:
-    """The header of a recording: channels, conditions (SI), signed ratio, pair's name, start in UTC."""
+    """The header of a recording: channels, conditions (SI), signed ratio input/output, pair's name, start in UTC."""
 
     channels: tuple[Channel, ...]
     conditions: Mapping[str, float | str]
@@ -184,14 +189,14 @@ COLUMN_DTYPES: Mapping[str, str] = {name: kind for name, (_, kind, _) in COLUMNS
 
 
 def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
-    """Return the CRC-32 of a batch as eight hexadecimal digits; the module's text defines the bytes."""
+    """Return the CRC-32 of a batch as eight hexadecimal digits; the module's docstring defines the bytes."""
     arrays = ((getattr(samples, name), kind) for name, kind in _BYTES_OF)
     parts = [np.ascontiguousarray(array, kind).data for array, kind in arrays if array is not None]
     return bytes_checksum(sequence, events, samples.channel, parts)
 
 
 def bytes_checksum(sequence: int, events: str, channel: str, parts: Iterable[memoryview]) -> str:
-    """Return `batch_checksum` of the bytes of a batch's columns, those that are not null."""
+    """Return `batch_checksum` from the bytes of a batch's columns that are not null."""
     crc = zlib.crc32(f"{sequence}{events}{channel}".encode())
     for part in parts:
         crc = zlib.crc32(part, crc)
@@ -199,9 +204,9 @@ def bytes_checksum(sequence: int, events: str, channel: str, parts: Iterable[mem
 
 
 def recording_metadata(header: Header) -> dict[str, str]:
-    """Return the header of a recording as texts, see the module."""
+    """Return the header of a recording as texts; see the module's docstring."""
     channels = [dataclasses.asdict(c) for c in header.channels]
-    for channel in channels:  # unstated it is left out: versions that do not know it read the recording
+    for channel in channels:  # omitted if not stated, so that earlier versions can read the recording
         if channel["largest_speed"] is None:
             del channel["largest_speed"]
     return {
@@ -215,7 +220,7 @@ def recording_metadata(header: Header) -> dict[str, str]:
 
 
 def header_checksum(texts: Mapping[str, str]) -> str:
-    """Return the CRC-32 of the header's texts as eight hexadecimal digits; the module's text defines the bytes."""
+    """Return the CRC-32 of the header's texts as eight hexadecimal digits; the module's docstring defines the bytes."""
     said = "".join(f"{key}{texts[key]}" for key in ("format", "channels", "conditions", "ratio", "pair", "start"))
     return f"{zlib.crc32(said.encode()):08x}"
 
@@ -240,7 +245,7 @@ def record_batch(samples: Samples, schema: pa.Schema, names: Sequence[str]) -> p
 
 
 def joined(name: str, blocks: Sequence[Samples], *, fill: bool = False) -> Samples:
-    """Return a channel's blocks as one; a column that one of them lacks is None, with `fill` NaN or 0 there."""
+    """Return a channel's blocks as one; a column that a block lacks is None or, with `fill`, NaN or 0 in that block."""
     columns: dict[str, npt.NDArray[Any] | None] = {}
     for column, (_, kind, optional) in COLUMNS.items():
         parts = [getattr(block, column) for block in blocks]

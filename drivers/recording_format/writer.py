@@ -1,4 +1,4 @@
-"""A recording being written, safe from a kill at any byte."""
+"""Writing of recordings, safe from a kill at any byte."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ import pyarrow as pa
 from cycloid_fmu import edge
 from drivers.recording_format.schema import Event, Header, Samples, batch_checksum, record_batch, recording_schema
 
-FLUSH_SECONDS = 1.0  # of samples that a power cut can cost; a kill costs none that `write` returned for
+FLUSH_SECONDS = 1.0  # of samples that a power cut may lose; a kill loses none for which `write` has returned
 
 
-MESSAGE = b"\xff\xff\xff\xff"  # what every message of an Arrow stream begins with, at a multiple of eight bytes
+MESSAGE = b"\xff\xff\xff\xff"  # start of every message of an Arrow stream, at a multiple of eight bytes
 END_OF_STREAM = MESSAGE + b"\x00\x00\x00\x00"
 
 
@@ -30,7 +30,7 @@ def check_new(path: str | os.PathLike[str]) -> None:
 
 
 class _Sink(io.RawIOBase):
-    """A file that has the header of a stream at once: Arrow's writer gives it only with the first batch.
+    """A file that has the stream's header from the start: Arrow's writer writes it only with the first batch.
 
     Each message is collected until `flush` and passed to the operating system in one piece.
     """
@@ -53,7 +53,7 @@ class _Sink(io.RawIOBase):
         return True
 
     def write(self, data: Any) -> int:
-        """Take a piece; the header that Arrow's writer repeats is passed over."""
+        """Collect a piece; skip the header that Arrow's writer repeats."""
         given = bytes(data)
         passed = min(self._skip, len(given))
         self._skip -= passed
@@ -61,16 +61,16 @@ class _Sink(io.RawIOBase):
         return len(given)
 
     def flush(self) -> None:
-        """Give what was taken to the operating system."""
+        """Pass the collected pieces to the operating system."""
         data, self._parts = b"".join(self._parts), []
         self._put(data)
 
 
 class RecordingWriter:
-    """A recording being written: every batch is with the operating system when `write` returns.
+    """Writes a recording; every batch has reached the operating system when `write` returns.
 
-    A kill loses at most the batch being written, a power cut at most the last `FLUSH_SECONDS`, the interval of syncs to
-    disk. The file is new: recordings are never overwritten.
+    A kill loses at most the batch being written; a power cut at most the last `FLUSH_SECONDS`, the interval at which
+    the file is synced to disk. The file must be new: recordings are never overwritten.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class RecordingWriter:
         try:
             with edge.naming(path):
                 self._sink = _Sink(self._descriptor, self._schema)
-        except OSError:  # not even the header: what is left is no recording
+        except OSError:  # without a header the file is no recording
             os.close(self._descriptor)
             os.unlink(path)
             raise
@@ -117,14 +117,14 @@ class RecordingWriter:
         self.close()
 
     def write(self, samples: Samples, events: Sequence[Event] = ()) -> None:
-        """Append samples of one channel and the events since the last batch; events without samples are a batch too.
+        """Append samples of one channel and the events since the last batch, as one batch; there may be no samples.
 
         Raises
         ------
         ValueError
             If the header has no such channel.
         OSError
-            If they can't be written; earlier batches stay readable, this one is cut off.
+            If the batch can't be written; it is removed, and earlier batches stay readable.
         """
         said = json.dumps([dataclasses.asdict(e) for e in events])
         metadata = {
@@ -149,7 +149,7 @@ class RecordingWriter:
             self._flushed = time.monotonic()
 
     def close(self) -> None:
-        """End the stream; after a failed write without the end mark, so that the file is recognised as not closed."""
+        """Close the file; after a failed write without the end mark, so that it is recognised as not closed."""
         if self._descriptor < 0:
             return
         try:

@@ -1,1 +1,1 @@
-"""Serial ports: one thread for each, questions and answers."""
+"""Serial ports: one thread per port, requests and answers."""

@@ -1,4 +1,4 @@
-"""Common part of all encoders on serial ports: a repeated request, and its answers."""
+"""Common base of all encoders on serial ports: a repeated request and its answers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import serial
 
-from drivers.counts import UnseenTurns
+from drivers.counts import UnseenTurns, counted
 from drivers.encoder import (
     EncoderConnectionError,
     EncoderProtocolError,
@@ -23,12 +23,12 @@ from drivers.serial.port import Exchange, PortHub, ports
 
 
 class SerialEncoder(HubEncoder[PortHub]):
-    """Common part of all encoders on serial ports: one repeated request, and its answers."""
+    """Common base of all encoders on serial ports: a repeated request and its answers."""
 
     shared = ports
     line = "port"
     where: str
-    asked = True  # False: the device sends by itself
+    asked = True  # False: the device sends without request
 
     def __init__(self, name: str, config: Any, port: PortConfig) -> None:
         super().__init__(name, config, port)
@@ -43,28 +43,28 @@ class SerialEncoder(HubEncoder[PortHub]):
         """Send the request and return the answer; called repeatedly by the port's thread."""
 
     def __enter__(self) -> Self:
-        """Open the port and ask the device once; see `Encoder.__enter__`."""
+        """Open the port and query the device once; see `Encoder.__enter__`."""
         try:
             return super().__enter__()
         except (serial.SerialException, OSError) as problem:
-            raise EncoderConnectionError(f"{self.where}: the port broke: {reason(problem, 'port')}.") from problem
+            raise EncoderConnectionError(f"{self.where}: the port failed: {reason(problem, 'port')}.") from problem
 
     def start(self) -> None:
-        """Poll it from now on."""
+        """Start polling."""
         assert self.hub is not None, "start() is for an encoder that is open"
-        if self._started:  # before: while the port was out, readings were missed
+        if self._started:  # before the port failed: readings were missed meanwhile
             self._pending |= GAP
         self._started = True
         self._answers = BlockQueue()
         self.hub.poll(self.question, self.asked, self._answers)
 
     def leave(self, hub: PortHub) -> None:
-        """Stop polling it."""
+        """Stop polling."""
         hub.stop_polling(self._answers)
 
     @property
     def waiting(self) -> int:
-        """Received answers that are not yet read."""
+        """Number of answers received but not yet read."""
         return self._answers.waiting
 
     def drain(self) -> None:
@@ -78,11 +78,11 @@ class SerialEncoder(HubEncoder[PortHub]):
         return self._lost
 
     def taken(self, timeout: float) -> list[Exchange]:
-        """Return the received answers; those missed by the recorder or lost by the port are events."""
+        """Return the received answers, waiting up to `timeout` s; losses of recorder and port become events."""
         exchanges: list[Exchange] = []
         for lost, block in self._answers.take(timeout):
             if lost:
-                self.say(block[0].time, f"{lost} reading lost: the recorder was too slow", GAP)
+                self.say(block[0].time, f"{counted(lost, 'reading')} lost: the recorder was too slow", GAP)
                 self._lost += lost
             exchanges += block
         for exchange in exchanges:
@@ -91,22 +91,22 @@ class SerialEncoder(HubEncoder[PortHub]):
         return exchanges
 
     def say(self, time_host: float, text: str, status: int = 0) -> None:
-        """Note an event, and status bits for the sample that comes next."""
+        """Add an event, and status bits for the next sample."""
         self._events.append(Event(time_host, self.name, text))
         self._pending |= status
 
     def marked(self, kept: npt.NDArray[np.intp], lost: npt.NDArray[np.bool_], wrong: npt.NDArray[np.bool_]) -> IntArray:
-        """Return the status of the readings kept: what was lost, or came wrong, stands before the next one kept.
+        """Return the status bits of the readings kept, shape (k,): bits of a lost reading go to the next one kept.
 
         Parameters
         ----------
         kept
-            Places of the readings kept, shape (k,).
+            Indices of the readings kept, shape (k,).
         lost, wrong
-            Which readings are missing, and which of them came with a wrong checksum, shape (n,).
+            Masks of the readings lost, and of those with a wrong checksum, shape (n,).
         """
         marks = np.zeros(len(kept) + 1, np.int64)
-        # bitwise_or.at, because several losses may come before the same sample
+        # bitwise_or.at, because several losses may precede the same sample
         np.bitwise_or.at(marks, np.searchsorted(kept, np.flatnonzero(lost)), GAP)
         np.bitwise_or.at(marks, np.searchsorted(kept, np.flatnonzero(wrong)), GAP | CHECKSUM)
         marks[0] |= self._pending
@@ -114,15 +114,15 @@ class SerialEncoder(HubEncoder[PortHub]):
         return marks[:-1]
 
     def events(self) -> list[Event]:
-        """Return lost readings; see `Encoder.events`."""
+        """Return the events of lost readings; see `Encoder.events`."""
         return drained(self._events)
 
 
 class PolledEncoder(SerialEncoder):
-    """An encoder that is asked and answers with a fixed number of bytes that carry a checksum.
+    """An encoder that answers each request with a fixed number of bytes and a checksum.
 
-    An answer whose checksum fails, or that does not come, is never an angle: the sample is left out, the next good one
-    is marked (gap before; checksum failed) and an event says how many there were.
+    A missing answer, or one with a wrong checksum, is never used as an angle: the sample is left out, the next valid
+    one is marked (gap before; checksum error), and an event reports the number.
     """
 
     answer_bytes: int
@@ -130,15 +130,15 @@ class PolledEncoder(SerialEncoder):
 
     @abc.abstractmethod
     def checked(self, answers: list[bytes]) -> npt.NDArray[np.bool_]:
-        """Return which of these answers, all of the full length, the checksum confirms, shape (n,)."""
+        """Return the mask of answers with a correct checksum, shape (n,); all have the full length."""
 
     def asked_once(self, hub: PortHub) -> bytes:
-        """Return one good answer.
+        """Query the device once and return its answer.
 
         Raises
         ------
         EncoderTimeout, EncoderProtocolError
-            If none comes, or a wrong one.
+            If it does not answer, or its answer is invalid.
         """
         answer = hub.exchange(self.question, self.asked).answer
         if not answer:
@@ -148,30 +148,40 @@ class PolledEncoder(SerialEncoder):
         return answer
 
     def over_gaps(self, unseen: UnseenTurns, times: FloatArray, counts: IntArray, status: IntArray) -> IntArray:
-        """Return counts as `unseen` gives them; where turns may have been unseen is an event, a gap and a reset.
+        """Return the counts corrected by `unseen`; where turns may have been missed, mark gap and reset, with an event.
 
         Parameters
         ----------
+        unseen
+            The correction for rollovers missed in gaps.
         times, counts, status
-            Of the readings, shape (k,); `status` gets the marks.
+            Times, s, counts and status bits of the readings, shape (k,); `status` is changed in place.
         """
         counts, turned = unseen(times, counts, status & GAP > 0)
         status |= turned * (GAP | RESET)
         for i in np.flatnonzero(turned):
-            self.say(times[i], "it may have turned unseen by half a range and more: counted on by the speed before")
+            self.say(
+                times[i], "it may have turned by half a range or more in a gap: extrapolated from the speed before"
+            )
         return counts
 
     @abc.abstractmethod
     def samples(self, times: FloatArray, answers: list[bytes], status: IntArray) -> Samples:
-        """Return the samples of good answers, all arguments of shape (k,), k > 0."""
+        """Return the samples of valid answers.
+
+        Parameters
+        ----------
+        times, answers, status
+            Times, s since 1970, valid answers and status bits of the readings, k > 0 each.
+        """
 
     def read(self, timeout: float) -> Samples | None:
-        """Return the positions that came; see `Encoder.read`."""
+        """Return the new positions; see `Encoder.read`."""
         times, answers, status = self.judged(self.taken(timeout))
         return self.samples(times, answers, status) if answers else None
 
     def judged(self, exchanges: list[Exchange]) -> tuple[FloatArray, list[bytes], IntArray]:
-        """Leave out what the checksum doesn't confirm and mark what follows it: times, answers, status, shape (k,)."""
+        """Return times, s, answers and status of the valid readings, k each, marked where others are left out."""
         times = np.array([e.time for e in exchanges])
         there = np.array([len(e.answer) == self.answer_bytes for e in exchanges], bool)
         late = there & np.array([e.late for e in exchanges], bool)
@@ -182,12 +192,12 @@ class PolledEncoder(SerialEncoder):
         for which, what in (
             (~there, "no answer"),
             (wrong, f"wrong {self.checksum_name.replace(' are', '')}"),
-            (late & right, "it took so long that its time is unknown"),
+            (late & right, "it took too long, so its time is unknown"),
         ):
             if which.any():
                 first = int(np.flatnonzero(which)[0])
                 shown = f" (0x{exchanges[first].answer.hex()})" if exchanges[first].answer else ""
-                self.say(times[first], f"{int(which.sum())} reading lost: {what}{shown}")
+                self.say(times[first], f"{counted(int(which.sum()), 'reading')} lost: {what}{shown}")
         kept = np.flatnonzero(right & ~late)
         self._lost += len(exchanges) - len(kept)
         noted = np.array([bool(e.note) for e in exchanges], bool)

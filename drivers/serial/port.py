@@ -1,4 +1,4 @@
-"""One thread for each serial port: it sends the channels' requests in turn and passes the answers on in blocks."""
+"""One thread per serial port, which sends the channels' requests in turn and passes on the answers in blocks."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from drivers.encoder import (
 from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, reason
 from drivers.lines import no_terminal
 
-ANSWER_SECONDS = 0.1  # far above the encoders' microseconds: it covers a USB adapter and a busy machine
+ANSWER_SECONDS = 0.1  # far above the encoders' microseconds, for USB adapters and busy machines
 
-MIDDLE = "host clock: middle of the serial exchange"  # where an answer's stamp is
+MIDDLE = "host clock: middle of the serial exchange"  # time stamp of an answer
 
-_WRITE_SECONDS = 1.0  # that a question may take to go out
-_FEW_BYTES, _FRESH = 256, 2  # found on a port so often in turn, nothing of them can have waited long
-_SILENT_ANSWERS = 2.5  # ANSWER_SECONDS that an exchange of two questions may take where nothing answers
-_DRAIN_SECONDS = 1.0  # a line that sends without a pause is never empty
-_BUFFER_FULL = 4095  # bytes that Linux holds for a reader of a terminal: more may be lost
-_LINE_COUNTS = struct.Struct("=20i")  # serial_icounter_struct of linux/serial.h, as TIOCGICOUNT fills it
+_WRITE_SECONDS = 1.0  # longest time for writing a request
+_FEW_BYTES, _FRESH = 256, 2  # after this many reads in a row that find at most so few bytes, none have waited long
+_SILENT_ANSWERS = 2.5  # ANSWER_SECONDS that two requests without an answer may take
+_DRAIN_SECONDS = 1.0  # most time for a device that sends without pause
+_BUFFER_FULL = 4095  # bytes that Linux buffers for a terminal; more may be lost
+_LINE_COUNTS = struct.Struct("=20i")  # serial_icounter_struct of linux/serial.h, filled by TIOCGICOUNT
 _GET_LINE_COUNTS = 0x545D  # TIOCGICOUNT of asm-generic/ioctls.h
 _LINE_ERRORS = {6: "framing errors", 7: "overruns", 8: "parity errors", 10: "buffer overruns"}
 
 
 class Exchange(NamedTuple):
-    """The answer to a request, or data sent by a device on its own: time, in seconds since 1970, and the bytes.
+    """The answer to a request, or data sent by a device on its own: time, s since 1970, and bytes.
 
-    `note` says what happened to the port since the channel's last one: readings may be missing before it. `late`: the
-    bytes may have waited, so `time` is not known to be theirs.
+    `note` reports a fault of the port since the channel's last exchange: readings may be missing before this one.
+    `late`: the bytes may have been delayed, so that `time` may be wrong.
     """
 
     time: float
@@ -52,12 +52,12 @@ Question = Callable[[Any], bytes]
 
 
 def ask(port: Any, question: bytes, length: int) -> bytes:
-    """Send a request and return the answer: `length` bytes, fewer if they do not come in time."""
+    """Send a request and return the answer: `length` bytes, or fewer after the port's timeout."""
     begun = time.monotonic()
     try:
         port.write(question)
     except serial.SerialTimeoutException:
-        # A line that takes nothing ends the wait in time; later it ends only where this process stood still meanwhile.
+        # A blocked line times out on time; a later timeout only means that this process was stopped meanwhile.
         if time.monotonic() - begun < 1.25 * _WRITE_SECONDS:
             raise
     answer: bytes = port.read(length)
@@ -65,7 +65,7 @@ def ask(port: Any, question: bytes, length: int) -> bytes:
 
 
 def line_errors(port: Any) -> dict[str, int]:
-    """Return the errors counted by the driver of a port since it was loaded, by kind; {} if it does not count."""
+    """Return the errors by kind that a port's driver has counted since it was loaded; {} if it counts none."""
     if sys.platform != "linux":
         return {}
     import fcntl
@@ -78,7 +78,7 @@ def line_errors(port: Any) -> dict[str, int]:
 
 
 class PortHub:
-    """The one thread that asks the devices on a serial port in turn; see `ports`."""
+    """The thread that polls the devices on a serial port in turn; see `ports`."""
 
     def __init__(self, config: PortConfig) -> None:
         self.config = config
@@ -92,7 +92,7 @@ class PortHub:
                 parity=config.parity,
                 stopbits=config.stop_bits,
                 timeout=ANSWER_SECONDS,
-                # pyserial's RFC 2217 client has its own and refuses any other.
+                # pyserial's RFC 2217 client has its own timeout and accepts no other.
                 write_timeout=None if config.url.startswith("rfc2217:") else _WRITE_SECONDS,
             )
         except (serial.SerialException, ValueError, OSError) as problem:
@@ -110,10 +110,9 @@ class PortHub:
         self._thread.start()
 
     def exchange(self, question: Question, asked: bool) -> Exchange:
-        """Ask once and return the time, in seconds since 1970, and the bytes of the answer.
+        """Query a device once and return the time, s since 1970, and the bytes of the answer.
 
-        The time is the middle of the exchange where the device is `asked`; that of the arrival where it only is waited
-        for.
+        If the device is `asked`, the time is the middle of the exchange, otherwise that of arrival.
         """
         with self._lock:
             if asked:
@@ -122,9 +121,10 @@ class PortHub:
             return done._replace(answer=done.answer + self._surplus()) if asked and done.answer else done
 
     def _exchange(self, question: Question, asked: bool, ended: float | None) -> tuple[Exchange, float, float]:
-        """Ask once; return also for how long this thread stood still since the one before `ended`, or 0, and the end.
+        """Query once; return the exchange, the time for which this thread was stopped, s, or 0, and the end, s.
 
-        The time of an exchange that takes half of `ANSWER_SECONDS` is too uncertain.
+        `ended` is the end of the previous exchange. If an exchange takes half of `ANSWER_SECONDS`, its time is too
+        uncertain.
         """
         before = steady_time()
         answer = question(self.port) if asked else bytes(self.port.read(1))
@@ -140,24 +140,24 @@ class PortHub:
         # Reading ends with the first byte, or after ANSWER_SECONDS without one.
         stood = apart + took if apart + took > 1.5 * ANSWER_SECONDS else 0.0
         late = bool(stood) or after - came > longest
-        if apart + took > longest and not late:  # to wait for one line is usual, to find several at once is not
+        if apart + took > longest and not late:  # waiting for one line is usual, finding several at once is not
             late = answer.count(b"\n") > 1 or self.port.in_waiting > _FEW_BYTES
         return Exchange(after, answer, late=late), stood, after
 
     def _surplus(self) -> bytes:
-        """Discard unexpected bytes on the line: they must not be read as the next answer."""
+        """Remove and return unexpected bytes on the line, so that they are not read as the next answer."""
         waiting = self.port.in_waiting
         return bytes(self.port.read(waiting)) if waiting else b""
 
     def poll(self, question: Question, asked: bool, answers: BlockQueue[list[Exchange]]) -> None:
-        """Repeat this request from now on; see `exchange`."""
+        """Repeat this request and put its answers into a queue; see `exchange`."""
         self._queues = {**self._queues, answers: (question, asked)}
         if self.broken:
             answers.fail(self._failure)
         self._polling.set()
 
     def stop_polling(self, answers: object) -> None:
-        """Stop repeating the request with these answers."""
+        """Stop repeating the request of this queue."""
         self._queues = {k: v for k, v in self._queues.items() if k is not answers}
 
     def close(self) -> None:
@@ -169,26 +169,26 @@ class PortHub:
             self.port.close()
 
     def _put_back(self, newest: list[Exchange]) -> None:
-        """Put bytes left over behind the newest answer: check bits pass one garbled answer in four, its length none."""
+        """Append surplus bytes to the newest answer: its length then reveals it as garbled, check bits miss 1 in 4."""
         if (surplus := self._surplus()) and newest and newest[-1].answer:
             newest[-1] = newest[-1]._replace(answer=newest[-1].answer + surplus)
 
     def drain(self) -> None:
-        """Wait until all present data of the port are in the queues."""
+        """Wait until all data now on the port are in the queues."""
         if self._queues and not self.broken:
             self._drained.clear()
             self._drain_from = time.monotonic()
             self._drained.wait(10 * _DRAIN_SECONDS)
 
     def _is_drained(self) -> bool:
-        """Return whether somebody waits for what is on the port, and nothing is left there."""
+        """Return whether `drain` is waiting and no data are left on the port."""
         if (since := self._drain_from) is None:
             return False
         spontaneous = any(not asked for _, asked in self._queues.values())
         return not (spontaneous and self.port.in_waiting) or time.monotonic() - since > _DRAIN_SECONDS
 
     def _driver_note(self) -> str:
-        """Return what the driver counted as lost since the last call."""
+        """Return a text on the losses that the driver counted since the last call, or ""."""
         before, self._errors = self._errors, line_errors(self.port)
         more = {what: count - before.get(what, count) for what, count in self._errors.items()}
         said = ", ".join(f"{count} {what}" for what, count in more.items() if count > 0)
@@ -214,15 +214,15 @@ class PortHub:
                             else:
                                 ready = self.port.in_waiting
                             done, stood, ended = self._exchange(question, asked, ended)
-                            if not asked:  # behind what waited more may come that did: the driver passes it on in parts
+                            if not asked:  # more delayed bytes may follow: the driver passes them on in parts
                                 fresh = 0 if done.late or (fresh < _FRESH and ready > _FEW_BYTES) else fresh + 1
                                 done = done._replace(late=fresh < _FRESH)
                         if stood:
-                            said = f"no reading for {stood:.3f} s: the recorder was held up"
+                            said = f"no reading for {stood:.3f} s: the recorder was delayed"
                             notes.update(dict.fromkeys(queues, said))
                         block = blocks[answers]
                         block.append(done._replace(note=notes.pop(answers, "")))
-                        if not asked and len(done.answer) >= _BUFFER_FULL:  # what was lost came behind what waited
+                        if not asked and len(done.answer) >= _BUFFER_FULL:  # the loss is after the buffered bytes
                             notes[answers] = "the port's buffer was full: bytes may be lost"
                         newest = block if asked else []
                 if newest:
@@ -238,9 +238,9 @@ class PortHub:
                 if not queues:
                     ended = None
                     self._stopping.wait(BLOCK_SECONDS)
-        except Exception as problem:  # the poller must say why it ends: nobody else sees it
+        except Exception as problem:  # nobody else sees why this thread ends
             self._failure = EncoderConnectionError(
-                f"The serial port {self.config.place} broke: {reason(problem, 'port')}."
+                f"The serial port {self.config.place} failed: {reason(problem, 'port')}."
             )
             self.broken = True
             self._drained.set()

@@ -1,4 +1,4 @@
-"""The simulated bench behind ADS: a PLC that writes its ring of samples, in place of a Beckhoff controller."""
+"""The simulated bench behind ADS: a simulated Beckhoff PLC that writes a ring buffer of samples."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from drivers.simulated.faults import ADS_FAULTS, Fault
 from drivers.simulated.motion import Motion, quantised
 
 RING = "Recorder.Ring"
-_GROUP, _OFFSET = 0x4040, 0x5DC00  # where TwinCAT keeps a PLC's variables, and a place there
+_GROUP, _OFFSET = 0x4040, 0x5DC00  # index group of a PLC's variables in TwinCAT, and an offset in it
 _COLUMNS = 3
-_TORQUE = 1e-4  # N*m of one count
+_TORQUE = 1e-4  # N*m per count
 _READ_DEVICE_INFO, _READ, _READ_STATE, _READ_WRITE = 1, 2, 4, 9
 _SERVICE_NOT_SUPPORTED, _BAD_SIZE = 0x701, 0x705
-_AMS = struct.Struct("<8s8sHHIII")  # target, source, command, state flags, bytes of data, error, number of the request
-_END_SECONDS = 5.0  # without a client, once the motion is over: then nobody reads any more
-_RESPONSE = 1  # of the state flags
+_AMS = struct.Struct("<8s8sHHIII")  # target, source, command, state flags, data length, error, request number
+_END_SECONDS = 5.0  # without a client after the end of the motion
+_RESPONSE = 1  # bit of the state flags
 
 
 class SimulatedAdsBench(SimulatedBench):
-    """A PLC with a ring of samples: both angles and the torque, in the columns 1 to 3.
+    """A PLC with a ring of samples: both angles and the torque, in columns 1 to 3.
 
-    It speaks ADS over TCP on its port 48898. The motion begins when the ring is first read; the PLC continues without
-    readers, and overwrites samples that were not read in time. It ends when the last samples were read, or with the
+    It serves ADS over TCP on port 48898. The motion begins when the ring is first read; the PLC continues without
+    readers and overwrites samples that were not read in time. It ends when the last samples have been read, or with the
     motion if there is no client.
 
     Parameters
@@ -46,13 +46,13 @@ class SimulatedAdsBench(SimulatedBench):
     motion
         The motion that the sensors measure.
     host
-        Address of this machine to listen on; the net id is that with ".1.1".
+        Address of this machine to listen on; the net id is this address followed by ".1.1".
     length
-        Samples that the ring holds.
+        Capacity of the ring in samples.
     input_counts_per_turn, output_counts_per_turn
         Resolution of the encoders.
     speed_factor, clock_drift
-        Speed of time; relative drift of the PLC's clock against the host's, > 0 fast.
+        Speed relative to real time; relative drift of the PLC's clock against the host's, > 0: fast.
     faults
         See `faults.Fault`: "pull", "reset" and "corrupt", `sample` counted from 0.
     """
@@ -87,7 +87,7 @@ class SimulatedAdsBench(SimulatedBench):
 
     @property
     def written(self) -> int:
-        """Samples of the motion that the PLC has written so far."""
+        """Number of samples of the motion that the PLC has written so far."""
         return self._written
 
     def _open(self) -> None:
@@ -139,7 +139,7 @@ class SimulatedAdsBench(SimulatedBench):
                 return
 
     def _write(self) -> None:
-        """Write the samples that are due since the last call, as the PLC does each cycle."""
+        """Write the samples due since the last call, as a PLC does in each cycle."""
         if self._begun is None:
             return
         due = int(np.searchsorted(self._times, time.monotonic() - self._begun, side="right"))
@@ -166,7 +166,7 @@ class SimulatedAdsBench(SimulatedBench):
         self._head = Head(_COLUMNS, self._head.length, started, due - self._restarted_at)
 
     def _memory(self, offset: int, count: int) -> ByteArray | None:
-        """Return bytes of the ring as they are just now, None where it has none."""
+        """Return the current bytes of the ring; None outside it."""
         if not _OFFSET <= offset <= offset + count <= _OFFSET + self._head.ring_bytes:
             return None
         with self._lock:
@@ -176,7 +176,7 @@ class SimulatedAdsBench(SimulatedBench):
             else:
                 self._write()
                 if offset == _OFFSET:
-                    # Whoever asks for the last head a second time has read its samples.
+                    # A client that requests the last head a second time has read its samples.
                     if self._written >= len(self._times) and self._last_head == self._head:
                         self._done.set()
                     self._last_head = self._head
@@ -185,7 +185,7 @@ class SimulatedAdsBench(SimulatedBench):
         return memory[offset - _OFFSET :][:count]
 
     def _answer(self, command: int, request: bytes) -> tuple[int, bytes]:
-        """Return error code and data that a PLC answers to a request."""
+        """Return error code and data of a PLC's answer to a request."""
         if command == _READ_DEVICE_INFO:
             return 0, struct.pack("<BBH16s", 3, 1, 4024, b"simulated bench")
         if command == _READ_STATE:
@@ -222,12 +222,12 @@ class _AdsServer(socketserver.ThreadingTCPServer):
         super().__init__(address, _AdsConnection)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Remember the connection and serve it in a thread of its own."""
+        """Register the connection and serve it in its own thread."""
         self.connections.append(request)
         super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
-        """Forget a connection that ended, and close it."""
+        """Remove a connection that ended, and close it."""
         self.connections.remove(request)
         super().shutdown_request(request)
 
@@ -242,7 +242,7 @@ class _AdsConnection(socketserver.StreamRequestHandler):
     server: _AdsServer
 
     def handle(self) -> None:
-        """Answer requests until the client goes."""
+        """Answer requests until the client disconnects."""
         with contextlib.suppress(OSError):
             while len(start := self.rfile.read(6)) == 6:
                 frame = self.rfile.read(struct.unpack("<2xI", start)[0])

@@ -1,4 +1,4 @@
-"""Common part of all simulated benches: a motion that a thread sends, and the wiring that records it."""
+"""Common base of all simulated benches: a thread that sends a motion, and the wiring to record it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from drivers.simulated.motion import Motion
 
 
 class SimulatedBench(abc.ABC):
-    """A motion that a thread sends; a context manager, whose thread ends with it.
+    """A bench whose thread sends a motion; a context manager, at whose end the thread ends.
 
     `ratio` and `pair` are the defaults of `write_wiring`.
     """
 
     ratio: float | None = None
     pair = ""
-    allow: tuple[str, ...] = ()  # of its own bus, see `read_bench`
+    allow: tuple[str, ...] = ()  # for its own bus, see `read_bench`
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
@@ -48,7 +48,17 @@ class SimulatedBench(abc.ABC):
             raise self._failure
 
     def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
-        """Write the `BENCH.toml` that records this bench, and the files it names next to it; return its path."""
+        """Write a `BENCH.toml` for recording this bench, and the files that it names, next to it; return its path.
+
+        Parameters
+        ----------
+        path
+            The `.toml` file.
+        ratio
+            Signed ratio input/output for the header; None: that of the bench, or none.
+        pair
+            Name of the gear pair; "": that of the bench.
+        """
         target = edge.output_path(path, "path", (".toml",))
         ratio, run = self.ratio if ratio is None else ratio, self.motion.run
         head = "" if ratio is None else f"ratio = {float(ratio)!r}\n"
@@ -75,7 +85,7 @@ class SimulatedBench(abc.ABC):
         path
             New `.arrows` file.
         wiring
-            `BENCH.toml` to write; by default beside the recording.
+            `BENCH.toml` to write; default: next to the recording.
         progress
             See `drivers.record`.
         """
@@ -84,11 +94,11 @@ class SimulatedBench(abc.ABC):
 
     @abc.abstractmethod
     def _connections(self, folder: Path) -> str:
-        """Return the tables of buses or ports and of channels; files that they name go into the folder."""
+        """Return the tables of buses or ports and of channels; write files that they name into the folder."""
 
     @abc.abstractmethod
     def _end(self) -> dict[str, Any]:
-        """Return what ends a recording of the whole motion: arguments of `record`."""
+        """Return the arguments of `record` that end a recording of the whole motion."""
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait for the end of the motion and return whether it was reached; raise the bench's error, if any."""
@@ -100,19 +110,19 @@ class SimulatedBench(abc.ABC):
     def _work(self) -> None:
         try:
             self._run()
-        except Exception as problem:  # told by wait(): nobody else sees a thread's end
+        except Exception as problem:  # raised by wait(), as nobody else sees why a thread ends
             self._failure = problem
         finally:
             self._done.set()
 
     @abc.abstractmethod
     def _open(self) -> None:
-        """Put it on its line."""
+        """Connect the bench to its bus or port."""
 
     @abc.abstractmethod
     def _close(self) -> None:
-        """Take it off its line."""
+        """Disconnect the bench from its bus or port."""
 
     @abc.abstractmethod
     def _run(self) -> None:
-        """Send the motion until `_stopping`."""
+        """Send the motion, until `_stopping` is set."""

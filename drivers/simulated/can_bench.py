@@ -25,9 +25,9 @@ from drivers.simulated.bench import SimulatedBench
 from drivers.simulated.faults import NODE_FAULTS, Fault, Frame, faulty_frames
 from drivers.simulated.motion import Motion, quantised
 
-_END_SECONDS = 2.0  # without any node operating: then nobody listens any more
-_UP_SECONDS = 1000.0  # since an interface with a clock of its own was powered
-UDP_SAMPLES_PER_SECOND = 2000.0  # four datagrams each; the kernel drops what a reader doesn't take in time
+_END_SECONDS = 2.0  # without an operational node: nobody is listening
+_UP_SECONDS = 1000.0  # since power-up of an interface with its own clock
+UDP_SAMPLES_PER_SECOND = 2000.0  # four datagrams each; the kernel drops datagrams not read in time
 _INPUT_NODE, _OUTPUT_NODE = 1, 2
 _TORQUE_ID, _TORQUE_SCALE = 0x2A0, 0.0001
 _TORQUE_DBC = f"""VERSION ""
@@ -41,12 +41,12 @@ BO_ {_TORQUE_ID} torque: 4 bench
 
 
 def _turns(counts_per_turn: int) -> int:
-    """Return how many turns a 32-bit position tells apart, as 0x6502 (16 bits) can say it."""
+    """Return the number of turns that a 32-bit position can count, limited to the 16 bits of 0x6502."""
     return min((1 << 32) // counts_per_turn, 1 << 15)
 
 
 def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: int | None) -> canopen.ObjectDictionary:
-    """Return what a CiA 406 encoder answers by SDO, its TPDO1 sent on every SYNC or by a timer in ms."""
+    """Return the object dictionary of a CiA 406 encoder, whose TPDO1 is sent on every SYNC or by a timer, ms."""
     dictionary = canopen.ObjectDictionary()
 
     def variable(name: str, index: int, kind: int, value: int, sub: int = 0) -> ODVariable:
@@ -86,7 +86,7 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: 
 
 
 class _StampedNetwork(canopen.Network):  # type: ignore[misc]
-    """A network whose service frames are stamped by a clock, as the bus is told to keep the stamps it is given."""
+    """A network that stamps its service frames with a clock, as the bus keeps the stamps it is given."""
 
     NOTIFIER_CYCLE = 0.02
 
@@ -110,28 +110,30 @@ class SimulatedCanBench(SimulatedBench):
     """A bench on a CAN bus: two CiA 406 nodes, a torque transducer and, by default, a controller that sends SYNC.
 
     Once both nodes are operational, a thread sends the motion; it ends with the motion or when no node is operational.
-    A node that is not operational sends nothing. On the virtual bus the frames carry the motion's own time.
+    A node that is not operational sends nothing. On the virtual bus the frames are stamped with the motion's own time.
 
     Parameters
     ----------
     motion, interface, channel, speed_factor, faults
         See `simulate_bench`.
     trigger
-        "controller": the bench sends SYNC, with counter unless `sync_counter` is False; "sync": each SYNC of another,
-        such as the recorder, is answered with the next sample; "timer": every node sends at its event timer, no SYNC.
+        "controller": the bench sends SYNC, with a counter unless `sync_counter` is False; "sync": the bench answers
+        each SYNC of another device, such as the recorder, with the next sample; "timer": each node sends by its event
+        timer, without SYNC.
     input_counts_per_turn, output_counts_per_turn
         Resolution, powers of two; the 32-bit position counts turns too and rolls over.
     clock_drift
-        Virtual and loopback bus: its interface has a clock of its own, which counts from power-up and runs so much
-        faster, relative, than the host's; then the motion's own speed is the default. None: it has none.
+        Virtual and loopback bus: relative drift of the interface's own clock, which counts from power-up, against the
+        host's, > 0: fast; the default speed is then real time. None: the interface has no clock.
 
     Attributes
     ----------
     sent
-        Samples sent so far.
+        Number of samples sent so far.
     sent_at, sent_by
-        Between which instants each was taken, s since 1970 by this process's clock, shape (samples,); 0 where it was
-        not sent. An interface's own clock stamps both alike; what answers another's SYNC is taken from that on.
+        Earliest and latest time at which each sample was taken, s since 1970 on this process's clock, shape (samples,);
+        0 for samples not sent. With the interface's own clock both are equal; a sample that answers the SYNC of another
+        device is taken after that SYNC.
     """
 
     def __init__(
@@ -153,11 +155,11 @@ class SimulatedCanBench(SimulatedBench):
         self.bus_config, self.allow = BusConfig(interface=interface, channel=channel), (interface,)
         self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
         self.clock_drift, self._powered = clock_drift, time.time()
-        self._stamped = interface == "virtual" or clock_drift is not None  # by itself, not by the kernel
+        self._stamped = interface == "virtual" or clock_drift is not None  # by the bench, not by the kernel
         if clock_drift is not None and speed_factor is None:
             speed_factor = 1.0
         own = 2 * math.pi / motion.run.samples_per_turn / motion.run.speed
-        self._timer = own  # on the virtual bus the stamps are the motion's own
+        self._timer = own  # on the virtual bus the stamps are the motion's time
         if trigger == "sync":
             self._interval = own
         elif speed_factor is not None:
@@ -167,7 +169,7 @@ class SimulatedCanBench(SimulatedBench):
         self._pace = self._interval / own
         if interface != "virtual":
             self._timer = self._interval
-        self._syncs: queue.SimpleQueue[float] = queue.SimpleQueue()  # when each came
+        self._syncs: queue.SimpleQueue[float] = queue.SimpleQueue()  # arrival times
         self.sent = 0
         self.sent_at, self.sent_by = np.zeros((2, motion.run.samples))
 
@@ -211,7 +213,7 @@ class SimulatedCanBench(SimulatedBench):
         return {"samples": self.motion.run.samples, "idle": 5.0}
 
     def _stamp(self, host: float) -> float:
-        """Return what the interface's clock shows at a time of the host's."""
+        """Return the time of the interface's clock at a host time, s."""
         if self.clock_drift is None:
             return host
         return _UP_SECONDS + (host - self._powered) * (1 + self.clock_drift)
@@ -226,12 +228,12 @@ class SimulatedCanBench(SimulatedBench):
         self._send()
 
     def _positions(self, node: int, angle: FloatArray) -> np.ndarray[Any, np.dtype[np.uint32]]:
-        """Return what the object 0x6004 of a node shows at these angles."""
+        """Return the values of object 0x6004 of a node at these angles, rad, shape (n,)."""
         resolution = self.counts_per_turn[node]
         return (quantised(angle, resolution) % (resolution * _turns(resolution))).astype("<u4")
 
     def _frames(self) -> Iterator[list[Frame]]:
-        """Yield what to send at each sample: identifier, data and stamp minus the start, faults included."""
+        """Yield the frames of each sample, with faults: identifier, data and stamp, s since the start."""
         motion = self.motion
         payloads: dict[int, Any] = {
             0x180 + _INPUT_NODE: self._positions(_INPUT_NODE, motion.input_angle),
@@ -239,7 +241,7 @@ class SimulatedCanBench(SimulatedBench):
             _TORQUE_ID: np.rint(motion.torque / _TORQUE_SCALE).astype("<i4"),
         }
         for fault in self.faults:
-            if fault.kind == "reset":  # the counter starts again at zero where the shaft is just now
+            if fault.kind == "reset":  # the counter restarts at zero at the present shaft angle
                 array = payloads[fault.target]
                 array[fault.sample :] -= array[fault.sample]
         if self.trigger == "controller":
@@ -254,7 +256,7 @@ class SimulatedCanBench(SimulatedBench):
         return faulty_frames(samples, self.faults)
 
     def _send(self) -> None:
-        """Send all samples: SYNC, where the bench has a controller, then what it latched."""
+        """Send all samples: SYNC, if the bench has a controller, then the frames that it triggers."""
         frames, at = self._frames(), {f.sample: f for f in self.faults if f.kind in NODE_FAULTS}
         nodes = {0x180 + number: node for number, node in self._nodes.items()}
         silent: dict[int, int] = {}
@@ -281,7 +283,7 @@ class SimulatedCanBench(SimulatedBench):
                 node = nodes.get(identifier)
                 if node is not None and (node.nmt.state != "OPERATIONAL" or silent.get(node.id, -1) > i):
                     continue
-                # What answers another's SYNC is stamped by the clock that stamps that.
+                # An answer to the SYNC of another device is stamped by the same clock as that SYNC.
                 when = stamped(now if self.trigger == "sync" else begun + stamp * pace)
                 send(can.Message(timestamp=when, arbitration_id=identifier, is_extended_id=False, data=data))
             for number in [n for n, end in silent.items() if end == i]:
@@ -290,19 +292,19 @@ class SimulatedCanBench(SimulatedBench):
             self.sent = i + 1
 
     def _due(self, due: float) -> float | None:
-        """Wait until then and return when that is, None where the bench is stopped meanwhile."""
+        """Wait until a time, s since 1970, and return the present time; None if the bench is stopped meanwhile."""
         wait = due - time.time()
         return None if wait > 0 and self._stopping.wait(wait) else time.time()
 
     def _asked(self) -> float | None:
-        """Wait for another's SYNC and return when it came, None where nobody is there any more."""
+        """Wait for the SYNC of another device and return its arrival time; None if no node is operational any more."""
         while not self._stopping.is_set() and any(self._operational()):
             with contextlib.suppress(queue.Empty):
                 return self._syncs.get(timeout=0.05)
         return None
 
     def _befall(self, fault: Fault, silent: dict[int, int]) -> None:
-        """Let happen to a node, or the bus, what is not in its data frames."""
+        """Apply a fault of a node or the bus that is not in the data frames."""
         if fault.kind == "bus_off":
             self._bus.send(can.Message(timestamp=time.time(), arbitration_id=0x40, is_error_frame=True, dlc=8))
             return

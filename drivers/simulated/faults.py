@@ -31,22 +31,22 @@ class Fault:
     Attributes
     ----------
     kind
-        Of a frame on CAN: "drop" it is not sent, "duplicate" it is sent twice, "swap" it comes after the next one,
-        "short" its last byte is missing, "garbage" random bytes of another length take its place, "clock_jump" stamps
-        jump by `by` seconds from here on (virtual bus), "reset" the counter starts again at 0. Of a node: "emergency"
-        it sends an EMCY, "reboot" it starts again, "silence" neither frames nor heartbeat; "bus_off" of the bus.
-        On a serial line: "mute" no answer, "half" half of one, "corrupt" one with a flipped bit, "garbage" random
-        bytes, "wrong_baud" one as it looks at three quarters of the baud rate, "pull" the cable is out. Of a PLC:
-        "pull", "reset" its program starts again, "corrupt" a sample is found half written.
+        Of a CAN frame: "drop" not sent, "duplicate" sent twice, "swap" sent after the next frame, "short" last byte
+        missing, "garbage" replaced by random bytes of another length, "clock_jump" stamps jump by `by` from here on
+        (virtual bus), "reset" the counter restarts at 0. Of a node: "emergency" sends an EMCY, "reboot" restarts,
+        "silence" sends neither frames nor heartbeat. Of the bus: "bus_off". On a serial line: "mute" no answer, "half"
+        half an answer, "corrupt" a flipped bit, "garbage" random bytes, "wrong_baud" an answer received at three
+        quarters of the baud rate, "pull" cable unplugged. Of a PLC: "pull", "reset" its program restarts, "corrupt" a
+        sample is read half written.
     sample
-        From which sample on (CAN, PLC), or which question or line on (serial), counted from 0.
+        First sample (CAN, PLC), or first request or line (serial), counted from 0.
     count
-        Duration in samples, questions or lines.
+        Duration in samples, requests or lines.
     target
-        The frame's identifier (0x181, 0x182, 0x2A0, SYNC 0x80), of which the low bits are the node; the address of a
-        serial encoder. None where there is only one.
+        Identifier of the frame (0x181, 0x182, 0x2A0, SYNC 0x80), whose low bits are the node, or address of the serial
+        encoder; 0 if there is only one.
     by
-        Seconds of a clock jump, or out of the socket.
+        Size of a clock jump, or time for which the cable is unplugged, s.
     """
 
     kind: Kind
@@ -74,7 +74,7 @@ def read_faults(path: str | os.PathLike[str]) -> list[Fault]:
     Raises
     ------
     edge.InputError
-        Naming file, table and key.
+        If the file is invalid; names file, table and key.
     """
     table = edge.toml_table(edge.read_text(path), FORMAT, str(path))
     return [Fault(**f.model_dump()) for f in edge.validated(_FaultFile, table, str(path)).fault]
@@ -84,7 +84,7 @@ Frame: TypeAlias = tuple[int, bytes, float]
 
 
 def faulty_frames(frames: Iterable[list[Frame]], faults: Sequence[Fault]) -> Iterator[list[Frame]]:
-    """Yield the frames of each sample (identifier, data, stamp) as the faults leave them."""
+    """Yield the frames of each sample (identifier, data, stamp in s) with the faults applied."""
     late: list[Frame] = []
     jump = 0.0
     for i, sample in enumerate(frames):
@@ -105,7 +105,7 @@ def faulty_frames(frames: Iterable[list[Frame]], faults: Sequence[Fault]) -> Ite
             elif kind == "garbage":
                 made.append((identifier, bytes((i * 37 + k * 101 + 11) % 256 for k in range(1 + i % 3)), frame[2]))
             elif kind == "swap":
-                held.append(frame)  # behind the next one
+                held.append(frame)  # sent after the next sample
             elif kind != "drop":
                 made.append(frame)
         made += late
@@ -116,8 +116,8 @@ def faulty_frames(frames: Iterable[list[Frame]], faults: Sequence[Fault]) -> Ite
 def at_wrong_baud(data: bytes, factor: float = 0.75) -> bytes:
     """Return the bytes received when sent at 1 / `factor` of the receiver's baud rate, 8 data bits, no parity.
 
-    Start bit 0, data from the lowest bit, stop bit 1; the receiver samples the middle of each of its own bits and drops
-    bytes without a stop bit.
+    Start bit 0, data from the lowest bit, stop bit 1; the receiver samples the middle of each of its own bits and
+    discards bytes without a stop bit.
     """
     line = [bit for byte in data for bit in (0, *((byte >> k) & 1 for k in range(8)), 1)] + [1] * 12
     got, at = bytearray(), 0.0

@@ -18,24 +18,24 @@ import can
 from drivers.can.drops import ANCILLARY, SocketDrops
 
 _LOOPBACK, _PORT = "127.0.0.1", 43114
-_HEAD = struct.Struct("<dIBB")  # the sender's stamp or 0, identifier, flags, DLC; the data follow
+_HEAD = struct.Struct("<dIBB")  # the sender's stamp or 0, identifier, flags, DLC; then the data
 _EXTENDED, _REMOTE, _ERROR, _FD, _BIT_RATE_SWITCH = 1, 2, 4, 8, 16
-_MULTICAST_ALL = 49  # Linux: of no group but those joined here
+_MULTICAST_ALL = 49  # Linux; 0: only receive groups joined by this socket
 
 
 class LoopbackBus(can.BusABC):  # type: ignore[misc]
-    """The bus of all who open it with the same group; it is never sent to a network.
+    """A bus shared by all processes that open the same group; its frames never reach a network.
 
-    It sends from a port of its own, so its own frames that come back have `is_rx` False. `drops` tell of the frames
-    that nobody took in time.
+    It sends from its own port, so that its own frames, when received back, have `is_rx` False. `drops` counts the
+    frames that were not read in time.
 
     Parameters
     ----------
     channel
         An IPv4 multicast group, such as "239.74.163.2".
     preserve_timestamps
-        What it sends carries the stamps it is given, as an interface with a clock of its own does; otherwise the
-        kernel stamps what comes.
+        Whether sent frames keep the time stamps they are given, as from an interface with its own clock; otherwise the
+        kernel stamps received frames.
     """
 
     def __init__(self, channel: str, preserve_timestamps: bool = False, **options: object) -> None:
@@ -49,7 +49,7 @@ class LoopbackBus(can.BusABC):  # type: ignore[misc]
                 (socket.SOL_SOCKET, getattr(socket, "SO_REUSEPORT", socket.SO_REUSEADDR), 1),  # Windows has none
                 (socket.IPPROTO_IP, _MULTICAST_ALL, 0),
             ):
-                with contextlib.suppress(OSError):  # Linux alone has the last
+                with contextlib.suppress(OSError):  # the last one is Linux only
                     self._receiver.setsockopt(level, option, value)
             self.drops = SocketDrops(self._receiver)
             self._receiver.bind(("", _PORT))
@@ -70,7 +70,7 @@ class LoopbackBus(can.BusABC):  # type: ignore[misc]
         super().__init__(channel, **options)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """Return the next frame; python-can's documented place for a backend to do so."""
+        """Return the next frame; python-can documents this method for backends to override."""
         if not select.select([self._receiver], [], [], timeout)[0]:
             return None, False
         data, ancillary, _, address = self._receiver.recvmsg(128, ANCILLARY)
@@ -91,7 +91,7 @@ class LoopbackBus(can.BusABC):  # type: ignore[misc]
         return message, False
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame to everybody on this bus."""
+        """Send a frame to all processes on this bus."""
         flags = (
             msg.is_extended_id * _EXTENDED | msg.is_remote_frame * _REMOTE | msg.is_error_frame * _ERROR
             | msg.is_fd * _FD | msg.bitrate_switch * _BIT_RATE_SWITCH
@@ -100,10 +100,10 @@ class LoopbackBus(can.BusABC):  # type: ignore[misc]
             stamp = msg.timestamp if self._preserve else 0.0
             self._sender.sendto(_HEAD.pack(stamp, msg.arbitration_id, flags, msg.dlc) + bytes(msg.data), self._group)
         except OSError as problem:
-            raise can.CanOperationError(f"it takes no frame: {problem.strerror}") from problem
+            raise can.CanOperationError(f"no frame can be sent: {problem.strerror}") from problem
 
     def fileno(self) -> int:
-        """Return the descriptor of the socket that receives."""
+        """Return the file descriptor of the receiving socket."""
         return self._receiver.fileno()
 
     def shutdown(self) -> None:

@@ -19,10 +19,11 @@ OutputAngle: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 
 @dataclasses.dataclass(frozen=True)
 class SimulatedRun:
-    """One run of the bench at a constant torque; its values, in SI units, as `simulate_bench` describes them.
+    """A run of the bench at a constant torque; SI values of the arguments of `simulate_bench`.
 
-    `samples_per_turn` begin at crank angle 0, end excluded; "backward" takes the same angles from the last to the
-    first. The `lead_in` is so many samples before the first, at the same spacing, while the drive settles on its flank.
+    Samples begin at crank angle 0, with the end of the last turn excluded; "backward" uses the same angles from the
+    last to the first. `lead_in` is the number of additional samples before the first, at the same spacing, in which the
+    drive settles on its flank.
     """
 
     torque: float
@@ -43,7 +44,7 @@ class SimulatedRun:
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """The measured values, noise included: time s, angles rad, torque N*m, arrays of shape (n,), and of which run."""
+    """A run and its measured values, noise included: time, s, angles, rad, torque, N*m, arrays of shape (n,)."""
 
     run: SimulatedRun
     time: FloatArray
@@ -53,13 +54,13 @@ class Motion:
 
 
 def simulate_motion(output_angle: OutputAngle, run: SimulatedRun) -> Motion:
-    """Move a drive through a run.
+    """Return the measured motion of a drive in a run.
 
     Parameters
     ----------
     output_angle
-        Returns the output angles, rad, for crank angles, rad, and torques, N*m, all of shape (n,) in the order of time;
-        `fmu_output_angle` gives that of an FMU.
+        Function of crank angles, rad, and torques, N*m, that returns output angles, rad, all of shape (n,) in the order
+        of time; `fmu_output_angle` returns that of an FMU.
     run
         Angles, torque and noise.
     """
@@ -78,10 +79,10 @@ def simulate_hysteresis(output_angle: OutputAngle, run: SimulatedRun) -> Motion:
     output_angle
         As for `simulate_motion`.
     run
-        `torque` is T, `turns` the loops, `samples_per_turn` the samples of each, `speed` gives the time: 2 pi a loop.
+        `torque` is T, `turns` the number of loops, `samples_per_turn` the samples of each; a loop takes 2 pi / `speed`.
     """
     phase = 4.0 * np.arange(run.samples) / run.samples_per_turn % 4.0
-    phase[-1] = 0.0  # back at zero, where it began
+    phase[-1] = 0.0  # back at zero torque
     torque = run.torque * np.interp(phase, [0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, -1.0, 0.0])
     return _measured(output_angle, run, np.zeros(run.samples), torque)
 
@@ -102,12 +103,13 @@ def _measured(output_angle: OutputAngle, run: SimulatedRun, angle: FloatArray, t
 
 
 def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> OutputAngle:
-    """Return the output angle of an FMI 2.0 co-simulation FMU of a drive, one step of `step` seconds for each sample.
+    """Return the function for the output angle of a drive's FMU, with one step of `step` seconds per sample.
 
     Raises
     ------
     edge.InputError
-        If it is no such FMU with the inputs `flange_a.phi`, `flange_b.tau` and the output `flange_b.phi`.
+        If it is no FMI 2.0 co-simulation FMU with the inputs `flange_a.phi`, `flange_b.tau` and the output
+        `flange_b.phi`.
     """
     from fmpy import extract, read_model_description
     from fmpy.fmi2 import FMU2Slave
@@ -155,5 +157,5 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
 
 
 def quantised(angle: FloatArray, counts_per_turn: int) -> IntArray:
-    """Return the nearest counts of angles in rad, not yet rolled over, shape (n,)."""
+    """Return the nearest counts of angles, rad, without rollover, shape (n,)."""
     return np.rint(angle * (counts_per_turn / (2 * math.pi))).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The simulated bench on a serial line: a pseudo-terminal that is paced to its baud rate, in place of a port."""
+"""The simulated bench on a serial line: a pseudo-terminal, limited to the line's baud rate, in place of a port."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _BITS_PER_BYTE = 10  # with start and stop bit
 
 
 class _PtyBench(SimulatedBench):
-    """A thread behind a pseudo-terminal, paced to its baud rate; its name stays when the cable is pulled and put back.
+    """A thread behind a pseudo-terminal, limited to its baud rate; its name does not change when the cable is pulled.
 
-    `url` is the port to record; `speed_factor` the speed of time; `faults` what goes wrong, see `faults.Fault`.
+    `url` is the port to record; `speed_factor` the speed relative to real time; `faults` see `faults.Fault`.
 
     Attributes
     ----------
     receive_buffer
-        Bytes that the port holds for its reader, 4095 at most; what comes beyond is lost, as on a real line without
-        flow control. None: as many as a pseudo-terminal holds, some 70,000.
+        Size of the port's receive buffer, bytes, 4095 at most; further bytes are lost, as on a real line without flow
+        control. None: that of a pseudo-terminal, about 70,000.
     """
 
     _protocol: ClassVar[str]
@@ -64,10 +64,10 @@ class _PtyBench(SimulatedBench):
         import tty
 
         self._bench, self._line = os.openpty()
-        os.set_blocking(self._bench, False)  # a line does not wait for who reads it
+        os.set_blocking(self._bench, False)  # a line does not wait for its reader
         tty.setraw(self._line)
         settings = termios.tcgetattr(self._line)
-        settings[4] = settings[5] = termios.B50  # no recorder asks for it: so one that opens the port is noticed
+        settings[4] = settings[5] = termios.B50  # no recorder uses it: a change shows that the port was opened
         termios.tcsetattr(self._line, termios.TCSANOW, settings)
         os.symlink(os.ttyname(self._line), self.url)
 
@@ -78,13 +78,13 @@ class _PtyBench(SimulatedBench):
             os.close(self._line)
 
     def _opened(self) -> bool:
-        """Return whether somebody has opened the port and set its baud rate."""
+        """Return whether a recorder has opened the port and set its baud rate."""
         import termios
 
         return bool(termios.tcgetattr(self._line)[5] != termios.B50)
 
     def _sample(self) -> int:
-        """Return which sample of the motion is now; the first call begins it."""
+        """Return the index of the present sample; the first call starts the motion."""
         now = time.monotonic()
         self._begun = now if self._begun is None else self._begun
         i = int(np.searchsorted(self.motion.time, (now - self._begun) * self._factor, side="right")) - 1
@@ -93,14 +93,14 @@ class _PtyBench(SimulatedBench):
         return i
 
     def _fault(self, number: int, target: int) -> Fault | None:
-        """Return what goes wrong with this question or line of this device."""
+        """Return the fault of this request or line of this device, or None."""
         for fault in self._faults:
             if fault.sample <= number < fault.sample + fault.count and fault.target in (0, target):
                 return fault
         return None
 
     def _put(self, data: bytes, fault: Fault | None, after: int = 0) -> bool:
-        """Send bytes, as a fault leaves them, no faster than the line; return whether they went out as they were."""
+        """Send bytes, with a fault applied, no faster than the line; return whether they were sent unchanged."""
         kind = None if fault is None else fault.kind
         if kind == "mute":
             return False
@@ -126,7 +126,7 @@ class _PtyBench(SimulatedBench):
         return sent == data and taken == len(data)
 
     def _room(self) -> int | None:
-        """Return how many more bytes the port holds, None where that is not limited."""
+        """Return the free space of the receive buffer, bytes; None without a limit."""
         if self.receive_buffer is None:
             return None
         import fcntl
@@ -144,29 +144,29 @@ class _PtyBench(SimulatedBench):
 
     @abc.abstractmethod
     def _channels(self) -> dict[str, str]:
-        """Return the protocol's own keys of each channel."""
+        """Return the protocol's keys in the table of each channel."""
 
     def _end(self) -> dict[str, Any]:
-        return {"stop": lambda: self.wait(0.0)}  # a device that is asked has no number of samples of its own
+        return {"stop": lambda: self.wait(0.0)}  # the recorder's polling determines the number of samples
 
 
 class SimulatedAmt21Bench(_PtyBench):
-    """A bench of two AMT21 encoders on one RS-485 line, which is a pseudo-terminal: record `url`.
+    """A bench of two AMT21 encoders on one RS-485 line, simulated by a pseudo-terminal: record `url`.
 
-    The motion begins with the first question and runs at its own speed times `speed_factor`; each answer is the
-    position at that moment. The torque is not on this line.
+    The motion begins with the first request and runs at its own speed times `speed_factor`; each answer is the present
+    position. The torque is not on this line.
 
     Parameters
     ----------
     motion, speed_factor, baud_rate, faults
-        See `_PtyBench`; a fault's `sample` is the number of the question, its `target` the address.
+        See `_PtyBench`; a fault's `sample` is the number of the request, its `target` the address.
     addresses, bits, multi_turn
-        Address of the input's and the output's encoder; 12 or 14; whether they count turns.
+        Addresses of the input and output encoder; resolution, 12 or 14 bits; whether they count turns.
 
     Attributes
     ----------
     answered, answered_at
-        The sample each address answered, question by question, wrong answers left out; and when, s since 1970.
+        Samples with which each address answered, without faulty answers, and the times of these answers, s since 1970.
     """
 
     _protocol = "amt21"
@@ -218,11 +218,11 @@ class SimulatedAmt21Bench(_PtyBench):
 
 
 class SimulatedModbusBench(_PtyBench):
-    """A bench of two Modbus RTU encoders on one line, which is a pseudo-terminal: record `url`.
+    """A bench of two Modbus RTU encoders on one line, simulated by a pseudo-terminal: record `url`.
 
-    Each of the `devices` (input's, output's address) holds its position, 32 bits that count turns too, in the holding
-    registers 0 and 1, high word first; any other request gets the exception "illegal data address". Motion, faults and
-    what was `answered` are as those of `SimulatedAmt21Bench`.
+    Each of the `devices` (addresses of input and output) holds its position, 32 bits that count turns too, in the
+    holding registers 0 and 1, high word first; any other request gets the exception "illegal data address". Motion,
+    faults, `answered` and `answered_at` are those of `SimulatedAmt21Bench`.
     """
 
     _protocol = "modbus"
@@ -238,7 +238,7 @@ class SimulatedModbusBench(_PtyBench):
         faults: Sequence[Fault] = (),
     ) -> None:
         with edge.needs_extra("modbus"):
-            import pymodbus  # noqa: F401  # `_run` has no one to tell that it is missing
+            import pymodbus  # noqa: F401  # in the thread of `_run` the error would be lost
         super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
         self.devices, self.counts_per_turn = devices, counts_per_turn
         self.answered: dict[int, list[int]] = {d: [] for d in devices}
@@ -281,16 +281,16 @@ class SimulatedModbusBench(_PtyBench):
 
 
 class SimulatedAsciiBench(_PtyBench):
-    """A counter that sends a line for each sample, "$sequence,time,counts*checksum", by itself: record `url`.
+    """A counter that sends a line "$sequence,time,counts*checksum" for each sample, without request: record `url`.
 
-    The motion begins when the port is opened. The time is the counter's own clock in microseconds, 32 bits, which runs
-    faster than the host's by `clock_drift`, relative; the checksum is NMEA 0183's; the counts are the output angle's.
-    A fault's `sample` is the number of the line; "reset": clock, numbers and counts start at 0.
+    The motion begins when the port is opened. The time is the counter's own clock in microseconds, 32 bits, with the
+    relative drift `clock_drift` against the host's, > 0: fast; the checksum is NMEA 0183's; the counts are of the
+    output angle. A fault's `sample` is the number of the line; "reset": clock, numbers and counts restart at 0.
 
     Attributes
     ----------
     sent
-        Of each line, whether the port took it or not: when it was latched, s since 1970, and its counts.
+        Time of latching, s since 1970, and counts of each line, including lines that the port lost.
     """
 
     _protocol = "ascii"
@@ -322,14 +322,15 @@ class SimulatedAsciiBench(_PtyBench):
             if self._stopping.wait(0.01):
                 return
         begun = time.monotonic()
-        since = begun + min(-time.monotonic() + time.time() for _ in range(5))  # one may be held up in between
+        # The least of several, as this thread may be delayed between the two readings.
+        since = begun + min(-time.monotonic() + time.time() for _ in range(5))
         zero = number = 0
         start = 0.0
         held: bytes | None = None
         for i, due in enumerate(times.tolist()):
             if self._stopping.wait(max(0.0, begun + due - time.monotonic())):
                 return
-            now = time.monotonic() - begun  # this thread may wake late: what is latched is now, not then
+            now = time.monotonic() - begun  # this thread may wake late: latch the present angle
             angle = np.interp(now, times, self.motion.output_angle)
             count = int(quantised(np.array([angle]), self.counts_per_turn)[0])
             if i in self._restarts:

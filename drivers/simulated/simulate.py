@@ -1,4 +1,4 @@
-"""A simulated bench from a few arguments."""
+"""Creation of a simulated bench from a few arguments."""
 
 from __future__ import annotations
 
@@ -40,47 +40,47 @@ def simulate_bench(
     faults: str | os.PathLike[str] | None = None,
     speed_factor: float | None = None,
 ) -> SimulatedBench:
-    """Return a bench that waits for a recorder and then sends a motion like real encoders and transducers.
+    """Return a bench that waits for a recorder and then sends the signals of a motion as real sensors do.
 
-    A context manager: it is on its bus or port from `with` on. `write_wiring` writes the `BENCH.toml` that records it,
-    `record` records the whole motion at once.
+    A context manager: inside `with` the bench is connected to its bus or port. `write_wiring` writes a `BENCH.toml` for
+    recording it; `record` records the whole motion at once.
 
     Parameters
     ----------
     drive
         The drive: its FMU, or a function of crank angles, rad, and torques, N*m, both of shape (n,) in the order of
-        time, that returns output angles, rad; without it an ideal one of the `ratio`.
+        time, that returns output angles, rad. None: an ideal drive of the `ratio`.
     torque
-        On the output, N*m, counter-clockwise positive in both directions, or text such as "20 N*m".
+        Torque on the output, N*m, counter-clockwise positive for both directions of rotation, or text such as "20 N*m".
     ratio
         Signed ratio input/output, such as -39.
     pair
         Name or fingerprint of the gear pair for the wiring and the recording; default: the FMU's name.
     turns, samples_per_turn
-        Crank turns, and samples in each; with `hysteresis` loops.
+        Number of crank turns, and samples in each; with `hysteresis`, of loops.
     direction, speed
-        Of the crank; rad/s, or text such as "60 rpm".
+        Direction and speed of the crank; speed in rad/s, or text such as "60 rpm".
     noise, torque_noise
-        Of each encoder and of the torque, rms: rad and N*m, or text.
+        RMS noise of each encoder, rad, and of the torque, N*m, or text with a unit.
     seed
         Random seed of the noise.
     hysteresis
         Lock the input and cycle the torque 0, +T, 0, -T, 0.
     interface, channel, trigger
-        The CAN bus as python-can names it ("loopback" reaches other processes of this machine, "virtual" this one), and
-        the trigger of its encoders, see `SimulatedCanBench`.
+        Interface and channel of the CAN bus in python-can ("loopback" reaches other processes on this machine,
+        "virtual" only this process), and the trigger of its encoders, see `SimulatedCanBench`.
     serial
         Encoders on a pseudo-terminal instead of CAN; "modbus" needs the extra `modbus`.
     plc
-        A Beckhoff PLC on this address of this machine instead of CAN, such as "127.0.0.1"; recording it needs the
+        A Beckhoff PLC at this address of this machine, such as "127.0.0.1", instead of CAN; recording it needs the
         extra `ads`.
     clock_drift
-        Relative drift of the clock of the ASCII counter, the virtual or loopback bus or the PLC against the host's, > 0
-        fast, such as 50e-6.
+        Relative drift of the clock of the ASCII counter, the virtual or loopback bus or the PLC against the host's,
+        such as 50e-6, > 0: fast.
     faults
-        Script of faults, `cycloid-faults/1`.
+        File with a script of faults, `cycloid-faults/1`.
     speed_factor
-        1: in real time; None: as fast as the bus permits, 1 on a serial line and for a PLC.
+        Speed relative to real time; None: as fast as a CAN bus permits, 1 on a serial line and for a PLC.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def simulate_bench(
     192
     """
     if drive is None and ratio is None:
-        raise edge.ArgumentError("ratio", "is missing: give the drive, or the signed ratio of an ideal one")
+        raise edge.ArgumentError("ratio", "is missing: give a drive, or the signed ratio of an ideal one")
     if ratio is not None and not (math.isfinite(ratio) and ratio):
         raise edge.ArgumentError("ratio", "write the signed ratio input/output, such as -39", ratio)
     if speed_factor is not None and not speed_factor > 0:
@@ -104,7 +104,7 @@ def simulate_bench(
     if serial is not None and serial not in SERIAL_BENCHES:
         raise edge.ArgumentError("serial", f"it must be one of {', '.join(SERIAL_BENCHES)}", serial)
     if plc is not None and serial is not None:
-        raise edge.ArgumentError("plc", "the encoders are on a serial line or behind a PLC; leave out one", plc)
+        raise edge.ArgumentError("plc", "the encoders are either on a serial line or behind a PLC; remove one", plc)
     clocked = plc or serial == "ascii" or (serial is None and interface in ("virtual", "loopback"))
     if clock_drift and not clocked:
         said = 'only a PLC, serial "ascii" and the buses "virtual" and "loopback" have a clock'

@@ -1,4 +1,4 @@
-"""The command line `cycloid-fit`: one module a command."""
+"""The command line `cycloid-fit`: one module per command."""
 
 from typing import NoReturn
 

@@ -12,7 +12,7 @@ from fitting.cli import options
 
 
 def compare(
-    before: Annotated[Path, typer.Argument(metavar="A", help="A recording, or figures (JSON) of several.")],
+    before: Annotated[Path, typer.Argument(metavar="A", help="A recording, or the figures (JSON) of several.")],
     after: Annotated[Path, typer.Argument(metavar="B", help="The recording or figures to compare it with.")],
     drive: options.MaybePair = None,
     ratio: options.Ratio = None,
@@ -21,10 +21,10 @@ def compare(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Find the figures that changed by more than their uncertainty: before and after, two drives, two temperatures.
+    """Find the figures that differ by more than their uncertainty: before and after, two drives, two temperatures.
 
     Example: [cyan]cycloid-fit metrics new/*.csv --ratio -39 -o new.json[/], the same for worn.json, then
-    [cyan]cycloid-fit compare new.json worn.json --plot moved.png[/]
+    [cyan]cycloid-fit compare new.json worn.json --plot changes.png[/]
     """
     import fitting
     from cycloid_fmu.drive import read_drive
@@ -42,7 +42,7 @@ def compare(
     if as_json:
         commands.print_json(comparison_json(found))
         return
-    moved = {True: "yes", False: "no", None: "not known"}
+    moved = {True: "yes", False: "no", None: "unknown"}
     rows = [[change.name, *change.in_field_units(), moved[change.moved]] for change in found.changes]
-    commands.print_table("Changes", ["figure", "A", "B", "B - A", "± 95 %", "unit", "moved"], rows)
+    commands.print_table("Changes", ["figure", "A", "B", "B - A", "± 95 %", "unit", "changed"], rows)
     options.print_notes(found.notes)

@@ -29,7 +29,7 @@ def compensate(
     surface_file: SurfaceFile = None,
     fit: Annotated[
         Path | None,
-        typer.Option(metavar="FIT.json", help="Series compliance and dry friction as identify found them."),
+        typer.Option(metavar="FIT.json", help="Series compliance and dry friction, identified (identify -o)."),
     ] = None,
     friction_file: Annotated[
         Path | None,
@@ -38,7 +38,7 @@ def compensate(
     stiffness: Annotated[
         float | None,
         commands.quantity_option(
-            "N*m/rad", "Stiffness of the whole drive; the rest is put in series.", show_default=False
+            "N*m/rad", "Stiffness of the whole drive; determines the compliance in series.", show_default=False
         ),
     ] = None,
     loop: Annotated[
@@ -55,15 +55,17 @@ def compensate(
     torque_accuracy: Annotated[
         float | None,
         commands.quantity_option(
-            "N*m", "Standard deviation of the torque from the controller; 1 % of the rated.", show_default=False
+            "N*m", "Standard deviation of the controller's torque. Default: 1 % of rated_torque.", show_default=False
         ),
     ] = None,
     torque_share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Standard deviation of that torque's scale, for the band.")
+        float, typer.Option(min=0.0, max=1.0, help="Relative standard deviation of that torque's scale, for the band.")
     ] = 0.05,
     largest_torque: Annotated[
         float | None,
-        commands.quantity_option("N*m", "Largest torque of the tables; 2.5 times rated_torque.", show_default=False),
+        commands.quantity_option(
+            "N*m", "Largest torque of the tables. Default: 2.5 times rated_torque.", show_default=False
+        ),
     ] = None,
     residual: Annotated[
         float,
@@ -77,7 +79,7 @@ def compensate(
     ] = 1.0 / ARCSEC,
     tolerances_file: Annotated[
         Path | None,
-        typer.Option("--tolerances", metavar="T.toml", help="Make the band that of any drive within these tolerances."),
+        typer.Option("--tolerances", metavar="T.toml", help="Widen the band to any drive within these tolerances."),
     ] = None,
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version of an FMU.", "--fmi")] = "2.0",
     platforms: Annotated[
@@ -88,7 +90,7 @@ def compensate(
     ] = None,
     plot: commands.PlotFile = None,
 ) -> None:
-    """Write a compensator: the motor angles for a desired output angle of a known drive.
+    """Write a compensator: the motor angle for each desired output angle of a known drive.
 
     Example: [cyan]cycloid-fit compensate drive.toml --surface identified.nc --fit fit.json -o joint.c[/]
     """
@@ -102,7 +104,7 @@ def compensate(
         name for name, value in (("--fit", fit), ("--stiffness", stiffness), ("--loop", loop)) if value is not None
     ]
     if len(given) > 1:
-        raise edge.InputError(f"{given[1]}: {given[0]} states the series compliance as well; give one of the two.")
+        raise edge.InputError(f"{given[1]}: {given[0]} determines the series compliance too; give one of the two.")
     names: tuple[str, ...] = ()
     if output.suffix == ".fmu":
         from cycloid_fmu.native.build import checked_platforms
@@ -110,7 +112,9 @@ def compensate(
         version: Version = fmi_version  # type: ignore[assignment]
         names = checked_platforms(platforms or (), version)
     elif platforms or fmi_version != "2.0":
-        raise edge.InputError(f"{'--platform' if platforms else '--fmi'}: only an FMU has one: name it .fmu.")
+        raise edge.InputError(
+            f"{'--platform' if platforms else '--fmi'}: this option is for FMUs; give --output the ending .fmu."
+        )
     elif output.suffix != ".csv":
         name_of(output, "output")
     drive = read_drive(drive_file, surface_file)
@@ -118,7 +122,7 @@ def compensate(
     between = None if temperatures is None else tuple(one.strip() for one in temperatures.split(","))
     if between is not None and len(between) != 2:
         raise edge.ArgumentError(
-            "temperatures", 'give two separated by a comma, such as "10 degC, 60 degC"', temperatures
+            "temperatures", 'give two values separated by a comma, such as "10 degC, 60 degC"', temperatures
         )
     with commands.Bar("crank angles", None) as bar:
         made = drive.compensator(
@@ -146,17 +150,17 @@ def compensate(
     found = made.inverse.residual * ARCSEC
     typer.echo(
         f"{' and '.join(map(str, files))}: tables of {made.size} bytes; largest difference from the model: "
-        f"{found:.3g}″; band (standard deviation) at {rated:.4g} N·m: {bands[0]:.3g}″, {bands[1]:.3g}″ where no index "
-        "is stated."
+        f"{found:.3g}″; band (standard deviation) at {rated:.4g} N·m: {bands[0]:.3g}″, without an index "
+        f"{bands[1]:.3g}″."
     )
     if made.inverse.residual > residual:
-        typer.echo(f"A finer table does not reach the {residual * ARCSEC:.3g}″ required.", err=True)
+        typer.echo(f"No table is fine enough for the required {residual * ARCSEC:.3g}″.", err=True)
 
 
 def _chain(
     fit: Path | None, friction_file: Path | None, stiffness: float | None, loop: Path | None
 ) -> tuple[Friction, float | None, float]:
-    """Friction at the output, stiffness of the whole drive and compliance in series, from what was given."""
+    """Return friction at the output, stiffness of the whole drive, N*m/rad, and series compliance, rad/(N*m)."""
     from cycloid_fmu.fmu.chain import read_loop
     from cycloid_fmu.fmu.friction_file import FrictionTables, read_friction
     from fitting.estimation.result import read_chain

@@ -18,7 +18,7 @@ def curve(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Transmission error curves over one output turn, averaged over turns, one for each recording and direction.
+    """Compute transmission error curves over one output turn, averaged over turns, by recording and direction.
 
     Example: [cyan]cycloid-fit curve 20Nm.arrows 200Nm.arrows --pair pair.toml -o curves.nc --plot curves.png[/]
     """

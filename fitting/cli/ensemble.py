@@ -17,13 +17,13 @@ def ensemble(
     drive: options.PairFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder for the surfaces.")],
     count: Annotated[int, typer.Option(min=1, max=10000, help="Number of surfaces.")] = 20,
-    seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same surfaces.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed; the same seed draws the same surfaces.")] = 0,
     torque: Annotated[
-        float | None, commands.quantity_option("N*m", "Torque at which --plot draws the transmission errors' band.")
+        float | None, commands.quantity_option("N*m", "Torque at which --plot draws the band of transmission errors.")
     ] = None,
     plot: commands.PlotFile = None,
 ) -> None:
-    """Draw error surfaces that agree with the measurement as well as the identified one; their FMUs give a band.
+    """Draw error surfaces that agree with the measurement as well as the identified one; their FMUs span a band.
 
     Example: [cyan]cycloid-fit ensemble s.nc --pair pair.toml -o drawn --torque "100 N*m" --plot band.png[/]
     """
@@ -32,17 +32,17 @@ def ensemble(
     from fitting.reports.plots import plot_band
 
     if (plot is None) != (torque is None):
-        raise edge.InputError("--plot and --torque belong together: the band is drawn at one torque.")
+        raise edge.InputError("--plot and --torque: give both or neither; the band is drawn at this torque.")
     identified = read_drive(drive, surface)
     drawn = fitting.ensemble(identified, count, seed)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
-        raise edge.ArgumentError("output", f"this is no folder to write to: {problem.strerror}", output) from None
+        raise edge.ArgumentError("output", f"the folder can't be created: {problem.strerror}", output) from None
     with commands.progress("surfaces", count) as written:
         for number, one in enumerate(drawn):
             one.write(output / f"{surface.stem}-{number:04d}.nc")
             written(1.0)
     if plot is not None and torque is not None:
         plot_band(identified, drawn, torque, plot)
-    typer.echo(f"{count} error surfaces are in {output}.")
+    typer.echo(f"{output}: {count} error surfaces written.")

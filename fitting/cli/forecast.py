@@ -21,11 +21,11 @@ def forecast(
     ],
     drive: options.PairFile,
     wear_file: Annotated[
-        Path, typer.Option("--wear", metavar="WEAR.toml", help="The wear law (cycloid-wear/1); its k_0 is the prior's.")
+        Path, typer.Option("--wear", metavar="WEAR.toml", help="The wear law (cycloid-wear/1); its k_0 sets the prior.")
     ],
     surface: Annotated[
         Path | None,
-        typer.Option(metavar="S.nc", help="The new drive, as identified; without it as in the pair file."),
+        typer.Option(metavar="S.nc", help="Identified surface of the new drive. Default: the errors of the pair file."),
     ] = None,
     until: Annotated[
         float | None,
@@ -65,7 +65,7 @@ def forecast(
         figures = measured(
             history, made, history_file.parent, mapping=mapping, source=str(history_file), progress=step
         )  # fmt: skip
-    with commands.Bar("forecast, per cent", 100.0) as bar:
+    with commands.Bar("forecast, percent", 100.0) as bar:
         found = foretell(
             made, law, history, figures, until=until, source=str(history_file),
             progress=lambda share: bar.update(completed=round(100.0 * share)),

@@ -28,17 +28,17 @@ def identify(
         Path | None,
         typer.Option(
             metavar="TOL.toml",
-            help="Prior of single pins and teeth, and of the form shared by all teeth.",
+            help="Tolerances that set the prior of single pins and teeth, and of the form shared by all teeth.",
         ),
     ] = None,
     profiled: Annotated[
         list[str] | None,
         typer.Option(
-            "--profile", metavar="ERROR", help="Find this error's interval by its likelihood profile; repeatable."
+            "--profile", metavar="ERROR", help="Compute this error's interval by profile likelihood; repeatable."
         ),
     ] = None,
     form: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Expected size of a form shared by all flanks; 0 um if it is known.")
+        str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
     ] = "1 um",
     bootstrap: Annotated[int, typer.Option(min=0, help="Number of bootstrap resamples of output turns.")] = 0,
     report: Annotated[
@@ -49,7 +49,7 @@ def identify(
 ) -> None:
     """Fit the drive's errors to recordings at one or more loads, and list the errors that the data cannot resolve.
 
-    Hysteresis loops with the input locked may be among them: they separate play from friction.
+    The recordings may include hysteresis loops with the input locked: they separate play from friction.
 
     Example: [cyan]cycloid-fit identify loop.csv *.arrows --pair pair.toml -o fit.json --surface s.nc --plot fit.png[/]
     """
@@ -76,7 +76,7 @@ def identify(
     if surface is not None:
         result.drive.write(surface)
         if result.bearings:
-            # A surface belongs to one pair, and this one's bearings are other than the file's.
+            # A surface belongs to one pair, and the bearings of this one differ from the file's.
             made = surface.with_suffix(".toml")
             result.drive.write(made)
             written.append(f"{made}: the pair with its identified bearings, to which {surface} belongs.")
@@ -110,7 +110,7 @@ def _print(result: Identification) -> None:
     if result.held_out is not None:
         kept = result.held_out
         typer.echo(
-            f"Kept from a first fit and predicted by it: {kept.loads}: {kept.residual * ARCSEC:.3f}″ rms left, "
+            f"Held out from a first fit, which predicts it: {kept.loads}: residual {kept.residual * ARCSEC:.3f}″ rms, "
             f"noise {kept.noise * ARCSEC:.3f}″."
         )
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
@@ -124,5 +124,5 @@ def _print(result: Identification) -> None:
     for one in result.loops:
         typer.echo(
             f"{Path(one.source).name}: play at the crank angle {math.degrees(one.crank_angle):.1f}°: "
-            f"{one.play * ARCSEC:.2f} ± {1.96 * one.standard_error * ARCSEC:.2f}″ by the identified errors."
+            f"{one.play * ARCSEC:.2f} ± {1.96 * one.standard_error * ARCSEC:.2f}″ from the identified errors."
         )

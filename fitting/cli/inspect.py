@@ -22,7 +22,7 @@ def inspect(
 ) -> None:
     """Show the contents of a file, propose a mapping of its channels, and draw them.
 
-    Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and give it as
+    Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and use it with
     [cyan]--mapping map.toml[/]
     """
     import numpy as np
@@ -51,6 +51,6 @@ def inspect(
     ]  # fmt: skip
     commands.print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
     if max(one.values.size for one in found.looks) >= LOOKED_AT:
-        typer.echo(f"Looked at the first {LOOKED_AT} samples.")
-    typer.echo("\n# A proposed mapping; check it and give it as --mapping.\n" + found.text)
+        typer.echo(f"Based on the first {LOOKED_AT} samples.")
+    typer.echo("\n# A proposed mapping; check it and use it with --mapping.\n" + found.text)
     options.print_notes(found.file.problems)

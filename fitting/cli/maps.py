@@ -24,7 +24,7 @@ def maps(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Maps over torque, speed and temperature: transmission error, its orders, gap between directions, stiffness.
+    """Compute maps over torque, speed and temperature: transmission error, orders, gap between directions, stiffness.
 
     Example: [cyan]cycloid-fit maps campaign/*.csv --mapping map.toml --ratio -39 -o maps.nc --report maps.html[/]
     """
@@ -51,6 +51,6 @@ def maps(
         numbers = {str(name): values.values for name, values in {**found.coords, **found.data_vars}.items()}
         commands.print_json({**numbers, "notes": notes})
         return
-    axes = ", ".join(f"{found.sizes[name]} of {name}" for name in ("torque", "speed", "temperature"))
+    axes = ", ".join(f"{found.sizes[name]} x {name}" for name in ("torque", "speed", "temperature"))
     typer.echo(f"{found.attrs['curves']} curves over {axes}.")
     options.print_notes(notes)

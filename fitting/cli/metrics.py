@@ -23,7 +23,7 @@ def metrics(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torques.
+    """Compute the standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torques.
 
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """

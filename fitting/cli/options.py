@@ -1,4 +1,4 @@
-"""Options and printing that several commands of `cycloid-fit` share."""
+"""Options and printing shared by the commands of `cycloid-fit`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, su
 RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]
 InstrumentsFile = Annotated[
     Path | None,
-    typer.Option("--instruments", metavar="BENCH.toml", help="The bench's instruments: uncertainty budgets after GUM."),
+    typer.Option(
+        "--instruments", metavar="BENCH.toml", help="Instruments of the bench, for uncertainty budgets by the GUM."
+    ),
 ]
 StiffnessLimits = Annotated[
     str | None,
@@ -40,7 +42,7 @@ FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the state
 
 
 def check_report(target: Path | None) -> None:
-    """Refuse a report in HTML, before anything is computed, where the package that it takes is missing."""
+    """Refuse a report in HTML before anything is computed, if the package that it needs is missing."""
     if target is not None and target.suffix.lower() == ".html":
         from fitting.reports.page import script
 
@@ -54,7 +56,7 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def finish(found: Figures, *, as_json: bool) -> None:
-    """Print figures and notes for people, or the figures for scripts; leave with the status that belongs to them."""
+    """Print figures and notes for people, or the figures for scripts; exit with their status."""
     from fitting.figures.budget import BUDGET_HEAD, budget_rows
     from fitting.figures.figure import in_field_units
     from fitting.figures.metrics import figures_json

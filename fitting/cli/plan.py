@@ -26,22 +26,22 @@ def plan(
     scatter: Annotated[
         float,
         commands.quantity_option(
-            "m", "Scatter of single pins and teeth beyond their low orders, standard deviation.", show_default="0.3 um"
+            "m", "Standard deviation of single pins and teeth beyond their low orders.", show_default="0.3 um"
         ),
     ] = 0.3e-6,
     form: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Expected size of a form shared by all flanks; 0 um if it is known.")
+        str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
     ] = "1 um",
     loop: Annotated[
         float | None,
-        commands.quantity_option("N*m", "Also with a hysteresis loop to this torque, the crank locked at pin 0."),
+        commands.quantity_option("N*m", "Add a hysteresis loop to this torque, with the crank locked at pin 0."),
     ] = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Predict before any measurement the errors that each set of loads and directions identifies, and how well.
+    """Predict before a measurement which errors each set of loads and directions identifies, and how accurately.
 
-    Each set states the further run that would improve every pin and tooth most.
+    For each set the further run is given that would improve single pins and teeth most.
 
     Example: [cyan]cycloid-fit plan pair.toml --torque "20 N*m" --torque "200 N*m"[/]
     """

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fitting.recalibration.plan import PlannedVisit
     from fitting.recalibration.recalibrate import Recalibration
 
-_SHOWN = 4  # errors that are more accurately known now
+_SHOWN = 4  # most errors listed as more accurately known
 _NAMES = {
     "backlash": "backlash, mean",
     "lost_motion": "lost motion at ± 3 %, mean",
@@ -26,8 +26,8 @@ _NAMES = {
 
 def recalibrate(
     drive: options.PairFile,
-    before: Annotated[Path, typer.Option(metavar="S.nc", help="The surface that identify or recalibrate wrote last.")],
-    crank_turns: Annotated[float, typer.Option(min=0.0, help="Crank turns since that date.")],
+    before: Annotated[Path, typer.Option(metavar="S.nc", help="The last surface that identify or recalibrate wrote.")],
+    crank_turns: Annotated[float, typer.Option(min=0.0, help="Crank turns since that surface's date.")],
     files: Annotated[
         list[Path] | None, typer.Argument(metavar="[FILE...]", help="Recordings against the joint's output encoder.")
     ] = None,
@@ -36,21 +36,21 @@ def recalibrate(
     ] = None,
     mapping: options.MappingFile = None,
     bits: Annotated[
-        int | None, typer.Option(min=8, max=32, help="Resolution of the output encoder, bits a turn.")
+        int | None, typer.Option(min=8, max=32, help="Resolution of the output encoder, bits per turn.")
     ] = None,
     lost_motion: Annotated[
         list[str] | None,
         typer.Option(
             metavar='"58 arcsec +- 6 arcsec at 5 N*m"',
-            help="A measured lost motion, its 95 % interval and the torque on either flank; repeatable.",
+            help="A measured lost motion, half its 95 % interval, and the torque in each direction; repeatable.",
         ),
     ] = None,
     drift: Annotated[
         float,
-        commands.quantity_option("m", "Uniform wear in 10^7 crank turns, standard deviation.", show_default="1 um"),
+        commands.quantity_option("m", "Standard deviation of uniform wear in 10^7 crank turns.", show_default="1 um"),
     ] = 1e-6,
     torque_share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Standard deviation of the torque's scale, as a share.")
+        float, typer.Option(min=0.0, max=1.0, help="Relative standard deviation of the torque's scale.")
     ] = 0.05,
     output: Annotated[
         Path | None, commands.output_option((".json",), "NOW.json", "Write the recalibration (JSON).")
@@ -60,7 +60,7 @@ def recalibrate(
     ] = None,
     plan: Annotated[
         list[float] | None,
-        commands.quantity_option("N*m", "Plan only: a possible load of the joint; repeatable.", "--plan"),
+        commands.quantity_option("N*m", "Only plan, for this possible load of the joint; repeatable.", "--plan"),
     ] = None,
     wanted: Annotated[
         float | None,
@@ -68,14 +68,14 @@ def recalibrate(
     ] = None,
     mark: Annotated[
         float | None,
-        commands.quantity_option("rad", "With --plan: standard deviation of one passing of an index mark."),
+        commands.quantity_option("rad", "With --plan: standard deviation of one passage of an index mark."),
     ] = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Update the model of a drive from measurements of its joint, and report whether it is still valid.
 
-    The status is 4 if it is not: the drive is then not updated.
+    Exit status 4 if it is not; the drive is then not updated.
 
     Example: [cyan]cycloid-fit recalibrate *.csv --pair pair.toml --before s.nc --crank-turns 1e7 --bits 17 -o now.json
     --surface now.nc --plot now.png[/]
@@ -120,7 +120,7 @@ def recalibrate(
     if surface is not None:
         result.drive.write(surface)
         if result.drive.pair.supports is not None or result.drive.first_stage is not None:
-            # A surface belongs to one pair, and this one's bearings are other than the file's.
+            # A surface belongs to one pair, and the bearings of this one differ from the file's.
             made = surface.with_suffix(".toml")
             result.drive.write(made)
             notes.append(f"{made}: the drive with its updated bearings; {surface} belongs to it.")
@@ -136,7 +136,7 @@ def recalibrate(
 
 
 def _lost_motion(text: str) -> LostMotion:
-    """Return a lost motion from its words."""
+    """Return a lost motion from text such as "58 arcsec +- 6 arcsec at 5 N*m"."""
     from fitting.estimation.parameter import NORMAL
     from fitting.recalibration.measured import LostMotion
 
@@ -147,14 +147,14 @@ def _lost_motion(text: str) -> LostMotion:
         return LostMotion(found[0], found[1] / NORMAL, found[2])
     except (ValueError, edge.InputError):
         raise edge.ArgumentError(
-            "lost_motion", 'write value, interval and torque, such as "58 arcsec +- 6 arcsec at 5 N*m"', text
+            "lost_motion", 'write value, half interval and torque, such as "58 arcsec +- 6 arcsec at 5 N*m"', text
         ) from None
 
 
 def _print(result: Recalibration) -> None:
     typer.echo(
         result.alarm
-        or "The model holds: the measurements agree with it within noise and the drift since the last date."
+        or "The model is valid: the measurements agree with it within noise and the drift since the last date."
     )
     rows = []
     for name, label in _NAMES.items():
@@ -167,9 +167,9 @@ def _print(result: Recalibration) -> None:
         return
     if result.better_known:
         more = len(result.better_known) - _SHOWN
-        beside = f" and {more} more, as in --output" if more > 0 else ""
+        beside = f" and {more} more, see --output" if more > 0 else ""
         typer.echo(
-            f"More accurately known now (standard deviations): {'; '.join(result.better_known[:_SHOWN])}{beside}."
+            f"Now known more accurately (standard deviations): {'; '.join(result.better_known[:_SHOWN])}{beside}."
         )
     typer.echo(
         f"The measurements determine {result.told.size - result.remaining} combinations of errors; "
@@ -184,4 +184,4 @@ def _print_plan(visits: list[PlannedVisit], wanted: float | None) -> None:
         enough = [] if wanted is None else ["–" if one.turns is None else str(one.turns)]
         rows.append([one.runs, *(f"{width * ARCSEC:.2f}" for width in one.half_width.values()), *enough])
     head = ["runs", *(str(t) for t in turns), *([] if wanted is None else ["turns needed"])]
-    commands.print_table("Half of the backlash's 95 % interval [arcsec] by output turns", head, rows)
+    commands.print_table("Half width of the backlash's 95 % interval [arcsec] by output turns", head, rows)

@@ -21,12 +21,14 @@ def report(
     instruments: options.InstrumentsFile = None,
     certificate: Annotated[
         Path | None,
-        typer.Option(metavar="DRIVE.toml", help="A certificate: device, limits, decision rule; needs --instruments."),
+        typer.Option(
+            metavar="DRIVE.toml", help="Add a certificate: device, limits, decision rule; with --instruments."
+        ),
     ] = None,
     mapping: options.MappingFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Write a report: figures, curves, orders, loops, excluded data with the reason. One file, HTML or PDF.
+    """Write a report as one file, HTML or PDF: figures, curves, orders, loops, and excluded data with the reason.
 
     Example: [cyan]cycloid-fit report loop.csv *.arrows --pair pair.toml -o report.html[/]
     """

@@ -1,6 +1,6 @@
-"""The uncertainty budget of each figure after GUM (JCGM 100:2008): instruments and repeatability.
+"""The uncertainty budget of each figure by the GUM (JCGM 100:2008): instruments and repeatability.
 
-Sensitivities are found by changing the recording as the instrument's error would, and computing the figure again.
+Sensitivities are found by adding the instrument's error to the recording and computing the figure again.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from fitting.figures.spectrum import RIG_ORDERS, Spectrum, range_of, run_label, 
 from fitting.figures.survey import Surveyed
 
 Array = NDArray[np.float64]
-# How many readings a figure is made of: the root of the sum of their squared weights.
+# Root of the sum of the squared weights of the readings that make up a figure.
 _READINGS = {
     "hysteresis_loss": math.sqrt(2.0), "backlash": math.sqrt(3.0), "lost_motion": 1.0,
     "angular_transmission_error": math.sqrt(2.0), "angular_transmission_error_without_rig": math.sqrt(2.0),
 }  # fmt: skip
 COVERAGE = 0.95
 _TORQUE_STEP = 0.005  # of the rated torque
-_SAMPLES = 20000  # of a loop, with which sensitivities are found
+_SAMPLES = 20000  # most samples of a loop for sensitivities
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class Contribution:
     source
         The source of uncertainty.
     kind
-        "A", from the recordings, or "B", from stated values.
+        Type of evaluation: "A", from the recordings, or "B", from stated values.
     distribution
-        Of the input quantity.
+        Distribution of the input quantity.
     standard_uncertainty, unit
-        u(x) and its unit, SI.
+        Standard uncertainty u(x) and its SI unit.
     sensitivity
-        c, the figure's change over that of the quantity, SI.
+        Sensitivity coefficient c: change of the figure over change of the quantity, SI.
     degrees
         Degrees of freedom of u(x).
     """
@@ -74,11 +74,11 @@ class Budget:
     Attributes
     ----------
     figure
-        Its name.
+        Name of the figure.
     value, unit
-        Of the figure, SI.
+        Value of the figure and its SI unit.
     contributions
-        The input quantities, those that are not correlated.
+        Contributions of the input quantities, which are uncorrelated.
     """
 
     figure: str
@@ -88,36 +88,36 @@ class Budget:
 
     @property
     def standard_uncertainty(self) -> float:
-        """Combined standard uncertainty u_c (JCGM 100, equation 10)."""
+        """Combined standard uncertainty u_c, SI (JCGM 100, equation 10)."""
         return math.hypot(*(one.contribution for one in self.contributions))
 
     @property
     def degrees(self) -> float:
-        """Effective degrees of freedom, Welch and Satterthwaite (JCGM 100, equation G.2b)."""
+        """Effective degrees of freedom by Welch and Satterthwaite (JCGM 100, equation G.2b)."""
         below = sum(one.contribution**4 / one.degrees for one in self.contributions)
         return self.standard_uncertainty**4 / below if below > 0.0 else math.inf
 
     @property
     def coverage_factor(self) -> float:
-        """Factor k for 95 %: Student's t with the effective degrees of freedom."""
+        """Coverage factor k for 95 %: Student's t with the effective degrees of freedom."""
         return student(self.degrees)
 
     @property
     def expanded(self) -> float:
-        """Expanded uncertainty U = k u_c."""
+        """Expanded uncertainty U = k u_c, SI."""
         return self.coverage_factor * self.standard_uncertainty
 
 
 def student(degrees: float) -> float:
-    """Return the quantile of Student's t that holds 95 % on both sides."""
+    """Return the two-sided 95 % quantile of Student's t."""
     return 1.959964 if math.isinf(degrees) else float(stdtrit(degrees, 0.5 + 0.5 * COVERAGE))
 
 
 @dataclass(frozen=True)
 class _Wave:
-    """An encoder's error of an order of the turn; both components have this standard uncertainty, rad.
+    """An encoder error of one order of the turn, whose sine and cosine have the standard uncertainty `standard`, rad.
 
-    A graduation's error has other orders too: `graduation` states whether the wave represents all of them.
+    `graduation`: the wave represents the graduation error, which has other orders too.
     """
 
     source: str
@@ -147,7 +147,7 @@ def _loop_values(data: Sequence[LoopData]) -> dict[str, float]:
 
 
 def _thinned(data: LoopData, step: int) -> LoopData:
-    """Return a subset of the samples of a long recording, sufficient for sensitivities."""
+    """Return every `step`-th sample of a long recording, sufficient for sensitivities."""
 
     def part(of: slice) -> slice:
         return slice(-(-of.start // step), -(-of.stop // step))
@@ -162,7 +162,7 @@ def _thinned(data: LoopData, step: int) -> LoopData:
 def _of_loops(
     surveyed: Sequence[Surveyed], instruments: Instruments, ratio: float | None
 ) -> dict[str, list[Contribution]]:
-    """Return the contributions of encoders and torque sensor to the figures of loops, by figure."""
+    """Return the contributions of encoders and torque sensor to the figures of loops, by name of the figure."""
     recorded = []
     for one in surveyed:
         if one.loops is not None:
@@ -184,7 +184,7 @@ def _of_loops(
         changed: Sequence[Sequence[LoopData]],
         step: float,
     ) -> None:
-        """Add a quantity, with the recordings after a step of it or of each of its parts."""
+        """Add a quantity; `changed`: the recordings with the quantity, or each of its components, changed by `step`."""
         values = [_loop_values(one) for one in changed]
         for name, value in nominal.items():
             moved = math.hypot(*(one.get(name, value) - value for one in values))
@@ -210,7 +210,7 @@ def _of_loops(
             half_step = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
             for name in nominal:
                 readings = _READINGS.get(name)
-                if readings is None:  # a slope: torque over the difference of two readings, on each of two sides
+                if readings is None:  # stiffness: torque over the difference of two readings, mean of two sides
                     readings = nominal[name] ** 2 / (0.5 * rated)
                 found[name].append(
                     Contribution(
@@ -226,7 +226,7 @@ def _of_loops(
             ("torque sensor, zero", zero, 0.0, 1.0),
         ):
             if standard > 0.0:
-                # A small step changes which noisy samples an interval holds more than where they lie.
+                # With a smaller step, the effect of noisy samples entering or leaving an interval would dominate.
                 by = max(standard, _TORQUE_STEP * rated)
                 more = [dataclasses.replace(one, torque=one.torque * (1.0 + gain * by) + offset * by) for one in data]
                 add(source, "rectangular", standard, "N*m", [more], by)
@@ -258,10 +258,10 @@ def _of_orders(
         for wave in _waves(encoder, f"{shaft} encoder"):
             order = round(wave.order * turns)
             while wave.graduation and order in left_out:
-                order += round(turns)  # all of the graduation's error may lie where nothing is left out
+                order += round(turns)  # the whole graduation error may be in an order that is not left out
             moved = 0.0
             if order < coefficient.size and order not in left_out:
-                # Where many peaks are equally high a wave of either sign raises the range: the larger change counts.
+                # With many equally high peaks, a wave of either sign increases the range: use the larger change.
                 for part in (1.0, 1j):
                     step = np.zeros_like(coefficient)
                     step[order] = scale * wave.standard * part
@@ -309,14 +309,14 @@ def budgets_of(
     instruments
         The stated instruments of the bench.
     ratio
-        Signed ratio; without it the input encoder is in no budget of a loop.
+        Signed ratio input/output; without it, budgets of loops do not include the input encoder.
     progress
-        Called with what is being computed.
+        Called with the name of the stage.
 
     Returns
     -------
     budgets
-        By figure; figures of unknown repeatability (one start) have none.
+        Budgets by name of the figure; figures of unknown repeatability (a single start) have none.
     """
     progress("uncertainty budgets")
     loops = _of_loops(surveyed, instruments, ratio if ratio is not None else surveyed[0].overview.ratio)

@@ -23,11 +23,11 @@ class Change:
     Attributes
     ----------
     name
-        The figure, and after a dot its part: `torsional_stiffness.positive`.
+        Name of the figure, followed by a dot and the part, if any: `torsional_stiffness.positive`.
     before, after
-        The figure of either.
+        The figure on both sides.
     difference, uncertainty
-        After minus before, and half its 95 % interval: both uncertainties, which are independent, together.
+        After minus before, and half width of its 95 % interval, from both uncertainties as independent.
     """
 
     name: str
@@ -41,12 +41,12 @@ class Change:
 
     @property
     def uncertainty(self) -> float:
-        """Half the 95 % interval of the difference; NaN where one of the two is unknown."""
+        """Half width of the 95 % interval of the difference; NaN if one of the two is unknown."""
         return math.hypot(self.before.uncertainty, self.after.uncertainty)
 
     @property
     def moved(self) -> bool | None:
-        """Whether it changed by more than its uncertainty; None if that is unknown."""
+        """Whether the figure changed by more than the uncertainty of the difference; None if that is unknown."""
         return None if math.isnan(self.uncertainty) else abs(self.difference) > self.uncertainty
 
     def in_field_units(self) -> tuple[str, str, str, str, str]:
@@ -59,12 +59,12 @@ class Change:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Compared figures of two sides.
+    """Comparison of the figures of two sides.
 
     Attributes
     ----------
     changes
-        Of the figures that both sides have, taken over the same interval, parts included.
+        Changes of the figures and parts that both sides have over the same interval.
     notes
         One sentence for each omission on either side, and for each figure that can't be compared.
     """
@@ -133,8 +133,8 @@ def changes_between(before: Mapping[str, Figure], after: Mapping[str, Figure]) -
             continue
         if not _same_interval(one, other):
             notes.append(
-                f"{name}: it was taken over {_interval(one)} in the first and {_interval(other)} in the second; give "
-                "both the same rated torque."
+                f"{name}: it was evaluated over {_interval(one)} in the first and {_interval(other)} in the second; "
+                "use the same rated torque for both."
             )
             continue
         changes.append(Change(name, one, other))
@@ -154,7 +154,7 @@ def _interval(figure: Figure) -> str:
 
 
 def comparison_json(found: Comparison) -> dict[str, Any]:
-    """Return a comparison for scripts (SI)."""
+    """Return a comparison as JSON data for scripts, SI."""
     return {
         **{
             c.name: {
@@ -173,14 +173,14 @@ def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:
     Raises
     ------
     edge.InputError
-        If the file is not of this format.
+        If the file does not have this format.
     """
     data = edge.json_table(path, FORMAT, "figures")
     with edge.parsed_by_others(path, "a figure is incomplete or not a number"):
         return {name: _figure(one) for name, one in data.items() if isinstance(one, dict) and name not in _SOURCES}
 
 
-_SOURCES = ("data", "implausible")  # tables of the file that are no figures
+_SOURCES = ("data", "implausible")  # tables of the file that are not figures
 _COUNTED = ("loops", "turns", "starts")
 
 

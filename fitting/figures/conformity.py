@@ -1,4 +1,4 @@
-"""Conformity of figures with limits by a stated decision rule, for the certificate of a drive."""
+"""Conformity of figures with limits under a stated decision rule, for the certificate of a drive."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from fitting.figures.figure import UNITS
 from fitting.figures.metrics import Figures
 
 FORMAT = "cycloid-certificate/1"
-LOWER = ("torsional_stiffness",)  # figures whose limit is the smallest allowed
+LOWER = ("torsional_stiffness",)  # figures for which a single limit is the minimum
 Verdict = Literal["pass", "fail", "undecided"]
 Rule = Literal["guard band", "simple acceptance"]
 RULES = {
-    "guard band": "Guard band of the expanded uncertainty U (ISO 14253-1, ILAC-G8): a figure passes where it keeps its "
-    "limit with U on either side, fails where it breaks it with U, and is undecided between.",
-    "simple acceptance": "Simple acceptance (ILAC-G8): a figure passes where its value keeps its limit, whatever U; "
+    "guard band": "Guard band of the expanded uncertainty U (ISO 14253-1, ILAC-G8): a figure passes if its value meets "
+    "the limit by at least U, fails if it violates the limit by more than U, and is otherwise undecided.",
+    "simple acceptance": "Simple acceptance (ILAC-G8): a figure passes if its value meets the limit, regardless of U; "
     "near the limit up to half of the decisions are wrong.",
 }
 
@@ -32,11 +32,11 @@ class Device(edge.Config):
     Attributes
     ----------
     name
-        Its type.
+        Type of the drive.
     serial_number
-        Of this drive.
+        Serial number of the drive.
     maker
-        Who made it.
+        Manufacturer.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Limit(edge.Config):
         return self
 
     def bounds(self, unit: str) -> tuple[float, float]:
-        """Return smallest and largest value that is allowed, SI."""
+        """Return the smallest and largest permitted value, SI; `unit`: the figure's SI unit."""
         low = -math.inf if self.min is None else edge.parse_quantity(self.min, unit)
         high = math.inf if self.max is None else edge.parse_quantity(self.max, unit)
         return low, high
@@ -75,9 +75,9 @@ class Certificate(edge.Config):
     Attributes
     ----------
     number
-        Of the certificate.
+        Number of the certificate.
     issued_by
-        Laboratory or person.
+        Issuing laboratory or person.
     device
         The measured drive.
     conditions
@@ -85,8 +85,8 @@ class Certificate(edge.Config):
     decision_rule
         "guard band" (ISO 14253-1) or "simple acceptance" (both ILAC-G8).
     limits
-        {figure: its limits}: one text (the largest allowed value, for the torsional stiffness the smallest), or min and
-        max.
+        {figure: limits}: a single text (the largest permitted value, for the torsional stiffness the smallest), or min
+        and max.
     """
 
     number: str = ""
@@ -99,7 +99,7 @@ class Certificate(edge.Config):
     @pydantic.field_validator("limits", mode="before")
     @classmethod
     def _of_one_side(cls, given: Any) -> Any:
-        """Convert a limit of one text to an upper or lower one by its figure, as in a requirements file."""
+        """Convert a limit of a single text to the figure's upper or lower limit, as in a requirements file."""
         if not isinstance(given, Mapping):
             return given
         sides = {True: "min", False: "max"}
@@ -110,7 +110,7 @@ class Certificate(edge.Config):
     def _of_figures(cls, given: dict[str, Limit]) -> dict[str, Limit]:
         for name, limit in given.items():
             if name not in UNITS:
-                raise ValueError(f"{name} is no figure; figures are {', '.join(UNITS)}")
+                raise ValueError(f"{name} is not a figure; the figures are {', '.join(UNITS)}")
             try:
                 low, high = limit.bounds(UNITS[name])
             except ValueError as problem:
@@ -132,17 +132,17 @@ def read_certificate(path: str | os.PathLike[str]) -> Certificate:
 
 
 def decide(value: float, expanded: float, low: float, high: float, rule: Rule) -> Verdict:
-    """Return whether a value keeps its limits.
+    """Return whether a value meets its limits.
 
     Parameters
     ----------
     value, expanded
-        The figure, and its expanded uncertainty U (k for 95 %); NaN if U is not known.
+        The figure and its expanded uncertainty U (95 %); NaN if U is unknown.
     low, high
-        Limits, in the same unit; infinite if there is none.
+        Limits in the same unit; infinite if there is none.
     rule
-        Guard band (ISO 14253-1): conformity is proved if value ± U is inside, non-conformity if it is outside; simple
-        acceptance: the value alone decides.
+        Guard band (ISO 14253-1): conformity is proved if value ± U is inside the limits, non-conformity if it is
+        outside. Simple acceptance: only the value counts.
 
     Examples
     --------
@@ -161,18 +161,18 @@ def decide(value: float, expanded: float, low: float, high: float, rule: Rule) -
 
 @dataclass(frozen=True)
 class Decision:
-    """The decision on one figure; `value`, `expanded`, `low` and `high` in SI, NaN where the figure is missing.
+    """The decision on one figure.
 
     Attributes
     ----------
     figure, unit
-        Its name and the SI unit.
+        Name of the figure, and its SI unit.
     value, expanded, coverage_factor
-        Of the figure, its expanded uncertainty U and the k behind it.
+        Value, expanded uncertainty U, SI, and coverage factor k; NaN if the figure or its budget is missing.
     low, high
-        Its limits, infinite where there is none.
+        Limits, SI; infinite if there is none.
     verdict
-        By the certificate's decision rule; a figure that is missing is undecided.
+        Verdict under the certificate's decision rule; a missing figure is undecided.
     """
 
     figure: str
@@ -186,7 +186,7 @@ class Decision:
 
 
 def decisions_of(found: Figures, certificate: Certificate) -> list[Decision]:
-    """Return the decision on each figure that has a limit, by its budget's expanded uncertainty."""
+    """Return the decision on each figure that has a limit, with the expanded uncertainty of its budget."""
     decisions = []
     for name, limit in certificate.limits.items():
         low, high = limit.bounds(UNITS[name])

@@ -44,25 +44,25 @@ class Figure:
     Attributes
     ----------
     value, uncertainty
-        The value and half its 95 % interval; NaN if unknown, as for one repetition.
+        Value and half width of its 95 % interval; NaN if unknown, such as without repetition.
     unit
-        Of both.
+        SI unit of both.
     definition
-        Its definition.
+        Definition of the figure in words.
     interval
-        Interval of the curve used, in `interval_unit`.
+        Interval of the curve in which the figure is evaluated, in `interval_unit`; None if there is none.
     interval_unit
         "N*m" of torque or "rad" of the output.
     count, counted
         Number of loops, turns or starts, and which of these.
     parts
-        The same figure of parts of the data: `forward` and `backward`, `positive` and `negative`.
+        The same figure from parts of the data: `forward` and `backward`, or `positive` and `negative`.
     runs
-        {run: the figure} if several runs were made.
+        {run: the figure of this run} if there are several runs.
     segments
-        The same figure between torques, {"K1": the figure}; each states its interval.
+        {"K1": the figure in this torque range, ...}; each states its interval.
     degrees
-        Degrees of freedom of the uncertainty: of the scatter of loops or starts if it is from them.
+        Degrees of freedom of the uncertainty; finite if it is from the scatter of loops or starts.
     """
 
     value: float
@@ -90,7 +90,7 @@ class Figure:
 
 
 def pooled(figures: Sequence[Figure]) -> Figure:
-    """Return the mean of one figure from several recordings, weighted by their loops."""
+    """Return the mean of a figure over several recordings, weighted by their numbers of loops."""
     if len(figures) == 1:
         return figures[0]
     weight = np.array([f.count for f in figures]) / sum(f.count for f in figures)
@@ -125,17 +125,17 @@ _FIELD_UNITS = {
 
 
 def in_field_units(figure: Figure, like: Figure | None = None) -> tuple[str, str, str]:
-    """Return value, uncertainty and unit for reports: arcmin, or arcsec below one arcmin.
+    """Return value, uncertainty and unit as texts for reports; angles in arcmin, or in arcsec below one arcmin.
 
-    The value has one digit more than its uncertainty makes significant. `like` is a figure whose unit is used, so that
-    several can be shown together.
+    Value and uncertainty are shown to two significant digits of the uncertainty. `like`: the figure that determines the
+    unit, so that several can be shown together.
     """
     factor, unit = _FIELD_UNITS[figure.unit]
     if unit == "arcmin" and abs((like or figure).value) * factor < 1.0:
         factor, unit = factor * 60.0, "arcsec"
     value, uncertainty = figure.value * factor, figure.uncertainty * factor
     if not math.isfinite(uncertainty):
-        return f"{value:.4g}", "not known", unit
+        return f"{value:.4g}", "unknown", unit
     digits = 6 if uncertainty <= 0.0 else min(max(1 - math.floor(math.log10(uncertainty)), 0), 6)
     return f"{value:.{digits}f}", f"{uncertainty:.{digits}f}", unit
 

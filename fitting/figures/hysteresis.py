@@ -1,8 +1,8 @@
 """Hysteresis loops: detection in a recording, and the figures from them.
 
 Lost motion, backlash, hysteresis loss and torsional stiffness, each with its definition, 95 % uncertainty and number of
-loops. Loops are recorded with the input locked or turning slowly; they are loops of the windup, the output angle minus
-the input angle over the ratio.
+loops. Loops are recorded with the input locked or turning slowly; they are plotted as windup, output angle minus input
+angle over ratio, against torque.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from fitting.transmission_error.folding import LOCKED
 Array = NDArray[np.float64]
 
 # Intervals, as shares of the rated torque.
-UNLOADING = (0.03, 0.10)  # of the straight lines that hysteresis loss extrapolates to zero torque
+UNLOADING = (0.03, 0.10)  # of the straight lines extrapolated to zero torque for the hysteresis loss
 FRICTION = 0.50
 STIFFNESS = (0.50, 1.00)
 SEGMENTS = (LOST_MOTION_LOAD, 0.15, 0.50, 1.00)  # limits of K1, K2 and K3
-NEAR = 0.01  # a value "at" a torque is that of the line through the samples this close to it
+NEAR = 0.01  # a value "at" a torque is from the line through samples within this distance
 FRICTION_NEAR = 0.05
 SIDES = (("positive", 1), ("negative", -1))
-DRIFT = (0.30, 0.80)  # of the peak: the branches between are beyond the friction band and before the turn
-_GROUPS = 10000  # means of neighbours from which a drift is told
-_LOBE = 0.20  # a half loop goes beyond this
+DRIFT = (0.30, 0.80)  # of the peak: branches between these are beyond the friction band and before the reversal
+_GROUPS = 10000  # most groups of neighbours, whose means determine a drift
+_LOBE = 0.20  # a half loop exceeds this
 _REST = 0.025  # and begins and ends below this
 
 
 @dataclass(frozen=True)
 class Lobe:
-    """Half a loop: the samples from zero torque up to the peak (loading) and from it back (unloading)."""
+    """Half a loop: sign of its torque, and samples from zero torque to the peak (loading) and back (unloading)."""
 
     sign: int
     loading: slice
@@ -57,25 +57,25 @@ class Loop:
 
 
 def find_lobes(torque: Array, rated_torque: float) -> list[Lobe]:
-    """Find the half loops in a torque that swings from zero to one side and back.
+    """Find the half loops, in which the torque goes from zero to one side and back.
 
     Parameters
     ----------
     torque
-        N·m, in the order of time; noise up to a few per cent of the rated torque does not matter.
+        Torques, N·m, in the order of time, shape (n,); noise up to a few percent of the rated torque has no effect.
     rated_torque
-        T_N, N·m.
+        Rated torque T_N, N·m.
 
     Returns
     -------
     lobes
-        Those beyond a fifth of the rated torque; begin and end are where the torque is nearest to zero.
+        Half loops that exceed a fifth of the rated torque; they begin and end where the torque is closest to zero.
     """
     beyond = np.flatnonzero(np.abs(torque) > _LOBE * rated_torque)
     if not beyond.size:
         return []
     side = np.sign(torque[beyond])
-    # Between two samples beyond the threshold lies the end of a half loop where the torque went to zero between.
+    # A half loop ends between two samples beyond the threshold if the torque went to zero between them.
     breaks = []
     for at in np.flatnonzero((np.diff(beyond) > 1) | (np.diff(side) != 0.0)):
         first, last = beyond[at], beyond[at + 1]
@@ -91,7 +91,7 @@ def find_lobes(torque: Array, rated_torque: float) -> list[Lobe]:
         inner = slice(int(beyond[core[0]]), int(beyond[core[-1]]) + 1)
         peak = inner.start + int(np.argmax(np.abs(torque[inner])))
         sign = int(side[core[0]])
-        # The sample at the border belongs to the side on which its torque is.
+        # The sample at the border belongs to the side of its torque's sign.
         first = begin if torque[begin] * sign >= 0.0 else begin + 1
         last = end if torque[end] * sign < 0.0 else end + 1
         lobes.append(Lobe(sign, slice(first, peak), slice(peak, last)))
@@ -99,7 +99,7 @@ def find_lobes(torque: Array, rated_torque: float) -> list[Lobe]:
 
 
 def find_loops(lobes: Sequence[Lobe]) -> list[Loop]:
-    """Pair half loops that follow each other on opposite sides."""
+    """Pair consecutive half loops on opposite sides."""
     loops, at = [], 0
     while at + 1 < len(lobes):
         one, other = lobes[at : at + 2]
@@ -113,7 +113,7 @@ def find_loops(lobes: Sequence[Lobe]) -> list[Loop]:
 
 @dataclass(frozen=True)
 class Line:
-    """A straight line fitted to windup over torque: value and slope at the centre, with their variances."""
+    """A line fitted to windup, rad, over torque, N·m: centre, value there and slope with their variances, points."""
 
     centre: float
     value: float
@@ -123,16 +123,16 @@ class Line:
     points: int
 
     def at(self, torque: float) -> tuple[float, float]:
-        """Return value and variance at a torque."""
+        """Return value, rad, and variance, rad², at a torque, N·m."""
         away = torque - self.centre
         return self.value + self.slope * away, self.value_variance + self.slope_variance * away * away
 
 
 def fit_line(torque: Array, windup: Array) -> Line | None:
-    """Fit windup over torque; None with fewer than three samples or one torque.
+    """Fit a line to windup, rad, over torque, N·m, shape (n,); None with fewer than three samples or a single torque.
 
-    The variances are those of the residuals, increased for correlated neighbours (a transmission error under a loop
-    recorded in motion).
+    The variances are from the residuals, increased for the correlation of neighbours (such as a transmission error in a
+    loop recorded in motion).
     """
     n = torque.size
     if n < 3 or np.ptp(torque) == 0.0:
@@ -150,7 +150,7 @@ def fit_line(torque: Array, windup: Array) -> Line | None:
 
 
 def branch_line(torque: Array, windup: Array, part: slice, low: float, high: float) -> Line | None:
-    """Fit a line to the part of a branch whose torque, of either sign, is from `low` to `high`; None as `fit_line`."""
+    """Fit a line to the part of a branch with `low` ≤ |torque| ≤ `high`, N·m; None as in `fit_line`."""
     t = torque[part]
     inside = (np.abs(t) >= low) & (np.abs(t) <= high)
     return fit_line(t[inside], windup[part][inside])
@@ -161,10 +161,10 @@ _Value = tuple[float, float]  # and its variance
 
 @dataclass(frozen=True)
 class _LoopValues:
-    """Values of one loop, each with its variance; None if its branches do not contain it.
+    """Values of one loop, rad, each with its variance; None if its branches do not contain it.
 
-    `width` is the mean distance of loading and unloading branch at half the rated torque, `wider` the increase of this
-    distance at the load of lost motion, on the second side.
+    `width` is the mean distance of loading and unloading branch at half the rated torque, `wider` the excess of this
+    distance at the load of lost motion, on the second side; `middle` is the centre of the hysteresis loss.
     """
 
     hysteresis_loss: _Value | None
@@ -206,7 +206,8 @@ def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> _Loo
     widths = both(FRICTION, FRICTION_NEAR)
     if widths is not None:
         (a, b), (c, d) = widths
-        # On the positive side unloading lies above loading, on the negative below: both widths are 2 T_f / k.
+        # The unloading branch is above the loading branch on the positive side and below on the negative side; both
+        # widths are 2 T_f / k.
         width = 0.5 * ((b[0] - a[0]) + (c[0] - d[0])), 0.25 * (a[1] + b[1] + c[1] + d[1])
         if hysteresis is not None:
             backlash = hysteresis[0] - width[0], hysteresis[1] + width[1]
@@ -238,10 +239,10 @@ def _behind_the_virgin_branch(torque: Array, windup: Array, loop: Loop, rated: f
 
 
 def _mean(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, float, float]:
-    """Return mean, half the 95 % interval and its degrees of freedom: from the fits, or from the loops' scatter.
+    """Return mean, half width of its 95 % interval, and degrees of freedom, from the fits or from the loops' scatter.
 
-    The scatter of three or more loops is used if it is larger. `moved` is the contribution of the drift's standard
-    uncertainty.
+    The scatter of three or more loops is used if it is larger. `moved`: change of the mean by one standard uncertainty
+    of the drift.
     """
     value = float(np.mean([v for v, _ in values]))
     count = len(values)
@@ -255,11 +256,11 @@ def _mean(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, float, f
 
 @dataclass(frozen=True)
 class LoopData:
-    """A recording with loops: time (s), torque and windup (rad), its loops, rated torque, source.
+    """A recording with loops: time, s, torque, N·m, windup, rad, loops and half loops, rated torque, N·m, source.
 
-    `windup` is as measured, minus its mean. `late` is the torque shifted by half the 95 % interval of its clock against
-    the windup's; None for one clock. `runaway` is the possible drift of the windup, rad, by the uncertainty of the two
-    angles' clocks.
+    `windup` is as measured, minus its mean. `late` is the torque shifted in time by half the 95 % interval of its clock
+    against the windup's; None for one clock. `runaway` is the possible drift of the windup, rad, from the uncertainty
+    of the two angles' clocks.
     """
 
     time: Array
@@ -274,16 +275,16 @@ class LoopData:
 
     @property
     def steady(self) -> tuple[Loop, ...]:
-        """The loops after the virgin branch, which is a recording's first: none for a single loop."""
+        """The loops after the virgin branch, which is the first of a recording; none for a single loop."""
         return tuple(find_loops(self.lobes[1:]))
 
 
 @dataclass(frozen=True)
 class Drift:
-    """A drift of the windup, linear in time: its rate and the rate's standard uncertainty, rad/s.
+    """A drift of the windup, linear in time: rate and its standard uncertainty, rad/s.
 
-    `repeated` states whether it is from branches passed more than once; otherwise it is from the difference of the two
-    sides of a single loop.
+    `repeated` states whether it was determined from branches passed more than once, or else from the difference of the
+    two sides of a single loop.
     """
 
     rate: float
@@ -292,11 +293,12 @@ class Drift:
 
 
 def drift_of(data: LoopData) -> Drift | None:
-    """Return the drift of a recording's windup by the closure of its loops, None with too few samples.
+    """Return the drift of a recording's windup from the closure of its loops; None with too few samples.
 
-    A branch that is passed again must be at the same place. A single loop passes none twice; there the distance of
-    loading and unloading branch must be equal on both sides except for a constant (dry friction may differ from side to
-    side). Drift opens it on one side and closes it on the other, increasing with the time since the peak.
+    Without drift, a branch that is passed again is at the same place. A single loop passes no branch twice; there the
+    distance of loading and unloading branch must be equal on both sides except for a constant, as dry friction may
+    differ between the sides. Drift widens it on one side and narrows it on the other, increasingly with the time since
+    the peak.
 
     Parameters
     ----------
@@ -315,7 +317,7 @@ def drift_of(data: LoopData) -> Drift | None:
     if fewest < 4 or (not repeated and len(chosen) < 4):
         return None
     powers = range(1, 4 if fewest >= 12 else 2)
-    # Neighbours are taken together where there are many: the mean of each group, which the noise is as well told by.
+    # Many samples are averaged in groups of neighbours, which determine drift and noise equally well.
     size = max(1, min(fewest // 12, sum(at.size for found in chosen.values() for at in found) // _GROUPS))
 
     def grouped(values: Array) -> Array:
@@ -352,7 +354,7 @@ def drift_of(data: LoopData) -> Drift | None:
 
 
 def without_drift(data: LoopData, drift: Drift | None, *, more: float = 0.0) -> LoopData:
-    """Return the recording without a drift, shifted by a multiple of its standard uncertainty."""
+    """Return the recording without its drift; `more`: multiple of the drift's standard uncertainty to add to it."""
     if drift is None:
         return data
     rate = drift.rate + more * drift.uncertainty
@@ -360,12 +362,12 @@ def without_drift(data: LoopData, drift: Drift | None, *, more: float = 0.0) -> 
 
 
 def _moved(values: Sequence[_Value], others: Sequence[_Value]) -> float:
-    """Return the difference of the means of values and others."""
+    """Return the absolute difference of the means of values and others; 0 without others."""
     return abs(float(np.mean([v for v, _ in others]) - np.mean([v for v, _ in values]))) if others else 0.0
 
 
 def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
-    """Return each figure's values from each loop; `band` states whether lost motion is taken inside the friction."""
+    """Return each figure's values from each loop; `band`: whether the load of lost motion is in the friction band."""
     torque, windup, rated = data.torque, data.windup, data.rated_torque
     found = [_loop_values(torque, windup, loop, rated) for loop in data.loops]
     steady = [_loop_values(torque, windup, loop, rated) for loop in data.steady] or found
@@ -388,7 +390,7 @@ def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
 
 
 def _closed(data: LoopData) -> bool:
-    """Return whether a single loop without its drift ends where it began: then it was steady from its beginning."""
+    """Return whether a single loop, without its drift, ends where it began: then it was steady from the start."""
     loop, near = data.loops[0], NEAR * data.rated_torque
     first, second = sorted((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
     lines = [branch_line(data.torque, data.windup, part, 0.0, near) for part in (first.loading, second.unloading)]
@@ -400,10 +402,10 @@ def _closed(data: LoopData) -> bool:
 
 
 def _friction_band(values: dict[str, list[_Value]], rated: float) -> tuple[bool, float | None]:
-    """Return whether the load of lost motion is inside the friction band, and the dry friction (N·m) if known.
+    """Return whether the load of lost motion is inside the friction band, and the dry friction, N·m, if known.
 
-    It is if friction reaches the samples used for lost motion, or if the branches are further apart there than at half
-    the rated torque: then the loading branch has not yet passed the play.
+    It is if friction exceeds the torque of the samples used for lost motion, or if the branches are further apart there
+    than at half the rated torque: the loading branch has then not yet passed the play.
     """
     stiffness = [v for side in ("positive", "negative") for v, _ in values[side]]
     width = values["width"]
@@ -418,17 +420,17 @@ def _friction_band(values: dict[str, list[_Value]], rated: float) -> tuple[bool,
 
 
 def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[float]) -> dict[str, Figure]:
-    """Return the torsional stiffness between torques, as in catalogues K1, K2, K3: {"K1": the figure with its sides}.
+    """Return the torsional stiffness by torque ranges, the K1, K2, K3 of catalogues: {"K1": the figure with its sides}.
 
-    Loading branches, of a recording with three half loops or more without the virgin one. Segments of which a branch
-    covers less than nine tenths, or without deflection, are left out.
+    It is evaluated on loading branches, with three or more half loops without the virgin one. Ranges are left out of
+    which the torque covers less than nine tenths, or which have no deflection.
 
     Parameters
     ----------
     data, drift
         The recording as measured, and its drift.
     limits
-        Limits of the segments, N·m, ascending.
+        Limits of the ranges, N·m, ascending.
     """
     freed = (without_drift(data, drift), without_drift(data, drift, more=1.0))
     lobes = data.lobes[1:] if len(data.lobes) > 2 else data.lobes
@@ -459,7 +461,7 @@ def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[flo
 
 
 def _of_sides(parts: dict[str, Figure]) -> Figure:
-    """Return the mean of a figure of each side."""
+    """Return the mean of a figure over its sides."""
     one = next(iter(parts.values()))
     return dataclasses.replace(
         one,
@@ -474,23 +476,24 @@ def _of_sides(parts: dict[str, Figure]) -> Figure:
 def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple[dict[str, Figure], list[str]]:
     """Return the figures of loops, and the reasons for missing ones.
 
-    The drift of the windup is removed first. Only lost motion uses a branch that depends on the start of the recording
-    within play and friction: if friction reaches its load, it is taken from the loops after that branch.
+    The drift of the windup is removed first. Only lost motion uses the virgin branch, which depends on the start within
+    play and friction: if friction reaches its load, lost motion is evaluated on the loops after that branch.
 
     Parameters
     ----------
     data
         Torque and windup with their loops.
     limits
-        Of the segments of `torsional_stiffness`, N·m, ascending; None takes 3, 15, 50 and 100 % of the rated torque.
+        Limits of the torque ranges of `torsional_stiffness`, N·m, ascending; None: 3, 15, 50 and 100 % of the rated
+        torque.
 
     Returns
     -------
     figures
-        By name; `torsional_stiffness` also of each side and by segments of the torque.
+        Figures by name; `torsional_stiffness` also by side and torque range.
     notes
-        One sentence for each missing figure, for a drift, for a virgin loop and for friction that reaches the load of
-        lost motion.
+        One sentence for each missing figure, for a drift, for a single virgin loop and for friction that reaches the
+        load of lost motion.
     """
     rated, drift = data.rated_torque, drift_of(data)
     figures: dict[str, Figure] = {}
@@ -513,28 +516,27 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
             )  # fmt: skip
         elif data.loops:
             notes.append(
-                f"{data.source}: {name} could not be given: a branch has fewer than three samples where it is taken."
+                f"{data.source}: {name} could not be determined: a branch has fewer than three samples in its interval."
             )
     if not data.loops:
         sides = {lobe.sign for lobe in data.lobes}
         only = "positive" if sides == {1} else "negative"
         notes.append(
-            f"{data.source}: the torque never crosses zero, it is always {only}; hysteresis loss, backlash and lost "
-            "motion need both sides."
+            f"{data.source}: the torque is always {only}; hysteresis loss, backlash and lost motion need both signs."
         )
     reached = float(np.abs(data.torque).max())
     low, high = STIFFNESS[0] * rated, min(STIFFNESS[1] * rated, reached)
     sides_of = [side for side in ("positive", "negative") if values[side]]
     if high < 0.75 * rated:
         notes.append(
-            f"{data.source}: torsional_stiffness could not be given: the torque reaches {reached:.4g} N·m, less than "
-            f"three quarters of the rated {rated:.4g} N·m."
+            f"{data.source}: torsional_stiffness could not be determined: the torque reaches {reached:.4g} N·m, less "
+            f"than three quarters of the rated {rated:.4g} N·m."
         )
     elif sides_of:
         if high < 0.95 * rated:
             notes.append(
                 f"{data.source}: the torque reaches {reached:.4g} N·m of the rated {rated:.4g} N·m; the stiffness is "
-                "that up to there."
+                "evaluated up to there."
             )
         name = "torsional_stiffness"
         parts = {}
@@ -557,7 +559,7 @@ def _loop_notes(
     band: bool,
     friction: float | None,
 ) -> list[str]:
-    """Return notes on drift, on a virgin loop only, and on friction (N·m) that reaches the load of lost motion."""
+    """Return notes on drift, on a single virgin loop, and on friction, N·m, that reaches the load of lost motion."""
     notes = []
     if not data.loops or not values["hysteresis_loss"]:
         return []
@@ -577,21 +579,21 @@ def _loop_notes(
                 "loading and unloading branch of the two sides, whose friction is assumed equal except for a constant"
             )  # fmt: skip
             notes.append(
-                f"{data.source}: the windup drifts by {moved:.3g} ± {uncertain:.2g}″ a loop, as {by} show; it is "
-                "subtracted, linear in time, and its uncertainty is in those of the figures."
+                f"{data.source}: the windup drifts by {moved:.3g} ± {uncertain:.2g}″ per loop, as {by} show; the drift "
+                "is subtracted as linear in time, and its uncertainty is included in those of the figures."
             )
     if not data.steady and not _closed(freed):
         notes.append(
             f"{data.source}: there is only a virgin loop, whose first branch depends on its start within play and "
-            "friction; record a loop before it that is not counted (preconditioning, GB/T 40731)."
+            "friction; record a preconditioning loop before it (GB/T 40731)."
             + (
-                " Lost motion is taken from the two branches after the first, assuming equal friction on both sides."
+                " Lost motion is from the two branches after the first, assuming equal friction on both sides."
                 if band
                 else ""
             )
         )
     if band:
-        known = "" if friction is None else f", whose half width is {friction:.3g} N·m in the mean"
+        known = "" if friction is None else f", whose mean half width is {friction:.3g} N·m"
         notes.append(
             f"{data.source}: ±{100.0 * LOST_MOTION_LOAD:g} % of the rated torque, "
             f"±{LOST_MOTION_LOAD * data.rated_torque:.3g} N·m, is inside the friction band{known}: lost motion there "
@@ -601,11 +603,11 @@ def _loop_notes(
 
 
 def loop_marks(data: LoopData) -> dict[str, list[Array]]:
-    """Return the lines of a loop's figures, without drift: {figure: lines of (torque, windup)}, each (points, 2).
+    """Return lines that show a loop's figures, without drift: {figure: lines of (torque, windup)}, shape (points, 2).
 
-    Hysteresis loss: both unloading branches' straight lines down to zero torque and the distance there. Backlash: the
-    rest of it without friction, about the same middle. Lost motion: from the mean at its negative load to that at its
-    positive one, in the first steady loop. Torsional stiffness: the fitted lines.
+    Hysteresis loss: the lines of both unloading branches down to zero torque, and the distance there. Backlash: the
+    distance without friction, about the same centre. Lost motion: from the mean at its negative load to the mean at its
+    positive load, in the first steady loop. Torsional stiffness: the fitted lines.
     """
     data = without_drift(data, drift_of(data))
     torque, windup, rated = data.torque, data.windup, data.rated_torque
@@ -653,9 +655,9 @@ def loops_of(
     recording
         The recording.
     ratio
-        Signed ratio; None needs the input locked.
+        Signed ratio input/output; None: only a locked input is evaluated.
     rated_torque
-        T_N, N·m; None takes the largest torque of the recording, with a note.
+        Rated torque T_N, N·m; None: the largest torque of the recording, with a note.
     """
     torque, notes = recording.torque, []
     largest = float(np.abs(torque).max())
@@ -667,22 +669,22 @@ def loops_of(
         min(np.count_nonzero(np.abs(torque[part]) < 0.5 * rated) for part in (lobe.loading, lobe.unloading))
         for lobe in lobes
     ]
-    # A load that is switched on, or that shakes around zero, is no loop: each branch is a way of many samples.
+    # A load that is switched on or fluctuates around zero is no loop: each branch must have many samples.
     lobes = [lobe for lobe, count in zip(lobes, inside, strict=True) if count >= 8]
     locked = float(np.ptp(recording.input_angle)) < LOCKED
     if not lobes or (not locked and len({lobe.sign for lobe in lobes}) < 2):
         if locked and not lobes:
             notes.append(
-                f"{recording.source}: the input is locked, but the torque does not go beyond a fifth of the rated "
-                f"{rated:.4g} N·m and back; there is no loop."
+                f"{recording.source}: the input is locked, but the torque does not exceed a fifth of the rated "
+                f"{rated:.4g} N·m and return; there is no loop."
             )
         return None, notes
     if ratio is None and not locked:
         return None, notes
     if rated_torque is None:
         notes.append(
-            f"{recording.source}: no rated torque is known; the figures are taken at shares of the largest torque, "
-            f"{largest:.4g} N·m."
+            f"{recording.source}: the rated torque is unknown; figures are evaluated at fractions of the largest "
+            f"torque, {largest:.4g} N·m."
         )
     windup = recording.output_angle.copy()
     if ratio is not None:

@@ -1,4 +1,4 @@
-"""The instruments of a bench: their file, and the resulting standard uncertainties."""
+"""The instruments of a bench, their file and their standard uncertainties."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _Torque = Annotated[edge.Torque, pydantic.Field(ge=0.0)]
 
 
 def standard_uncertainty(limit: float, distribution: Distribution) -> float:
-    """Return the standard uncertainty of a quantity within ± a limit (JCGM 100:2008, 4.3), in the limit's unit.
+    """Return the standard uncertainty of a quantity within ±a, `limit` (JCGM 100:2008, 4.3), in the limit's unit.
 
-    Rectangular: a/√3; arcsine, a wave of this amplitude at an unknown phase: a/√2; normal: a is the expanded
+    Rectangular: a/√3; arcsine, a wave of amplitude a and unknown phase: a/√2; normal: a/2, with a the expanded
     uncertainty of a calibration with k = 2.
 
     Examples
@@ -38,9 +38,9 @@ class Instrument(edge.Config):
     Attributes
     ----------
     name, serial_number
-        Maker and type, and its serial number.
+        Maker and type, and serial number.
     calibrated
-        Date of its calibration, such as 2026-03-01.
+        Date of the calibration, such as 2026-03-01.
     """
 
     name: str = ""
@@ -56,18 +56,19 @@ class Encoder(Instrument):
     name, serial_number, calibrated
         Maker and type, serial number, and date of the calibration, such as 2026-03-01.
     accuracy
-        Largest error of its graduation, ±, over a turn; assumed as a wave of the shaft's first order.
+        Largest graduation error over a turn, ±, rad or text; assumed to be a wave of the shaft's first order.
     distribution
-        Of the accuracy: "rectangular" for a data sheet's limits, "normal" for a calibration's expanded uncertainty
-        with k = 2.
+        Distribution of the accuracy: "rectangular" for the limits of a data sheet, "normal" for the expanded
+        uncertainty of a calibration with k = 2.
     resolution
-        One step.
+        Angle of one step, rad or text.
     subdivision
-        Amplitude of the error within a signal period.
+        Amplitude of the error within a signal period, rad or text.
     periods_per_turn
-        Signal periods in a turn.
+        Signal periods per turn.
     run_out
-        Amplitude of the angle error by eccentric mounting and coupling, a wave of the shaft's first order.
+        Amplitude of the angle error from eccentric mounting and coupling, rad or text, a wave of the shaft's first
+        order.
     """
 
     accuracy: _Angle = 0.0
@@ -80,7 +81,7 @@ class Encoder(Instrument):
     @pydantic.model_validator(mode="after")
     def _has_periods(self) -> Self:
         if self.subdivision > 0.0 and self.periods_per_turn is None:
-            raise ValueError("subdivision needs periods_per_turn, the signal periods in a turn")
+            raise ValueError("subdivision needs periods_per_turn, the signal periods per turn")
         return self
 
 
@@ -92,11 +93,11 @@ class TorqueSensor(Instrument):
     name, serial_number, calibrated
         Maker and type, serial number, and date of the calibration, such as 2026-03-01.
     range
-        Its nominal torque.
+        Nominal torque of the sensor, N·m or text.
     accuracy_class
-        Largest error at the rated torque in per cent of the range (rectangular), in proportion to the torque.
+        Largest error at the rated torque, percent of the range (rectangular); it is proportional to the torque.
     zero
-        Largest error of its zero, ± (rectangular).
+        Largest zero error, ±, N·m or text (rectangular).
     """
 
     range: Annotated[edge.Torque, pydantic.Field(gt=0.0)]
@@ -112,9 +113,9 @@ class Thermometer(Instrument):
     name, serial_number, calibrated
         Maker and type, serial number, and date of the calibration, such as 2026-03-01.
     limit
-        Largest difference of the drive's temperature from the stated one, ± (rectangular), such as "1 K".
+        Largest difference of the drive's temperature from the stated one, ±, such as "1 K" (rectangular).
     coefficients
-        Change of a figure with the temperature, by its name: text such as "0.5 arcsec/K".
+        {figure: its change with temperature}, text such as "0.5 arcsec/K".
     """
 
     limit: Annotated[edge.Temperature, pydantic.Field(ge=0.0, le=100.0)]
@@ -125,7 +126,7 @@ class Thermometer(Instrument):
     def _of_figures(cls, given: dict[str, str]) -> dict[str, str]:
         for name, value in given.items():
             if name not in UNITS:
-                raise ValueError(f"{name} is no figure; figures are {', '.join(UNITS)}")
+                raise ValueError(f"{name} is not a figure; the figures are {', '.join(UNITS)}")
             try:
                 edge.parse_quantity(value, f"{UNITS[name]}/K")
             except ValueError as problem:
@@ -133,21 +134,21 @@ class Thermometer(Instrument):
         return given
 
     def coefficient(self, name: str) -> float:
-        """Return the change of a figure with temperature, SI; 0 if not stated."""
+        """Return the change of a figure with temperature, SI unit per K; 0 if not stated."""
         return edge.parse_quantity(self.coefficients[name], f"{UNITS[name]}/K") if name in self.coefficients else 0.0
 
 
 class Instruments(edge.Config):
-    """The instruments of a bench; those not stated are not in a budget.
+    """The instruments of a bench; budgets do not include instruments that are not stated.
 
     Attributes
     ----------
     input_encoder, output_encoder
-        Angle encoders of both shafts.
+        Angle encoders of the input and output shafts.
     torque_sensor, input_torque_sensor
-        On the output and on the input.
+        Torque sensors on the output and on the input.
     thermometer
-        Of the drive's temperature.
+        Thermometer for the drive's temperature.
     """
 
     input_encoder: Encoder | None = None

@@ -1,7 +1,7 @@
 """Maps of a drive over its conditions: transmission error, its orders, gap between directions and stiffness.
 
-A condition is torque, speed and temperature. Recordings are processed one after the other, and only the orders of each
-are kept: the memory does not grow with their length.
+A condition is torque, speed and temperature. Recordings are processed one by one, and only the orders of each are kept,
+so that memory does not grow with their length.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ Array = NDArray[np.float64]
 FORMAT = "cycloid-maps/1"
 AXES = ("torque", "speed", "temperature")
 DIRECTIONS = ("forward", "backward")
-_HARMONICS = 3  # of what pins and teeth make
-_OTHERS = 4  # orders beside the named ones, the strongest
-_MANY = 24  # recordings from which it pays to start processes
-_OFTEN = 0.25  # of the curves in which these stand out of the noise
-_ALIKE = {"torque": 0.01, "speed": 0.02}  # of the largest: values so close are one condition
-_WARM = 1.5  # K
+_HARMONICS = 3  # harmonics of pins and teeth
+_OTHERS = 4  # strongest orders in addition to the named ones
+_MANY = 24  # recordings from which starting processes saves time
+_OFTEN = 0.25  # share of the curves in which such an order must exceed the noise
+_ALIKE = {"torque": 0.01, "speed": 0.02}  # of the largest value: closer values are one condition
+_WARM = 1.5  # K: closer temperatures are one condition
 
 
 @dataclass(frozen=True)
@@ -66,28 +66,29 @@ def maps(
     Parameters
     ----------
     recordings
-        What `fitting.read_recordings` gave, `fitting.Run`, or one of them: whole output turns at one load each.
+        Recordings from `fitting.read_recordings`, or `fitting.Run`, or one of them: whole output turns at one load
+        each.
     drive
-        The drive, or its signed ratio input over output.
+        The drive, or its signed ratio input/output.
     progress
-        Called with the name of the recording being read.
+        Called with the number of the recording being read, as text.
 
     Returns
     -------
     xarray.Dataset
         `cycloid-maps/1`, over (torque N·m, speed rad/s, temperature K, direction), SI; NaN without a recording:
-        `angular_transmission_error`, largest minus smallest value of the orders above the noise, and
+        `angular_transmission_error`, largest minus smallest value of the orders above the noise;
         `angular_transmission_error_without_rig`, the same without `RIG_ORDERS`, which a rig's run-out causes;
         `order_amplitude` of each `order`, with its `order_name`; `mean_transmission_error`; `gap`, mean of forward
-        minus that of backward, and `torsional_stiffness` (N·m/rad), the slope of torque over mean transmission error. A
-        gap is known within a table or if the output angle's zero is common to all recordings, a stiffness only in the
+        minus mean of backward; and `torsional_stiffness` (N·m/rad), the slope of torque over mean transmission error. A
+        gap is known within a table, or if all recordings share the zero of the output angle; a stiffness only in the
         latter case. If the torque's sign always follows the direction, the axis is its magnitude. The attribute `notes`
         states omissions.
 
     Raises
     ------
     edge.InputError
-        If no recording gives a curve over a whole output turn.
+        If no recording has a curve over a whole output turn.
 
     Examples
     --------
@@ -111,12 +112,12 @@ def maps(
         points += found
         notes += said
     if not points:
-        raise edge.InputError(" ".join(["no recording gives a curve over a whole output turn.", *notes[:3]]))
+        raise edge.InputError(" ".join(["no recording has a curve over a whole output turn.", *notes[:3]]))
     return _dataset(points, ratio, drive if isinstance(drive, Drive) else None, notes)
 
 
 def _taken(given: Sequence[Source], ratio: float) -> Iterator[tuple[list[_Point], list[str]]]:
-    """Yield the values of each recording, many files on all processors, each with one recording in memory at a time."""
+    """Yield the values of each recording; many files are read by all processors, each with one recording in memory."""
     if len(given) < _MANY or not all(isinstance(one, RecordingFile) for one in given):
         yield from (_points(one, ratio) for one in given)
         return
@@ -133,7 +134,7 @@ def _points(source: Source, ratio: float) -> tuple[list[_Point], list[str]]:
         surveyed = survey(open_source(source, ratio), ratio, None)
         notes += surveyed.notes
         if surveyed.loops is not None:
-            notes.append(f"{surveyed.source}: a loop with the input locked is not part of a map.")
+            notes.append(f"{surveyed.source}: loops with the input locked are not used for maps.")
         table = str(source.path) if isinstance(source, RecordingFile) else surveyed.source
         return [_point(one, table) for one in surveyed.curves], notes
     except edge.InputError as problem:
@@ -141,7 +142,7 @@ def _points(source: Source, ratio: float) -> tuple[list[_Point], list[str]]:
 
 
 def _told_once(notes: Sequence[str]) -> list[str]:
-    """Merge equal notes on many recordings, with the first one's name."""
+    """Merge equal notes on several recordings into one that names the first."""
     of: dict[str, list[str]] = {}
     for note in dict.fromkeys(notes):
         source, colon, text = note.partition(": ")
@@ -162,7 +163,7 @@ def _point(curve: Curve, table: str) -> _Point:
 
 
 def _gathered(values: Array, apart: float) -> tuple[Array, NDArray[np.int64]]:
-    """Return the values that differ by more than `apart` (each the mean of equal ones), and the index of each."""
+    """Return the distinct values, each the mean of those within `apart` of a neighbour, and the index of each."""
     known = np.isfinite(values)
     order = np.argsort(np.where(known, values, np.inf), kind="stable")
     step = np.diff(values[order]) > apart
@@ -219,8 +220,8 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
         stiffness = _slope(axes[0], windup)
     elif not common:
         notes.append(
-            "No stiffness is mapped: the output angles' zeros are not the same in all recordings. If they are, state "
-            'zero_reference = "absolute" of [output_angle] in the mapping.'
+            "No stiffness is mapped: it is not known that all recordings share the zero of the output angle. If they "
+            'do, state zero_reference = "absolute" for [output_angle] in the mapping.'
         )
     gap = mean(level)[..., 0] - mean(level)[..., 1] if common else _gaps(points, at, shape[:3])
     grid = (*AXES, "direction")
@@ -260,7 +261,7 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
 
 
 def _slope(torque: Array, windup: Array) -> Array:
-    """Return dT/dTE along the first axis where neighbours were recorded: across both, or the existing one."""
+    """Return dT/dTE along the first axis, N·m/rad, from the recorded neighbours; NaN without any."""
     found = np.full(windup.shape, np.nan)
     for place in np.ndindex(windup.shape[1:]):
         line = windup[(slice(None), *place)]
@@ -272,7 +273,7 @@ def _slope(torque: Array, windup: Array) -> Array:
 
 
 def _gaps(points: Sequence[_Point], at: tuple[NDArray[np.int64], ...], shape: tuple[int, ...]) -> Array:
-    """Return forward minus backward of the tables with both, averaged over the tables of a condition."""
+    """Return forward minus backward in tables with both directions, averaged over the tables of a condition, rad."""
     pairs: dict[str, dict[int, int]] = {}
     for i, p in enumerate(points):
         pairs.setdefault(p.table, {})[p.direction] = i

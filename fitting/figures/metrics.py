@@ -40,23 +40,23 @@ class Figures:
     Attributes
     ----------
     figures
-        By name; figures that the recordings do not determine are missing, and `notes` give the reasons.
+        Figures by name; those that the recordings do not determine are missing, for reasons in `notes`.
     surveyed
         Survey of each recording.
     spectra
-        Orders of each curve, in the order of the recordings and their curves; None for less than a turn.
+        Orders of each curve, in the order of the recordings and their curves; None below a whole turn.
     rated_torque, ratio
-        T_N (N·m) and signed ratio, where known.
+        Rated torque T_N, N·m, and signed ratio input/output; None if unknown.
     notes
         Omissions and their reasons, one sentence each.
     pair
-        The nominal gear pair, where it is known.
+        The nominal gear pair, if known.
     problems
-        Notes on unreadable recordings, and on an interrupt.
+        Notes on unreadable recordings and on an interrupt.
     interrupted
         Whether recordings are missing because of an interrupt.
     budgets, instruments
-        The uncertainty budget of each figure and its instruments, if stated.
+        The uncertainty budget of each figure, and the instruments, if stated.
 
     Examples
     --------
@@ -85,7 +85,7 @@ class Figures:
 
     @property
     def curves(self) -> list[Curve]:
-        """All curves."""
+        """The curves of all recordings."""
         return [c for s in self.surveyed for c in s.curves]
 
     def write(self, path: str | os.PathLike[str]) -> None:
@@ -102,7 +102,7 @@ def figures_of(
 ) -> Figures:
     """Return the figures of all recordings of one drive.
 
-    Loops of several recordings are pooled; the largest transmission error is the figure, the others are its runs.
+    Loops of several recordings are pooled; of transmission errors the figure is the largest, and the runs are kept.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def figures_of(
             try:
                 orders = spectrum(curve)
             except edge.InputError as problem:
-                notes.append(f"{problem} No angular transmission error is given for it.")
+                notes.append(f"{problem} No angular transmission error is computed for it.")
                 spectra.append(None)
                 continue
             spectra.append(orders)
@@ -142,7 +142,7 @@ def figures_of(
             if 0.1 * around < varies < around or varies > 0.1 * (rated_torque or math.inf):
                 notes.append(
                     f"{curve.source}: the torque varies by {varies:.3g} N·m around {curve.torque:.4g} "
-                    "N·m; the transmission error contains the resulting windup."
+                    "N·m; the transmission error includes the resulting windup."
                 )
             label = run_label(one.source, curve)
             ways[way][label] = angular_transmission_error(curve, orders, one.runaway)
@@ -164,7 +164,7 @@ def figures_of(
             notes += added
             if one.averaged > 1 and starts:
                 notes.append(
-                    f"{one.source}: {name}: its torques are means of {one.averaged} samples of a long recording."
+                    f"{one.source}: {name}: torques are means of {one.averaged} samples, as the recording is long."
                 )
     for name, starts in started.items():
         if starts:
@@ -189,20 +189,22 @@ def metrics(
     Parameters
     ----------
     recordings
-        What `fitting.read_recordings` gave, `fitting.Run`, or one of them: runs at a load, hysteresis loops, starts.
+        Recordings from `fitting.read_recordings`, or `fitting.Run`, or one of them: runs at a load, hysteresis loops,
+        starts.
     drive
         The nominal drive, for ratio and rated torque.
     ratio
-        In place of a drive: its signed ratio input over output. Default: the recordings' own.
+        In place of a drive: its signed ratio input/output. Default: that stated by the recordings.
     rated_torque
-        T_N, N·m or text with a unit. Default: the drive's, or without one the largest torque of each recording.
+        Rated torque T_N, N·m or text with a unit. Default: that of the drive, or else the largest torque of each
+        recording.
     stiffness_limits
-        Limits of the segments of torsional stiffness K1, K2 and so on, N·m or text with units, ascending. Default: 3,
+        Limits of the torque ranges K1, K2, ... of torsional stiffness, N·m or text with units, ascending. Default: 3,
         15, 50 and 100 % of T_N.
     instruments
-        The bench's instruments, or their file: each figure gets an uncertainty budget.
+        The bench's instruments, or their file, for an uncertainty budget of each figure.
     progress
-        Called with the name of the recording being read.
+        Called with the number of the recording being read, as text.
 
     Raises
     ------
@@ -246,11 +248,11 @@ def metrics(
         except KeyboardInterrupt:
             if not surveyed:
                 raise
-            problems.append(f"Interrupted: {len(surveyed)} of {len(given)} recordings were taken.")
+            problems.append(f"Interrupted: {len(surveyed)} of {len(given)} recordings were evaluated.")
             interrupted = True
             break
     if not surveyed:
-        raise edge.InputError("\n".join(problems) or "recordings: there is none.")
+        raise edge.InputError("\n".join(problems) or "recordings: there are none.")
     found, pair = figures_of(surveyed, ratio, rated, limits), None if drive is None else drive.pair
     notes = (*problems, *found.notes)
     found = dataclasses.replace(found, notes=notes, pair=pair, problems=tuple(problems), interrupted=interrupted)
@@ -261,7 +263,7 @@ def metrics(
 
 
 def figures_json(found: Figures) -> dict[str, Any]:
-    """Return all figures as the content of a `cycloid-figures/1` file: each by name, and their sources."""
+    """Return all figures as the content of a `cycloid-figures/1` file: figures by name, and their sources."""
     return {
         "format": FORMAT,
         **{

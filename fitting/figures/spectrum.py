@@ -1,4 +1,4 @@
-"""The orders of the output in a transmission error curve, with the noise around each, and their range."""
+"""The orders of a transmission error curve, per output turn, with the noise around each, and their range."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from fitting.transmission_error.curve import Curve
 Array = NDArray[np.float64]
 
 RIG_ORDERS = (1, 2, 3)
-"""Of the output turn: run-out, and couplings at twice and three times a turn. That of one input turn is not among
-them: the pins have it too, and run-out of the input is divided by the ratio."""
-_WINDOW = 101  # orders around one whose median is its noise floor
+"""Orders of the output turn caused by the rig: run-out, and couplings at two and three times per turn. Those of the
+input turn are not included: pins cause them too, and the run-out of the input is divided by the ratio."""
+_WINDOW = 101  # neighbouring orders whose median is the noise floor of an order
 _HOLES = 0.02  # share of a turn's points that may be empty
-_COARSER = 8  # times, of the points among which a curve's top is looked for first
-_MANY = 1 << 18  # points from which that is less work
+_COARSER = 8  # factor between the points and the coarser ones in which a curve's peak is searched first
+_MANY = 1 << 18  # points from which the coarser search saves time
 _REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
 
 
@@ -37,7 +37,7 @@ class Spectrum:
     coefficient
         Complex amplitude, rad: order k is Re(c_k exp(ikψ)), ψ the crank angle over |ratio|; order 0 is the mean.
     floor
-        Noise floor, rad: the root mean square amplitude of noise alone at and around this order.
+        Noise floor, rad: the rms amplitude of the noise around each order.
     turns
         Number of output turns.
     """
@@ -53,18 +53,30 @@ class Spectrum:
 
     @property
     def uncertainty(self) -> Array:
-        """Half the 95 % interval of each amplitude, rad."""
+        """Half width of the 95 % interval of each amplitude, rad."""
         half: Array = 1.96 * self.floor / np.sqrt(2.0)
         return half
 
     @property
     def significant(self) -> NDArray[np.bool_]:
-        """Orders that noise alone reaches once in a hundred such spectra, except the mean."""
+        """Mask of the orders above the noise, without the mean; see `significant`."""
         return significant(self.coefficient, self.floor, self.floor.size)
 
 
 def significant(coefficient: NDArray[np.complex128], floor: Array, orders: int) -> NDArray[np.bool_]:
-    """Return the orders above the noise, out of this many: noise alone exceeds the limit once in a hundred times."""
+    """Return the mask of orders above the noise, without order 0.
+
+    In a spectrum of `orders` orders of noise only, one of them exceeds the threshold with a probability of 1 %.
+
+    Parameters
+    ----------
+    coefficient
+        Complex amplitudes, rad, from order 0, shape (…, n).
+    floor
+        Noise floor of each order, rad, shape (n,).
+    orders
+        Number of orders of the whole spectrum.
+    """
     threshold = floor * np.sqrt(np.log(orders / 0.01))
     found: NDArray[np.bool_] = np.abs(coefficient) > threshold
     found[..., 0] = False
@@ -74,9 +86,9 @@ def significant(coefficient: NDArray[np.complex128], floor: Array, orders: int) 
 def spectrum(curve: Curve) -> Spectrum:
     """Return the orders of a curve over a whole output turn.
 
-    The points are not an even grid: each is a mean over its samples' angles. The orders reproduce the measured means at
-    these angles (to second order in the angle), by iteration on an even grid. The noise floor of an order is the median
-    around it, so it follows noise that is not white; single orders do not affect it.
+    The points are not evenly spaced: each is a mean over the angles of its samples. The orders reproduce the measured
+    means at these angles, to second order in the angle, by iteration on an even grid. The noise floor of an order is
+    from the median around it, so it follows coloured noise and is not affected by single orders.
 
     Raises
     ------
@@ -104,7 +116,7 @@ def spectrum(curve: Curve) -> Spectrum:
             f"{curve.source}: {np.count_nonzero(filled) / points:.1%} of an output turn was recorded; its orders need "
             "all of it."
         )
-    # Two terms of the series in the angle reach so far; evenly sampled turns have their whole band.
+    # Highest order for which two terms of the series in the angle suffice; evenly sampled turns have the full band.
     reach = float(np.max(np.abs(inside[filled]) + np.sqrt(spread[filled])))
     highest = max(1, min((points - 1) // 2, max(points // 4, int(0.25 * np.pi / max(reach, 1e-9)))))
     order = np.arange(highest + 1)
@@ -118,7 +130,7 @@ def spectrum(curve: Curve) -> Spectrum:
         step = np.fft.rfft(np.where(filled, value - model, 0.0))[: highest + 1] * (2.0 / points) / shift_phase
         step[0] *= 0.5
         coefficient = coefficient + step
-        # Well below what noise makes of an order, or of the largest one where there is no noise.
+        # Converged far below the noise of an order, or without noise, relative to the largest order.
         amplitude = np.abs(coefficient[1:])
         if np.abs(step[1:]).max() <= max(1e-9 * amplitude.max(), 1e-4 * float(np.median(amplitude))):
             break
@@ -129,7 +141,7 @@ def spectrum(curve: Curve) -> Spectrum:
 
 
 def run_label(source: str, curve: Curve) -> str:
-    """Return the label of a run's figure: its recording, load and direction."""
+    """Return the label of a run: recording, load and direction."""
     return f"{source}, {curve.torque:.4g} N*m, {'forward' if curve.direction > 0 else 'backward'}"
 
 
@@ -158,7 +170,10 @@ def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:
 def _gridded(
     place: Array, error: Array, variance: Array, weight: Array, points: int
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Gather points on an even grid of the output turn: mean error, mean and variance of the angle within, filled."""
+    """Gather points on an even grid of the output turn: mean error, mean and variance of the angle within, filled.
+
+    All results have shape (points,); angles are relative to the centre of each grid cell, rad of the output.
+    """
     spacing = 2.0 * np.pi / points
     number = np.minimum((place / spacing + 1e-9).astype(np.int64), points - 1)
     total = np.bincount(number, weight, points)
@@ -172,11 +187,11 @@ def _gridded(
 
 
 def order_name(order: int, ratio: float, pair: Pair | None) -> str:
-    """Return the source of an order of the output, "" if unknown.
+    """Return the cause of an order of the output turn, "" if unknown.
 
-    Errors of pins and ring repeat at multiples of the gear's teeth, those of the teeth at multiples of the pins, for
-    gear or ring as output; common multiples are the mesh. `RIG_ORDERS` are those of the rig: coaxiality and couplings.
-    Without the pair only the turns of the input are known.
+    Errors of pins and ring repeat at multiples of the number of teeth, those of teeth at multiples of the number of
+    pins, with gear or ring as output; common multiples are the mesh. `RIG_ORDERS` are from the rig: coaxiality and
+    couplings. Without the pair only orders of the input turn are known.
     """
     if order in RIG_ORDERS:
         return "rig"
@@ -188,15 +203,15 @@ def order_name(order: int, ratio: float, pair: Pair | None) -> str:
 
 
 def range_of_orders(orders: Spectrum) -> float:
-    """Return largest minus smallest value of the curve of the orders above the noise, rad.
+    """Return the largest minus the smallest value of the curve made of the orders above the noise, rad.
 
-    Unlike in `angular_transmission_error`, the contribution of noise in these orders is not subtracted; it takes a
+    Unlike `angular_transmission_error`, it does not subtract the contribution of the noise in these orders, and takes a
     thousandth of the time.
 
     Parameters
     ----------
     orders
-        Of a curve.
+        Orders of a curve.
     """
     kept = np.where(orders.significant, orders.coefficient, 0.0)
     kept[0] = 0.0
@@ -208,16 +223,16 @@ def range_of_orders(orders: Spectrum) -> float:
 def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 0.0, *, seed: int = 0) -> Figure:
     """Return the largest minus the smallest transmission error over one output turn of a curve.
 
-    The curve is that of the orders above the noise: the largest of noisy values is too large. The contribution of the
-    noise in these orders is estimated by drawing spectra with it, subtracted, and used as uncertainty.
+    Only orders above the noise are used, because the range of noisy values is too large. The contribution of the noise
+    in these orders is estimated from spectra with random noise: its mean is subtracted, its scatter is the uncertainty.
 
     Parameters
     ----------
     curve, orders
         A curve over a whole turn and its orders.
     runaway
-        Half the 95 % interval, rad, of the error's drift over the recording by two clocks; the part of one turn is
-        added, because every turn starts again.
+        Half width of the 95 % interval, rad, of the error's drift over the recording between two clocks; the share of
+        one turn is added to the uncertainty, because every turn starts again.
     seed
         Random seed of the noise.
     """
@@ -244,25 +259,27 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
 
 
 def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
-    """Return largest minus smallest value at even points, each at the top of a parabola through it and its neighbours.
+    """Return the largest minus the smallest value of curves, shape (curves,), in the unit of the coefficients.
+
+    Each extreme is refined by a parabola through the extreme point and its neighbours.
 
     Parameters
     ----------
     coefficient
         Complex amplitudes from order 0, shape (orders,) or (curves, orders).
     points
-        Number of even points of a turn to search for the largest and the smallest value.
+        Number of evenly spaced points of a turn in which to search for the extremes.
     """
     rows = np.atleast_2d(coefficient)
     if rows.shape[1] * _COARSER * 4 > points or points < _MANY:
         curve = synthesised(rows, points)
         return _top(curve) + _top(-curve)
-    # Every eighth point, and the others where they can reach beyond these: 2 to 5 times as fast as all of 2^20 points.
+    # Every eighth point first, then the others where they can exceed these: 2 to 5 times as fast as all 2^20 points.
     coarse = points // _COARSER
     curve = synthesised(rows, coarse)
     order = np.arange(rows.shape[1])
     bend = np.abs(synthesised(-(order**2) * rows, coarse)).max(axis=1)
-    # Bernstein: between points that are h apart no wave of order n is more than (nh)²/8 of its largest value higher.
+    # Bernstein: between points at a distance h, a wave of order n rises by at most (nh)²/8 of its largest value.
     half = (np.pi * order[-1] / coarse) ** 2 / 2.0
     reach = bend / (1.0 - half) * (np.pi / coarse) ** 2 / 2.0
     found = np.empty(len(rows))
@@ -275,7 +292,7 @@ def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
 
 
 def _top(curve: Array) -> Array:
-    """Return the largest value of each row, at the top of a parabola through it and its neighbours around the turn."""
+    """Return the largest value of each row, refined by a parabola through it and its neighbours (periodic)."""
     rows, points = np.arange(curve.shape[0]), curve.shape[1]
     at = np.argmax(curve, axis=-1)
     return _parabola_top(*(curve[rows, (at + step) % points] for step in (-1, 0, 1)))
@@ -288,19 +305,19 @@ def _parabola_top(before: Array, peak: Array, after: Array) -> Array:
 
 
 def _top_near(coefficient: NDArray[np.complex128], coarse: NDArray[np.int64], points: int) -> float:
-    """Return `_top` of one curve whose largest value is next to one of every eighth of its points."""
+    """Return `_top` of a curve whose peak is next to one of the `coarse` points, indices of every eighth point."""
     around = np.arange(-_COARSER - 1, _COARSER + 2)
     place = np.unique(_COARSER * coarse[:, None] + around)
     if place.size > points // 512:
         return float(_top(synthesised(coefficient[None], points))[0])
-    # The sum over orders k = 128 i + j as two: as many products as orders, but few sines.
+    # Sum over orders k = 128 i + j as a double sum: as many products as orders, but few sines.
     blocks = -(-coefficient.size // 128)
     table = np.zeros((blocks, 128), complex)
     table.ravel()[: coefficient.size] = coefficient
     angle = place * (2.0 * np.pi / points)
-    # No matrix product: BLAS wakes all processors for these few numbers, which took ten times as long.
+    # No matrix product: BLAS would start all processors for these few numbers, which takes ten times as long.
     inner = np.einsum("pj,ij->pi", np.exp(1j * np.multiply.outer(angle, np.arange(128))), table)
     values = (inner * np.exp(1j * np.multiply.outer(angle, 128 * np.arange(blocks)))).sum(axis=1).real
-    # Neighbours of a place that are not among those taken lie below it: at the largest one both are.
+    # Points not computed are below their neighbours, so both neighbours of the largest value are computed.
     at = 1 + int(np.argmax(values[1:-1]))
     return float(_parabola_top(*values[at - 1 : at + 2]))

@@ -1,4 +1,4 @@
-"""Starts from a standstill, and their starting torques: by the input without load, by the output."""
+"""Starts from standstill and their starting torques: driven by the input without load, or by the output."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from fitting.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 
-_START = math.radians(1.0)  # of the crank: it has started
-_UNLOADED = 0.1  # of the torque on the input is what the output's may take of it in a start without load
+_START = math.radians(1.0)  # of the crank: counts as started
+_UNLOADED = 0.1  # most torque at the other shaft, reduced to the driving one, relative to the driving torque
 
 
 @dataclass(frozen=True)
 class Start:
-    """One start: the samples from the standstill until the crank has turned a degree, and the largest torque in it."""
+    """One start: samples from standstill until the crank has turned 1°, index and value, N·m, of the largest torque."""
 
     part: slice
     peak: int
@@ -29,15 +29,15 @@ class Start:
 
 
 def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
-    """Return the starts of a recording: from a standstill with almost no torque until the crank has turned a degree.
+    """Return the starts of a recording: from standstill with almost no torque until the crank has turned 1°.
 
-    Only starts in which the torque drives are counted: it has the direction of the following motion, and has risen at
-    least tenfold since the standstill began.
+    Only starts driven by the torque count: it has the direction of the following motion and has risen at least tenfold
+    since the standstill began.
 
     Parameters
     ----------
     crank, torque, driven
-        Crank angle (rad), torque (N·m) and angle (rad) of its shaft, arrays of shape (samples,).
+        Crank angle, rad, torque, N·m, and angle of the torque's shaft, rad, all of shape (samples,).
     """
     found = []
     begin = 0
@@ -57,7 +57,7 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
             if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * way > 0.0:
                 found.append(Start(still, peak, largest))
         begin = start
-        # Motion goes on until the crank stands within the degree again for longer than a few samples.
+        # The motion ends when the crank is at rest for more than a few samples.
         while begin < crank.size:
             ahead = crank[begin : begin + 200]
             if np.ptp(ahead) <= 0.2 * _START and ahead.size > 10:
@@ -67,23 +67,22 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
 
 
 def starting_torques(recording: Recording, ratio: float | None) -> tuple[list[Start], list[str]]:
-    """Return the starts by a torque on the input with the output unloaded, and the reasons for excluding others.
+    """Return the starts driven by the input with the output unloaded, and notes on excluded ones.
 
-    A start is without load if the torque on the output, divided by the ratio, is less than a tenth of that on the
-    input.
+    A start is unloaded if the torque on the output, divided by the ratio, is less than a tenth of that on the input.
 
     Parameters
     ----------
     recording
         The recording; without input torque there are no such starts.
     ratio
-        Signed ratio.
+        Signed ratio input/output, or None.
     """
     if recording.input_torque is None:
         return [], []
     starts = starts_of(recording.input_angle, recording.input_torque, recording.input_angle)
     if not starts:
-        return [], [f"{recording.source}: the torque on the input never starts the crank from a standstill."]
+        return [], [f"{recording.source}: the torque on the input never starts the crank from standstill."]
     if ratio is None:
         return [], [
             f"{recording.source}: no starting_torque: without a ratio it is unknown whether the output is loaded."
@@ -95,12 +94,12 @@ def starting_torques(recording: Recording, ratio: float | None) -> tuple[list[St
 
 
 def back_driving_torques(recording: Recording, ratio: float | None) -> tuple[list[Start], list[str]]:
-    """Return the starts by a torque on the output; if the input torque is measured, those not caused by it.
+    """Return the starts driven by the output, and notes; if the input torque is measured, it must be negligible.
 
     Parameters
     ----------
     recording, ratio
-        As in `starting_torques`, with the reverse rule.
+        As in `starting_torques`; the input torque, times the ratio, must be less than a tenth of that on the output.
     """
     starts = starts_of(recording.input_angle, recording.torque, recording.output_angle)
     given = recording.input_torque
@@ -111,7 +110,7 @@ def back_driving_torques(recording: Recording, ratio: float | None) -> tuple[lis
 
 
 def start_figure(name: str, torques: Sequence[float]) -> Figure:
-    """Return the mean of starts' torques (N·m) as a figure; with one start its uncertainty is unknown."""
+    """Return the mean of the starts' torques, N·m, as a figure; with a single start its uncertainty is unknown."""
     half = math.nan
     if len(torques) > 1:
         quantile = float(stdtrit(len(torques) - 1, 0.975))

@@ -1,4 +1,4 @@
-"""A recording read once, block by block: its overview, its transmission error curves or its loops, and their notes."""
+"""A recording read once, block by block: overview, transmission error curves or loops, and notes."""
 
 from __future__ import annotations
 
@@ -26,27 +26,27 @@ _OVERVIEW = 1 << 20
 
 @dataclass(frozen=True)
 class Surveyed:
-    """Result of reading one recording block by block: bounded in size for any length of the recording.
+    """Result of reading one recording block by block; its size is bounded for recordings of any length.
 
     Attributes
     ----------
     source, checksum
-        Of the recording.
+        Name and SHA-256 of the recording.
     samples, duration
         Number of samples, and their time span, s.
     overview
-        The recording; if it is long each sample is the mean of `averaged` consecutive ones.
+        The recording; if it is long, each sample is the mean of `averaged` consecutive samples.
     averaged
-        Number of samples in one of the overview.
+        Number of samples averaged into one of the overview.
     curves
-        Transmission error curves, one for each direction; empty for loops and without a ratio.
+        Transmission error curves, one per direction; empty for loops and without a ratio.
     loops
         The loops, or None.
     notes
         Omissions and their reasons.
     runaway
-        Half the 95 % interval, rad of the output, of the transmission error's drift over the whole recording by the two
-        angles' clocks.
+        Half width of the 95 % interval of the transmission error's drift over the whole recording between the two
+        angles' clocks, rad of the output.
     implausible
         Number of implausible samples that were left out.
     """
@@ -65,7 +65,7 @@ class Surveyed:
 
 
 class _Overview:
-    """Keeps the whole recording at a resolution that is halved whenever it exceeds twice `_OVERVIEW` samples."""
+    """Holds the whole recording; its resolution is halved whenever it exceeds twice `_OVERVIEW` samples."""
 
     names = ("time", "input_angle", "output_angle", "torque", *OPTIONAL)
 
@@ -110,7 +110,7 @@ class _Overview:
             self._held = whole // 2
 
     def table(self) -> dict[str, Array]:
-        """Return the columns; the rest of the last average is an average too."""
+        """Return the columns; the last sample may be the mean of fewer than `averaged`."""
         if self._rest is not None and self._rest[0].size:
             self._parts.append([np.atleast_1d(c.mean()) for c in self._rest])
             self._rest = None
@@ -131,16 +131,16 @@ def survey(
     stream
         The recording, in memory or in its file.
     ratio
-        Signed ratio; None for the recording's own. Without any the input must be locked.
+        Signed ratio input/output; None: that of the recording. Without one the input must be locked.
     rated_torque
-        T_N, N·m; None takes the largest torque of the recording, with a note.
+        Rated torque T_N, N·m; None: the largest torque of the recording, with a note.
     progress
         Called with the number of samples read so far.
 
     Raises
     ------
     edge.InputError
-        If the file can't be read. Unusable content is noted.
+        If the file can't be read. Unusable content becomes a note.
     """
     ratio = stream.ratio if ratio is None else ratio
     overview = _Overview()
@@ -165,7 +165,7 @@ def survey(
         except edge.InputError as problem:
             notes.append(str(problem))
     elif loops is None and np.ptp(shortened.input_angle) > 0.0:
-        notes.append(f"{stream.source}: the input turns and no ratio is known; give the drive or its ratio.")
+        notes.append(f"{stream.source}: the input turns but the ratio is unknown; give the drive or its ratio.")
     duration = float(table["time"][-1] - table["time"][0])
     speed = float(np.abs(np.diff(table["output_angle"])).sum()) / duration if duration > 0.0 else 0.0
     return Surveyed(
@@ -175,7 +175,7 @@ def survey(
 
 
 def _lag_note(recording: Recording, ratio: float) -> list[str]:
-    """Return a note if the output angle is late beyond its uncertainty and 0.1 arcsec at full speed."""
+    """Return a note if the output angle is delayed by more than the uncertainty and 0.1 arcsec at full speed."""
     found = lag_of(recording, ratio)
     if found is None:
         return []
@@ -185,7 +185,7 @@ def _lag_note(recording: Recording, ratio: float) -> list[str]:
     if abs(lag) < 2.0 * uncertainty or arcsec < 0.1:
         return []
     return [
-        f"{recording.source}: where the speed changes the output angle is {'late' if lag > 0.0 else 'early'} by "
+        f"{recording.source}: at changes of speed the output angle is {'late' if lag > 0.0 else 'early'} by "
         f"{abs(lag) * 1e3:.3g} ± {uncertainty * 1e3:.1g} ms, {arcsec:.3g}″ at full speed; if this is not windup, "
         "state it as delay in the mapping."
     ]
@@ -194,21 +194,21 @@ def _lag_note(recording: Recording, ratio: float) -> list[str]:
 def lag_of(recording: Recording, ratio: float) -> tuple[float, float] | None:
     """Estimate the delay of the output angle against the input angle from changes of speed.
 
-    An output angle that is late by τ is short by τ times its speed. At one speed that is a constant offset; with
-    changing speed it can be separated from periodic errors of the output's or crank's turns and from the lost motion,
-    which has the sign of the speed. A windup that grows with speed (viscous friction) has the same effect.
+    An output angle delayed by τ is short by τ times its speed. At constant speed that is a constant offset; at varying
+    speed it can be separated from errors periodic with output or crank turns, and from the lost motion, which has the
+    sign of the speed. A windup that grows with speed (viscous friction) has the same effect.
 
     Parameters
     ----------
     recording
         The recording.
     ratio
-        Signed ratio.
+        Signed ratio input/output.
 
     Returns
     -------
     lag, uncertainty
-        s, and half its 95 % interval; None if the speed hardly changes.
+        Delay, s, > 0 if the output is late, and half width of its 95 % interval; None if the speed hardly changes.
     """
     step = max(1, recording.time.size // 50000)
     time, angle, output = recording.time[::step], recording.input_angle[::step], recording.output_angle[::step]

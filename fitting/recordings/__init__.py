@@ -1,1 +1,1 @@
-"""Recordings of test benches: formats and readers, the mapping of channels, cleaned and on one clock."""
+"""Recordings of test benches: formats and readers, mapping of channels, cleaning, alignment on one clock."""

@@ -12,7 +12,7 @@ import numpy as np
 from cycloid_fmu import edge
 from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel
 
-_SMALLEST_OBJECT = 16  # bytes of a BLF object's own header
+_SMALLEST_OBJECT = 16  # bytes of a BLF object's header
 
 
 class CanLog(BenchFile):
@@ -58,9 +58,9 @@ class CanLog(BenchFile):
                 frame = next(messages)
             except StopIteration:
                 break
-            except Exception as problem:  # a cut or damaged log
+            except Exception as problem:  # a truncated or damaged log
                 self.problems.append(
-                    f"{self.source}: it is cut or damaged after {count} frames ({edge.first_line(problem)})."
+                    f"{self.source}: it is truncated or damaged after {count} frames ({edge.first_line(problem)})."
                 )
                 break
             count += 1
@@ -79,11 +79,11 @@ class CanLog(BenchFile):
                 yield from flush()
         yield from flush()
         if failed:
-            self.problems.append(f"{self.source}: {failed} frames do not fit the DBC and were left out.")
+            self.problems.append(f"{self.source}: {failed} frames do not match the DBC and were left out.")
 
 
 def _binary_log(source: str) -> Any:
-    """Open a BLF log without objects of size zero, at which python-can would loop for ever."""
+    """Open a BLF log; refuse objects of size zero, at which python-can would loop forever."""
     import can
 
     class Checked(can.BLFReader):  # type: ignore[misc]  # python-can is untyped here

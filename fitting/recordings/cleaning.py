@@ -1,4 +1,4 @@
-"""Recordings cleaned block by block: continuous angles, marked gaps, invalid samples left out and counted."""
+"""Cleaning of recordings block by block: unwrapped angles, marked gaps, invalid samples left out and counted."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ _TURN = 2.0 * np.pi
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive samples of a recording: SI arrays of one length, angles continuous with the blocks before.
+    """Consecutive samples of a recording: SI arrays of equal length, angles unwrapped across blocks.
 
     Attributes
     ----------
-    time, input_angle, output_angle, torque
-        s, rad, rad, N·m of the environment on the output.
+    time, input_angle, output_angle
+        Time, s, and angles, rad, counter-clockwise positive.
+    torque
+        Torque of the environment on the output, N·m.
     temperature
-        K, or None if not recorded.
+        Temperature, K, or None if not recorded.
     status
-        Bits of the recording format: 1 a gap before, 32 an angle rolled over, 128 implausible.
+        Bits of the recording format: 1 gap before, 32 an angle rolled over, 128 implausible.
     input_torque
-        N·m of the environment on the input, or None if not recorded.
+        Torque of the environment on the input, N·m, or None if not recorded.
     """
 
     time: Array
@@ -43,10 +45,10 @@ class Block:
 
 
 class _Angle:
-    """Unrolls an angle block by block.
+    """Unwraps an angle block by block.
 
-    An angle with a rollover, or that stays within one turn and then jumps by more than half a turn, rolls over; one
-    that exceeded a turn is continuous already.
+    An angle rolls over if a rollover is stated, or if it stays within one turn and then jumps by more than half a turn;
+    one that exceeds a turn is already continuous.
     """
 
     def __init__(self, rollover: float | None, name: str, source: str) -> None:
@@ -56,7 +58,7 @@ class _Angle:
         self.rolls: bool | None = None if rollover is None else True
 
     def add(self, angle: Array) -> tuple[Array, NDArray[np.bool_] | None]:
-        """Return the angle continuous with the previous blocks, and where it rolled over (None: nowhere)."""
+        """Return the angle unwrapped across blocks, and the mask of its rollovers (None: none)."""
         if np.isnan(self._offset):
             self._offset, self._last = 0.0, angle[0]
             self._low = self._high = angle[0]
@@ -88,7 +90,7 @@ class _Angle:
                 np.abs(steps) > 180.0
             ) < 0.1 * max(steps.size, 10):
                 raise edge.InputError(
-                    f"{self._source}: {self._name} jumps by {largest:.1f} rad, as an angle in degrees does where it "
+                    f"{self._source}: {self._name} jumps by {largest:.1f} rad, as an angle in degrees does when it "
                     "rolls over; its unit is deg, not rad."
                 )
         self._low, self._high = low, high
@@ -97,9 +99,9 @@ class _Angle:
 
 
 class Cleaning:
-    """Leaves out invalid samples, marks gaps, makes angles continuous; block by block.
+    """Leaves out invalid samples, marks gaps and unwraps angles, block by block.
 
-    With a ratio a measured transmission error becomes the input angle.
+    Given the ratio, it converts a measured transmission error to the input angle.
     """
 
     def __init__(self, rollover: Mapping[str, float | None], source: str, ratio: float | None = None) -> None:
@@ -114,7 +116,7 @@ class Cleaning:
         self._mark_next = False
 
     def add(self, table: dict[str, Array], status: Bytes | None) -> Block:
-        """Return the remaining next samples, SI arrays by role; the block may be empty."""
+        """Return the valid ones of the next samples, given as SI arrays by role; the block may be empty."""
         time = table["time"]
         bits = np.zeros(time.size, np.uint8) if status is None else status.copy()
         keep = self._finite(table)
@@ -186,12 +188,12 @@ class Cleaning:
             also = f" and {count - 1} more" if count > 1 else ""
             notes.append(f"{name} is not a finite number in sample {first}{also}; left out.")
         if self._duplicates:
-            notes.append(f"{self._duplicates} samples at the time of the one before were left out.")
+            notes.append(f"{self._duplicates} samples with the time of the previous one were left out.")
         if self._backwards:
-            notes.append(f"{self._backwards} samples older than one before were left out.")
+            notes.append(f"{self._backwards} samples older than a previous one were left out.")
         if self._gaps:
             notes.append(
-                f"{self._gaps} gaps, the longest {self._longest:.3g} s at {self._longest_at:.6g} s; nothing was "
-                "interpolated over them."
+                f"{self._gaps} gaps, the longest {self._longest:.3g} s at {self._longest_at:.6g} s; they were not "
+                "interpolated."
             )
         return notes

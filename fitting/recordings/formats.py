@@ -1,6 +1,6 @@
-"""Contents of test bench files, piece by piece and under their own names, without the meaning of channels.
+"""Contents of test bench files, piece by piece, under the channel names of the file and without their meaning.
 
-Every reader yields pieces of bounded size, so that a file may be larger than memory.
+Every reader yields pieces of bounded size, so that files may be larger than memory.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from drivers.recording_format import Clock, Limits
 
 Array = NDArray[np.float64]
 
-LONGEST_NAME = 200  # characters of a channel's name that are kept; to look for words in a longer one takes for ever
-PIECE = 1 << 17  # samples of a piece: its arrays stay within a processor's cache
+LONGEST_NAME = 200  # characters kept of a channel's name; searching longer ones takes too long
+PIECE = 1 << 17  # samples per piece, whose arrays then fit into a processor's cache
 
 
 @dataclass(frozen=True)
 class RawChannel:
-    """A channel with its name in the file.
+    """A channel of a file.
 
     Attributes
     ----------
     name
-        Its name, unique in the file.
+        Name of the channel, unique in the file.
     unit
-        Its unit as written in the file, "" if there is none.
+        Unit as written in the file, "" if there is none.
     zero_reference
         "absolute" if the file states that the zero is the same in every recording, otherwise "incremental".
     """
@@ -49,12 +49,12 @@ class RawChannel:
 
 @dataclass(frozen=True)
 class Piece:
-    """Consecutive samples of channels with common times: arrays of one length.
+    """Consecutive samples of channels with common times: arrays of equal length.
 
     Attributes
     ----------
     time
-        Seconds in the file's own time base, or None if a channel has the time.
+        Seconds in the file's own time base, or None if one of the channels is the time.
     values
         {name: values in the file's unit}.
     status
@@ -68,26 +68,26 @@ class Piece:
 
 @dataclass
 class BenchFile(abc.ABC):
-    """An open file.
+    """An open bench file.
 
     Attributes
     ----------
     source
         The file's name.
     channels
-        Its channels.
+        The file's channels.
     timed
-        Whether its channels have their own times; otherwise one of them is the time.
+        Whether the channels have their own times; otherwise one of them is the time, or there is none.
     ratio
-        Signed ratio of the drive, if the file states it.
+        Signed ratio input/output of the drive, if the file states it.
     pair
         Name or fingerprint of the gear pair, if the file states it.
     problems
-        One sentence for each problem of the file; complete when all pieces were read.
+        One sentence for each problem of the file; complete when all pieces have been read.
     clocks
-        {channel: the clock of its time stamps, in the host's time} for channels with a device clock.
+        {channel: clock of its time stamps against the host's} for channels with a device clock.
     limits
-        Limits of its encoders, as far as the file states them.
+        Limits of the encoders, as far as the file states them.
     """
 
     source: str
@@ -104,7 +104,7 @@ class BenchFile(abc.ABC):
         """Yield pieces of these channels in the order of time."""
 
 
-# What opens each ending, a class or function; a package adds its own as entry points of the group.
+# Class or function that opens files with each ending; other packages add theirs as entry points of the group.
 READERS = {
     "arrows": "fitting.recordings.recorder_files:RecorderFile",
     **dict.fromkeys(("csv", "txt", "tsv", "dat"), "fitting.recordings.scope:open_table"),
@@ -117,7 +117,7 @@ GROUP = "cycloid.recordings"
 
 
 def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = None) -> BenchFile:
-    """Open a bench file with the reader of its ending: one of `READERS` or of the entry points in `GROUP`.
+    """Open a bench file with the reader for its ending, one of `READERS` or of the entry points in `GROUP`.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | 
     Raises
     ------
     edge.InputError
-        If the file can't be read or understood, or a package that reads it is missing.
+        If the file can't be read or parsed, or a package that reads it is missing.
     """
     edge.existing(path)
     ending = Path(path).suffix.lower().removeprefix(".")
@@ -139,13 +139,13 @@ def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | 
         raise edge.InputError(f"{path}: the ending must be one of {', '.join('.' + one for one in known)}.")
     module, name = reader.split(":")
     kind = getattr(importlib.import_module(module), name)
-    with edge.parsed_by_others(path, f"this is not a .{ending} file, or it is cut or damaged"):
+    with edge.parsed_by_others(path, f"this is not a .{ending} file, or it is truncated or damaged"):
         opened: BenchFile = kind(str(path), dbc)
     return opened
 
 
 def pieces_of(file: BenchFile, names: Sequence[str]) -> Iterator[Piece]:
-    """Yield a file's pieces of these channels; if its library fails on the way, they end and the file states it.
+    """Yield a file's pieces of these channels; if its library fails, stop and add the reason to the file's problems.
 
     Raises
     ------
@@ -165,17 +165,17 @@ def pieces_of(file: BenchFile, names: Sequence[str]) -> Iterator[Piece]:
     except edge.InputError:
         raise
     except Exception as problem:  # as in `edge.parsed_by_others`
-        sentence = f"{file.source}: it is cut or damaged after {taken} samples ({edge.first_line(problem)})."
+        sentence = f"{file.source}: it is truncated or damaged after {taken} samples ({edge.first_line(problem)})."
         if not taken:
             raise edge.InputError(sentence) from None
         file.problems.append(sentence)
 
 
 def numbers_of(column: pa.Array) -> Array:
-    """Return a column of numbers, NaN for missing values.
+    """Return a column as an array, NaN for missing values.
 
-    Arrow's own `to_numpy` loads pandas at its first call: 0.25 s of the processor, a fifth of reading a recording and
-    fitting it.
+    Arrow's own `to_numpy` imports pandas at its first call: 0.25 s of processor time, a fifth of reading and fitting a
+    recording.
     """
     if column.null_count or not pa.types.is_float64(column.type):
         return np.asarray(column.to_numpy(zero_copy_only=False), float)
@@ -192,7 +192,7 @@ def name_and_unit(text: str) -> tuple[str, str]:
 
 
 def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:
-    """Number channels of the same name: a name in a mapping must be one channel."""
+    """Number channels of the same name, because a name in a mapping must identify one channel."""
     seen: dict[str, int] = {}
     found = []
     for c in channels:
@@ -223,7 +223,7 @@ _SPELLINGS = {
 def unit_text(text: str) -> str:
     """Return a unit in pint's notation; benches write `°`, `Nm`, `N·m`, `kNm`, `°C`."""
     text = text.strip()
-    if text == "nm":  # nanometres are what this says
+    if text == "nm":  # this is nanometres
         return text
     torque = re.fullmatch(r"([kmMµu]?)N[ ·.⋅*-]?m", text)
     if torque:

@@ -1,4 +1,4 @@
-"""Formulas of measurement files: read by a small grammar and computed in double precision, never evaluated as code."""
+"""Formulas of measurement files: parsed by a small grammar and computed in double precision, never run as code."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 LONGEST = 300  # characters
-_DEEPEST = 30  # brackets and signs within each other
+_DEEPEST = 30  # levels of nested brackets and signs
 _SYMBOL = re.compile(
     r"\s*(?:(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z]\w*)|(?P<sign>\*\*|[-+*/(),]))"
 )
-# "log" is the natural logarithm to some programs and the decimal one to others; "^" a power or an exclusive or.
+# "log" and "^" are left out as ambiguous: natural or decimal logarithm, power or exclusive or.
 _FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
     "abs": (1, np.abs),
     "sqrt": (1, np.sqrt),
@@ -60,7 +60,7 @@ class Formula:
     Raises
     ------
     ValueError
-        If it is anything else.
+        If the text is no such formula.
 
     Examples
     --------
@@ -74,7 +74,7 @@ class Formula:
         object.__setattr__(self, "_compute", _Reader(self.text).formula())
 
     def __call__(self, x: ArrayLike) -> Array:
-        """Return its values, shape as `x`; NaN where it is undefined."""
+        """Return the values of the formula, of the shape of `x`; NaN where it is undefined."""
         given = np.asarray(x, dtype=float)
         compute: Part = self._compute  # type: ignore[attr-defined]
         with np.errstate(all="ignore"):
@@ -82,7 +82,7 @@ class Formula:
 
 
 class _Reader:
-    """Parses a text from the left; each method takes the part that it is named after."""
+    """Recursive-descent parser; each method parses the part that it is named after."""
 
     def __init__(self, text: str) -> None:
         if len(text) > LONGEST:
@@ -100,11 +100,11 @@ class _Reader:
     def formula(self) -> Part:
         found = self._sum()
         if self._left:
-            raise ValueError(f'"{self._left[0][1]}" is unexpected')
+            raise ValueError(f'unexpected "{self._left[0][1]}"')
         return found
 
     def _sign(self, *wanted: str) -> str:
-        """Take one of these signs if it is next."""
+        """Consume and return one of these signs if it is next, else ""."""
         if self._left and self._left[0][0] == "sign" and self._left[0][1] in wanted:
             return self._left.pop(0)[1]
         return ""
@@ -128,7 +128,7 @@ class _Reader:
     def _signed(self) -> Part:
         self._depth += 1
         if self._depth > _DEEPEST:
-            raise ValueError("it nests too deep")
+            raise ValueError("it is nested too deeply")
         try:
             if sign := self._sign("+", "-"):
                 found = self._signed()

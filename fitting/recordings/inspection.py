@@ -1,4 +1,4 @@
-"""The content of a bench file, and a proposed mapping for a person to check; it is never used automatically."""
+"""The content of a bench file, and a proposed mapping for the user to check; it is never used automatically."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fitting.recordings.proposal import ErrorRun, error_runs, name_patterns, sta
 
 Array = NDArray[np.float64]
 
-LOOKED_AT = 1 << 20  # samples of a channel that are looked at
+LOOKED_AT = 1 << 20  # first samples of a channel that are inspected
 _NAMES = {
     "time": r"\btime|zeit|^t$|stamp|\bsec",
     "input_angle": r"input|\bin\b|motor|crank|antrieb|eingang|\ban\b|drive|sun|enc\w*1|phi_?1|servo",
@@ -43,9 +43,9 @@ class Look:
     channel
         Name and unit.
     time
-        Seconds, or None if a channel has the time.
+        Times, s, or None if a channel is the time.
     values
-        As stored.
+        Values as stored.
     """
 
     channel: RawChannel
@@ -54,7 +54,7 @@ class Look:
 
     @property
     def travel(self) -> float:
-        """Range of the values, without steps beyond half of it (a rollover)."""
+        """Sum of the absolute steps, without those beyond half the range (rollovers)."""
         steps = np.abs(np.diff(self.values[np.isfinite(self.values)]))
         return float(steps[steps < 0.5 * np.ptp(self.values)].sum()) if steps.size else 0.0
 
@@ -99,7 +99,7 @@ def _measures(unit: str, kind: str) -> bool:
 
 
 def _is_angle(unit: str) -> bool:
-    # To pint a bare number is an angle too.
+    # pint counts a dimensionless number as an angle too.
     return _measures(unit, "angle") and unit_text(unit).lower() not in ("", "%", "1", "ppm")
 
 
@@ -114,15 +114,15 @@ class Inspection:
     Attributes
     ----------
     file
-        The file, opened.
+        The open file.
     looks
         The first samples of its channels.
     roles
-        {role: the channel proposed for it}.
+        {role: channel proposed for it}.
     dbc
-        The DBC used to open it.
+        The DBC used to open it, or None.
     runs
-        For a table of output angles and transmission errors: the runs that it seems to contain.
+        Runs that a table of output angles and transmission errors seems to contain; empty for other files.
     """
 
     file: BenchFile
@@ -145,7 +145,7 @@ class Inspection:
 
 
 def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = None) -> Inspection:
-    """Return the content of a bench file and propose the roles of its channels, for a person to check.
+    """Return the content of a bench file and propose the roles of its channels, for the user to check.
 
     Parameters
     ----------
@@ -170,13 +170,13 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
     file = open_bench_file(path, dbc)
     looks = look(file)
     if not looks:
-        raise edge.InputError(" ".join([*file.problems, f"{path}: it holds no samples of a numeric channel."]))
+        raise edge.InputError(" ".join([*file.problems, f"{path}: it has no numeric channel with samples."]))
     runs = error_runs(looks)
     taken = [one for run in runs for one in (run.output_angle, run.transmission_error)]
     roles = roles_of(file, [one for one in looks if one not in taken] if runs else looks)
-    if runs:  # what else is an angle is none of these runs'
+    if runs:  # further angles belong to none of these runs
         roles = {role: one for role, one in roles.items() if not role.endswith("angle")}
-    if file.timed or "time" in roles:  # the time says which sample came first
+    if file.timed or "time" in roles:  # the time determines the first sample
         runs = [dataclasses.replace(run, last_row_first=False) for run in runs]
     if len(runs) == 1:
         roles |= {"output_angle": runs[0].output_angle, "transmission_error": runs[0].transmission_error}
@@ -184,7 +184,7 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
 
 
 def inspection_json(found: Inspection) -> dict[str, Any]:
-    """Return the content of a file for scripts."""
+    """Return the content of a file as JSON data for scripts."""
     channels = {
         o.channel.name: {
             "unit": o.channel.unit, "samples": o.values.size, "min": float(np.nanmin(o.values)),
@@ -203,7 +203,7 @@ def inspection_json(found: Inspection) -> dict[str, Any]:
 
 
 def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
-    """Propose the roles of channels: by names and units; of two angles the input is the one with the larger range."""
+    """Propose the roles of channels by names and units; of two angles the input is the one with more travel."""
     left = [one for one in looks if np.isfinite(one.values).any()]
     roles: dict[str, Look] = {}
 
@@ -219,7 +219,7 @@ def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
         choose("time", timed)
     torques = [o for o in left if _measures(o.channel.unit, "torque")]
     torques = torques or _named([o for o in left if not _is_angle(o.channel.unit)], "torque")
-    driving = _named(torques, "input_angle")  # one that bears the input's name is on it, where there is another
+    driving = _named(torques, "input_angle")  # of several torques, one with the input's name is the input torque
     if driving and len(torques) > len(driving):
         roles["input_torque"] = driving[0]
         left.remove(driving[0])
@@ -227,7 +227,7 @@ def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
     choose("torque", torques)
     hot = [o for o in left if _measures(o.channel.unit, "temperature")]
     choose("temperature", hot)
-    # A speed is proposed by its unit alone; an angle over time is no angle.
+    # A speed is recognised only by its unit.
     choose("speed", [o for o in left if _measures(o.channel.unit, "speed") and not _measures(o.channel.unit, "angle")])
     angles = [o for o in left if _is_angle(o.channel.unit)]
     if len(angles) < 2:
@@ -259,7 +259,7 @@ def _mapping_text(roles: dict[str, Look], runs: Sequence[ErrorRun], file: BenchF
             lines += _channel_lines(roles["time"], "time")
         else:
             lines.append(
-                'rate = 1000.0               # samples a second: no channel looks like the time; or column = "…"'
+                'rate = 1000.0               # samples per second: no channel looks like a time; or column = "…"'
             )
     for role in CHANNELS:
         if role in roles:
@@ -271,23 +271,23 @@ def _mapping_text(roles: dict[str, Look], runs: Sequence[ErrorRun], file: BenchF
         elif runs and role.endswith("angle"):
             continue
         elif role not in OPTIONAL and role not in BESIDE:
-            where = "  (leave the table out where the input was locked)" if role == "input_angle" else ""
-            lines += ["", f"# no channel looks like the {role}{where}", f"# [{role}]", '# column = "…"']
+            where = "  (omit this table if the input was locked)" if role == "input_angle" else ""
+            lines += ["", f"# no channel looks like {role}{where}", f"# [{role}]", '# column = "…"']
     for run in runs if len(runs) > 1 else ():
         lines += ["", "[[runs]]", f"name = {_quoted(run.name)}"]
         if run.last_row_first:
             lines.append(
-                "last_row_first = true      # its angles grow as forward's do, so its rows are in reverse order"
+                "last_row_first = true      # its angles increase like those of forward: rows in reverse order"
             )
         for role, one in (("output_angle", run.output_angle), ("transmission_error", run.transmission_error)):
             lines += [f"[runs.{role}]", *_channel_lines(one, role)]
     if len(runs) > 1 and "torque" not in roles:
-        lines.append("# If the load's sign follows the motion, give a run its own [runs.torque] with direction = -1.")
+        lines.append("# If the load's sign follows the motion, add a [runs.torque] with direction = -1 to one run.")
     return "\n".join(lines) + "\n"
 
 
 def _quoted(text: str) -> str:
-    # A JSON string is one of TOML too, but for DEL, which TOML wants escaped.
+    # JSON strings are valid in TOML, except that TOML requires DEL to be escaped.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 

@@ -18,12 +18,12 @@ from fitting.recordings.formulas import Formula
 
 
 def _drop(problem: BaseException | None) -> None:
-    """Free the remains of a failed constructor, without errors of its destructor."""
+    """Free the remains of a failed constructor, without errors from its destructor."""
     hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
     try:
         while problem is not None:
             problem.__traceback__, problem = None, problem.__context__
-        gc.collect(1)  # what was made a moment ago is young
+        gc.collect(1)  # new objects are in the young generations
     finally:
         sys.unraisablehook = hook
 
@@ -35,14 +35,16 @@ class MdfFile(BenchFile):
         with edge.needs_extra("bench-files", lambda said: edge.InputError(f"{source}: {said}.")):
             from asammdf import MDF
         try:
-            # Given a name it reads in C, which believes what a damaged file says of its blocks; not so an open file.
+            # Given a name, asammdf reads in C, which trusts the block sizes of damaged files; given an open file, not.
             self._open = Path(source).open("rb")  # noqa: SIM115
-            # What is attached to a file is not looked at: it may name other files.
+            # Attachments are not read: they may name other files.
             self._mdf = MDF(self._open, process_bus_logging=False)
-        except Exception as problem:  # asammdf raises whatever its parser meets
+        except Exception as problem:  # asammdf raises any kind of exception
             reason = edge.first_line(problem)
             _drop(problem)
-            raise edge.InputError(f"{source}: this is not an MDF file, or it is cut or damaged ({reason}).") from None
+            raise edge.InputError(
+                f"{source}: this is not an MDF file, or it is truncated or damaged ({reason})."
+            ) from None
         channels, self._places, refused = [], [], []
         self._conversions: dict[tuple[int, int], Callable[[Any], Any]] = {}
         self._masters: dict[int, Formula] = {}
@@ -66,7 +68,7 @@ class MdfFile(BenchFile):
         self.problems += refused
 
     def _time_of(self, index: int, master: Any) -> str:
-        """Remove a formula from a group's time; return the reason if the group can't be read, or ""."""
+        """Remove a formula from a group's time channel; return the reason if the group can't be read, else ""."""
         conversion = master.conversion
         try:
             _check_within(master, self._mdf.groups[index].channel_group)
@@ -75,7 +77,7 @@ class MdfFile(BenchFile):
             if text := _formula_text(conversion):
                 self._masters[index], master.conversion = _formula(text), None
             elif _nests_formula(conversion):
-                raise ValueError("its conversion holds a formula within a table")
+                raise ValueError("its conversion has a formula within a table")
             elif not _is_v4(conversion) and conversion.conversion_type not in _V3_TIME:
                 raise ValueError("its conversion is not linear")
         except ValueError as problem:
@@ -95,7 +97,7 @@ class MdfFile(BenchFile):
         said, held = group.channel_group.cycles_nr, _records_held(group, os.stat(self.source).st_size)
         total, begin = min(said, held), 0
         if held < said:
-            self.problems.append(f"{self.source}: it is cut or damaged; it holds {held} of {said} samples.")
+            self.problems.append(f"{self.source}: it is truncated or damaged; it has {held} of {said} samples.")
         while begin < total:
             try:
                 signals = [self._mdf.get(*places[n], record_offset=begin, record_count=PIECE, raw=True) for n in names]
@@ -104,13 +106,15 @@ class MdfFile(BenchFile):
                 time = np.asarray(signals[0].timestamps[:got], float) if got else np.zeros(0)
             except Exception as problem:
                 why = edge.first_line(problem)
-                self.problems.append(f"{self.source}: it is cut or damaged after {begin} of {total} samples ({why}).")
+                self.problems.append(
+                    f"{self.source}: it is truncated or damaged after {begin} of {total} samples ({why})."
+                )
                 return
             if got:
                 yield Piece(self._masters[index](time) if index in self._masters else time, values)
             begin += got
             if got < min(PIECE, total - begin + got):
-                self.problems.append(f"{self.source}: it is cut after {begin} of {total} samples.")
+                self.problems.append(f"{self.source}: it is truncated after {begin} of {total} samples.")
                 return
 
     def _converted(self, place: tuple[str, int, int], raw: Any) -> Array:
@@ -118,17 +122,17 @@ class MdfFile(BenchFile):
 
 
 def _check_within(channel: Any, group: Any) -> None:
-    """Refuse a channel outside of its group's records: asammdf's C code would read beyond them."""
+    """Refuse a channel outside its group's records: asammdf's C code would read beyond them."""
     first = 8 * channel.byte_offset + channel.bit_offset if hasattr(channel, "byte_offset") else channel.start_offset
     first += 8 * getattr(channel, "additional_byte_offset", 0)
     marked = getattr(channel, "flags", 0) & _MAY_BE_INVALID
     within, marks = 8 * group.samples_byte_nr, 8 * getattr(group, "invalidation_bytes_nr", 0)
     if first + channel.bit_count > within or (marked and channel.pos_invalidation_bit >= marks):
-        raise ValueError("it is outside of its records")
+        raise ValueError("it is outside its records")
 
 
 def _records_held(group: Any, size: int) -> int:
-    """Return the number of records in the blocks of a group in a file of this size: asammdf invents missing ones."""
+    """Return the number of records that a group has in a file of this size, bytes: asammdf makes up missing ones."""
     blocks = list(group.get_data_blocks())
     held = sum(
         min(b.original_size, max(0, size - b.address)) if b.block_type == b.location == 0 else b.original_size
@@ -140,8 +144,8 @@ def _records_held(group: Any, size: int) -> int:
     return int(held // max(record, 1))
 
 
-_MAY_BE_INVALID = 2  # ASAM's flag of a channel with a bit that says so
-_V4_FORMULA, _V3_FORMULA = 3, 10  # ASAM's numbers of conversions
+_MAY_BE_INVALID = 2  # ASAM's flag of a channel with an invalidation bit
+_V4_FORMULA, _V3_FORMULA = 3, 10  # ASAM's numbers of conversion types
 _V4_TEXTS, _V3_TEXTS = (7, 8), (11, 12)
 _V3_TIME = (0, 65535)  # linear, none
 
@@ -170,9 +174,9 @@ def _nests_formula(conversion: Any, depth: int = 0) -> bool:
 
 
 def _conversion(channel: Any) -> Callable[[Any], Any]:
-    """Return the conversion of a channel's raw values to physical ones; asammdf would pass formulas to Python's `eval`.
+    """Return the function from a channel's raw to physical values; asammdf would pass formulas to Python's `eval`.
 
-    A text in place of a number is NaN if the channel has a unit.
+    If the channel has a unit, text in place of a number becomes NaN.
 
     Raises
     ------
@@ -185,7 +189,7 @@ def _conversion(channel: Any) -> Callable[[Any], Any]:
     if text := _formula_text(conversion):
         return _formula(text)
     if _nests_formula(conversion):
-        raise ValueError("its conversion holds a formula within a table")
+        raise ValueError("its conversion has a formula within a table")
     texts = _V4_TEXTS if _is_v4(conversion) else _V3_TEXTS
     keep = not (conversion.conversion_type in texts and channel.unit)
 
@@ -196,7 +200,7 @@ def _conversion(channel: Any) -> Callable[[Any], Any]:
     return convert
 
 
-# Scales that npTDMS computes; where it meets another it gives the raw numbers.
+# Scales that npTDMS computes; for others it returns raw numbers.
 _SCALES = frozenset(
     {
         "Add", "AdvancedAPI", "Linear", "Polynomial", "RTD", "Strain", "Subtract", "Table", "Thermistor",
@@ -208,7 +212,7 @@ _MOST_SCALES = 100
 
 
 def _unknown_scale(*properties: Mapping[str, Any]) -> str:
-    """Return the first unsupported scale of a TDMS channel, its group or file, "" if there is none."""
+    """Return the first unsupported scale of a TDMS channel, its group or its file, or "" if there is none."""
     for stated in properties:
         if stated.get("NI_Scaling_Status") == "scaled":
             continue
@@ -231,7 +235,7 @@ class TdmsFile(BenchFile):
         for group in self._file.groups():
             for channel in group.channels():
                 if kind := _unknown_scale(channel.properties, group.properties, self._file.properties):
-                    refused.append(f'{source}: the channel "{channel.name}" is left out: {kind} is not known here.')
+                    refused.append(f'{source}: the channel "{channel.name}" is left out: {kind} is not supported.')
                 elif channel.dtype is not None and np.issubdtype(channel.dtype, np.number):
                     self._found.append(channel)
         units = [str(c.properties.get("unit_string", c.properties.get("unit", ""))) for c in self._found]
@@ -242,13 +246,13 @@ class TdmsFile(BenchFile):
         status = getattr(self._file, "file_status", None)
         if status is not None and status.incomplete_final_segment:
             self.problems.append(
-                f"{source}: it is cut; its last segment is incomplete, and the data before its end were read."
+                f"{source}: it is truncated; its last segment is incomplete, and the data up to its end were read."
             )
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """Yield pieces of these channels in the order of time."""
         places = dict(zip((c.name for c in self.channels), self._found, strict=True))
-        if not self.timed:  # one clock for all: a channel holds the time
+        if not self.timed:  # one clock for all: a channel is the time
             yield from self._chunks([(n, places[n]) for n in names], None)
             return
         bases: dict[tuple[float, float], list[tuple[str, Any]]] = {}

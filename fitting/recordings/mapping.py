@@ -1,4 +1,4 @@
-"""Roles of the channels of a bench file: the mapping file, and the mapping of a file whose channels have our names."""
+"""Roles of the channels of a bench file: the mapping file, and the mapping of files with our channel names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fitting.recordings.formats import BenchFile, unit_text
 COLUMNS = {"time": "s", "input_angle": "rad", "output_angle": "rad", "torque": "N*m"}
 OPTIONAL = {"temperature": "K", "input_torque": "N*m"}
 ANGLES = ("input_angle", "output_angle")
-BESIDE = {"transmission_error": "rad", "speed": "rad/s"}  # what a table may hold, and a block does not
+BESIDE = {"transmission_error": "rad", "speed": "rad/s"}  # allowed in a file, but no column of a block
 CHANNELS = (*ANGLES, "torque", *OPTIONAL, *BESIDE)
 FROM_NAMES = ("torque", "speed", "temperature")
 FORMAT = "cycloid-mapping/1"
@@ -25,30 +25,30 @@ _TURN = 2.0 * np.pi
 
 
 class ChannelMapping(edge.Config):
-    """`[input_angle]` and other roles: the channel of the file and the meaning of its numbers.
+    """`[input_angle]` and other roles: the channel in the file and the meaning of its numbers.
 
     Attributes
     ----------
     column
         The channel's name in the file.
     file_name
-        In place of a column, for `FROM_NAMES`: the pattern of the file's name, with one number for the whole recording
-        at {}, such as "_{}Nm".
+        In place of a column, for `FROM_NAMES`: pattern in the file's name, with {} for the number that applies to the
+        whole recording, such as "_{}Nm".
     unit
-        Unit of its numbers; needed if the file states none, and it overrides the file's.
+        Unit of the numbers; required if the file states none, and overrides that of the file.
     counts_per_turn
-        In place of a unit: the numbers are counts of an angle.
+        In place of a unit: the numbers are counts of an angle, with this many per turn.
     direction
         -1 if the numbers decrease while the quantity increases.
     rollover
-        Value at which an angle rolls over, such as "360 deg"; by default an angle that stays within a turn and jumps
-        back is assumed to roll over at one turn.
+        Value at which an angle rolls over, rad or text such as "360 deg"; by default an angle that stays within one
+        turn and jumps back is assumed to roll over at one turn.
     zero_reference
-        "absolute" if the zero is the same in every recording, and that of the crank is at pin 0.
+        "absolute" if the zero is the same in every recording and, for the crank, at pin 0.
     delay
-        Delay of its time after the event, such as "1.2 ms" of a filter or another clock.
+        Delay of the time stamps after the event, s or text such as "1.2 ms", from a filter or another clock.
     drift
-        Relative drift of the clock of its time stamps from its first sample, > 0 fast: 100e-6 is 100 ppm.
+        Relative drift of the clock of the time stamps, from the first sample on, > 0: fast; 100e-6 is 100 ppm.
     """
 
     column: str | None = None
@@ -63,7 +63,7 @@ class ChannelMapping(edge.Config):
 
 
 class TimeMapping(edge.Config):
-    """`[time]`: the channel with the time, or the constant sampling rate."""
+    """`[time]`: the channel with the time, or the constant sampling rate, samples per second."""
 
     column: str | None = None
     unit: str | None = None
@@ -89,9 +89,9 @@ class RunMapping(_OneRun):
     Attributes
     ----------
     name
-        Its name in messages and reports, such as "forward".
+        Name of the run in messages and reports, such as "forward".
     last_row_first
-        Whether the run's last sample is in the first row, as if forward and backward share a column of angles.
+        Whether the run's last sample is in the first row, such as when both directions share a column of angles.
     input_angle, output_angle, transmission_error, torque, speed, temperature, input_torque
         As in `FileMapping`.
     """
@@ -105,22 +105,22 @@ class FileMapping(_OneRun):
     Attributes
     ----------
     ratio
-        Signed ratio of the drive.
+        Signed ratio input/output of the drive.
     dbc
-        The DBC of a CAN log, relative to the mapping file.
+        DBC of a CAN log, relative to the mapping file.
     time
         Not needed if the file's channels have their own times.
     input_angle
-        Left out if the input was locked and not measured.
+        Omitted if the input was locked and not measured.
     output_angle, torque
         The channels.
     transmission_error
         In place of the input angle, which is then (output angle - transmission error) times the ratio: its zero is
         where these two are equal.
     speed
-        Optional: the speed of the run, of the shaft that the bench names.
+        Optional: speed of the run, of the shaft to which the bench's speed refers.
     temperature, input_torque
-        Optional. The torque on the input gives the no-load starting torque.
+        Optional. The input torque gives the no-load starting torque.
     runs
         Several runs in one table, each a separate recording.
     last_row_first
@@ -133,7 +133,7 @@ class FileMapping(_OneRun):
     runs: tuple[RunMapping, ...] = ()
 
     def each(self) -> Iterator[tuple[str, FileMapping]]:
-        """Yield name and mapping of every run in a table; one without a name if the table is one run."""
+        """Yield name and mapping of every run in a table; a table with a single run yields one without a name."""
         if not self.runs:
             yield "", self
         for run in self.runs:
@@ -142,12 +142,12 @@ class FileMapping(_OneRun):
 
 
 def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
-    """Read a mapping file; its DBC is relative to it.
+    """Read a mapping file; the path of its DBC is relative to it.
 
     Raises
     ------
     edge.InputError
-        With one sentence for each problem.
+        If the file is invalid; one sentence for each problem.
 
     Examples
     --------
@@ -168,12 +168,12 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
     mapping = edge.validated(FileMapping, table, source)
     names = [run.name for run in mapping.runs]
     if len(set(names)) < len(names):
-        raise edge.InputError(f"{source}: [[runs]] name: {edge.listed(names)}; each run needs a name of its own.")
+        raise edge.InputError(f"{source}: [[runs]] name: {edge.listed(names)}; each run needs its own name.")
     for run, one in mapping.each():
         _check_channels(one, f"{source}: [[runs]] {run}" if run else source)
     if mapping.time is not None:
         if (mapping.time.column is None) == (mapping.time.rate is None):
-            raise edge.InputError(f"{source}: [time] needs either column or rate (samples a second).")
+            raise edge.InputError(f"{source}: [time] needs either column or rate (samples per second).")
         if mapping.time.rate is not None and not mapping.time.rate > 0.0:
             raise edge.InputError(f"{source}: [time] rate = {mapping.time.rate}: it must be above zero.")
     if mapping.dbc is not None:
@@ -188,7 +188,7 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
             raise edge.InputError(f"{source}: {name} is missing; a recording needs it.")
     if mapping.last_row_first and mapping.time is not None and mapping.time.column is not None:
         raise edge.InputError(
-            f"{source}: last_row_first: the [time] column determines the first sample; leave one of the two out."
+            f"{source}: last_row_first: the [time] column determines the first sample; remove one of the two."
         )
     if mapping.transmission_error is not None and mapping.input_angle is not None:
         raise edge.InputError(
@@ -203,18 +203,20 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
             raise edge.InputError(f"{source}: [{name}] needs {'either ' if either else ''}column{either}.")
         if channel.file_name is not None:
             if name not in FROM_NAMES:
-                raise edge.InputError(f"{source}: [{name}] file_name: only {', '.join(FROM_NAMES)} may stand in it.")
+                raise edge.InputError(
+                    f"{source}: [{name}] file_name: only {', '.join(FROM_NAMES)} can be taken from the file's name."
+                )
             if channel.file_name.count("{}") != 1:
                 raise edge.InputError(
                     f"{source}: [{name}] file_name = {edge.shown(channel.file_name)}: write the part of the file's "
-                    'name that states it with {} for the number, such as "_{}Nm"; a - before {} is no sign.'
+                    'name that states it with {} for the number, such as "_{}Nm"; a - before {} is not its sign.'
                 )
             if not channel.unit:
                 raise edge.InputError(f"{source}: [{name}] unit: state the unit of the number in the file's name.")
         if channel.counts_per_turn is not None and name not in ANGLES:
-            raise edge.InputError(f"{source}: [{name}] counts_per_turn: only an angle has it; give the unit.")
+            raise edge.InputError(f"{source}: [{name}] counts_per_turn: this is for angles; give the unit.")
         if channel.counts_per_turn is not None and (channel.unit is not None or channel.counts_per_turn < 1):
-            raise edge.InputError(f"{source}: [{name}] counts_per_turn: give a whole number above zero and no unit.")
+            raise edge.InputError(f"{source}: [{name}] counts_per_turn: give a positive integer and no unit.")
 
 
 def own_names(file: BenchFile) -> FileMapping:
@@ -223,7 +225,7 @@ def own_names(file: BenchFile) -> FileMapping:
     Raises
     ------
     edge.InputError
-        If one is missing or has no unit.
+        If a channel is missing or has no unit.
     """
     channels = {c.name: c for c in file.channels}
     wanted = [n for n in COLUMNS if n != "time" or not file.timed]
@@ -232,13 +234,15 @@ def own_names(file: BenchFile) -> FileMapping:
             _refuse_left_out(file, name)
             where = f'no column "{name} [{COLUMNS[name]}]" in the header' if not file.timed else f"no {name} channel"
             held = edge.listed(list(channels)[:8]) or "no channels"
-            raise edge.InputError(f"{file.source}: there is {where} (it has {held}); inspect it for a mapping.")
+            raise edge.InputError(
+                f"{file.source}: there is {where} (it has {held}); run cycloid-fit inspect on it to get a mapping."
+            )
         if not channels[name].unit:
             raise edge.InputError(
                 f'{file.source}: the column "{name}" has no unit; write "{name} [{COLUMNS[name]}]", or name it in a '
                 "mapping."
             )
-    # A table of ours counts the crank's angle from pin 0; a file that says more itself is believed.
+    # A table with our names has the crank's zero at pin 0; a file with its own times states its zero reference.
     index = "absolute" if not file.timed else None
     return FileMapping(
         time=None if file.timed else TimeMapping(column="time"),
@@ -257,18 +261,18 @@ def _refuse_left_out(file: BenchFile, channel: str) -> None:
 
 
 def _affine(unit: str, si: str) -> tuple[float, float]:
-    """Return scale and offset from a unit to SI; only temperatures may have an offset."""
+    """Return scale and offset that convert a unit to SI; only temperatures may have an offset."""
     if si != "K":
         return edge.unit_scale(unit, si), 0.0
     try:
         zero, one = (edge.units().Quantity(x, edge.parse_unit(unit)).to("K").magnitude for x in (0.0, 1.0))
     except Exception:
-        raise ValueError(f'the unit "{unit}" is no temperature; use degC or K') from None
+        raise ValueError(f'the unit "{unit}" is not a temperature; use degC or K') from None
     return float(one - zero), float(zero)
 
 
 def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, float, float]]:
-    """Return channel, scale and offset of each role of a mapping: its numbers times the scale, plus the offset, are SI.
+    """Return {role: (channel, scale, offset)} of a mapping; numbers times scale plus offset are SI values.
 
     Raises
     ------
@@ -321,9 +325,9 @@ def stated_in_name(path: str | os.PathLike[str], mapping: FileMapping) -> dict[s
     Parameters
     ----------
     path
-        The file; its ending is no part of its name.
+        The file; its ending is ignored.
     mapping
-        Of one run.
+        Mapping of one run.
 
     Raises
     ------
@@ -343,7 +347,7 @@ def stated_in_name(path: str | os.PathLike[str], mapping: FileMapping) -> dict[s
         if channel is None or channel.file_name is None:
             continue
         before, after = channel.file_name.split("{}")
-        # A number is taken whole, and a letter ends no pattern within a word: T= is not the end of ROT=.
+        # Match whole numbers, and a pattern that begins with a letter only at the start of a word: T= not in ROT=.
         start = r"(?<![\d.,])" if not before else r"(?<![^\W\d_])" if before[0].isalpha() else ""
         end = r"(?![^\W\d_])" if after and after[-1].isalpha() else ""
         pattern = start + re.escape(before) + _NUMBER + re.escape(after) + end
@@ -351,8 +355,8 @@ def stated_in_name(path: str | os.PathLike[str], mapping: FileMapping) -> dict[s
         if len(numbers) != 1:
             many = f"in several ways ({', '.join(f'{n:g}' for n in sorted(numbers))})" if numbers else "nowhere"
             raise edge.InputError(
-                f"{path}: its name fits [{role}] file_name = {edge.shown(channel.file_name)} {many}; it must state one "
-                "number there."
+                f"{path}: its name matches [{role}] file_name = {edge.shown(channel.file_name)} {many}; it must state "
+                "one number there."
             )
         try:
             scale, offset = _affine(unit_text(channel.unit or ""), {**COLUMNS, **OPTIONAL, **BESIDE}[role])

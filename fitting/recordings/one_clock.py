@@ -1,4 +1,4 @@
-"""Channels in separate pieces, put on one clock."""
+"""Alignment of channels in separate pieces on one clock."""
 
 from __future__ import annotations
 
@@ -13,17 +13,26 @@ from fitting.recordings.mapping import TimeMapping
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-_TOGETHER = 1 << 13  # samples of each channel that are put on one clock at a time
-GAP_STEPS = 2.5  # a step of time beyond this many usual ones is a gap: one lost sample makes a step of two
+_TOGETHER = 1 << 13  # samples of each channel that are aligned at a time
+GAP_STEPS = 2.5  # a time step above this many usual steps is a gap; one lost sample makes a step of two
 
 Table = dict[str, Array]
 
 
 class OneClock:
-    """Puts channels in separate pieces on one clock: the input angle's, or the output's without one.
+    """Aligns channels in separate pieces with the times of the input angle, or else of the output angle.
 
-    If the angles share most of their times only these are kept. Otherwise the others are interpolated between
-    neighbours, but never over a gap: samples there are left out, and the next one is marked.
+    If the angles share most of their times, only samples at these are kept. Otherwise the other channels are
+    interpolated between neighbours, but never across a gap: samples there are left out, and the next one is marked.
+
+    Parameters
+    ----------
+    scales
+        {role: (channel, scale, offset)}, see `mapping.scales_of`.
+    time
+        Channel or rate of the time, if the file's channels have no times.
+    clocks
+        {role: (delay, s, relative drift)} of the time stamps.
     """
 
     def __init__(
@@ -49,7 +58,7 @@ class OneClock:
         self._mark_next = False
 
     def add(self, piece: Piece) -> Iterator[tuple[Table, Bytes | None]]:
-        """Take the next piece and yield complete samples: {role: values, SI} with the time, and the status bits."""
+        """Add the next piece and yield complete samples: {role: SI values} with the time, and the status bits."""
         columns = {r: c for r, (c, _, _) in self._scales.items()}
         here = [r for r in self._scales if columns[r] in piece.values]
         values = {}
@@ -76,7 +85,7 @@ class OneClock:
             yield from self._flush(min(parts[-1][0][-1] for parts in self._waiting.values()), last=False)
 
     def _corrected(self, role: str, time: Array) -> Array:
-        """Return the times of samples, corrected for delay and clock drift."""
+        """Return the times of samples, s, corrected for delay and clock drift."""
         delay, drift = self._clocks[role]
         if (delay, drift) == (0.0, 0.0) or not time.size:
             return time
@@ -84,7 +93,7 @@ class OneClock:
         return begun - delay + (time - begun) / (1.0 + drift)
 
     def finish(self) -> Iterator[tuple[Table, Bytes | None]]:
-        """Yield the remaining samples when all pieces were taken."""
+        """Yield the remaining samples after the last piece."""
         if any(self._waiting.values()) and all(self._waiting.values()):
             ends = [parts[-1][0][-1] for parts in self._waiting.values()]
             master = self._waiting[self._master][-1][0]
@@ -151,7 +160,7 @@ class OneClock:
         self._keep(joined, until)
 
     def _usual_step(self, role: str, time: Array) -> float:
-        """Return a channel's usual step of time: that of its first samples."""
+        """Return a channel's usual time step, s, from its first samples."""
         if role not in self._usual:
             self._usual[role] = float(np.median(np.diff(time))) if time.size > 1 else np.inf
         return self._usual[role]
@@ -159,7 +168,7 @@ class OneClock:
     def _keep(self, joined: Mapping[str, tuple[Array, Array, Bytes]], until: float) -> None:
         """Keep samples after `until` for the next pieces."""
         for role, (times, values, statuses) in joined.items():
-            # Of the others one sample before stays: the next of the master's lies behind it.
+            # Keep one earlier sample of the other channels, to interpolate up to the master's next sample.
             first = int(np.searchsorted(times, until, "right"))
             first = first if role == self._master else max(0, first - 1)
             self._waiting[role] = [(times[first:], values[first:], statuses[first:])] if first < times.size else []
@@ -169,7 +178,7 @@ class OneClock:
     ) -> tuple[Table, Bytes] | None:
         """Return the samples up to `until` if all channels have the same times there, otherwise None.
 
-        Nothing is searched or interpolated then, which is 4 times as fast.
+        This needs no search or interpolation and is 4 times as fast.
         """
         time, value, status = joined[self._master]
         if not time.size or (np.diff(time) <= 0.0).any():
@@ -207,9 +216,9 @@ class OneClock:
         if self._unpaired:
             notes.append(f"{self._unpaired} samples of one angle without the other at the same time were left out.")
         if self._shared is False:
-            notes.append("the angles share no instants; the output angle was interpolated to the input's times.")
+            notes.append("the angles have no times in common; the output angle was interpolated to the input's times.")
         if self._in_gap:
-            notes.append(f"{self._in_gap} samples fall into another channel's gap and were left out.")
+            notes.append(f"{self._in_gap} samples within a gap of another channel were left out.")
         if self._outside:
-            notes.append(f"{self._outside} samples before or after another channel's were left out.")
+            notes.append(f"{self._outside} samples before or after those of another channel were left out.")
         return notes

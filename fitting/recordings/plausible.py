@@ -1,4 +1,4 @@
-"""Recordings without implausible samples: values that two encoders on one drive can't show are left out and counted."""
+"""Recordings without implausible samples: values impossible for two encoders on one drive are left out and counted."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from fitting.recordings.cleaning import Block
 from fitting.recordings.formats import PIECE
 from fitting.recordings.recording import Recording, RecordingStream
 
-_SAID = 3  # findings that a note names
+_SAID = 3  # most findings listed in a note
 
 
 class PlausibleBlocks:
-    """The blocks of a recording from any source, judged as the recorder does while it records.
+    """The blocks of a recording from any source, with the same plausibility check as during recording.
 
-    Marked samples and those found implausible are left out; the next one is behind a gap. Each block waits for the next
-    one, which may show a fault that began in it.
+    Samples marked or found implausible are left out, and the next one is marked as after a gap. Each block is held
+    until the next one, which may reveal a fault that began in it.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class PlausibleBlocks:
     Attributes
     ----------
     count, samples
-        Number left out so far, and number of all.
+        Number of samples left out so far, and of all samples.
     """
 
     def __init__(self, stream: Recording | RecordingStream, ratio: float | None) -> None:
@@ -45,12 +45,12 @@ class PlausibleBlocks:
         self.count = self.samples = 0
 
     def __iter__(self) -> Iterator[Block]:
-        """Yield the remainder of each block.
+        """Yield each block without implausible samples.
 
         Raises
         ------
         edge.InputError
-            As the recording's `blocks`, and if fewer than two samples are left.
+            As the recording's `blocks`, and if fewer than two samples remain.
         """
         judge: Plausibility | None = None
         before: tuple[Block, NDArray[np.bool_]] | None = None
@@ -73,7 +73,7 @@ class PlausibleBlocks:
         if before is not None:
             yield from self._left(*before)
         if self.count and self.samples - self.count < 2:
-            raise edge.InputError(" ".join([*self._stream.notes, *self.notes(), "Fewer than two samples are left."]))
+            raise edge.InputError(" ".join([*self._stream.notes, *self.notes(), "Fewer than two samples remain."]))
 
     def _left(self, block: Block, implausible: NDArray[np.bool_]) -> Iterator[Block]:
         self.samples += block.time.size
@@ -111,7 +111,7 @@ class PlausibleBlocks:
 
 
 def _pieces(block: Block) -> Iterator[Block]:
-    """Yield a block in pieces that fit a processor's cache."""
+    """Yield a block in pieces that fit into a processor's cache."""
     if block.time.size <= PIECE:
         yield block
         return
@@ -122,7 +122,7 @@ def _pieces(block: Block) -> Iterator[Block]:
 
 
 def _with_resolution(limits: Limits, block: Block) -> Limits:
-    """Return limits with the encoders' steps, if they are not stated and repeated values show them."""
+    """Return limits with the encoders' resolutions, rad, inferred from repeated values if not stated."""
     shown = {}
     for role in ANGLES:
         name = f"{role.removesuffix('_angle')}_resolution"

@@ -1,7 +1,7 @@
-"""Interpretation of tables of transmission errors and of file names: proposed for a person to check.
+"""Interpretation of transmission error tables and file names, proposed for the user to check.
 
-Published recordings of rigs are tables of output angle and transmission error, forward and backward side by side, with
-torque, speed and temperature in the files' names.
+Published recordings are often tables of output angle and transmission error, forward and backward side by side, with
+torque, speed and temperature in the file names.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _MOST = {"deg": 5.0, "arcmin": 300.0, "arcsec": 18000.0, "mrad": 90.0, "rad": 0.
 
 @dataclass(frozen=True)
 class ErrorRun:
-    """One run of a table of transmission errors: its name, its two channels and the direction of its rows."""
+    """One run of a table of transmission errors: name, the two channels and the order of its rows."""
 
     name: str
     output_angle: Look
@@ -71,8 +71,8 @@ def _way(name: str) -> str:
 def error_runs(looks: Sequence[Look]) -> list[ErrorRun]:
     """Return the runs that a table of output angles and transmission errors seems to contain; none for other tables.
 
-    Each error belongs to the angle of its direction (forward or backward) or number, otherwise to the only angle,
-    otherwise to the one before it.
+    Each error belongs to the angle of the same direction (forward or backward), otherwise to the only angle, otherwise,
+    with as many angles as errors, to the angle of the same position.
     """
     free = [one for one in looks if np.isfinite(one.values).sum() > 1]
     errors = [one for one in free if _is_error(one, free)]
@@ -123,12 +123,12 @@ def _grows(one: Look) -> bool:
 
 
 _NUMBER = r"[+\-−]?(?:\d+(?:[.,]\d+)?|[.,]\d+)"
-_BEHIND = {  # a unit behind the number
+_BEHIND = {  # a unit after the number
     "torque": (r"([kmMµu]?)[ _]?N[ .·*]?m(?![a-z])", "N*m"),
     "speed": (r"[ _]?(?:rpm|r[ _]?min|min-1|U[ _]?min)(?![a-z])", "rpm"),
     "temperature": (r"[ _]?(?:°|deg)?[ _]?C(?:els\w*)?(?![a-z])", "degC"),
 }
-_BEFORE = {  # the quantity's name before it
+_BEFORE = {  # the quantity's name before the number
     "torque": r"(?:torque|load|moment|trq|M|T)",
     "speed": r"(?:speed|rpm|drehzahl|n)",
     "temperature": r"(?:temperature|temperatur|temp|theta)",
@@ -136,9 +136,9 @@ _BEFORE = {  # the quantity's name before it
 
 
 def name_patterns(path: str | Path) -> dict[str, tuple[str, str, str]]:
-    """Return the values that a file's name seems to state: {role: (pattern with {} for the number, unit, a comment)}.
+    """Return the values that a file's name seems to state: {role: (pattern with {} for the number, unit, comment)}.
 
-    The pattern is empty if the name is ambiguous; the comment states the readings.
+    If the name is ambiguous the pattern is empty, and the comment states the alternatives.
 
     Examples
     --------
@@ -164,14 +164,14 @@ def name_patterns(path: str | Path) -> dict[str, tuple[str, str, str]]:
             before = matches[0][1] + matches[0][2]
             found[role] = (f"{before}{{}}", unit, "the name does not state the unit; check")
     if found.get("torque", ("",))[0] in ("T={}", "T{}", "T_{}") and "temperature" not in found:
-        found["torque"] = ("", "", 'is T the torque or the temperature? Write "T={}" here or in [temperature]')
+        found["torque"] = ("", "", 'is T torque or temperature? Write "T={}" here or in [temperature]')
     return found
 
 
 def _behind(name: str, matches: list[re.Match[str]], unit: str, role: str, hyphens: int) -> tuple[str, str, str]:
     if len(matches) > 1:
         several = ", ".join(m[0] for m in matches)
-        return "", unit, f"the name has {several}: which of them? Write the text around it, with {{}} for the number"
+        return "", unit, f"the name has {several}: which one? Write the text around it, with {{}} for the number"
     number, behind = matches[0][1], matches[0][2]
     at = matches[0].start()
     prefix = re.match(r"[ _]?([kmMµu]?)N", behind) if role == "torque" else None
@@ -184,7 +184,7 @@ def _behind(name: str, matches: list[re.Match[str]], unit: str, role: str, hyphe
             return (
                 "",
                 unit,
-                (f'is the - of {number}{behind} a minus or does it separate? Write "{{}}{behind}" or "-{{}}{behind}"'),
+                (f'is the - of {number}{behind} a minus or a separator? Write "{{}}{behind}" or "-{{}}{behind}"'),
             )
-        before, comment = "-", "its - separates, as the others in the name do; check"
+        before, comment = "-", "its - is a separator, like the others in the name; check"
     return f"{before}{{}}{behind}", unit, comment

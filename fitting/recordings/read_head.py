@@ -1,8 +1,8 @@
-"""The angle error of a single read head whose shaft is displaced by the load, and a recording without it.
+"""The angle error of a single read head when the load displaces its shaft, and recordings corrected for it.
 
-Torque bends and tilts a bench's shafts (Liu et al., 2022, section 2). A disc displaced by Y does not rotate, but one
-head at the radius R_d reads the angle Y/R_d for the part of Y along its own direction of reading; two opposite heads
-would cancel it. The displacement over torque is measured or computed once and used as a straight line.
+Torque bends and tilts a bench's shafts (Liu et al., 2022, section 2). A disc displaced by Y does not rotate, but a
+single head at the radius R_d reads the angle Y/R_d, with Y the component along the head's direction of reading; two
+opposite heads would cancel it. The displacement over torque is measured or computed once and used as a straight line.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ class Displacement:
     Attributes
     ----------
     slope, offset
-        m/(N·m), m.
+        Slope, m/(N·m), and offset, m.
     covariance
-        Of slope and offset, shape (2, 2).
+        Covariance of slope and offset, shape (2, 2).
     scatter
         Standard deviation of the measured displacements about the line, m.
     low, high
-        Torques between which it was measured, N·m.
+        Lowest and highest measured torque, N·m.
     """
 
     slope: float
@@ -56,12 +56,12 @@ class ReadHead:
     Attributes
     ----------
     radius, radius_uncertainty
-        Radius of reading R_d and its standard uncertainty, m.
+        Reading radius R_d and its standard uncertainty, m.
     direction
-        Angle from the head's place on the disc to the direction of the displacement, counter-clockwise, rad: at +90°
-        the displacement moves the disc under the head as a counter-clockwise rotation would.
+        Angle from the head's position on the disc to the direction of the displacement, counter-clockwise positive,
+        rad: at +90° the displacement moves the disc under the head as a counter-clockwise rotation would.
     displacement
-        Of the shaft at the disc.
+        Displacement of the shaft at the disc.
     """
 
     radius: float
@@ -82,7 +82,7 @@ class _File(edge.Config):
 
 
 def fit_displacement(torque: ArrayLike, displacement: ArrayLike) -> Displacement:
-    """Return the straight line through displacements (m) over torques (N·m), shape (points,), by least squares.
+    """Return the least squares line of displacements, m, over torques, N·m, both of shape (points,).
 
     Raises
     ------
@@ -91,7 +91,7 @@ def fit_displacement(torque: ArrayLike, displacement: ArrayLike) -> Displacement
     """
     t, y = np.asarray(torque, dtype=float), np.asarray(displacement, dtype=float)
     if t.size < 3 or np.ptp(t) == 0.0:
-        raise ValueError("a line with its uncertainty needs three points and two torques at least")
+        raise ValueError("a line with its uncertainty needs at least three points and two torques")
     matrix = np.column_stack([t, np.ones_like(t)])
     (slope, offset), *_ = np.linalg.lstsq(matrix, y, rcond=None)
     scatter = math.sqrt(float(((y - slope * t - offset) ** 2).sum()) / (t.size - 2))
@@ -100,7 +100,7 @@ def fit_displacement(torque: ArrayLike, displacement: ArrayLike) -> Displacement
 
 
 def angle_error(head: ReadHead, torque: ArrayLike) -> tuple[Array, Array]:
-    """Return the error of a head's reading, and its standard uncertainty, both rad, of the torque's shape.
+    """Return the angle error of a head and its standard uncertainty, rad, of the shape of `torque`, N·m.
 
     The uncertainty includes that of the line, the scatter about it and that of the radius (GUM, first order).
     """
@@ -123,8 +123,8 @@ def without_coaxiality_error(recording: Recording, head: ReadHead) -> Recording:
     ]
     if recording.torque.min() < d.low or recording.torque.max() > d.high:
         notes.append(
-            f"{recording.source}: the torque goes from {recording.torque.min():g} to {recording.torque.max():g} N·m, "
-            f"the displacement is known from {d.low:g} to {d.high:g} N·m; beyond that its line is extended."
+            f"{recording.source}: the torque ranges from {recording.torque.min():g} to {recording.torque.max():g} N·m, "
+            f"the displacement is known from {d.low:g} to {d.high:g} N·m; it is extrapolated beyond."
         )
     return dataclasses.replace(recording, output_angle=recording.output_angle - error, notes=(*recording.notes, *notes))
 
@@ -135,7 +135,7 @@ def read_read_head(path: str | os.PathLike[str]) -> ReadHead:
     Raises
     ------
     edge.InputError
-        If one of the files is invalid; one sentence that names file, field and value.
+        If a file is invalid; one sentence that names file, field and value.
     """
     table = edge.toml_table(edge.read_text(path), FORMAT, str(path))
     head = edge.validated(_File, table, str(path)).read_head

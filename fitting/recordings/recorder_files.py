@@ -1,4 +1,4 @@
-"""The recordings that `cycloid-bench record` writes."""
+"""Reader of the recordings that `cycloid-bench record` writes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cycloid_fmu import edge
 from drivers.recording_format import Alignment, RecordingReader, Samples, joined, limits_of, read_clocks
 from fitting.recordings.formats import BenchFile, Piece, RawChannel
 
-_GATHERED = 1 << 13  # samples of a channel
+_GATHERED = 1 << 13  # samples of a channel joined to a piece
 
 
 class RecorderFile(BenchFile):
@@ -24,7 +24,7 @@ class RecorderFile(BenchFile):
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """Yield pieces of these channels in the order of time."""
         known = read_clocks(self.source, names)
-        # The least certain stretch of a channel says how well its time is known.
+        # Of a channel's clocks between restarts, the least certain one determines the uncertainty of its time.
         self.clocks = {n: max(c.values(), key=lambda clock: clock.uncertainty) for n, c in known.items()}
         alignments = {n: Alignment(known.get(n, {})) for n in names}
         silent = set(names)
@@ -43,7 +43,7 @@ class RecorderFile(BenchFile):
                 if samples.channel in waiting and len(samples):
                     silent.discard(samples.channel)
                     waiting[samples.channel].append(samples)
-                    # Where batches are damaged they come one by one: a twentieth of a second each.
+                    # Near damage, batches are read one by one, 50 ms each.
                     gathered[samples.channel] += len(samples)
                     if gathered[samples.channel] >= _GATHERED:
                         yield piece(samples.channel)

@@ -1,7 +1,7 @@
-"""The bench recording for evaluation: one clock, one table, SI, validated.
+"""The bench recording for evaluation: one table of SI values on one clock, validated.
 
-Recordings are read block by block and may be larger than memory: times are continuous, angles too, and samples that are
-missing or left out are marked and counted, never filled in without notice.
+Recordings are read block by block and may be larger than memory. Times increase, angles are unwrapped, and samples that
+are missing or left out are marked and counted, never filled in silently.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class Recording(Block):
     Attributes
     ----------
     source, checksum
-        The file's name and its SHA-256.
+        Name and SHA-256 of the file.
     ratio
-        Signed ratio of the drive, if the recording states it.
+        Signed ratio input/output of the drive, if the recording states it.
     pair
         Name or fingerprint of the gear pair, if the recording states it.
     common_zero
@@ -58,16 +58,16 @@ class Recording(Block):
     known_index
         Whether crank angle 0 is the crank at pin 0 (an absolute or indexed input encoder).
     notes
-        One sentence for each note: samples left out or interpolated.
+        Notes, one sentence each, such as on samples left out or interpolated.
     alignment, torque_alignment
-        Half the 95 % interval, s, of the time difference at the recording's ends between the clocks of the two angles,
-        and of output angle and torque; 0 for one clock, or if none is known to differ.
+        Half width of the 95 % interval of the time difference, s, at the recording's ends, between the clocks of the
+        two angles and of output angle and torque; 0 if they have one clock or none is known to differ.
     limits
         Limits of the encoders, as far as stated.
     speed
-        Speed of the run, rad/s of the shaft that the bench names, if stated.
+        Speed of the run, rad/s, of the shaft to which the bench's speed refers, if stated.
     timed
-        Whether its times are seconds; otherwise they count samples.
+        Whether the times are seconds; otherwise they count samples.
     """
 
     source: str
@@ -102,16 +102,17 @@ class RecordingStream:
     mapping
         Roles of the channels; None if the channels have our names: time, input_angle, output_angle, torque.
     ratio
-        Signed ratio of the drive; by default the mapping's or the file's. A transmission error needs one.
+        Signed ratio input/output of the drive; by default that of the mapping or the file. A measured transmission
+        error requires one.
     run
-        The run of a table that the mapping is for.
+        Name of the run in a table to which the mapping applies, or "".
 
     Attributes
     ----------
     source, ratio, pair, common_zero, known_index, limits, timed
-        As in `Recording`; the source is the file's name, and after a comma the run's.
+        As in `Recording`; the source is the file's name, followed by a comma and the run's name if there is one.
     notes, alignment, torque_alignment, speed
-        As in `Recording`; complete when all blocks were read.
+        As in `Recording`; complete when all blocks have been read.
 
     Raises
     ------
@@ -139,8 +140,8 @@ class RecordingStream:
         self.ratio = own if ratio is None else ratio
         if self.ratio is None and self._mapping.transmission_error is not None:
             raise edge.InputError(
-                f"{self.source}: it contains a transmission error; its input angle follows only by the drive's ratio. "
-                "Give the drive, or its ratio."
+                f"{self.source}: it contains a transmission error, whose input angle follows only with the ratio of "
+                "the drive. Give the drive, or its ratio."
             )
         self.pair = self._file.pair
         self.common_zero = self._zero_reference("output_angle") == "absolute"
@@ -153,7 +154,7 @@ class RecordingStream:
         self._digesting: threading.Thread | None = None
 
     def _limits(self) -> Limits:
-        """Return the limits of the encoders; counts per turn of the mapping override the file's."""
+        """Return the limits of the encoders; counts per turn in the mapping override those of the file."""
         shown = {
             f"{role.removesuffix('_angle')}_resolution": 2.0 * math.pi / channel.counts_per_turn
             for role in ANGLES
@@ -168,9 +169,9 @@ class RecordingStream:
         return self._digest[0]
 
     def _start_digest(self) -> threading.Thread:
-        """Compute the checksum in parallel to reading the blocks: hours at kilohertz are gigabytes."""
+        """Start computing the checksum in parallel to reading: hours at kilohertz rates are gigabytes."""
         if self._digesting is None:
-            # An interrupt or a refused file does not wait for it.
+            # A daemon thread, so that an interrupt or a refused file does not wait for it.
             file = Path(self._path).open("rb")  # noqa: SIM115
             self._digesting = threading.Thread(target=self._take_digest, args=(file,), daemon=True)
             self._digesting.start()
@@ -220,9 +221,9 @@ class RecordingStream:
         if speed[1]:
             self.speed = float(speed[0] / speed[1])
         if not self.timed:
-            self.notes.append(f"{self.source}: no time is mapped; times count samples, and speeds are not known.")
+            self.notes.append(f"{self.source}: no time is mapped; times count samples, and speeds are unknown.")
         if self._mapping.input_angle is None and self._mapping.transmission_error is None:
-            self.notes.append(f"{self.source}: no input angle is mapped; the input is taken as locked.")
+            self.notes.append(f"{self.source}: no input angle is mapped; the input is assumed to be locked.")
         if kept < 2:
             raise edge.InputError(
                 " ".join([*self.notes, f"{self.source}: the recording has {kept or 'no'} samples; a curve needs more."])
@@ -241,7 +242,7 @@ class RecordingStream:
         return self.recording({n: np.concatenate([getattr(b, n) for b in blocks]) for n in names})
 
     def recording(self, columns: Mapping[str, NDArray[Any]]) -> Recording:
-        """Return columns of a block as a recording from this file, when all its blocks were read."""
+        """Return columns of a block as a recording from this file; call it when all blocks have been read."""
         return Recording(
             **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
             common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
@@ -250,7 +251,7 @@ class RecordingStream:
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:
-        """Note the channels converted to the host's clock, and keep the uncertainty between those of a pair."""
+        """Return notes on channels converted to the host's clock; set `alignment` and `torque_alignment`."""
         clocks = {role: c for role, (name, _, _) in self._scales.items() if (c := self._file.clocks.get(name))}
 
         def apart(roles: tuple[str, ...]) -> float:
@@ -259,14 +260,14 @@ class RecordingStream:
 
         self.alignment, self.torque_alignment = apart(ANGLES), apart(("output_angle", "torque"))
         return [
-            f"{role} has a clock of its own, which runs {-clock.drift * 1e6:+.3g} ppm fast; its samples were put on "
-            f"the host's to ± {clock.uncertainty * 1e6:.2g} µs (95 %)."
+            f"{role} has its own clock, which runs {-clock.drift * 1e6:+.3g} ppm fast; its times were converted to the "
+            f"host's clock to ± {clock.uncertainty * 1e6:.2g} µs (95 %)."
             for role, clock in clocks.items()
         ]
 
 
 def _backwards(pieces: Iterator[Piece]) -> Iterator[Piece]:
-    """Yield a table's rows from its last to its first, as one piece; their times start again from the other end."""
+    """Yield a table's rows in reverse order, as one piece; the times then count from the last row."""
     held = list(pieces)
     if held:
         values = {n: np.concatenate([p.values[n] for p in held])[::-1] for n in held[0].values}

@@ -1,10 +1,10 @@
 """Text exports of TwinCAT Scope.
 
 The format is that of "Export to csv" in Beckhoff's documentation of TE13xx and of published exports: lines
-"Name", "File", "Starttime of export" and "Endtime of export"; a header whose rows each state one thing ("Name", "Unit",
-"Data-Type", …) of all channels; then the numbers. Channels of one sample time form a group after a column of their
-time, ms since the export's first sample, over which the header has the rows' own names. Groups end at different rows:
-missing cells are blank, or the row is shorter.
+"Name", "File", "Starttime of export" and "Endtime of export"; a header whose rows each state one property ("Name",
+"Unit", "Data-Type", …) of all channels; then the numbers. Channels with one sample time form a group, preceded by a
+column with their time, ms since the export's first sample, in which the header has the row names. Groups end at
+different rows: missing cells are blank, or the row is shorter.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from cycloid_fmu import edge
 from fitting.recordings.formats import BenchFile, Piece, RawChannel, numbers_of, unique
 from fitting.recordings.tables import CsvFile, decoded_start
 
-_ROWS = 1 << 15  # of a piece
-_START = 1 << 22  # bytes within which the header ends
+_ROWS = 1 << 15  # rows per piece
+_START = 1 << 22  # bytes within which the header must end
 _PLACE = ("File", "Starttime of export", "Endtime of export")
-_FULL_TIME = 1e14  # ms: a time beyond it is a FILETIME, of which a float keeps no microseconds
+_FULL_TIME = 1e14  # ms: a larger time is a FILETIME, whose microseconds a float cannot hold
 _SCALES = {"Offset": 0.0, "ScaleFactor": 1.0, "Unit ScaleFactor": 1.0, "Unit Offset": 0.0}
 
 
@@ -48,17 +48,17 @@ class ScopeFile(BenchFile):
     source
         The file.
     delimiter
-        Between its cells.
+        Delimiter between cells.
     """
 
     def __init__(self, source: str, delimiter: str) -> None:
         self._delimiter = delimiter
         with Path(source).open("rb") as file:
             self._encoding, text = decoded_start(file.read(_START), source)
-        lines = text.split("\n")  # as the file is read below: splitlines() knows more ends of a line
+        lines = text.split("\n")  # like the reading below; splitlines() knows more line ends
         begin = next((i for i, line in enumerate(lines) if i > 0 and self._cells(line)[0] == "Name"), None)
         if begin is None:
-            raise edge.InputError(f'{source}: it is an export of TwinCAT Scope whose header has no row "Name".')
+            raise edge.InputError(f'{source}: this TwinCAT Scope export has no row "Name" in its header.')
         header: dict[str, list[str]] = {}
         end = begin
         while end < len(lines) and lines[end].strip() and not re.match(r"[-+\d]", lines[end]):
@@ -74,8 +74,8 @@ class ScopeFile(BenchFile):
         first = lines[end : end + 50]
         if any(len(self._cells(line)) > self._width for line in first):
             raise edge.InputError(
-                f"{source}: its rows have more cells than its header; export it with another separator than the "
-                "decimal mark, and with names that do not hold it."
+                f"{source}: its rows have more cells than its header; export it with a separator that is not the "
+                "decimal mark and does not occur in names."
             )
         if first and max(len(self._cells(line)) for line in first) < self._width:
             raise edge.InputError(f"{source}: its rows have fewer cells than its header; export it with time columns.")
@@ -88,17 +88,17 @@ class ScopeFile(BenchFile):
         self._places = {c.name: (owners[i], i) for c, i in zip(channels, columns, strict=True)}
         super().__init__(source, channels, timed=True)
         if not channels:
-            raise edge.InputError(f"{source}: it is an export of TwinCAT Scope without channels.")
+            raise edge.InputError(f"{source}: this TwinCAT Scope export has no channels.")
 
     def _cells(self, line: str) -> list[str]:
         return line.rstrip("\r\n").split(self._delimiter)
 
     def _unit(self, units: Sequence[str], column: int) -> str:
-        """Return the symbol of a unit, which is written before its quantity: "dV (Voltage)", "(None)"."""
+        """Return the symbol of a unit, which is followed by its quantity: "dV (Voltage)", "(None)"."""
         return "" if column >= len(units) else units[column].partition("(")[0].strip()
 
     def _scale_of(self, header: dict[str, list[str]], column: int) -> bool:
-        """Return whether Scope has a factor or offset for a channel; the file does not state whether it is applied."""
+        """Return whether Scope has a scale or offset for a channel; the file does not state whether it is applied."""
         for row, neutral in _SCALES.items():
             cells = header.get(row, [])
             if len(cells) == self._width:
@@ -116,8 +116,8 @@ class ScopeFile(BenchFile):
             groups.setdefault(self._places[name][0], []).append(name)
             if self._places[name][1] in self._scaled:
                 self.problems.append(
-                    f"{self.source}: {name} has a scale in TwinCAT Scope; the file does not say whether it was "
-                    'exported with "Scale values before export", which is taken.'
+                    f"{self.source}: {name} has a scale in TwinCAT Scope; the file does not state whether it was "
+                    'exported with "Scale values before export", which is assumed.'
                 )
         wanted = sorted({*groups, *(self._places[n][1] for n in names)})
         number = self._skip
@@ -151,7 +151,7 @@ class ScopeFile(BenchFile):
         if rows[-1].strip() == "EOF":
             rows = rows[:-1]
         elif not rows[-1].endswith("\n"):
-            self.problems.append(f"{self.source}: its last line is cut; it was left out.")
+            self.problems.append(f"{self.source}: its last line is incomplete; it was left out.")
             rows = rows[:-1]
         padded = []
         for i, row in enumerate(rows):
@@ -194,4 +194,4 @@ class ScopeFile(BenchFile):
                     what = names.get(column, "the time")
                     given = json.dumps(cell[:40], ensure_ascii=False)
                     return f"line {number + i + 1}: {what} is {given}; it must be a number with a decimal {word}."
-        return f"lines {number + 1} to {number + len(rows)} are no table of numbers."
+        return f"lines {number + 1} to {number + len(rows)} are not a table of numbers."

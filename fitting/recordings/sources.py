@@ -21,7 +21,7 @@ from fitting.recordings.recording import Recording, RecordingStream
 
 @dataclass(frozen=True)
 class RecordingFile:
-    """A recording in a file, opened when it is used; see `read_recordings`."""
+    """A recording in a file, which is opened on use; see `read_recordings`."""
 
     path: Path
     mapping: FileMapping | None = None
@@ -29,12 +29,12 @@ class RecordingFile:
     run: str = ""
 
     def open(self, ratio: float | None = None) -> Recording | RecordingStream:
-        """Open the file; with a read head, its whole recording corrected for the head's coaxiality error.
+        """Open the file; with a read head, read the whole recording and correct the head's coaxiality error.
 
         Parameters
         ----------
         ratio
-            Signed ratio of the drive, which overrides those of mapping and file.
+            Signed ratio input/output of the drive, which overrides those of mapping and file.
 
         Raises
         ------
@@ -47,26 +47,26 @@ class RecordingFile:
 
 @dataclass(frozen=True)
 class Run:
-    """A recording as arrays of shape (samples,), from any bench; a number is used for all samples.
+    """A recording as arrays of shape (samples,), from any bench; a single number applies to all samples.
 
     Attributes
     ----------
     input_angle, output_angle
-        rad; angles that roll over at a turn are unrolled. An input angle of one number is a locked input.
+        Angles, rad; those that roll over at a turn are unwrapped. A single number as input angle is a locked input.
     torque
-        N·m of the environment on the output.
+        Torque of the environment on the output, N·m.
     time
-        s; None for evenly spaced samples at an unknown rate, so that speeds are unknown.
+        Times, s; None for evenly spaced samples at an unknown rate, so that speeds are unknown.
     temperature, input_torque
-        K, and N·m of the environment on the input, if measured.
+        Temperature, K, and torque of the environment on the input, N·m, if measured.
     name
-        Its name in messages and reports.
+        Name of the run in messages and reports.
     common_zero
         Whether the output angle's zero is the same in every run of the bench (an absolute encoder).
     known_index
         Whether input angle 0 is the crank at pin 0.
     speed
-        Speed of the run, rad/s of the shaft that the bench names, if known.
+        Speed of the run, rad/s, of the shaft to which the bench's speed refers, if known.
 
     Examples
     --------
@@ -94,7 +94,7 @@ class Run:
         Raises
         ------
         edge.InputError
-            If the arrays' shapes differ or fewer than two samples are left.
+            If the arrays' shapes differ or fewer than two samples remain.
         """
         size = np.size(self.output_angle)
         given = {n: getattr(self, n) for n in (*ANGLES, "torque", "temperature", "input_torque")}
@@ -123,7 +123,7 @@ Source = RecordingFile | Run | Recording | RecordingStream
 
 
 def open_source(source: Source, ratio: float | None = None) -> Recording | RecordingStream:
-    """Return a recording that can be read block by block; a drive's ratio converts measured errors to angles."""
+    """Open a source to read it block by block; the drive's ratio converts a measured transmission error to angles."""
     if isinstance(source, RecordingFile):
         return source.open(ratio)
     return source.open() if isinstance(source, Run) else source
@@ -136,9 +136,9 @@ def read_recordings(
 ) -> list[RecordingFile]:
     """Return recordings in files, in order of their names: CSV, TwinCAT Scope, Parquet, MDF 4, TDMS, CAN, `.arrows`.
 
-    A table with several runs side by side gives several recordings, by the `runs` of its mapping. A file is opened
-    whenever it is used, so it may be larger than memory. `metrics` leaves out an unreadable one, with a note; `curves`
-    and `identify` refuse it by name.
+    A table with several runs side by side yields several recordings, by the `runs` of its mapping. Files are opened on
+    use and may be larger than memory. `metrics` leaves out an unreadable file, with a note; `curves` and `identify`
+    raise an error that names it.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def read_recordings(
         Roles of the channels, or their file; None if the channels have our names: time, input_angle, output_angle,
         torque.
     read_head
-        The output's single read head, or its file, to correct its coaxiality error.
+        Single read head of the output encoder, or its file, to correct the coaxiality error.
 
     Raises
     ------
@@ -178,4 +178,4 @@ def _files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
     elif found := sorted(glob.glob(str(pattern), recursive=True)):
         yield from map(Path, found)
     else:
-        raise edge.InputError(f"{pattern}: no file fits this pattern.")
+        raise edge.InputError(f"{pattern}: no file matches this pattern.")

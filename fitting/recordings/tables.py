@@ -15,7 +15,7 @@ from cycloid_fmu import edge
 from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, name_and_unit, numbers_of, unique, unit_text
 
 _NUMERIC = re.compile(r"\s*[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?\s*")
-_ROWS = 4 * PIECE  # of a Parquet file that are read together
+_ROWS = 4 * PIECE  # rows of a Parquet file read together
 _NOT_A_NUMBER = {"", "nan", "inf", "-inf", "n/a", "na", "null"}
 
 
@@ -26,15 +26,15 @@ class Dialect:
     Attributes
     ----------
     encoding
-        Of the text.
+        Encoding of the text.
     delimiter, decimal
-        Between cells, and in numbers.
+        Delimiter between cells, and decimal mark.
     header
-        The header's cells; generated if there is none.
+        Names of the columns; generated if there is no header.
     units
-        Units of the columns, "" if not given.
+        Units of the columns, "" if not stated.
     skip
-        Lines before the first row of numbers.
+        Number of lines before the first row of numbers.
     """
 
     encoding: str
@@ -46,7 +46,7 @@ class Dialect:
 
 
 def decoded_start(data: bytes, source: str) -> tuple[str, str]:
-    """Return encoding and text of a table's first bytes: by the byte order mark, else UTF-8, else Windows-1252."""
+    """Return encoding and text of a table's first bytes, by the byte order mark, else UTF-8, else Windows-1252."""
     for mark, encoding in (
         (codecs.BOM_UTF8, "utf-8-sig"),
         (codecs.BOM_UTF16_LE, "utf-16"),
@@ -55,7 +55,7 @@ def decoded_start(data: bytes, source: str) -> tuple[str, str]:
         if data.startswith(mark):
             return encoding, codecs.getincrementaldecoder(encoding)(errors="replace").decode(data)
     if b"\0" in data:
-        raise edge.InputError(f"{source}: this is not a text table; it holds zero bytes.")
+        raise edge.InputError(f"{source}: this is not a text table; it contains zero bytes.")
     for encoding in ("utf-8", "cp1252"):
         try:
             return encoding, codecs.getincrementaldecoder(encoding)().decode(data)
@@ -74,7 +74,7 @@ def find_dialect(data: bytes, source: str) -> Dialect:
     Parameters
     ----------
     data
-        The file's first bytes, some lines at least.
+        The first bytes of the file, at least a few lines.
     source
         The file's name, for messages.
 
@@ -86,7 +86,7 @@ def find_dialect(data: bytes, source: str) -> Dialect:
     encoding, text = decoded_start(data, source)
     lines = text.splitlines()
     if len(lines) > 1 and not text.endswith(("\n", "\r")):
-        lines = lines[:-1]  # it may be cut within
+        lines = lines[:-1]  # the last line may be incomplete
     if not any(line.strip() for line in lines):
         raise edge.InputError(f"{source}: the file is empty.")
     candidates = []
@@ -96,7 +96,7 @@ def find_dialect(data: bytes, source: str) -> Dialect:
             if len(row) > 1 and all(_is_number(c) for c in row) and any(_NUMERIC.fullmatch(c) for c in row):
                 candidates.append((first, delimiter, rows))
                 break
-    # The delimiter whose rows of numbers begin first; a decimal comma splits "1,5;2,5" into three numbers and text.
+    # Choose the delimiter whose rows of numbers begin first; a comma would split "1,5;2,5" into numbers and text.
     candidates.sort(key=lambda found: found[0])
     if not candidates:
         delimiter = max((";", "\t", "|", ","), key=lines[0].count)
@@ -133,7 +133,7 @@ def _looks_like_unit(cell: str) -> bool:
 
 
 class CsvFile(BenchFile):
-    """A table of text: comma, semicolon, tab or bar between cells."""
+    """A text table with comma, semicolon, tab or bar between cells."""
 
     def __init__(self, source: str, dbc: object = None) -> None:
         with Path(source).open("rb") as file:
@@ -181,7 +181,7 @@ class CsvFile(BenchFile):
                 whole = file.read(1) in b"\r\n"
             if whole:
                 raise edge.InputError(f"{self.source}: {self._first_bad_cell(names, ValueError(torn[0]))}")
-            self.problems.append(f"{self.source}: its last line is cut; it was left out.")
+            self.problems.append(f"{self.source}: its last line is incomplete; it was left out.")
 
     def _first_bad_cell(self, names: Sequence[str], problem: Exception) -> str:
         d = self.dialect
@@ -232,10 +232,10 @@ class ParquetFile(BenchFile):
                 yield Piece(None, {n: numbers_of(batch.column(stored[n])) for n in names})
 
     def _row_groups(self) -> Iterator[list[int]]:
-        """Yield neighbouring row groups, a few pieces together.
+        """Yield lists of consecutive row groups, each a few pieces long.
 
-        Arrow keeps the data of a file until the last requested row group: for two hours at 4 kHz half the memory of the
-        process.
+        Arrow keeps data in memory until the last requested row group is read: for two hours at 4 kHz half the memory of
+        the process.
         """
         groups, rows = [], 0
         for number in range(self._file.num_row_groups):

@@ -1,1 +1,1 @@
-"""Reports and plots of recordings, figures, fits and plans."""
+"""Reports and plots of recordings, figures, maps, fits, plans and forecasts."""

@@ -30,7 +30,7 @@ _PAGE = """<p id="verdict"><strong>Verdict: {{ verdict }}</strong></p>
 {% for row in results %}<tr>{% for cell in row[:-1] %}<td class="{{ 'number' if 0 < loop.index0 < 4 }}">{{ cell }}</td>
 {% endfor %}<td><strong>{{ row[-1] }}</strong></td></tr>
 {% endfor %}</tbody></table>
-<p class="caption">U is the expanded uncertainty for 95 % (JCGM 100:2008); figures without limits carry no decision.</p>
+<p class="caption">U is the expanded uncertainty for 95 % (JCGM 100:2008); there is no decision without limits.</p>
 <p id="rule">Decision rule: {{ rule }}</p></section>
 """
 
@@ -41,7 +41,7 @@ def write_certificate(found: Figures, certificate: Certificate, path: str | os.P
     Raises
     ------
     edge.InputError
-        If no instruments are stated, which the decisions need, or the name has another ending.
+        If the instruments, which the decisions need, are not stated, or the name has another ending.
     """
     target = edge.output_path(path, "path", FORMATS)
     if found.instruments is None:
@@ -72,7 +72,7 @@ def write_certificate(found: Figures, certificate: Certificate, path: str | os.P
 
 
 def _loads(found: Figures) -> list[tuple[str, str]]:
-    """Conditions of the recordings."""
+    """Return the conditions of the recordings as rows (name, text)."""
     warm = [t for one in found.surveyed if (t := one.overview.temperature) is not None]
     rows = [("Ratio", "" if found.ratio is None else f"{found.ratio:g}"),
             ("Rated torque", "" if found.rated_torque is None else f"{found.rated_torque:.5g} N·m")]  # fmt: skip
@@ -93,14 +93,14 @@ def _shown(value: float, expanded: float) -> str:
 
 
 def _results(found: Figures, decisions: list[Decision]) -> list[list[str]]:
-    """Each figure with its expanded uncertainty; those with limits first."""
+    """Return the table of figures with their expanded uncertainties; those with limits first."""
     rows = []
     for one in decisions:
         factor, unit = field_factor(one.unit)
         expanded = one.expanded * factor
         rows.append(
             [title_of(one.figure), _shown(one.value * factor, expanded),
-             "not known" if math.isnan(expanded) else _shown(expanded, expanded),
+             "unknown" if math.isnan(expanded) else _shown(expanded, expanded),
              "" if math.isnan(expanded) else f"{one.coverage_factor:.2f}", unit,
              "" if math.isinf(one.low) else f"{one.low * factor:.6g}",
              "" if math.isinf(one.high) else f"{one.high * factor:.6g}", one.verdict]
@@ -116,7 +116,7 @@ def _results(found: Figures, decisions: list[Decision]) -> list[list[str]]:
 
 
 def _limit_panels(decisions: list[Decision]) -> list[Panel]:
-    """Each decided figure with ± U as a share of its upper limit, or of its lower one if it has no upper one."""
+    """Return the panel of decided figures with ± U, in percent of the upper limit, or of the lower one without it."""
     traces = []
     shown = [one for one in decisions if math.isfinite(one.value)]
     for row, one in enumerate(shown):
@@ -134,6 +134,6 @@ def _limit_panels(decisions: list[Decision]) -> list[Panel]:
                 traces.append(Trace(label, at, np.array([-row - 0.35, -row + 0.35]), "thick", 1))
     if not shown:
         return []
-    caption = "Per cent of the upper limit, or of the lower one if there is no upper limit."
+    caption = "In percent of the upper limit, or of the lower limit if there is no upper limit."
     names = tuple(title_of(one.figure) for one in shown)
-    return [Panel("Figures and their limits", "share of the limit [%]", "", tuple(traces), caption, y_names=names)]
+    return [Panel("Figures and their limits", "percentage of the limit [%]", "", tuple(traces), caption, y_names=names)]

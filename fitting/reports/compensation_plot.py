@@ -1,4 +1,4 @@
-"""Plot of a compensator: its correction, the parts of it, and the band."""
+"""Plot of a compensator: its correction, the parts of the correction, and the band."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
     from cycloid_fmu.compensation.compensator import Compensator
 
-_ANGLES, _TORQUES, _TURNS = 2000, 400, 2.0  # crank turns that are shown at most
+_ANGLES, _TORQUES, _TURNS = 2000, 400, 2.0  # points over angle and torque, and most crank turns shown
 
 
 def plot_compensator(c: Compensator, torque: float) -> Figure:
-    """Draw the correction of a compensator at the output, in the middle of its temperatures.
+    """Draw the correction of a compensator at the output, at the middle of its temperature range.
 
-    Over the crank angle at plus and minus a torque (N·m): all of it with two standard deviations to both sides, and the
-    ripple alone; over the torque: mean deviation and wind-up, and the band, a standard deviation.
+    Over the crank angle, at ± `torque`, N·m: the correction with a band of ± two standard deviations, and its ripple;
+    over the torque: mean deviation and wind-up, and the band (one standard deviation).
     """
     at = 0.5 * float(c.inverse.temperature[0] + c.inverse.temperature[-1])
     crank = np.linspace(0.0, min(c.inverse.period, _TURNS * 2.0 * np.pi), _ANGLES)
@@ -60,7 +60,7 @@ def plot_compensator(c: Compensator, torque: float) -> Figure:
 
 
 def _variance(c: Compensator, torque: np.ndarray, temperature: float) -> np.ndarray:
-    """Variance at torques before any measurement, rad²."""
+    """Return the variance at torques, N·m, before any measurement, rad², shape as `torque`."""
     rows = [np.interp(torque, c.inverse.torque, row) for row in c.variance]
     over = np.array(rows)
     return np.array([np.interp(temperature, c.inverse.temperature, column) for column in over.T])

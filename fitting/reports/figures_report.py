@@ -1,4 +1,4 @@
-"""The report of figures: one self-contained HTML file, or the same as PDF."""
+"""The report of figures: one self-contained HTML file, or a PDF of the same content."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def title_of(name: str) -> str:
 
 
 def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
-    """Write the report of figures as HTML or PDF by the name's ending; never a partial file."""
+    """Write the report of figures as HTML or PDF, by the ending of the name; never a partial file."""
     target = edge.output_path(path, "path", FORMATS)
     panels = panels_of(found)
     with edge.written_whole(target) as temporary:
@@ -38,7 +38,7 @@ def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
 
 
 def figure_rows(found: Figures) -> list[dict[str, str]]:
-    """Return the figures' table, one row for each figure and one, with `part`, for each of its parts and runs."""
+    """Return the table of figures: a row for each figure, and rows with `part` set for its parts and runs."""
     rows = []
     for name, figure in found.figures.items():
         rows.append(_row(title_of(name), figure, definition=figure.definition))
@@ -62,7 +62,7 @@ def _row(name: str, figure: Figure, *, definition: str = "", part: str = "") -> 
 
 
 def sources_of(found: Figures) -> list[dict[str, str]]:
-    """Return the recordings' table: file, kind, samples, time, temperature and checksum."""
+    """Return the table of recordings: file, kind, samples, time, temperature and checksum."""
     rows = []
     for one in found.surveyed:
         temperature = one.overview.temperature
@@ -93,7 +93,7 @@ BUDGETS = """{% for title, table in budgets %}{% if loop.first %}<h2>Uncertainty
 
 
 def budget_tables(found: Figures) -> list[tuple[str, list[list[str]]]]:
-    """Return title and rows of each budget."""
+    """Return the title and rows of each budget."""
     return [(title_of(name), budget_rows(budget)) for name, budget in found.budgets.items()]
 
 
@@ -105,7 +105,7 @@ _FIGURES = (
 <td class="number">{{ r.value }}</td><td class="number">{{ r.uncertainty }}</td><td>{{ r.unit }}</td>
 <td class="number">{{ r.of }}</td>
 <td>{{ r.interval if not r.part }}</td><td class="definition">{{ r.definition }}</td></tr>
-{% endfor %}</tbody></table>{% else %}<p>No figure could be computed; the notes say why.</p>{% endif %}
+{% endfor %}</tbody></table>{% else %}<p>No figure could be computed; the notes give the reasons.</p>{% endif %}
 """
     + BUDGETS
 )
@@ -129,7 +129,7 @@ def html_report(found: Figures, panels: Sequence[Panel]) -> str:
 
 
 _A4 = (8.27, 11.69)
-_LINES = 62  # of text on a page
+_LINES = 62  # lines of text per page
 
 
 def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
@@ -155,7 +155,7 @@ def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
 
 
 def _text_pages(found: Figures) -> list[Any]:
-    """Set the figures' table, the notes and the recordings in lines of text, as many pages as they need."""
+    """Return pages of text lines with the table of figures, the budgets, the notes and the recordings."""
     from matplotlib.figure import Figure as Page
 
     lines: list[tuple[str, dict[str, Any]]] = [
@@ -191,7 +191,7 @@ def _text_pages(found: Figures) -> list[Any]:
     for begin in range(0, len(lines), _LINES):
         page = Page(figsize=_A4)
         for number, (text, style) in enumerate(lines[begin : begin + _LINES]):
-            # A note may hold a dollar sign, which is no formula.
+            # A dollar sign in a note does not begin a formula.
             page.text(0.07, 0.95 - number * 0.9 / _LINES, text.replace("$", r"\$"), **{"fontsize": 8.5, **style})
         pages.append(page)
     return pages

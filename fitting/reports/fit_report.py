@@ -23,7 +23,7 @@ from fitting.reports.panels import Panel, Trace, label_of, spectra_panel
 from fitting.reports.ring import ring_panel
 
 FORMATS = (".html",)
-_CRANK_TURNS = 3.0  # of the curves that the first panel shows
+_CRANK_TURNS = 3.0  # range of the first panel
 _FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
 
@@ -40,10 +40,10 @@ def fit_panels(result: Identification) -> list[Panel]:
         rest.append(dataclasses.replace(curve, transmission_error=residual))
     panels = [
         Panel("Measured and fitted", "crank turns", "transmission error [arcsec]", tuple(fitted),
-              "Points are measured, lines are the fit with the bench's own errors; the first turns of the crank."),
+              "Points are measured; lines are the fit, including the bench's errors. First crank turns only."),
         Panel("Residual", "crank turns", "measured minus fitted [arcsec]", tuple(left),
               f"{result.residual / _ARC:.3f}″ rms residual; the noise of a point is {result.noise / _ARC:.3f}″. "
-              "A click on a curve's name hides it, a double click all others."),
+              "Click a curve's name to hide it; double-click it to hide all others."),
     ]  # fmt: skip
     orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of the residual")
     loops = [panel for one in result.loops for panel in _loop_panels(one)]
@@ -52,7 +52,7 @@ def fit_panels(result: Identification) -> list[Panel]:
 
 
 def _loop_panels(loop: LoopFit) -> list[Panel]:
-    """A loop as measured and fitted, and its residual, each branch separately."""
+    """Return panels of a loop as measured and fitted, and of its residual, by branch."""
     name, torque = f"Hysteresis loop: {Path(loop.source).name}", "torque on the output [N·m]"
     middle = float(np.mean(list(loop.measured.values())))
     both, left = [], []
@@ -63,8 +63,8 @@ def _loop_panels(loop: LoopFit) -> list[Panel]:
         left.append(Trace(branch, at, (measured - fitted) / _ARC, "thin", number))
     return [
         Panel(name, torque, "windup [arcmin]", tuple(both),
-              f"Input locked at {np.degrees(loop.crank_angle):.1f}° of the crank. Points are means over the torque, "
-              "lines the fit, beyond play and friction."),
+              f"Input locked at a crank angle of {np.degrees(loop.crank_angle):.1f}°. Points are means over the "
+              "torque; lines are the fit, outside play and friction."),
         Panel(f"{name}: residual", torque, "measured minus fitted [arcsec]", tuple(left), "Each branch separately."),
     ]  # fmt: skip
 
@@ -76,10 +76,10 @@ def _intervals(parameters: Sequence[Parameter]) -> Panel:
     at, place = np.array([p.value * 1e6 for p in shown]), -np.arange(float(len(shown)))
     ends = np.array([at, *zip(*(t.x for t in lines), strict=True)]) if lines else np.zeros((1, 1))
     beside = np.full(at.size, np.nanmax(ends) + 0.15 * max(np.nanmax(ends) - np.nanmin(ends), 1e-3))
-    # In a column of their own: beside the points they lay over each other.
+    # In a separate column: next to the points they would overlap.
     values = Trace("", beside, place, "words", -1, tuple(f"{value:.2f}" for value in at))
     return Panel("Identified errors", "error [µm]", "", (*lines, Trace("", at, place, "dots", 1), values),
-                 "Each with its 95 % interval; the column on the right is its value.",
+                 "Errors with their 95 % intervals; values in the column on the right.",
                  y_names=tuple(p.name for p in shown))  # fmt: skip
 
 
@@ -92,17 +92,16 @@ _ABOVE = """<p id="verdict"><strong>{{ verdict }}</strong></p>
 {% for r in known %}<tr><td>{{ r.name }}</td><td class="number">{{ r.value }}</td><td class="number">{{ r.interval }}
 </td><td>{{ r.unit }}</td><td class="number">{{ r.share }}</td></tr>
 {% endfor %}</tbody></table>
-<h2>How far to trust it</h2><ul id="trust">{% for t in trust %}<li>{{ t }}</li>{% endfor %}</ul>
+<h2>Quality of the fit</h2><ul id="trust">{% for t in trust %}<li>{{ t }}</li>{% endfor %}</ul>
 """
 _BELOW = """<h2>Correlation of the identified errors</h2>
 <table id="correlation" style="font-size:.62em; table-layout:fixed"><tbody>
 {% for row in correlation %}<tr><td style="width:22em">{{ row.number }} {{ row.name }}</td>
 {% for c in row.cells %}<td style="padding:0; text-align:center; background:rgba({{ c.colour }})">{{ c.text }}</td>
 {% endfor %}</tr>{% endfor %}</tbody></table>
-<p class="caption">In per cent; columns in the order of the rows. Red: they rise together; blue: one against the
-other.</p>
-<h2>What the data cannot tell</h2><ul id="weak">{% for w in weak %}<li>{{ w }}</li>{% endfor %}</ul>
-<table id="held"><thead><tr><th>Held</th><th>Why</th></tr></thead><tbody>
+<p class="caption">In percent; columns in the order of the rows. Red: positive; blue: negative.</p>
+<h2>Errors that the data cannot resolve</h2><ul id="weak">{% for w in weak %}<li>{{ w }}</li>{% endfor %}</ul>
+<table id="held"><thead><tr><th>Held fixed</th><th>Reason</th></tr></thead><tbody>
 {% for p in held %}<tr><td>{{ p.name }}</td><td>{{ p.held }}</td></tr>
 {% endfor %}</tbody></table>
 <h2>Every pin and tooth of this ring</h2>
@@ -115,7 +114,7 @@ other.</p>
 <h2>The bench</h2><table id="bench"><tbody>{% for name, value in bench %}<tr><td>{{ name }}</td>
 <td class="number">{{ value }}</td></tr>
 {% endfor %}</tbody></table>
-<h2>What to know</h2>{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
+<h2>Notes</h2>{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
 <p id="notes">No data were excluded.</p>{% endif %}
 <h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>SHA-256</th></tr></thead><tbody>
 {% for name, checksum in sources %}<tr><td>{{ name }}</td><td><code>{{ checksum }}</code></td></tr>
@@ -132,7 +131,7 @@ def _row(one: Parameter) -> dict[str, str]:
 
 
 def _with_interval(one: Parameter) -> str:
-    """A displacement in µm, or a phase in degrees, with half its interval; in brackets if not measured."""
+    """Return a displacement in µm, or a phase in degrees, with its half interval; in brackets if not measured."""
     factor = 1e6 if one.unit == "m" else math.degrees(1.0)
     told = (
         ""
@@ -144,7 +143,7 @@ def _with_interval(one: Parameter) -> str:
 
 
 def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
-    """Every pin and tooth, and this ring's orders, a column for each circle."""
+    """Return the tables of every pin and tooth and of this ring's orders, with one column per circle."""
     circles = [ring.elements[part] for part in ring.circles.values()]
     columns = [name.replace("_", " ") for name in ring.circles]
     elements = [[i, *(_with_interval(one[i]) if i < len(one) else "" for one in circles)]
@@ -159,11 +158,12 @@ def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
         orders.append([order, *row])
     return [
         {"id": "realised-orders", "of": "Order", "columns": columns, "rows": orders,
-         "caption": "Amplitude of this ring's own orders, µm, at their phase, with half of the 95 % interval. The "
-         "table of errors states the mean order of rings with the same scatter, which is known less exactly."},
+         "caption": "Amplitudes of this ring's own orders, µm, at their phases, with half widths of the 95 % "
+         "intervals. The table of errors has the mean orders of rings with the same scatter, which are known less "
+         "accurately."},
         {"id": "realised", "of": "Pin or tooth", "columns": columns, "rows": elements,
-         "caption": "µm, with half of the 95 % interval; in brackets where a pin or tooth carries almost no load in "
-         "these curves and is bounded by its neighbours."},
+         "caption": "In µm, with half widths of the 95 % intervals; in brackets if a pin or tooth carries almost no "
+         "load in these curves and is constrained only by its neighbours."},
     ]  # fmt: skip
 
 
@@ -183,22 +183,22 @@ def _trust(result: Identification) -> list[str]:
     if result.held_out is not None:
         kept = result.held_out
         trust.append(
-            f"{kept.loads} were held out of a first fit and predicted by it: {kept.residual / _ARC:.3f}″ rms are left, "
-            f"{kept.residual / kept.noise:.2f} times the noise."
+            f"{kept.loads} were held out from a first fit, which predicts them: residual {kept.residual / _ARC:.3f}″ "
+            f"rms, {kept.residual / kept.noise:.2f} times the noise."
         )
     else:
-        trust.append("No curve was held out for prediction: this needs three curves.")
+        trust.append("No curve was held out for prediction, which requires three curves.")
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
     trust.append(f"Scatter of single pins and teeth beyond the errors of the table: {scatter} (standard deviations).")
     for one in result.loops:
         left = np.concatenate([one.measured[n] - one.fitted[n] for n in one.fitted])
         trust.append(
-            f"{Path(one.source).name}: the play at {np.degrees(one.crank_angle):.1f}° of the crank is "
-            f"{one.play / _ARC:.2f} ± {1.96 * one.standard_error / _ARC:.2f}″ by the identified errors; "
+            f"{Path(one.source).name}: the play at the crank angle {np.degrees(one.crank_angle):.1f}° is "
+            f"{one.play / _ARC:.2f} ± {1.96 * one.standard_error / _ARC:.2f}″ from the identified errors; "
             f"{np.sqrt(np.mean(left**2)) / _ARC:.3f}″ rms residual of the loop's points."
         )
     if result.inflation > 1.0:
-        trust.append(f"The residual is not white: the intervals are {result.inflation:.2f} times those of white noise.")
+        trust.append(f"The residual is not white: intervals are {result.inflation:.2f} times those of white noise.")
     return trust
 
 

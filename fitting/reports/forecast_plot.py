@@ -1,4 +1,4 @@
-"""The picture of a forecast: history, band, limit, remaining life, and whether recordings agree with the model."""
+"""Plot of a forecast: history, bands, limits, remaining life, and agreement of recordings with the model."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _INTERVALS = ((0, 6, 0.18, "95 %"), (1, 5, 0.18, "90 %"), (2, 4, 0.25, "50 %"))
 
 
 def plot_forecast(found: Forecast) -> Figure:
-    """Each figure's history, band and limit; the probability of being beyond limits; scores of the recordings."""
+    """Plot history, band and limit of each figure, the probability of exceeding limits, and scores of recordings."""
     several = bool(found.remaining) + bool(found.scores.size)
     figure, axes = new_figure(len(found.bands) + several, 1)
     figure.set_size_inches(9.0, 2.9 * axes.size + 0.6)
@@ -32,7 +32,7 @@ def plot_forecast(found: Forecast) -> Figure:
         for name, one in found.remaining.items():
             axis.plot(found.ages / _HOUR, 100.0 * one.probability, lw=1.5, label=name.replace("_", " "))
         axis.axvline(found.now / _HOUR, color="0.4", lw=0.8, ls=":")
-        axis.set(xlabel="age [h]", ylabel="probability\nbeyond limit [%]", ylim=(-2.0, 102.0))
+        axis.set(xlabel="age [h]", ylabel="probability of\nexceeding limit [%]", ylim=(-2.0, 102.0))
         axis.set_xlim(axes[0].get_xlim())
         show_legend(axis, loc="upper left")
     if found.scores.size:
@@ -76,8 +76,8 @@ def _band(axis: Axes, found: Forecast, name: str) -> None:
         if known:
             left = ", ".join(f"{p:.0%}" for p, age in one.ages.items() if np.isfinite(age))
             axis.plot(np.array(known) / _HOUR, [one.limit * factor] * len(known), "|", color="tab:red", ms=12, mew=2,
-                      label=f"beyond it with {left}")  # fmt: skip
-        # A band that is still wide must not hide where the limit is.
+                      label=f"exceeded with {left}")  # fmt: skip
+        # A wide band must not hide the limit.
         top = min(top, 2.5 * one.limit * factor)
     least = min([band[0].min() * factor, *(m.value * factor for m in mine)])
     axis.set(

@@ -1,4 +1,4 @@
-"""Pictures of a drive's life: its figures at every date, what has moved, and what a visit would tell."""
+"""Plots of a drive's life: figures at each date, changed errors, and planned visits."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _LABELS = {
     "backlash": "backlash [arcsec]", "lost_motion": "lost motion [arcsec]",
     "transmission_error": "transmission error,\npeak to peak [arcsec]",
 }  # fmt: skip
-_MOST = 14  # errors that are shown
+_MOST = 14  # most errors shown
 
 
 def plot_recalibration(result: Recalibration) -> Figure:
-    """Figures over the crank turns since the fit with their 95 % bands, alarms marked, and what moved most last."""
+    """Plot figures with 95 % bands over crank turns since the fit, with alarms, and the errors that changed most."""
     names = [n for n in _LABELS if n in result.figures]
     figure, axes = new_figure(len(names) + 1)
     turns = np.array([one.crank_turns for one in result.history]) / 1e6
@@ -35,7 +35,7 @@ def plot_recalibration(result: Recalibration) -> Figure:
         axis.fill_between(turns, low, high, alpha=0.25, lw=0, label="95 %")
         axis.plot(turns, value, "o-", ms=4, lw=1.0)
         if alarms.any():
-            axis.plot(turns[alarms], value[alarms], "x", ms=9, color="C3", label="alarm: kept as it was")
+            axis.plot(turns[alarms], value[alarms], "x", ms=9, color="C3", label="alarm: not updated")
         axis.set(ylabel=_LABELS[name])
         axis.tick_params(labelbottom=name == names[-1])
         if name == names[0]:
@@ -47,20 +47,20 @@ def plot_recalibration(result: Recalibration) -> Figure:
     axis.axvspan(-2.0, 2.0, color="0.9", zorder=0)
     axis.set_yticks(range(len(moved)), [name.replace("_", " ") for name, _ in moved], fontsize=7)
     axis.invert_yaxis()
-    axis.set(xlabel="moved since the last date, in standard deviations of what can be expected (grey: ± 2)")
+    axis.set(xlabel="change since the last date, in standard deviations of the expected change (grey: ± 2)")
     figure.set_figheight(2.0 * len(names) + 3.6)
     return figure
 
 
 def plot_visits(visits: Sequence[PlannedVisit]) -> Figure:
-    """Half of the backlash's interval over the turns of each planned set of runs."""
+    """Plot the half width of the backlash's interval over the turns of each planned set of runs."""
     figure, (axis,) = new_figure(1)
     figure.set_figheight(4.2)
     for one in visits:
         axis.plot([*one.half_width], np.array([*one.half_width.values()]) * ARCSEC, "o-", ms=4, lw=1.0, label=one.runs)
     axis.set(
-        xscale="log", yscale="log", xlabel="output turns of each run, or passings of the mark each way",
-        ylabel="half of the backlash's\n95 % interval [arcsec]",
+        xscale="log", yscale="log", xlabel="output turns of each run, or passages of the mark in each direction",
+        ylabel="half width of the backlash's\n95 % interval [arcsec]",
     )  # fmt: skip
     turns = [*visits[0].half_width]
     axis.set_xticks(turns, [str(t) for t in turns])

@@ -1,4 +1,4 @@
-"""The page of maps of a drive over its conditions: heat maps over torque and speed, one for each temperature."""
+"""The page of maps of a drive over its conditions: heat maps over torque and speed, one per temperature."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def map_panels(found: xr.Dataset) -> list[Panel]:
     Parameters
     ----------
     found
-        What `fitting.maps` returned.
+        Result of `fitting.maps`.
     """
     two = [("forward", "forward"), ("backward", "backward")]
     shown = [
@@ -55,7 +55,7 @@ def map_panels(found: xr.Dataset) -> list[Panel]:
 
 
 def _panel(title: str, unit: str, found: xr.Dataset, values: xr.DataArray) -> list[Panel]:
-    """A map for each temperature; for a single torque or speed, lines over the other."""
+    """Return a panel with one map per temperature; for a single torque or speed, lines over the other; [] if empty."""
     if not np.isfinite(values).any():
         return []
     names = tuple(

@@ -1,4 +1,4 @@
-"""A page of a report: self-contained HTML with panels to zoom and hover in."""
+"""A page of a report: self-contained HTML with interactive panels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GREY = "#777777"
 
 
 def made_now() -> str:
-    """Return date and version of a report."""
+    """Return date and version for the head of a report."""
     now = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
     return f"made {now} with cycloid-fmu {__version__}"
 
@@ -65,13 +65,13 @@ window.addEventListener("beforeprint", fit);
 def html_page(title: str, facts: str, above: str, panels: Sequence[Panel], below: str, **values: Any) -> str:
     """Return one self-contained HTML page: content above the panels, the panels, content below.
 
-    `above` and `below` are jinja2 templates of `values`, which are escaped.
+    `above` and `below` are jinja2 templates, filled with the escaped `values`.
     """
     import jinja2
     from markupsafe import Markup
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    data = json.dumps([_plotly(p) for p in panels]).replace("<", "\\u003c")  # no name ends the script, or begins one
+    data = json.dumps([_plotly(p) for p in panels]).replace("<", "\\u003c")  # so that no name can end or begin a script
     return environment.from_string(_HEAD + above + _PANELS + below + _TAIL).render(
         title=title, facts=facts, panels=panels, plotly=Markup(script()), data=Markup(data), **values
     )
@@ -92,7 +92,7 @@ def script() -> str:
 
 
 def _packed(values: Any) -> dict[str, str]:
-    """Pack numbers for plotly with no more digits than needed: 32 bit, base 64."""
+    """Pack numbers for plotly with sufficient digits: 32 bit, base 64."""
     return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode()}
 
 
@@ -106,7 +106,7 @@ def _colour(trace: Trace) -> str:
 
 
 def _heat(panel: Panel) -> dict[str, Any]:
-    """Maps side by side on one scale of colours."""
+    """Return the plotly data of maps side by side on one colour scale."""
     finite = np.concatenate([one.z[np.isfinite(one.z)] for one in panel.heat])
     scale = {"cmin": float(finite.min()), "cmax": float(finite.max()), "colorscale": "Viridis"}
     layout: dict[str, Any] = {"margin": {"l": 60, "r": 20, "t": 30, "b": 55}, "coloraxis": scale}
@@ -175,7 +175,7 @@ def _plotly(panel: Panel) -> dict[str, Any]:
 
 
 def _name_above(panel: Panel, layout: dict[str, Any]) -> None:
-    """Set the axes and put the names of points in a row above them, upright, each with a line to its point."""
+    """Set the axes, and put the names of points upright in a row above, each with a line to its point."""
     low, high = (math.log10(end) for end in x_range(panel))
     lowest, highest = (
         math.log10(end(float(end(t.y[t.y > 0.0])) for t in panel.traces if (t.y > 0.0).any())) for end in (min, max)

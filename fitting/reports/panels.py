@@ -1,4 +1,4 @@
-"""The diagrams of a report as data: panels of lines and points in field units, for paper and browser."""
+"""The diagrams of a report as data: panels of lines and points in field units, for matplotlib and plotly."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-_MIDDLE = 0.12  # share of the rated torque that the middle of a loop shows
-_NAMED = 14  # orders that bear their names
-_APART = 0.045  # of the x axis: from one upright name to the next, also on a telephone
-_DRAWN = 100_000  # points of all lines of a panel
+_MIDDLE = 0.12  # share of the rated torque shown around zero torque
+_NAMED = 14  # most labelled orders
+_APART = 0.045  # of the x axis: least distance of upright names, also on a phone
+_DRAWN = 100_000  # most points of all lines of a panel
 
 
 @dataclass(frozen=True)
 class Trace:
-    """One line, or points: arrays of shape (points,) in the panel's units.
+    """One line or set of points: arrays of shape (points,) in the panel's units.
 
     Attributes
     ----------
     label
-        In the legend; "" for none.
+        Label in the legend; "" for none.
     x, y
-        Coordinates.
+        Coordinates; NaN interrupts a line.
     style
-        "line", "thin", "dashed", "thick", "points", "dots" in the colour, or "words" alone. NaN interrupts a line.
+        "line", "thin", "dashed", "thick", "points" in grey, "dots" in the colour, or "words" for only the texts.
     colour
         Number of the colour; -1 is grey.
     texts
-        A name for each point, or none: then the points are small.
+        Names of the points; points without names are small.
     """
 
     label: str
@@ -56,7 +56,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class HeatMap:
-    """Values over two axes: `z` of shape (y, x) at x and y, drawn with even spacing; NaN is left empty."""
+    """Values `z` at coordinates x and y, shape (y, x), drawn with even spacing; NaN is left empty."""
 
     name: str
     x: Array
@@ -66,11 +66,11 @@ class HeatMap:
 
 @dataclass(frozen=True)
 class Panel:
-    """One diagram with its title, axes, and a caption.
+    """One diagram with title, axes and caption.
 
-    `y_names` replace the numbers of the y axis, at 0, -1, -2 and so on; a `round` panel has no axes and equal scales.
-    `heat` are maps side by side, in place of traces, with one scale of colours. With `log_x` names of points are in a
-    row above them, each with a line to its point.
+    `y_names` replace the numbers of the y axis at 0, -1, -2, ...; a `round` panel has no axes and equal scales. `heat`
+    are maps side by side, in place of traces, with one colour scale. With `log_x`, names of points are in a row above
+    them, each with a line to its point.
     """
 
     title: str
@@ -86,9 +86,9 @@ class Panel:
 
 
 def names_above(panel: Panel) -> list[tuple[float, float, float, str]]:
-    """Return x and y of each named point of a panel, the place of its name and the name.
+    """Return x and y of each named point of a panel, the position of its name, and the name.
 
-    Places are shares of the x axis, far enough apart that upright names do not overlap.
+    Positions are fractions of the x axis, so far apart that upright names do not overlap.
     """
     from scipy.optimize import isotonic_regression
 
@@ -98,25 +98,25 @@ def names_above(panel: Panel) -> list[tuple[float, float, float, str]]:
     low, high = (math.log10(end) for end in x_range(panel))
     number = np.arange(len(named))
     ideal = (np.log10([x for x, _, _ in named]) - low) / (high - low)
-    # Nearest to the points of all places that are far enough apart.
+    # The positions closest to the points, subject to the least distance.
     places = isotonic_regression(ideal - _APART * number).x + _APART * number
     places = np.clip(places, _APART * number, 1.0 - _APART * number[::-1])
     return [(x, y, float(place), text) for (x, y, text), place in zip(named, places, strict=True)]
 
 
 def x_range(panel: Panel) -> tuple[float, float]:
-    """Smallest and largest x of a panel's traces on a logarithmic scale, with a margin."""
+    """Return the smallest and largest x of a panel's traces with a margin, for a logarithmic scale."""
     every = np.concatenate([t.x for t in panel.traces])
     return 0.85 * float(every.min()), 1.1 * float(every.max())
 
 
 def label_of(curve: Curve) -> str:
-    """Load and direction of a curve, as plots name it."""
+    """Return the label of a curve in plots: load and direction."""
     return f"{curve.torque:+.4g} N·m, {'forward' if curve.direction > 0 else 'backward'}"
 
 
 def panels_of(found: Figures) -> list[Panel]:
-    """Return the panels of a report: curves, orders, loops, and the torque over time.
+    """Return the panels of a report: curves, orders, loops, stiffness, starts, budgets, and torque over time.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def panels_of(found: Figures) -> list[Panel]:
 
 
 def _lightened(panel: Panel) -> Panel:
-    """Return a panel whose lines have `_DRAWN` points at most together: the smallest and largest of each section."""
+    """Return a panel with at most `_DRAWN` points in all lines: the smallest and largest value of each section."""
     total = sum(t.x.size for t in panel.traces)
     if total <= _DRAWN:
         return panel
@@ -163,15 +163,15 @@ def _curves_panel(curves: list[Curve]) -> Panel:
         traces.append(Trace(label_of(curve), turn, error, "thin", number))
     return Panel(
         "Transmission error over one output turn", "output turn [°]", "transmission error [arcsec]", tuple(traces),
-        "Mean of all turns at each angle, one curve for each load and direction; the mean of each curve is taken off. "
-        "Loads that agree lie over each other; on a page a click on a curve's name hides it.",
+        "Mean of all turns at each angle, one curve per load and direction; the mean of each curve is subtracted. "
+        "Curves that agree cover each other; on an HTML page, click a curve's name to hide it.",
     )  # fmt: skip
 
 
 def spectra_panel(
     curves: Sequence[Curve], spectra: Sequence[Spectrum | None], pair: Pair | None, title: str = "Orders of the output"
 ) -> Panel | None:
-    """Return the panel of the curves' orders with the noise around them, or None without a spectrum."""
+    """Return the panel of the orders of curves with their noise floors, or None without a spectrum."""
     pairs = [(c, s) for c, s in zip(curves, spectra, strict=True) if s is not None]
     if not pairs:
         return None
@@ -194,14 +194,14 @@ def spectra_panel(
     return Panel(
         title, "order of the output turn", "amplitude [arcsec]", tuple(traces),
         "Pin: errors of pins and ring; tooth: errors of the gear's teeth; mesh: both; rig: coaxiality and couplings "
-        "(large errors of pins and teeth beat at order 1 too). "
-        "Dashed: noise alone. An amplitude's 95 % interval is ± 1.4 times the dashed line.",
+        "(large errors of pins and teeth also beat at order 1). "
+        "Dashed: noise floor. The 95 % interval of an amplitude is ± 1.4 times the dashed line.",
         log_y=True, log_x=True,
     )  # fmt: skip
 
 
 def _well_spaced(amplitude: Array) -> list[int]:
-    """Return the labelled orders: the largest, without those next to one that is nearly as large."""
+    """Return the orders to label: the largest, without those next to a larger one of similar size."""
     chosen: list[int] = []
     for order in np.argsort(-amplitude)[: np.count_nonzero(amplitude)]:
         beside = [k for k in chosen if abs(k - order) < 0.06 * order]
@@ -219,7 +219,7 @@ _MARKS = {
 
 
 def _loop_panels(loop: LoopData) -> list[Panel]:
-    """The whole loop, and its middle with play and friction."""
+    """Return panels of the whole loop, and of its middle with play and friction."""
     step, marks = max(1, loop.torque.size // 20000), loop_marks(loop)
     loop = without_drift(loop, drift_of(loop))
     traces = [Trace("measured", loop.torque[::step], loop.windup[::step] * ARCMIN, "thin", -1)]
@@ -230,8 +230,8 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
     axes = ("torque on the output [N·m]", "windup of the output [arcmin]")
     name = f"Hysteresis loop: {Path(loop.source).name}"
     seen = (
-        "The windup without its drift. The coloured lines show where each figure is read off the first loop, lost "
-        "motion off the first behind the virgin branch; the figures are means of all such loops."
+        "Windup without its drift. The coloured lines show where each figure is evaluated in the first loop, lost "
+        "motion in the first loop after the virgin branch; the figures are means over all such loops."
     )
     near = np.abs(loop.torque) <= _MIDDLE * loop.rated_torque
     middle = [
@@ -244,7 +244,7 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
 
 
 def _stiffness_panel(found: Figures) -> list[Panel]:
-    """The torsional stiffness of each side by segments of the torque, with its 95 % interval."""
+    """Return the panel of torsional stiffness by side and torque range, with its 95 % interval."""
     figure = found.figures.get("torsional_stiffness")
     if figure is None or len(figure.segments) < 2:
         return []
@@ -263,13 +263,13 @@ def _stiffness_panel(found: Figures) -> list[Panel]:
                for name, one in figure.segments.items() for side, sign in SIDES if side in one.parts]  # fmt: skip
     x, y, names = zip(*middles, strict=True)
     traces.append(Trace("", np.array(x), np.array(y), "points", -1, names))
-    caption = "Slope of the loading branches between the torques, mean of the loops; dashed its 95 % interval."
+    caption = "Slope of the loading branches in each torque range, mean of the loops; dashed: 95 % interval."
     axes = ("torque on the output [N·m]", "torsional stiffness [N·m/arcmin]")
     return [Panel("Torsional stiffness by torque", *axes, tuple(traces), caption)]
 
 
 def _start_panels(found: Figures) -> list[Panel]:
-    """The torque of each start over the time from the standstill until the crank has turned a degree."""
+    """Return panels of the torque of each start over the time from standstill until the crank has turned 1°."""
     panels = []
     kinds = (
         ("input", "no-load starting torque", starting_torques),
@@ -287,14 +287,14 @@ def _start_panels(found: Figures) -> list[Panel]:
                 at = slice(start.peak - start.part.start, start.peak - start.part.start + 1)
                 traces.append(Trace("", time[at], np.array([start.torque]), "points", number, (str(number + 1),)))
         if traces:
-            caption = f"The {name} is the mean of the marked values, the largest until the crank has turned 1°."
-            axes = ("time since the standstill [s]", f"torque on the {shaft} [N·m]")
-            panels.append(Panel(f"Starts by the {shaft}", *axes, tuple(traces), caption))
+            caption = f"The {name} is the mean of the marked values, the largest before the crank has turned 1°."
+            axes = ("time since standstill [s]", f"torque on the {shaft} [N·m]")
+            panels.append(Panel(f"Starts driven by the {shaft}", *axes, tuple(traces), caption))
     return panels
 
 
 def _budget_panel(found: Figures) -> list[Panel]:
-    """The share of each input quantity in the variance of each figure that has a budget."""
+    """Return the panel of each input quantity's share in the variance of each figure that has a budget."""
     rows: list[str] = []
     traces: list[Trace] = []
     for number, (name, budget) in enumerate(found.budgets.items()):
@@ -310,8 +310,8 @@ def _budget_panel(found: Figures) -> list[Panel]:
             first = False
     if not rows:
         return []
-    caption = "Share in the variance, after GUM; A: from the recordings, B: stated. Those below 1 % are left out."
-    return [Panel("Uncertainty budgets", "share in the variance [%]", "", tuple(traces), caption, y_names=tuple(rows))]
+    caption = "Share of the variance (GUM); A: from the recordings, B: stated. Shares below 1 % are left out."
+    return [Panel("Uncertainty budgets", "share of the variance [%]", "", tuple(traces), caption, y_names=tuple(rows))]
 
 
 def _torque_panel(found: Figures) -> Panel:
@@ -320,4 +320,6 @@ def _torque_panel(found: Figures) -> Panel:
         time, torque = one.overview.time, one.overview.torque
         step = max(1, time.size // 5000)
         traces.append(Trace(Path(one.source).name, time[::step] - time[0], torque[::step], "thin", number))
-    return Panel("Torque over time", "time [s]", "torque [N·m]", tuple(traces), "Each recording from its start.")
+    return Panel(
+        "Torque over time", "time [s]", "torque [N·m]", tuple(traces), "Time from the start of each recording."
+    )

@@ -1,4 +1,4 @@
-"""Pictures of recordings, curves, figures, fits and plans."""
+"""Plots of recordings, curves, figures, fits and plans."""
 
 from __future__ import annotations
 
@@ -47,20 +47,20 @@ _WIDTHS = {"line": 1.2, "thin": 0.8, "dashed": 1.0, "thick": 2.5}
 
 
 def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw a result, and write the picture if a path is given.
+    """Plot a result, and write the plot to a file if a path is given.
 
     Parameters
     ----------
     result
         Result of `fitting.curves`, `metrics`, `maps`, `compare`, `identify`, `plan`, `inspect`, a forecast or
-        `fitting.recalibration`, or every pin and tooth of an identification, `result.realised`.
+        `fitting.recalibration`, or the pins and teeth of an identification, `result.realised`.
     path
-        `.png` or `.pdf`.
+        File to write, `.png` or `.pdf`.
 
     Raises
     ------
     edge.InputError
-        If there is no picture of such a result, or the name has another ending.
+        If there is no plot of such a result, or the name has another ending.
 
     Examples
     --------
@@ -82,7 +82,7 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     if getattr(one, "attrs", {}).get("format") == MAPS:
         draw = plot_maps
     if draw is None:
-        raise edge.InputError(f"result: there is no picture of {type(one).__name__}.")
+        raise edge.InputError(f"result: there is no plot of {type(one).__name__}.")
     figure = draw(result)
     if path is not None:
         save(figure, path)
@@ -103,7 +103,7 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
             axis.plot(trace.x, trace.y, ".", ms=4.0, color=colour, label=trace.label or None)
             continue
         if trace.style == "words":
-            axis.plot(trace.x, trace.y, " ")  # words alone take no room
+            axis.plot(trace.x, trace.y, " ")  # texts do not extend the axes
             for x, y, text in zip(trace.x, trace.y, trace.texts, strict=True):
                 axis.annotate(text, (x, y), ha="center", va="center", fontsize=7)
             continue
@@ -137,7 +137,7 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
 
 
 def plot_panels(panels: Sequence[Panel]) -> Figure:
-    """Panels of a report below each other."""
+    """Plot panels of a report one below the other."""
     figure, axes = new_figure(len(panels))
     for axis, panel in zip(axes, panels, strict=True):
         draw_panel(axis, panel)
@@ -145,7 +145,7 @@ def plot_panels(panels: Sequence[Panel]) -> Figure:
 
 
 def plot_maps(found: xr.Dataset) -> Figure:
-    """Draw the maps without their orders, a row each, one column for each temperature."""
+    """Plot the maps without orders, one row per map and one column per temperature."""
     panels = [p for p in map_panels(found) if not p.title.startswith("Order")]
     figure, axes = new_figure(len(panels), found.temperature.size)
     for number, (row, panel) in enumerate(zip(np.reshape(axes, (len(panels), -1)), panels, strict=True)):
@@ -169,7 +169,7 @@ def plot_maps(found: xr.Dataset) -> Figure:
 
 
 def plot_changes(changes: Sequence[Change]) -> Figure:
-    """Each figure's change in per cent of its old value, with its 95 % interval; significant changes are filled."""
+    """Plot each figure's change in percent of its old value with its 95 % interval; significant changes are filled."""
     figure, axes = new_figure(max(1, round(0.25 * len(changes) + 0.5)))
     for axis in axes[1:]:
         figure.delaxes(axis)
@@ -182,12 +182,12 @@ def plot_changes(changes: Sequence[Change]) -> Figure:
         axis.errorbar(change.difference * share, row, xerr=error, fmt="o", color="C0", mfc=fill, capsize=3)
     axis.axvline(0.0, color="0.5", lw=0.8)
     axis.set_yticks(range(len(changes)), [c.name.replace("_", " ").replace(".", ", ") for c in reversed(changes)])
-    axis.set(xlabel="change [%]; filled: beyond the uncertainty")
+    axis.set(xlabel="change [%]; filled: larger than its uncertainty")
     return figure
 
 
 def plot_curves(curves: Sequence[Curve]) -> Figure:
-    """Transmission error over one output turn, and over the crank turn, of every curve."""
+    """Plot the transmission error of each curve over one output turn, and over the crank turn."""
     figure, axes = new_figure(2)
     for curve in curves:
         error = curve.transmission_error * ARCSEC
@@ -200,12 +200,12 @@ def plot_curves(curves: Sequence[Curve]) -> Figure:
 
 
 def _plain(name: str) -> str:
-    """Return a file name escaped for matplotlib, not as a formula."""
+    """Return a text escaped for matplotlib, so that it is not read as a formula."""
     return name.replace("$", r"\$")
 
 
 def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
-    """Every channel of a bench file over its time, those with a proposed role first."""
+    """Plot channels of a bench file over time, those with a proposed role first."""
     role_of = {one.channel.name: role for role, one in roles.items()}
     clock = roles.get("time")
     shown = sorted((o for o in looks if o is not clock), key=lambda o: o.channel.name not in role_of)[:8]
@@ -224,7 +224,7 @@ def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
 def plot_comparison(
     curves: Sequence[Curve], simulated: Sequence[Array], label: str, *, crank_turns: float = 3.0
 ) -> Figure:
-    """Measured and simulated transmission error on one axis, their differences below.
+    """Plot measured and simulated transmission error on one axis, and their differences below.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def plot_comparison(
     label
         Name of the simulation in the legend.
     crank_turns
-        Range of the upper axis; the residuals below, one row for each curve, cover the whole output turn.
+        Range of the upper axis; the residuals below, one row per curve, cover the whole output turn.
 
     Examples
     --------
@@ -256,7 +256,7 @@ def plot_comparison(
         shown = turns <= crank_turns
         colour = f"C{number}"
         left = (curve.transmission_error - model) * ARCSEC
-        entry = f"{label_of(curve)}: {np.sqrt(np.mean(left**2)):.2f}″ rms left"
+        entry = f"{label_of(curve)}: residual {np.sqrt(np.mean(left**2)):.2f}″ rms"
         axes[0].plot(turns[shown], curve.transmission_error[shown] * ARCSEC, ".", ms=4, color=colour, alpha=0.5)
         axes[0].plot(turns[shown], model[shown] * ARCSEC, lw=1.2, color=colour, label=entry)
         below = axes[1 + number]
@@ -264,9 +264,9 @@ def plot_comparison(
         below.plot(turns, left, ".", ms=1.5, color=colour)
         below.set(ylim=(-1.1 * widest, 1.1 * widest))
         below.tick_params(labelbottom=number == len(curves) - 1)
-    axes[0].set(ylabel="transmission error\n[arcsec]", xlabel="crank turns: the first ones")
+    axes[0].set(ylabel="transmission error\n[arcsec]", xlabel="first crank turns")
     axes[-1].set(xlabel="crank turns")
-    axes[1].set_title(f"measured - {label}, each curve by itself [arcsec]", fontsize=9, loc="left")
+    axes[1].set_title(f"measured minus {label}, by curve [arcsec]", fontsize=9, loc="left")
     handles, labels = axes[0].get_legend_handles_labels()
     title = f"points: measured, lines: {label}"
     figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=9, frameon=False, title=title)
@@ -274,12 +274,12 @@ def plot_comparison(
 
 
 def plot_identification(result: Identification) -> Figure:
-    """Measured and fitted transmission errors with their residual."""
+    """Plot measured and fitted transmission errors with their residuals."""
     return plot_comparison(result.curves, result.fitted_curves, "fitted")
 
 
 def plot_ring(ring: Realised) -> Figure:
-    """Every pin and tooth around their circles, displacements enlarged, with 95 % intervals."""
+    """Plot every pin and tooth around its circle, displacements enlarged, with 95 % intervals."""
     figure, (axis,) = new_figure(1)
     figure.set_figheight(1.0 + 9.0 / len(ring.circles))
     draw_panel(axis, ring_panel(ring))
@@ -293,9 +293,9 @@ def _readable(name: str) -> str:
 
 
 def plot_plans(plans: Sequence[Plan]) -> Figure:
-    """Standard error of each error, pin and tooth with each set of runs, as a share of its tolerance.
+    """Plot the standard errors of errors, pins and teeth for each set of runs, relative to their tolerances.
 
-    Errors that no set of runs resolves have no row; the title names them.
+    Errors that no set of runs resolves have no row; the title lists them.
     """
     figure, (axis,) = new_figure(1)
     each = {f"{name}, each": name for name in plans[-1].realised}
@@ -306,9 +306,9 @@ def plot_plans(plans: Sequence[Plan]) -> Figure:
     figure.set_figheight(1.8 + 0.24 * len(names))
     for number, (plan, found) in enumerate(zip(plans, errors, strict=True)):
         share = [found.get(n, np.nan) / TOLERANCE["m" if n in each else unit_of(n)] for n in names]
-        beside = 0.5 * (number - 0.5 * (len(plans) - 1)) / len(plans)  # equal values are all seen
+        beside = 0.5 * (number - 0.5 * (len(plans) - 1)) / len(plans)  # so that equal values do not cover each other
         axis.plot(share, np.arange(len(names)) + beside, "o", ms=4.5, color=f"C{number}", label=plan.runs)
-    axis.set(xscale="log", xlabel="standard error as a share of its prior (smaller is better)")
+    axis.set(xscale="log", xlabel="standard error relative to its prior (smaller is better)")
     axis.set_yticks(np.arange(len(names)), [_readable(n) for n in names], fontsize=8)
     axis.set_ylim(len(names) - 0.4, -0.6)
     if unknown:
@@ -319,7 +319,7 @@ def plot_plans(plans: Sequence[Plan]) -> Figure:
 
 
 def plot_band(drive: Drive, drawn: Sequence[Drive], torque: float, path: str | os.PathLike[str]) -> None:
-    """Plot the identified drive's transmission error at a torque (N·m), and that of 95 % of the drawn ones."""
+    """Plot the transmission error of the identified drive at a torque, N·m, and the 95 % band of the drawn ones."""
 
     def error(one: Drive) -> Array:
         found: Array = solve(one.pair, one.surface, torque, angle, with_play=False).transmission_error[0] * ARCSEC
@@ -335,5 +335,5 @@ def plot_band(drive: Drive, drawn: Sequence[Drive], torque: float, path: str | o
     axes[0].set(ylabel="transmission error [arcsec]", title=f"{torque:+.4g} N·m")
     show_legend(axes[0], ncols=2)
     axes[1].fill_between(turn, low - identified, high - identified, alpha=0.4, lw=0)
-    axes[1].set(xlabel="crank turns", ylabel="drawn - identified [arcsec]")
+    axes[1].set(xlabel="crank turns", ylabel="drawn minus identified [arcsec]")
     save(figure, path)

@@ -1,4 +1,4 @@
-"""The report of figures or of a fit."""
+"""The report of figures, of maps or of a fit."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ def report(
     result
         Result of `fitting.metrics`, `fitting.maps` or `fitting.identify`.
     path
-        `.html`: one self-contained file to zoom and hover in; `.pdf`, of figures only: the same on pages.
+        `.html`: one self-contained interactive file; `.pdf`, only for figures: the same content on pages.
     certificate
-        Device, limits and decision rule, or their file: the page (`.html`) is the certificate of this drive. It needs
-        figures with their budgets (`fitting.metrics(…, instruments=…)`).
+        Device, limits and decision rule, or their file; the report (`.html`) is then the certificate of this drive. It
+        needs figures with budgets (`fitting.metrics(…, instruments=…)`).
 
     Raises
     ------
     edge.InputError
-        If the name has another ending or its folder does not exist.
+        If the name has another ending, its folder does not exist, or the certificate is invalid.
 
     Examples
     --------
@@ -52,7 +52,7 @@ def report(
     """
     if certificate is not None:
         if not isinstance(result, Figures):
-            raise edge.ArgumentError("certificate", "there is one of figures alone", str(certificate))
+            raise edge.ArgumentError("certificate", "a certificate is only for figures", str(certificate))
         stated = certificate if isinstance(certificate, Certificate) else read_certificate(certificate)
         write_certificate(result, stated, path)
     elif isinstance(result, Identification):

@@ -1,4 +1,4 @@
-"""The actual ring: every pin's place and every tooth's pitch around their circles, with intervals."""
+"""The actual ring: position of every pin and pitch of every tooth around their circles, with intervals."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from fitting.reports.panels import Panel, Trace
 
 Array = NDArray[np.float64]
 
-_DEPTH = 0.45  # of a circle's radius: how far the largest displacement stands from it
-_APART = 3.3  # radii from one circle's middle to the next
-_NUMBERED = 8  # elements of a circle that bear their number, about
-_STEPS = (0.1, 0.2, 0.5)  # µm, and powers of ten of them: what the grid's circles stand apart
+_DEPTH = 0.45  # of a circle's radius: drawn size of the largest displacement
+_APART = 3.3  # radii between the centres of two circles
+_NUMBERED = 8  # approximate number of elements of a circle that are numbered
+_STEPS = (0.1, 0.2, 0.5)  # µm, times powers of ten: distances of the grid's circles
 _TITLES = {
     "pin_radial": "pins, radial",
     "pin_tangential": "pins, tangential",
@@ -24,7 +24,7 @@ _TITLES = {
 
 
 def ring_panel(ring: Realised) -> Panel:
-    """Return circles of pins and teeth side by side, displacements drawn outwards, enlarged."""
+    """Return the panel of circles of pins and teeth side by side, with displacements drawn outwards and enlarged."""
     values = np.array([one.value for one in ring.elements]) * 1e6
     ends = np.array([one.interval for one in ring.elements]) * 1e6
     told = bool(np.isfinite(ends).all())
@@ -60,7 +60,7 @@ def ring_panel(ring: Realised) -> Panel:
         traces.append(Trace("", np.array([middle]), np.array([-1.0 - 1.9 * _DEPTH]), "words", 0, (title,)))
     return Panel(
         f"Every pin and tooth: grey circles are {step:g} µm apart", "", "", tuple(traces),
-        "Drawn outwards from the dashed circle where above zero; > 0 is outwards, or "
-        "counter-clockwise of tangential places and of teeth. The part removed from them is stated above the table.",
+        "Positive values are drawn outwards from the dashed circle. Positive is radially outwards, or for tangential "
+        "positions and teeth counter-clockwise. The part removed from the values is stated above the table.",
         round=True,
     )  # fmt: skip

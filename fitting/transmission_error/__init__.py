@@ -1,1 +1,1 @@
-"""Transmission error curves: folded from recordings, and the read head's coaxiality error."""
+"""Transmission error curves, folded from recordings."""

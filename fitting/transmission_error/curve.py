@@ -27,48 +27,47 @@ class Curve:
     Attributes
     ----------
     input_angle
-        Crank angle of each point, rad, from 0 to one output turn: the mean of the samples in it, so nothing is
-        interpolated.
+        Crank angle of each point, rad, from 0 to one output turn: the mean of its samples, so nothing is interpolated.
     transmission_error, standard_error
-        φ_b - φ_a/ratio (rad), averaged over turns, and the standard error of its mean from the turns' scatter, NaN for
-        a single turn.
+        φ_b - φ_a/ratio, rad, averaged over turns, and standard error of this mean from the scatter of turns, NaN for a
+        single turn.
     sample_count
-        Samples in each point.
+        Number of samples in each point.
     torque, torque_deviation
         Mean and standard deviation of the torque over the recording, N·m.
     direction
-        +1 if the crank angle increases.
+        +1 if the crank angle increases, -1 if it decreases.
     ratio
-        Signed ratio.
+        Signed ratio φ_a/φ_b of the ideal drive.
     common_zero, known_index
-        As in the recording.
+        As in `Recording`.
     source, checksum
-        Of the recording.
+        Name and SHA-256 of the recording.
     notes
         Notes on the data.
     turns
-        Output turns recorded in this direction.
+        Number of output turns recorded in this direction.
     grid
-        Number of even points over a whole turn, that of the samples in one, and the crank angle (rad) at which the
-        first begins; (0, 0) if the points are these.
+        Number of even points over a whole turn, as many as a turn has samples, and crank angle at which the first
+        begins, rad; (0, 0) if the points themselves are this grid.
     angle_variance
-        Variance of the crank angles within each point, rad², or None if a point is one angle.
+        Variance of the crank angles within each point, rad²; None if each point is a single angle.
     torque_each
-        Mean torque of the samples in each point, N·m, or None if its variation is unknown.
+        Mean torque of the samples in each point, N·m; None if its variation is unknown.
     speed, travel
-        Mean speed of the crank in each point (rad/s, or rad per sample without times), and its mean rotation since the
-        recording began (rad, > 0); None if not known.
+        Mean speed of the crank in each point, rad/s (without times: rad per sample), and its mean rotation since the
+        start of the recording, rad, > 0; None if unknown.
     each_turn
-        Transmission error of every single turn, shape (turns, points), rad, NaN where a turn has no sample; None if the
+        Transmission error of every single turn, rad, shape (turns, points), NaN where a turn has no sample; None if the
         turns were not kept.
     branch
-        "" for a curve over the turn. For a loop with the input locked its branch; the points are then over the torque,
+        "" for a curve over the turn. For a loop with the input locked, its branch; the points are then over the torque,
         and the direction is that of a crank that would move the output as the torque does.
     implausible
         Number of implausible samples of the recording that were left out.
     temperature, running_speed
-        Mean temperature of the recording, K, and the speed of the run, rad/s: as stated for the shaft that the bench
-        names, otherwise the output's mean; None if not known.
+        Mean temperature of the recording, K, and speed of the run, rad/s: as stated, of the shaft to which the bench's
+        speed refers, otherwise the mean speed of the output; None if unknown.
 
     Examples
     --------
@@ -113,7 +112,7 @@ class Curve:
         return np.full(self.input_angle.size, self.torque) if self.torque_each is None else self.torque_each
 
     def points(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Curve:
-        """A curve of some of the points, without the grid."""
+        """Return the curve with some of its points, without the grid."""
         each = ("input_angle", "transmission_error", "standard_error", "sample_count", "angle_variance", "torque_each",
                 "speed", "travel", "each_turn")  # fmt: skip
         there = {name: values for name in each if (values := getattr(self, name)) is not None}
@@ -121,9 +120,9 @@ class Curve:
 
 
 def noise_of(curve: Curve) -> float:
-    """Noise of one point of a curve, rad: from the turns' scatter or, for one turn, from differences of neighbours.
+    """Return the noise of one point of a curve, rad rms, from the scatter of turns or, for one turn, of neighbours.
 
-    The sixth differences of smooth values vanish and those of noise have √924 times its deviation; the median is not
+    Sixth differences vanish for smooth values and have √924 times the standard deviation for noise; their median is not
     affected by the corners where pins come into contact.
     """
     repeated = np.isfinite(curve.standard_error)
@@ -135,7 +134,7 @@ def noise_of(curve: Curve) -> float:
 
 
 def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:
-    """Return curves as a labelled dataset, format `cycloid-curve/1`, dimensions (run, point); short runs end in NaN."""
+    """Return curves as a labelled dataset, `cycloid-curve/1`, dimensions (run, point); short runs end in NaN."""
     import xarray as xr
 
     points = max(c.input_angle.size for c in curves)
@@ -168,7 +167,7 @@ def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:
 
 
 def curves_json(curves: Sequence[Curve]) -> dict[str, Any]:
-    """Return curves for scripts (SI), with their notes."""
+    """Return curves and their notes as JSON data for scripts, SI."""
     data = curves_dataset(curves)
     numbers = {str(name): values.values for name, values in {**data.coords, **data.data_vars}.items()}
     return {**numbers, "notes": [note for one in curves for note in one.notes]}

@@ -1,8 +1,8 @@
-"""From a recording to its transmission error curves: over one output turn, averaged over turns, one for each direction.
+"""Folding of recordings to transmission error curves over one output turn, averaged over turns, one per direction.
 
-The samples are read block by block and folded, so hours at kilohertz need no more memory than one output turn. Turns
-share a point only if their angles are practically equal: if sampling is not in step with the crank, their samples are
-up to a sample's spacing apart, and pins come into and out of contact in between.
+Samples are read and folded block by block, so that hours at kilohertz rates need no more memory than one output turn.
+Turns share a point only if their angles are practically equal: if sampling is not synchronous with the crank, their
+samples are up to a sample's spacing apart, and pins come into and out of contact in between.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from fitting.recordings.sources import Source, open_source
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
-POINTS = 1 << 15  # most even points of a turn: orders up to a quarter of them are resolved
-_PITCH = 20  # points that the crank's way from one pin to the next is divided into, where turns are not in step
-_FINEST = 1 << 18  # most points of a turn then
-_SHARED = 1.1  # points that turns in step have, of those that each has; others keep every sample as a point
-_FIRST = 1 << 20  # samples from which the number of points is found
-_RAMP = np.pi / 648000.0  # over a whole recording: what runs away by less gets no note
-_ROOM = 1 << 20  # points that turns have that are kept apart
-_FAR = 1e12  # turns that one sample may skip
-LOCKED = float(np.radians(1.0))  # of the crank: what windup of a locked input's own fixture it may show
-_REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; beyond the lost motion of any drive
+POINTS = 1 << 15  # most even points of a turn, which resolve orders up to a quarter of them
+_PITCH = 20  # points per crank rotation from one pin to the next, if turns are not sampled at the same angles
+_FINEST = 1 << 18  # most points of a turn in that case
+_SHARED = 1.1  # most distinct points, relative to those of one turn, of turns sampled at the same angles
+_FIRST = 1 << 20  # samples that determine the number of points
+_RAMP = np.pi / 648000.0  # rad: smaller drifts over a whole recording get no note
+_ROOM = 1 << 20  # most points if turns are kept separate
+_FAR = 1e12  # most turns between two samples
+LOCKED = float(np.radians(1.0))  # of the crank: largest motion of a locked input, from the windup of its fixture
+_REVERSAL = np.radians(2.0)  # of the crank: smaller reversals are vibration; larger than the lost motion of any drive
 
 
 class _Fold:
     """Folds the motion in one direction to one output turn.
 
-    A point's mean is that of its turns' means, so a standstill or a slow section has no more weight.
+    A point is the mean over turns of the mean within each turn, so that slow sections have no more weight.
     """
 
     def __init__(self, ratio: float, direction: int, *, keep_turns: bool, evenly: bool) -> None:
@@ -56,7 +56,19 @@ class _Fold:
         self.way = 0.0
 
     def add(self, angle: Array, error: Array, beside: Array, way: float, *, restarted: bool) -> None:
-        """Take crank angles, transmission errors, and torques beside speeds; `restarted` after a reversal."""
+        """Add samples of this direction.
+
+        Parameters
+        ----------
+        angle, error
+            Crank angles and transmission errors, rad, shape (n,).
+        beside
+            Torques, N·m, and crank speeds, rad/s, shape (2, n).
+        way
+            Crank rotation in this direction, rad, >= 0.
+        restarted
+            Whether these are the first samples after a reversal.
+        """
         if not angle.size:
             return
         self.way += way
@@ -75,7 +87,7 @@ class _Fold:
         whole = round((self._held - 1) * min(1.0, self._turn / self.way)) if self.way else 1
         self.points = min(max(1, whole), POINTS)
         spacing = max(min(self._turn, self.way or self._turn) / self.points, self._turn / POINTS)
-        # The points' borders lie midway between the first turn's samples.
+        # Points are bounded midway between the samples of the first turn.
         self._origin = self._begins = float(angle[0])
         even = self.points if self.way >= self._turn else max(1, round(self._turn / spacing))
         self.grid = (even, float(np.mod(angle[0], self._turn) - 0.5 * spacing))
@@ -92,8 +104,8 @@ class _Fold:
         self._torque_reference = float(self._first[0][2][0, 0])
         self.count = np.zeros(self.whole, np.int64)
         self.repeats = np.zeros(self.whole, np.int64)
-        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque, speed and way; of the turn
-        # under way, at the points that it has: samples, error, angle, squared angle, torque, speed, way.
+        # Sums over turns: mean error, its square, mean angle, mean squared angle, mean torque, speed, travel. For the
+        # present turn, at its points: samples, error, angle, squared angle, torque, speed, travel.
         self._sums = np.zeros((7, self.whole))
         self._open_points, self._open = np.zeros(0, np.int64), np.zeros((7, 0))
         self._open_turn = 0
@@ -102,7 +114,7 @@ class _Fold:
             self._take(*part)
 
     def _in_step(self) -> bool:
-        """Whether the samples of all turns share their points."""
+        """Return whether all turns are sampled at the same angles."""
         angle = np.concatenate([part[0] for part in self._first])
         point = (np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9).astype(np.int64)
         return np.unique(point).size * self.way < _SHARED * self._held * self._turn
@@ -116,7 +128,7 @@ class _Fold:
         self.samples += angle.size
         error = error - self._reference
         t = beside[0] - self._torque_reference
-        # No `t @ t`: it wakes all processors for less than they then take; the fold takes a third of the time without.
+        # Not `t @ t`, which starts all processors for little work: without it folding takes a third of the time.
         self._torque += np.array([t.sum(), (t * t).sum()])
         x = angle - self._origin
         self._line += np.array([angle.size, x.sum(), error.sum(), (x * x).sum(), (x * error).sum()])
@@ -129,7 +141,7 @@ class _Fold:
         last = int(turn.max()) - self._open_turn
         if last or self._open_turn:
             point += (turn - self._open_turn) * self.whole
-        # Neighbours at one point are added up first, so that few are sorted: twice as fast where a point has five.
+        # Add up neighbours at one point first, so that fewer are sorted: twice as fast with five samples per point.
         begins = np.concatenate([[True], point[1:] != point[:-1]])
         run = np.cumsum(begins) - 1
         values = (error, inside, inside * inside, t, beside[1], travel)
@@ -147,7 +159,10 @@ class _Fold:
         self._open_turn += last
 
     def _close(self, key: NDArray[np.int64], found: Array) -> None:
-        """Add whole turns to the sums: sums over the samples at points, turns counted in whole turns of points."""
+        """Add completed turns to the sums.
+
+        `key`: turn times number of points, plus point, ascending; `found`: sums over the samples there, shape (7, n).
+        """
         turn, point = np.divmod(key, self.whole)
         samples, mean = found[0], found[1:] / found[0]
         np.add.at(self.count, point, samples.astype(np.int64))
@@ -159,19 +174,19 @@ class _Fold:
             self._kept += zip(np.split(point, borders), np.split(mean[0], borders), strict=True)
 
     def drift(self) -> float:
-        """Return the slope of the transmission error over the crank angle."""
+        """Return the slope of the transmission error over the crank angle, rad/rad."""
         n, x, y, xx, xy = self._line
         spread = n * xx - x * x
         return float((n * xy - x * y) / spread) if n > 2 and spread > 0.0 else 0.0
 
     def amplitude(self) -> float:
-        """Return half of the range of the transmission error, averaged over turns."""
+        """Return half the range of the transmission error averaged over turns, rad."""
         filled = self.repeats > 0
         mean = self._sums[0][filled] / self.repeats[filled]
         return 0.5 * float(np.ptp(mean))
 
     def finish(self) -> None:
-        """Close the current turn and start another one."""
+        """Close the current turn and start a new one."""
         if not self.points:
             self._begin()
         if self.points:
@@ -226,22 +241,22 @@ class _Fold:
 
 
 class Folding:
-    """Takes a recording's blocks and folds each direction of the crank separately.
+    """Folds the blocks of a recording, each direction of the crank separately.
 
-    Sections in which the crank is at rest are left out, and after a reversal the first two degrees of the crank, in
-    which the lost motion is passed. After a gap the crank's unseen rollovers are counted by the output angle.
+    Sections with the crank at rest are left out, and so are the first two degrees of the crank after a reversal, in
+    which the lost motion is passed. After a gap, the crank turns missed in it are counted from the output angle.
 
     Parameters
     ----------
     ratio
         Signed ratio φ_a/φ_b of the ideal drive.
     source
-        The recording's name, for messages.
+        Name of the recording, for messages.
     keep_turns
-        Whether the curves keep every single turn too.
+        Whether to keep every single turn in the curves too.
     evenly
-        Whether a turn has as many points as samples, which orders need; otherwise samples of different turns share a
-        point only if their angles are practically equal.
+        Whether a turn has as many even points as samples, as orders require; otherwise samples of different turns share
+        a point only if their angles are practically equal.
     """
 
     def __init__(self, ratio: float, source: str, *, keep_turns: bool = False, evenly: bool = False) -> None:
@@ -257,11 +272,11 @@ class Folding:
         self._last: tuple[float, float] | None = None
         self._recounted = 0
         self._restarted = False
-        self._warmth = np.zeros(2)  # sum of temperatures, and how many
+        self._warmth = np.zeros(2)  # sum and number of temperatures
         self._waiting: list[tuple[Array, Array, Array]] = []  # crank angle, transmission error, torque and speed
 
     def add(self, block: Block) -> None:
-        """Take the next block."""
+        """Add the next block."""
         angle, output = block.input_angle, block.output_angle
         if not angle.size:
             return
@@ -276,7 +291,7 @@ class Folding:
         turned = np.gradient(angle) if angle.size > 1 else np.zeros(1)
         speed = np.divide(turned, passed, out=np.zeros(angle.size), where=passed > 0.0)
         self._waiting.append((angle, output - angle / self.ratio, np.vstack([block.torque, speed])))
-        # Which way the crank turns shows once it is away from where it began.
+        # The direction of the crank is known once it is away from its start.
         if self._direction or sum(part[0].size for part in self._waiting) > _FIRST or self._is_away(angle):
             self._fold()
 
@@ -291,7 +306,7 @@ class Folding:
             begin = self._stretch(angle, error, beside, begin)
 
     def _recount(self, angle: Array, output: Array, gaps: NDArray[np.int64]) -> Array:
-        """Add the turns of the crank in a gap, by the output angle."""
+        """Add the crank turns missed in gaps, counted from the output angle; `gaps`: indices of samples after a gap."""
         if not gaps.size:
             return angle if self._correction == 0.0 else angle + self._correction
         angle = angle + self._correction
@@ -308,7 +323,7 @@ class Folding:
         return angle
 
     def _stretch(self, angle: Array, error: Array, beside: Array, begin: int) -> int:
-        """Fold from `begin` to the next reversal and return where that is."""
+        """Fold from `begin` to the next reversal and return its index."""
         part = angle[begin:]
         if self._direction == 0:
             away = np.flatnonzero(np.abs(part - self._start) > _REVERSAL)
@@ -325,7 +340,7 @@ class Folding:
         if (reached[-1] - ahead).max() > _REVERSAL or ahead.min() < d * self._furthest - _REVERSAL:
             back = np.flatnonzero(reached - ahead > _REVERSAL)
             if back.size:
-                # It turned where it was furthest; what lies between is the way back through the lost motion.
+                # The reversal is at the furthest point; the samples after it pass back through the lost motion.
                 end = (
                     int(np.argmax(ahead[: back[0] + 1])) + 1 if ahead[: back[0] + 1].max() >= d * self._furthest else 0
                 )
@@ -347,7 +362,7 @@ class Folding:
         way = float(reached[-1]) - before
         self._furthest = float(reached[-1]) * self._direction
         if not grows.all():
-            # The crank stands where it did not come further for much longer than usual (an encoder's step, noise).
+            # At rest: no progress for much longer than usual, which encoder steps and noise cause too.
             starts = np.flatnonzero(np.concatenate([[True], grows[1:]]))
             runs = np.diff(np.append(starts, grows.size))
             self._usual_run = min(self._usual_run, float(np.median(runs)))
@@ -367,12 +382,12 @@ class Folding:
         Parameters
         ----------
         stream, blocks
-            The recording, and its blocks.
+            The recording and its blocks.
 
         Raises
         ------
         edge.InputError
-            If the crank turns by no more than `LOCKED`, or its two angles do not belong to this ratio.
+            If the crank turns by no more than `LOCKED`, or the two angles do not match the ratio.
         """
         if self._waiting:
             self._fold()
@@ -383,13 +398,13 @@ class Folding:
         kept = [f for f in folds if f.way > 0.01 * folds[0].way and f.samples > 1]
         if folds[0].way <= LOCKED or not kept:
             raise edge.InputError(
-                f"{self.source}: the input does not turn further than {np.degrees(folds[0].way):.3g}°, as one that is "
-                f"locked; a curve needs a run in which it turns by more than {np.degrees(LOCKED):g}°."
+                f"{self.source}: the input turns by only {np.degrees(folds[0].way):.3g}°, as if it were locked; a "
+                f"curve needs a run in which it turns by more than {np.degrees(LOCKED):g}°."
             )
         few = sum(f.samples for f in folds if f not in kept)
         if self._stood + few:
             notes.append(
-                f"{self.source}: {self._stood + few} samples in which the crank stood or moved back were left out."
+                f"{self.source}: {self._stood + few} samples with the crank at rest or moving back were left out."
             )
         if self._reversing:
             notes.append(
@@ -397,8 +412,8 @@ class Folding:
             )
         if self._recounted:
             notes.append(
-                f"{self.source}: the crank rolled over unseen in {self._recounted} gaps; its turns there were counted "
-                "by the output angle."
+                f"{self.source}: crank turns were missed in {self._recounted} gaps; they were counted from the output "
+                "angle."
             )
         for fold in kept:
             _check_ratio(fold, self.source)
@@ -417,27 +432,27 @@ class Folding:
 
 
 def _speed_of(curve: Curve, stream: Recording | RecordingStream) -> float | None:
-    """Return the speed of a curve's run: as its recording states it, otherwise the output's."""
+    """Return the speed of a curve's run, rad/s: as stated by its recording, otherwise that of the output."""
     if stream.speed is not None or not stream.timed or curve.speed is None:
         return stream.speed
     return float(np.abs(np.mean(curve.speed)) / abs(curve.ratio))
 
 
 def _check_ratio(fold: _Fold, source: str) -> None:
-    """Refuse angles that do not fit the ratio, with a probable cause."""
+    """Refuse angles that do not match the ratio, with a probable cause."""
     ratio, drift, way = fold.ratio, fold.drift(), fold.way
-    # Below a thousandth it is no other ratio: clocks that drift apart, which `_ramp_note` says.
+    # Below a thousandth it is not another ratio but clock drift, on which `_ramp_note` makes a note.
     if abs(drift * ratio) <= 1e-3 or (abs(drift * ratio) <= 0.02 and abs(drift * way) <= np.radians(1.0)):
         return
     slope = 1.0 / ratio + drift
-    sentence = f"{source}: the output turns {slope:.6g} of the input, the ratio {ratio:g} means {1.0 / ratio:.6g}; "
+    sentence = f"{source}: the output turns {slope:.6g} of the input, but the ratio {ratio:g} gives {1.0 / ratio:.6g}; "
     degrees = 180.0 / np.pi
     causes = {
         -1.0: "the ratio's sign or one angle's direction is wrong",
-        ratio * ratio: "input and output angle look swapped",
-        -ratio * ratio: "input and output angle look swapped, and one's direction is wrong",
-        degrees: "the output angle's unit looks like deg taken for rad",
-        1.0 / degrees: "the input angle's unit looks like deg taken for rad",
+        ratio * ratio: "input and output angle seem to be swapped",
+        -ratio * ratio: "input and output angle seem to be swapped, and the direction of one is wrong",
+        degrees: "the output angle seems to be in deg, not rad",
+        1.0 / degrees: "the input angle seems to be in deg, not rad",
     }
     for factor, cause in causes.items():
         if abs(slope * ratio / factor - 1.0) < 0.02:
@@ -448,8 +463,8 @@ def _check_ratio(fold: _Fold, source: str) -> None:
 def _ramp_note(fold: _Fold, source: str) -> list[str]:
     """Return a note if the transmission error drifts from turn to turn, which no gear causes.
 
-    A wave of amplitude A over N turns shows a slope of at most 12A/(2πN) over all of them (least squares against a
-    sine of one period a turn); only more than three times that gets a note.
+    The least squares slope of a wave of amplitude A, one period per turn, over N turns is at most 12A/(2πN) over all of
+    them; only more than three times that gets a note.
     """
     ratio, turns = abs(fold.ratio), fold.way / (2.0 * np.pi * abs(fold.ratio))
     ramp = fold.drift() * 2.0 * np.pi * ratio
@@ -457,33 +472,33 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
     if turns < 2.0 or abs(ramp) < 3.0 * wave or abs(ramp) * turns < _RAMP:
         return []
     return [
-        f"{source}: the transmission error drifts by {abs(ramp) * edge.ARCSEC:.3g}″ a turn of the output, as it "
-        f"does where the output angle's clock runs {-fold.drift() * fold.ratio * 1e6:+.3g} ppm fast, or the rig warms "
-        "up; the curve contains it. State the drift of a clock in the mapping."
+        f"{source}: the transmission error drifts by {abs(ramp) * edge.ARCSEC:.3g}″ per output turn, as if the output "
+        f"angle's clock ran {-fold.drift() * fold.ratio * 1e6:+.3g} ppm fast or the rig warmed up; the curve "
+        "contains the drift. State the drift of a clock in the mapping."
     ]
 
 
 def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
-    """Return the transmission error curves of recordings, one for each direction, the longer one first.
+    """Return the transmission error curves of recordings, one per direction, the longer one first.
 
-    The crank angle is folded to one output turn. If all turns were sampled at the same angles they are averaged there;
-    otherwise every sample is a separate point. Of more than `POINTS` samples those within a twentieth of the crank's
-    rotation from one pin to the next, or a `POINTS`-th of the turn if that is more, are averaged: within each turn and
-    then over turns, angles and errors.
+    The crank angle is folded to one output turn. If all turns were sampled at the same angles, they are averaged there;
+    otherwise every sample is a separate point. With more than `POINTS` samples, those within a twentieth of the crank's
+    rotation from one pin to the next, or 1/`POINTS` of the turn if that is more, are averaged, within each turn and
+    then over turns, both angles and errors.
 
     Parameters
     ----------
     recordings
-        Result of `fitting.read_recordings`, `fitting.Run`, or one of them.
+        Recordings from `fitting.read_recordings`, or `fitting.Run`, or one of them.
     drive
-        The drive, or its signed ratio input over output.
+        The drive, or its signed ratio input/output.
     keep_turns
-        Whether the curves keep every single turn too.
+        Whether to keep every single turn in the curves too.
 
     Raises
     ------
     edge.InputError
-        If a recording can't be read, its crank hardly turns, or its angles do not fit the ratio.
+        If a recording can't be read, its crank hardly turns, or its angles do not match the ratio.
 
     Examples
     --------

@@ -10,7 +10,7 @@ _numbers = itertools.count()
 
 @pytest.fixture
 def bus_name():
-    """A virtual bus of this test's own."""
+    """Name of a virtual bus used only by this test."""
     return f"test-{os.getpid()}-{next(_numbers)}"
 
 

@@ -1,4 +1,4 @@
-"""A PLC's ring of samples by ADS: real AMS/TCP frames between Beckhoff's own client, which pyads brings, and a PLC."""
+"""A PLC's ring of samples over ADS: real AMS/TCP frames between Beckhoff's client (in pyads) and a simulated PLC."""
 
 import contextlib
 import math
@@ -36,7 +36,7 @@ RATE = 2000.0
 
 @pytest.fixture
 def host():
-    """An address of this machine that no other test process has: ADS has one port."""
+    """An address of this machine used by no other test process, because ADS has a fixed port."""
     own = os.getpid() % 60_000 + 300
     return f"127.0.{own >> 8}.{own & 255}"
 
@@ -60,7 +60,7 @@ def take_all(blocks):
         pass
 
 
-def test_every_sample_of_all_columns_at_one_instant(tmp_path, host):
+def test_all_columns_of_every_sample_have_one_time(tmp_path, host):
     moved = motion(600)
     with SimulatedAdsBench(moved, host=host, clock_drift=1e-3) as bench:
         done, recording = record(tmp_path, bench)
@@ -77,9 +77,9 @@ def test_every_sample_of_all_columns_at_one_instant(tmp_path, host):
     assert told(recording) == []
 
 
-def test_what_the_plc_overwrote_is_counted_to_the_sample_and_marked(tmp_path, host):
+def test_overwritten_samples_are_counted_exactly_and_marked(tmp_path, host):
     moved = motion(1000)
-    with SimulatedAdsBench(moved, host=host, length=32) as bench:  # it holds 16 ms, and is read every 50
+    with SimulatedAdsBench(moved, host=host, length=32) as bench:  # it holds 16 ms and is read every 50 ms
         read, wiring = [], bench.write_wiring(tmp_path / "BENCH.toml")
         drivers.record(wiring, tmp_path / "run.arrows", stop=lambda: bench.wait(0.0), progress=read.append)
     recording = drivers.read_recording(tmp_path / "run.arrows")
@@ -94,7 +94,7 @@ def test_what_the_plc_overwrote_is_counted_to_the_sample_and_marked(tmp_path, ho
         assert sum(lost) == number[-1] - number[0] + 1 - len(number)
 
 
-def test_what_the_ring_holds_is_taken_when_asked_and_what_is_lost_is_counted(tmp_path, host):
+def test_drain_reads_the_ring_and_losses_are_counted(tmp_path, host):
     with SimulatedAdsBench(motion(4000), host=host, length=32) as bench:
         wiring = bench.write_wiring(tmp_path / "BENCH.toml")
         with open_encoders(wiring) as encoders:
@@ -110,7 +110,7 @@ def test_what_the_ring_holds_is_taken_when_asked_and_what_is_lost_is_counted(tmp
     assert first.lost == round((times[-1] - times[0]) * RATE) + 1 - len(times)
 
 
-def test_a_cut_shorter_than_the_ring_loses_nothing(tmp_path, host, monkeypatch):
+def test_an_interruption_shorter_than_the_ring_loses_nothing(tmp_path, host, monkeypatch):
     monkeypatch.setattr("drivers.ads.plc._ANSWER_SECONDS", 0.2)
     moved = motion(1600)
     with SimulatedAdsBench(moved, host=host, faults=[Fault("pull", 400, by=0.2)]) as bench:
@@ -121,20 +121,20 @@ def test_a_cut_shorter_than_the_ring_loses_nothing(tmp_path, host, monkeypatch):
     assert not any("missing" in text for text in told(recording))
 
 
-def test_a_program_that_starts_again_is_marked_reset(tmp_path, host):
+def test_a_restarted_program_is_marked_as_reset(tmp_path, host):
     with SimulatedAdsBench(motion(1600), host=host, faults=[Fault("reset", 1200)]) as bench:
         wiring = bench.write_wiring(tmp_path / "BENCH.toml")
         done = drivers.record(wiring, tmp_path / "run.arrows", stop=lambda: bench.wait(0.0))
     recording = drivers.read_recording(done.path)
     samples = recording.samples["output_angle"]
     (again,) = np.flatnonzero(samples.status & RESET)
-    assert samples.counts[again] == 0  # incremental: the zero is another
+    assert samples.counts[again] == 0  # incremental: the zero has changed
     assert samples.time_device[again] == 0.0
-    assert sum("started again" in text for text in told(recording)) == 3
-    assert len(samples) - again == 400  # those before it that were not read yet are gone
+    assert sum("program restarted" in text for text in told(recording)) == 3
+    assert len(samples) - again == 400  # unread earlier samples are lost
 
 
-def test_a_sample_found_half_written_is_left_out(tmp_path, host):
+def test_a_half_written_sample_is_left_out(tmp_path, host):
     with SimulatedAdsBench(motion(600), host=host, faults=[Fault("corrupt", 300, count=2)]) as bench:
         wiring = bench.write_wiring(tmp_path / "BENCH.toml")
         drivers.record(wiring, tmp_path / "run.arrows", stop=lambda: bench.wait(0.0))
@@ -157,7 +157,7 @@ def test_a_sample_found_half_written_is_left_out(tmp_path, host):
         ('host = "127', 'host = "127.255', "host|does not answer"),
     ],
 )
-def test_a_wiring_that_cannot_be_is_one_sentence(tmp_path, host, was, becomes, said):
+def test_an_impossible_wiring_is_refused_in_one_sentence(tmp_path, host, was, becomes, said):
     with SimulatedAdsBench(motion(100), host=host) as bench:
         wiring = bench.write_wiring(tmp_path / "BENCH.toml")
         wiring.write_text(wiring.read_text().replace(was, becomes))
@@ -167,7 +167,7 @@ def test_a_wiring_that_cannot_be_is_one_sentence(tmp_path, host, was, becomes, s
     assert not (tmp_path / "run.arrows").exists()
 
 
-def test_a_variable_that_is_no_ring_is_said(tmp_path, host, monkeypatch):
+def test_a_variable_that_is_not_a_ring_is_refused(tmp_path, host, monkeypatch):
     monkeypatch.setattr(ring.Head, "pack", lambda self: bytes(32))
     with (
         SimulatedAdsBench(motion(100), host=host) as bench,
@@ -180,11 +180,11 @@ def test_a_variable_that_is_no_ring_is_said(tmp_path, host, monkeypatch):
     ("change", "said"),
     [
         (lambda head: replace(head, newest=head.newest - 1), r"its newest number went back from \d+ to \d+"),
-        (lambda head: ring.read_head(replace(head, newest=1 << 63).pack()), "no task comes that far"),
+        (lambda head: ring.read_head(replace(head, newest=1 << 63).pack()), "which no task can reach"),
         (lambda head: replace(head, columns=2), "its ring has changed"),
     ],
 )
-def test_a_ring_that_becomes_another_is_opened_again(host, change, said):
+def test_a_changed_ring_is_reopened(host, change, said):
     with SimulatedAdsBench(motion(4000), host=host) as bench:
         hub = plcs.acquire(PlcConfig(net_id=bench.net_id, host=host, ring=RING))
         blocks = BlockQueue()
@@ -209,8 +209,8 @@ RECORD = "import drivers; drivers.record('BENCH.toml', 'run.arrows', samples={},
 
 
 @pytest.mark.slow(60)
-def test_a_recorder_that_is_stopped_marks_and_counts_what_it_lost(tmp_path, host):
-    """Stopped for 0.1 to 2 s at random, a tenth of CYCLOID_KILLS times, with a ring that holds 0.25 s or 4 s."""
+def test_a_stopped_recorder_marks_and_counts_its_losses(tmp_path, host):
+    """Random stops of 0.1 to 2 s, a tenth of CYCLOID_KILLS times, with a ring of 0.25 s or 4 s."""
     chance = np.random.default_rng(5)
     for trial in range(max(1, int(os.environ.get("CYCLOID_KILLS", "300")) // 10)):
         folder = tmp_path / str(trial)
@@ -275,8 +275,8 @@ def test_a_counter_that_rolls_over_and_runs_backwards(tmp_path, host):
         st.tuples(st.booleans(), st.lists(st.integers(1, 6), min_size=1, max_size=20), st.integers(0, 10)), max_size=12
     )
 )
-def test_holes_repeats_and_restarts_are_judged_by_the_numbers(blocks):
-    """Each block: whether the program began anew, the steps of its numbers, how many of the last ones come again."""
+def test_gaps_repetitions_and_restarts_are_detected_by_sample_numbers(blocks):
+    """Each block: whether the program restarted, steps of its numbers, number of last samples that are repeated."""
     config = AdsConfig(protocol="ads", plc="p", column=1, counts_per_turn=100)
     encoder = AdsEncoder("input_angle", config, PlcConfig(net_id="1.2.3.4.1.1", ring="R"))
     started, last, lost, first = 1, 40, 0, True
@@ -300,7 +300,7 @@ def test_holes_repeats_and_restarts_are_judged_by_the_numbers(blocks):
 
 
 @given(st.integers(2, 50), st.integers(1, 8), st.integers(1, 300), st.data())
-def test_any_stretch_of_a_ring_is_read_back(length, columns, newest, data):
+def test_any_section_of_a_ring_is_read_back(length, columns, newest, data):
     head = ring.Head(columns, length, 7, newest)
     memory = np.zeros(length, ring.sample_type(columns))
     for number in range(1, newest + 1):
@@ -321,7 +321,7 @@ def test_any_stretch_of_a_ring_is_read_back(length, columns, newest, data):
     assert found == list(range(first, newest + 1))
 
 
-def test_the_plc_program_of_the_docs_lays_out_the_ring():
+def test_the_documented_plc_program_has_the_layout_of_the_ring():
     text = (EXAMPLES.parent / "docs" / "bench.md").read_text(encoding="utf-8")
     program = re.search(r"<!-- plc -->\n```text\n(.*?)```", text, re.S)[1]
     program = re.sub(r"//.*", "", program)
@@ -347,20 +347,20 @@ def test_the_plc_program_of_the_docs_lays_out_the_ring():
 
 
 @given(st.binary(max_size=48))
-def test_any_bytes_are_a_head_or_a_sentence(data):
+def test_any_bytes_are_a_valid_head_or_refused_in_one_sentence(data):
     with contextlib.suppress(ValueError):
         assert ring.read_head(data).pack() == data[: ring.HEAD_BYTES]
 
 
 @given(st.binary(min_size=32, max_size=320), st.integers(1, 1 << 40))
-def test_only_samples_with_the_number_that_is_due_are_taken(data, first):
+def test_only_samples_with_the_expected_number_are_accepted(data, first):
     size = ring.Head(1, 2, 0, 0).sample_bytes
     found = ring.whole_samples(data[: len(data) // size * size], first, 1)
     assert (found["number"] == found["check"]).all()
 
 
-def test_a_writer_is_seen_wherever_it_is_met():
-    """The PLC writes while a reading goes from low to high addresses: each cut of both is either whole or seen."""
+def test_a_sample_being_written_is_detected_at_any_moment():
+    """The PLC writes during a read from low to high addresses: at each interleaving the sample is valid or refused."""
     old, new = (np.array((n, 10 * n, [n, n], n), ring.sample_type(2)).tobytes() for n in (1, 3))
     words = [slice(8 * i, 8 * i + 8) for i in range(5)]
     steps = [(words[4], bytes(8)), *((words[i], new[words[i]]) for i in range(5))]

@@ -22,7 +22,7 @@ from drivers.simulated.serial_bench import SimulatedAmt21Bench
 
 @pytest.fixture(autouse=True)
 def _patient(request, monkeypatch):
-    """A busy machine may not schedule the simulated encoder for a tenth of a second."""
+    """A busy machine may delay the simulated encoder by a tenth of a second."""
     if "silent" not in request.node.name:
         monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 2.0)
 
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo
 
 
 @pytest.mark.parametrize(("word", "position"), [(0x61AB, 0x21AB), (0xF9E4, 0x39E4)])
-def test_the_datasheets_examples(word, position):
+def test_the_examples_of_the_datasheet(word, position):
     found, good = checked_position(np.array([word], np.uint16))
     assert good.tolist() == [True]
     assert found.tolist() == [position]
@@ -60,7 +60,7 @@ def test_the_recording_is_the_commanded_motion(tmp_path, bits):
     half_a_count = math.pi / (1 << bits)
     for name, address in zip(("input_angle", "output_angle"), bench.addresses, strict=True):
         samples = recording.samples[name]
-        answered = np.array(bench.answered[address])[1:]  # the first answer told the encoder's presence
+        answered = np.array(bench.answered[address])[1:]  # the first answer was to the query at opening
         commanded = getattr(motion, name)[answered[: len(samples)]]
         assert len(samples) > 30
         assert np.max(np.abs(samples.value - commanded)) <= half_a_count * (1 + 1e-6)
@@ -68,7 +68,7 @@ def test_the_recording_is_the_commanded_motion(tmp_path, bits):
         assert not np.any(samples.status & ~np.uint8(rf.ROLLOVER))
 
 
-def test_a_word_with_wrong_check_bits_is_never_an_angle(tmp_path):
+def test_a_word_with_wrong_check_bits_is_never_used_as_an_angle(tmp_path):
     run = SimulatedRun(torque=5.0, turns=1, samples_per_turn=100, speed=2 * math.pi)
     motion = simulate_motion(lambda angle, torque: angle / 40, run)
     path = tmp_path / "run.arrows"
@@ -78,7 +78,7 @@ def test_a_word_with_wrong_check_bits_is_never_an_angle(tmp_path):
         record(toml, path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     marked = {n: np.flatnonzero(s.status & rf.CHECKSUM) for n, s in recording.samples.items()}
-    # Questions 0 and 1 find the encoders; then input and output are asked in turn: 22 and 24 are the input's.
+    # Requests 0 and 1 find the encoders; then input and output are polled in turn: 22 and 24 are the input's.
     assert marked["input_angle"].tolist() == [10]
     assert marked["output_angle"].tolist() == [14]
     for samples in recording.samples.values():
@@ -97,7 +97,7 @@ def test_an_address_without_an_encoder_is_named(tmp_path):
             pass
 
 
-def test_a_port_that_is_not_there_is_named(tmp_path):
+def test_a_missing_port_is_named(tmp_path):
     motion = simulate_motion(lambda angle, torque: angle / 40, SimulatedRun(torque=5.0, turns=1))
     with SimulatedAmt21Bench(motion) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")

@@ -1,4 +1,4 @@
-"""The command line from end to end, over processes, and what it says to bad input."""
+"""The command line end to end, across processes, and its messages on bad input."""
 
 import os
 import re
@@ -23,7 +23,7 @@ from drivers.simulated.motion import SimulatedRun, fmu_output_angle, simulate_mo
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-# Its own for each process: benches of two workers must not hear each other.
+# One per process: benches of two workers must not receive each other's frames.
 GROUP = f"239.74.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
 
 
@@ -45,7 +45,7 @@ def run(folder, *arguments):
 
 
 def line_of(stream, seconds):
-    """Return the next line that a process says."""
+    """Return the next line that a process prints."""
     ready, _, _ = select.select([stream], [], [], seconds)
     assert ready, f"nothing said for {seconds} s"
     return stream.readline()
@@ -101,7 +101,7 @@ def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
     code, out, err = run(tmp_path, "record", "BENCH.toml", "-o", "run.arrows", "--idle", "3 s")
     simulation.communicate(timeout=60)
     assert code == edge.SILENT, err
-    assert "It ended because no more samples came." in err
+    assert "It ended because no more samples arrived." in err
     assert simulation.returncode == 0
     assert "1920 input_angle, 1920 output_angle, 1920 torque; 0 events" in out
     samples = read_recording(tmp_path / "run.arrows").samples
@@ -113,7 +113,7 @@ def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)]
 )
-def test_a_recorder_that_is_stopped_keeps_what_came(tmp_path, number, code):
+def test_an_interrupted_recorder_keeps_its_samples(tmp_path, number, code):
     simulation = start(
         tmp_path, "simulate", "--ratio", "-39", "--torque", "20 N*m", "--turns", 4000, "--channel", GROUP,
         "--speed-factor", 5,
@@ -127,7 +127,7 @@ def test_a_recorder_that_is_stopped_keeps_what_came(tmp_path, number, code):
         out, err = recorder.communicate(timeout=60)
         assert recorder.returncode == code, err
         if code > 0:
-            assert f"Interrupted by {number.name}; {path} has the data until then." in err
+            assert f"Interrupted by {number.name}; {path} has all data up to then." in err
             told = {name: int(n) for n, name in re.findall(r"(\d+) (\w+)[,;]", out.splitlines()[0])}
             assert told == {name: len(s) for name, s in read_recording(path).samples.items()}
     finally:
@@ -141,7 +141,7 @@ def test_a_recorder_that_is_stopped_keeps_what_came(tmp_path, number, code):
     np.testing.assert_allclose(np.diff(recording.samples["input_angle"].value), 2 * np.pi / 96, atol=4e-6)
 
 
-def test_an_fmu_moves_the_bench(tmp_path):
+def test_an_fmu_drives_the_bench(tmp_path):
     (tmp_path / "gear.py").write_text(GEAR)
     subprocess.run([sys.executable, "-m", "pythonfmu", "build", "-f", "gear.py"], cwd=tmp_path, check=True)
     run_of = SimulatedRun(torque=20.0, turns=1, samples_per_turn=24)
@@ -226,7 +226,7 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
         (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--serial", "amt21", "--clock-drift", "1e-4"],
          "--clock-drift = 0.0001: only"),
         (["simulate", "--torque", "20 mm", "--ratio", "-39"], '--torque = "20 mm": the unit "mm" measures'),
-        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual"], '--bus = "virtual": this bus ends'),
+        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual"], '--bus = "virtual": other proc'),
         (["simulate", "--torque", "20 N*m", "--fmu", "BENCH.toml"], "BENCH.toml: this is not an FMU"),
         (["export", "BENCH.toml", "-o", "run.csv"], "BENCH.toml: this is not a recording"),
         (["export", "run.arrows", "-o", "run.xls"], "--output = run.xls: the name must end in .csv"),
@@ -255,7 +255,7 @@ def test_bad_input_exits_2_with_one_sentence(command, wiring, arguments, said):
         ),
     ],
 )
-def test_a_bench_that_cannot_be_is_bad_input_and_records_nothing(tmp_path, wiring, bus_name, old, new, said):
+def test_an_impossible_bench_is_refused_and_records_nothing(tmp_path, wiring, bus_name, old, new, said):
     text = wiring.read_text().replace(old, new, 1)
     if "/dev/none" in new:
         text = text.replace(
@@ -272,7 +272,7 @@ def test_a_bench_that_cannot_be_is_bad_input_and_records_nothing(tmp_path, wirin
     assert not (tmp_path / "run.arrows").exists()
 
 
-def test_permission_denied_is_said_in_a_sentence(monkeypatch):
+def test_permission_denied_is_reported_in_one_sentence(monkeypatch):
     from drivers.encoder import EncoderSetupError, PortConfig
     from drivers.serial import port as serial_port
 

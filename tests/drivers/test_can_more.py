@@ -1,4 +1,4 @@
-"""CAN beyond the plain case: SYNC produced here, event timer, speed, EDS, FD, counters; and UDP that stays at home."""
+"""CAN beyond the basic case: SYNC from the recorder, event timer, speed, EDS, FD, counters, and local UDP."""
 
 import math
 import os
@@ -42,19 +42,19 @@ def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_na
         record(toml, path, idle=1.0)
     recording = read_recording(path)
     angle, output = recording.samples["input_angle"], recording.samples["output_angle"]
-    # The virtual bus may hand over an answer before the SYNC it answers; such a one is left out, never misplaced.
-    # On a busy machine SYNC times are missed and left out.
+    # The virtual bus may deliver an answer before its SYNC; such an answer is left out, never assigned wrongly.
+    # On a busy machine SYNC times are missed and skipped.
     assert len(angle) > 40
-    # Both were latched by one SYNC, whatever the load: so they lie on the drive's line to half a count.
+    # One SYNC latched both, at any load of the machine: so they are on the drive's line to half a count.
     _, i, j = np.intersect1d(angle.time_host, output.time_host, return_indices=True)
-    # A busy machine's simulated node answers later than the next SYNC now and then: what it skipped is a gap.
+    # On a busy machine the simulated node may answer after the next SYNC: the skipped SYNC is a gap.
     clean = (angle.status[i] | output.status[j]) & rf.GAP == 0
     assert clean.sum() > 30
     np.testing.assert_allclose(output.value[j][clean], ideal(angle.value[i][clean], 5.0), atol=math.pi / (1 << 22))
     assert 8e-3 < np.median(np.diff(angle.time_host)) < 25e-3
 
 
-def test_event_timer_frames_are_stamped_by_themselves_and_gaps_are_told_by_the_timer(tmp_path, bus_name):
+def test_event_timer_frames_have_their_own_stamps_and_the_timer_reveals_gaps(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1, samples_per_turn=100))
     path = tmp_path / "run.arrows"
     with SimulatedCanBench(motion, channel=bus_name, trigger="timer", faults=[Fault("drop", 40, 3, 0x181)]) as bench:
@@ -62,12 +62,12 @@ def test_event_timer_frames_are_stamped_by_themselves_and_gaps_are_told_by_the_t
     recording = read_recording(path)
     samples = recording.samples["input_angle"]
     assert np.flatnonzero(samples.status & rf.GAP).tolist() == [40]
-    assert any("3 frame 0x181 missing by the event timer" in e.text for e in recording.events)
+    assert any("3 × frame 0x181 missing by the event timer" in e.text for e in recording.events)
     assert "stamp of the frame" in recording.header.channels[0].time_source
 
 
-def test_an_interface_s_own_clock_is_put_on_the_host_s(tmp_path, bus_name):
-    """Stamps from power-up by a clock 300 ppm fast, through the whole road: what one SYNC latched stays a pair."""
+def test_an_interface_clock_is_converted_to_the_host_clock(tmp_path, bus_name):
+    """Stamps count from power-up and are 300 ppm fast; from bus to curve, samples latched by one SYNC stay a pair."""
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=3, samples_per_turn=96))
     path = tmp_path / "run.arrows"
     faults = [Fault("emergency", 100, target=0x181)]
@@ -78,8 +78,8 @@ def test_an_interface_s_own_clock_is_put_on_the_host_s(tmp_path, bus_name):
     stamps = angle.time_device - angle.time_device[0]
     np.testing.assert_allclose(stamps, (motion.time - motion.time[0])[: len(stamps)] * (1 + 300e-6), atol=1e-6)
     reach = clock.uncertainty / stamps[-1]
-    # The least delay of each third, known because the true drift is: where a busy machine lets it grow along the run
-    # (0.2 ms were seen, 70 ppm), no estimate from arrivals can tell that from a drift.
+    # Least delay of each third, from the known drift: if it grows along the run on a busy machine (0.2 ms were seen,
+    # 70 ppm), no estimate from arrivals can distinguish it from a drift.
     delays = angle.time_host - angle.time_host[0] - stamps / (1 + 300e-6)
     swing = np.ptp([third.min() for third in np.array_split(delays, 3)]) / (stamps[-1] / 3)
     assert clock.drift == pytest.approx(-300e-6, abs=2 * reach + swing + 20e-6)
@@ -183,8 +183,8 @@ def test_speed_and_position_of_one_node_from_its_second_tpdo(tmp_path, bus_name)
     )
 
 
-def test_an_encoder_that_has_aged_while_it_was_away_is_the_same_device(tmp_path, bus_name):
-    """Its operating time and alarms have changed, its serial number has not; another's has."""
+def test_an_encoder_with_a_changed_state_is_still_the_same_device(tmp_path, bus_name):
+    """Operating time and alarms may have changed, but not the serial number."""
     toml = wiring(tmp_path, bus_name, POSITION)
     with Node(bus_name, [0x60040020]) as node, open_encoders(toml) as (encoder,):
         recorded = Supervised(encoder)
@@ -204,9 +204,9 @@ def test_an_encoder_that_has_aged_while_it_was_away_is_the_same_device(tmp_path,
         thread.join()
 
 
-def test_one_quantity_of_a_node_goes_to_one_channel(tmp_path, bus_name):
+def test_a_quantity_of_a_node_belongs_to_one_channel(tmp_path, bus_name):
     twice = POSITION + POSITION.replace("input", "output")
-    said = "The position of node 5 on the CAN bus virtual .* is taken by another channel"
+    said = "The position of node 5 on the CAN bus virtual .* is in use by another channel"
     toml = wiring(tmp_path, bus_name, twice)
     with Node(bus_name, [0x60040020]), pytest.raises(EncoderSetupError, match=said), open_encoders(toml):
         pass
@@ -306,12 +306,12 @@ def test_frames_of_can_fd_and_signals_across_their_bytes(tmp_path, bus_name):
         assert encoders[0].measuring_range == (-1000, 1000)
     np.testing.assert_allclose(samples.value, [-5.0, 123.45, 0.07, 0.08, 0.08, 0.09])
     assert samples.status.tolist() == [0, 0, 0, rf.GAP, rf.DUPLICATE, rf.OUT_OF_ORDER]
-    assert any("2 frame missing by the counter count" in e.text for e in events)
+    assert any("2 frames missing by the counter count" in e.text for e in events)
 
 
 @needs_multicast
 def test_the_loopback_bus_stays_on_this_machine():
-    """Joined on the loopback interface alone, and sent there with time to live 0."""
+    """The group is joined only on the loopback interface, and frames are sent there with time to live 0."""
     group = f"239.77.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
     with open_bus(BusConfig(interface="loopback", channel=group)) as bus:
         udp = bus._sender
@@ -336,14 +336,14 @@ def test_the_loopback_bus_stays_on_this_machine():
         ("loopback", "ff15::1", "IPv4 groups"),
     ],
 )
-def test_a_bus_that_does_not_open_is_bad_input(tmp_path, interface, channel, said):
+def test_a_bus_that_does_not_open_is_an_input_error(tmp_path, interface, channel, said):
     with pytest.raises(edge.InputError, match=said) as problem:
         open_bus(BusConfig(interface=interface, channel=channel))
     assert isinstance(problem.value, EncoderConnectionError)
     assert "\n" not in str(problem.value)
 
 
-def test_the_hub_is_reopened_for_the_next_user_after_it_broke(bus_name):
+def test_a_failed_hub_is_reopened_for_the_next_user(bus_name):
     config = BusConfig(interface="virtual", channel=bus_name)
     first = hubs.acquire(config)
     broken = threading.Event()
@@ -359,7 +359,7 @@ def test_the_hub_is_reopened_for_the_next_user_after_it_broke(bus_name):
     with open_bus(config) as bus:
         bus.send(can.Message(arbitration_id=0x181, is_extended_id=False))
         assert broken.wait(2)
-        with pytest.raises(EncoderConnectionError, match="broke: no"):
+        with pytest.raises(EncoderConnectionError, match="failed: no"):
             blocks.take(2.0)
     second = hubs.acquire(config)
     assert second is not first
@@ -372,7 +372,7 @@ def frame(identifier, data=b"", **what):
     return can.Message(arbitration_id=identifier, is_extended_id=False, data=data, **what)
 
 
-def test_bus_off_costs_no_frame_that_came_before_it(bus_name):
+def test_bus_off_loses_no_earlier_frame(bus_name):
     config = BusConfig(interface="virtual", channel=bus_name)
     hub = hubs.acquire(config)
     blocks = hub.subscribe(0x181)
@@ -386,14 +386,14 @@ def test_bus_off_costs_no_frame_that_came_before_it(bus_name):
             while True:
                 got.extend(bytes(data) for _, frames in blocks.take(2.0) for data in frames.data)
 
-        with pytest.raises(EncoderConnectionError, match="broke: bus-off"):
+        with pytest.raises(EncoderConnectionError, match="failed: bus-off"):
             take_all()
     hubs.release(hub)
     assert got == [bytes([number]) for number in range(5)]
 
 
-def test_each_frame_keeps_its_arrival_where_echoes_stand_between(bus_name):
-    """An interface with a clock of its own: what is left out of a block takes its arrival with it."""
+def test_frames_keep_their_arrival_times_when_echoes_are_left_out(bus_name):
+    """An interface with its own clock: frames left out of a block take their arrival times with them."""
     hub = hubs.acquire(BusConfig(interface="virtual", channel=bus_name))
     blocks = hub.subscribe(0x181)
     came = [frame(0x181, timestamp=1.0), frame(0x181, timestamp=2.0, is_rx=False), frame(0x80, timestamp=3.0)]

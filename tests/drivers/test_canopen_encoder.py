@@ -1,4 +1,4 @@
-"""CANopen encoders and a DBC torque transducer over a virtual bus, against the motion that was commanded."""
+"""CANopen encoders and a DBC torque transducer on a virtual bus, against the commanded motion."""
 
 import math
 import threading
@@ -27,7 +27,7 @@ def ideal(angle, torque):
 
 
 def recorded(tmp_path, bus_name, motion, lossy=False, **options):
-    """Record a motion over a virtual bus, to its last sample or, where some are lost, until no more come."""
+    """Record a motion over a virtual bus, up to its last sample or, if some are lost, until no more arrive."""
     path = tmp_path / "run.arrows"
     with SimulatedCanBench(motion, channel=bus_name, **options) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39, pair="reference")
@@ -55,7 +55,7 @@ def test_the_recording_is_the_commanded_motion(tmp_path, bus_name, direction):
     assert recording.events == ()
 
 
-def test_the_header_says_what_was_recorded(tmp_path, bus_name):
+def test_the_header_describes_the_recording(tmp_path, bus_name):
     recording = recorded(tmp_path, bus_name, simulate_motion(ideal, SimulatedRun(torque=-20.0, turns=1, speed=5.0)))
     header = recording.header
     assert header.ratio == -39
@@ -69,7 +69,7 @@ def test_the_header_says_what_was_recorded(tmp_path, bus_name):
 
 
 def test_a_32_bit_position_that_rolls_over_stays_continuous(tmp_path, bus_name):
-    # 2^31 counts a turn: the 32-bit position rolls over every second turn.
+    # 2^31 counts per turn: the 32-bit position rolls over every second turn.
     run = SimulatedRun(torque=0.0, turns=7, samples_per_turn=24)
     motion = simulate_motion(ideal, run)
     recording = recorded(tmp_path, bus_name, motion, input_counts_per_turn=1 << 31)
@@ -78,14 +78,14 @@ def test_a_32_bit_position_that_rolls_over_stays_continuous(tmp_path, bus_name):
     assert np.flatnonzero(samples.status & rf.ROLLOVER).tolist() == [48, 96, 144]
 
 
-def test_a_coarse_encoder_rolls_over_at_the_turns_it_says(tmp_path, bus_name):
-    # 64 counts a turn: 0x6502 can say 32,768 of the 2^26 turns of 32 bits; just below zero the position is 2^21 - 1.
+def test_a_coarse_encoder_rolls_over_after_the_turns_it_reports(tmp_path, bus_name):
+    # 64 counts per turn: 0x6502 can state 32,768 of the 2^26 turns of 32 bits; just below zero it shows 2^21 - 1.
     motion = simulate_motion(lambda angle, torque: -angle, SimulatedRun(torque=0.0, turns=1, samples_per_turn=24))
     recording = recorded(tmp_path, bus_name, motion, output_counts_per_turn=64)
     np.testing.assert_array_equal(recording.samples["output_angle"].counts, quantised(motion.output_angle, 64))
 
 
-def test_a_missing_pdo_is_a_gap_of_its_channel_alone(tmp_path, bus_name):
+def test_a_missing_pdo_is_a_gap_only_in_its_channel(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=2))
     recording = recorded(
         tmp_path, bus_name, motion, lossy=True, faults=[Fault("drop", 50, 2, OUTPUT), Fault("drop", 100, 1, OUTPUT)]
@@ -101,7 +101,7 @@ def test_a_missing_pdo_is_a_gap_of_its_channel_alone(tmp_path, bus_name):
     assert sum(int(e.text.split()[0]) for e in said if "SYNC without a sample" in e.text) == 3
 
 
-def test_a_missing_sync_costs_its_samples_and_marks_the_next(tmp_path, bus_name):
+def test_a_missing_sync_loses_its_samples_and_marks_the_next(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=2))
     recording = recorded(tmp_path, bus_name, motion, lossy=True, faults=[Fault("drop", 30, 1, SYNC)])
     kept = np.setdiff1d(np.arange(192), [30])
@@ -110,7 +110,7 @@ def test_a_missing_sync_costs_its_samples_and_marks_the_next(tmp_path, bus_name)
         assert np.flatnonzero(samples.status & rf.GAP).tolist() == [30]
         assert np.max(np.abs(samples.value - getattr(motion, name)[kept])) <= 1e-4
     assert any("1 SYNC missing" in e.text for e in recording.events)
-    assert any("without a SYNC of its own" in e.text for e in recording.events)
+    assert any("without its own SYNC" in e.text for e in recording.events)
 
 
 def foreign(bus_name):
@@ -147,13 +147,13 @@ def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
     texts = [e.text for e in recording.events if e.channel == "output_angle"]
     assert any("frame 0x182 skipped: 2 bytes long (0x0102), not 4" in t for t in texts)
     assert any(t.startswith("EMCY 0x8110, register 0x01") for t in texts)
-    assert any("started again" in t for t in texts)
+    assert any("the node restarted" in t for t in texts)
     output = recording.samples["output_angle"]
     assert np.any(output.status & rf.GAP)
     assert np.any(output.status & rf.RESET)
 
 
-def test_a_channel_that_breaks_leaves_the_others_recording(tmp_path, bus_name):
+def test_the_others_continue_when_a_channel_fails(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
     path = tmp_path / "run.arrows"
     with SimulatedCanBench(motion, channel=bus_name) as bench:
@@ -187,7 +187,7 @@ def test_two_channels_cannot_share_a_node(tmp_path, bus_name):
     with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("node = 2", "node = 1"))
-        with pytest.raises(EncoderSetupError, match="taken by another channel"), open_encoders(toml):
+        with pytest.raises(EncoderSetupError, match="in use by another channel"), open_encoders(toml):
             pass
 
 
@@ -201,7 +201,7 @@ def test_a_node_that_does_not_map_its_position_is_refused(tmp_path, bus_name):
     assert str(problem.value).startswith("output_angle: node 2 on the CAN bus")
 
 
-def test_the_nodes_answer_sdo_and_nmt_as_cia_406_says(bus_name):
+def test_the_nodes_answer_sdo_and_nmt_according_to_cia_406(bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
     with SimulatedCanBench(motion, channel=bus_name) as bench, canopen.Network() as network:
         network.NOTIFIER_CYCLE = 0.02
@@ -214,7 +214,7 @@ def test_the_nodes_answer_sdo_and_nmt_as_cia_406_says(bus_name):
         assert bench.sent == 0, "a bench is silent until its nodes operate"
 
 
-def test_a_bench_whose_node_is_stopped_ends(tmp_path, bus_name):
+def test_a_bench_ends_when_a_node_is_stopped(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1000))
     with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")

@@ -1,4 +1,4 @@
-"""A device's clock by the lower convex hull, against clocks that are known and against least squares."""
+"""Device clocks from the lower convex hull, against known clocks and against least squares."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from drivers.recorder.clock import ClockEstimate, lower_hull
 from drivers.recording_format import RESET, Alignment, Clock, ClockJumps, Samples
 
-START = 1.7e9  # seconds since 1970: differences must survive them
+START = 1.7e9  # s since 1970: differences must not lose digits
 
 
 def estimated(device, host, blocks=10):
@@ -20,7 +20,7 @@ def estimated(device, host, blocks=10):
 
 
 def trial(seed, delay, drift=37e-6, seconds=10.0, rate=100):
-    """Return the largest error of hull and least squares over the trial, and what the hull says it is at most."""
+    """Return the largest errors of hull and least squares in the trial, and the uncertainty from the hull, all in s."""
     random = np.random.default_rng(seed)
     device = np.arange(int(seconds * rate)) / rate
     true = START + 0.5 + device * (1 + drift)
@@ -31,7 +31,7 @@ def trial(seed, delay, drift=37e-6, seconds=10.0, rate=100):
     return np.max(np.abs(fit.host(device) - true)), fit.uncertainty, np.max(np.abs(squares))
 
 
-def test_after_10_s_at_100_hz_it_is_right_to_7_us_where_least_squares_is_off_by_a_millisecond():
+def test_after_10_s_at_100_hz_the_hull_is_right_to_7_us_and_least_squares_off_by_a_millisecond():
     trials = [trial(seed, lambda r, n: r.exponential(1e-3, n)) for seed in range(40)]
     error, uncertainty, squares = np.median(trials, axis=0)
     assert error < 7e-6
@@ -48,12 +48,12 @@ def test_after_10_s_at_100_hz_it_is_right_to_7_us_where_least_squares_is_off_by_
         lambda r, n: r.exponential(2e-4, n) + (r.random(n) < 0.1) * r.exponential(20e-3, n),
     ],
 )
-def test_its_uncertainty_holds_the_true_clock(delay):
+def test_the_uncertainty_covers_the_true_clock(delay):
     trials = np.array([trial(seed, delay) for seed in range(60)])
     assert np.mean(trials[:, 0] <= trials[:, 1]) >= 0.9
 
 
-def test_without_delays_it_is_exact():
+def test_the_estimate_is_exact_without_delays():
     device = np.arange(1000) / 100
     fit = estimated(device, 2.0 + device * (1 - 80e-6))
     assert fit is None or fit.drift == pytest.approx(-80e-6, abs=1e-12)
@@ -92,22 +92,22 @@ def test_the_lower_hull_is_that_of_qhull(points):
     at=st.lists(st.integers(1, 99), max_size=3, unique=True), again=st.floats(-5.0, 0.4), cut=st.integers(0, 100),
     stall=st.integers(0, 99), held=st.floats(0.0, 30.0),
 )  # fmt: skip
-def test_a_clock_that_starts_anew_is_told_from_arrivals_that_were_held_up(at, again, cut, stall, held):
-    """A device restarts at any samples, with or without a mark; a stall of the line delivers many samples at once."""
+def test_a_restarted_clock_is_distinguished_from_delayed_arrivals(at, again, cut, stall, held):
+    """A device restarts at any sample, with or without a mark; a stalled line delivers many samples at once."""
     taken = 50.0 + np.arange(100) * 0.02
     device = taken.copy()
     for begin in at:
         device[begin:] = taken[begin:] - taken[begin] + again
     host = np.maximum(taken, np.where(np.arange(100) >= stall, min(taken[stall] + held, taken[-1] + held), 0.0))
     both = np.flatnonzero(ClockJumps()(device, host)).tolist()
-    # Two restarts within a second of device time show no step of their own, nor a stall that hides one.
+    # Two restarts within a second of device time cannot be separated, nor one hidden by a stall.
     assert set(both) <= set(at)
     if len(at) <= 1:
         assert both == at
     status = np.zeros(100, np.uint8)
     status[at] = RESET
     assert np.flatnonzero(ClockJumps()(device, host, status != 0)).tolist() == sorted(at)
-    # Block by block it is the same, and each stretch is put on the host's clock by its own line.
+    # The result is the same block by block, and each section is converted by its own line.
     starts = [0, *sorted(at)]
     clocks = {i: Clock(device[begin], taken[begin], 0.0, 0.0) for i, begin in enumerate(starts)}
     alignment = Alignment(clocks)
@@ -116,7 +116,7 @@ def test_a_clock_that_starts_anew_is_told_from_arrivals_that_were_held_up(at, ag
     np.testing.assert_allclose(np.concatenate([alignment.time(p) for p in parts]), taken, atol=1e-9)
 
 
-def test_a_stretch_whose_clock_is_not_known_keeps_the_host_s_time():
+def test_a_section_with_an_unknown_clock_keeps_the_host_time():
     samples = Samples.checked("x", [1.0, 2.0, 3.0], [0.0, 0.0, 0.0], time_device=[7.0, 8.0, 0.5])
     found = Alignment({1: Clock(0.5, 2.9, 0.1, 0.0)}).time(samples)
     assert found.tolist() == [1.0, 2.0, 2.9]

@@ -1,4 +1,4 @@
-"""The page on writing an encoder and the examples, as they stand."""
+"""The page on writing an encoder and the examples run as they are."""
 
 import importlib.metadata
 import re
@@ -12,7 +12,7 @@ from drivers.recorder.session import record
 from drivers.recording_format import read_recording
 
 
-def test_the_encoder_of_the_docs_records(tmp_path, monkeypatch):
+def test_the_documented_encoder_records(tmp_path, monkeypatch):
     text = (EXAMPLES.parent / "docs" / "encoder.md").read_text()
     code = re.search(r"<!-- encoder -->\n```python\n(.*?)```", text, re.S)[1]
     (tmp_path / "file_encoder.py").write_text(code)

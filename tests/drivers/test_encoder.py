@@ -17,7 +17,7 @@ from drivers.counts import counts_to_value, extract_bits, unwrap
     st.lists(st.integers(-(2**32), 2**32), max_size=30),
     st.integers(0, 30),
 )
-def test_unwrapping_gives_back_any_motion_of_less_than_half_a_range_a_sample(bits, first, steps, cut):
+def test_unwrapping_restores_any_motion_of_less_than_half_a_range_per_sample(bits, first, steps, cut):
     modulus = 1 << bits
     limit = modulus // 2 - 1
     counts = np.cumsum([first, *(max(-limit, min(limit, s)) for s in steps)])
@@ -29,13 +29,13 @@ def test_unwrapping_gives_back_any_motion_of_less_than_half_a_range_a_sample(bit
     assert 0 <= whole[0] < modulus
 
 
-def test_a_rollover_is_marked_where_it_happens():
+def test_a_rollover_is_marked_at_its_sample():
     counts, rolled = unwrap(np.array([4094, 4095, 0, 1, 4095]), 4096)
     assert counts.tolist() == [4094, 4095, 4096, 4097, 4095]
     assert rolled.tolist() == [False, False, True, False, True]
 
 
-def test_a_signed_encoder_a_little_below_zero_begins_below_zero():
+def test_a_signed_encoder_just_below_zero_begins_below_zero():
     assert unwrap(np.array([2**32 - 3, 1]), 2**32, signed=True)[0].tolist() == [-3, 1]
     assert unwrap(np.array([2**32 - 3, 1]), 2**32)[0].tolist() == [2**32 - 3, 2**32 + 1]
 

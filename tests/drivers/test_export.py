@@ -1,4 +1,4 @@
-"""Export and repair: what is in the file is what was recorded, and memory does not grow with it."""
+"""Export and repair: files contain what was recorded, and memory does not grow with the recording."""
 
 import json
 import subprocess
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def recording(tmp_path):
-    """Three channels, the torque slower than the angles, one with a clock of its own, an event."""
+    """Three channels, the torque slower than the angles, one with its own clock, and an event."""
     path = tmp_path / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
         for first in range(0, 1000, 50):
@@ -83,7 +83,7 @@ def test_csv_pairs_the_angles_and_interpolates_the_torque(tmp_path, recording, m
     from drivers.recording_format import export as module
 
     exported(recording, tmp_path / "whole.csv")
-    monkeypatch.setattr(module, "_CHUNK", 100)  # in many pieces it must be the same table
+    monkeypatch.setattr(module, "_CHUNK", 100)  # the table must not depend on the pieces
     exported(recording, tmp_path / "run.csv")
     assert (tmp_path / "run.csv").read_text() == (tmp_path / "whole.csv").read_text()
     time, angle, output, torque = np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1).T
@@ -95,12 +95,12 @@ def test_csv_pairs_the_angles_and_interpolates_the_torque(tmp_path, recording, m
     np.testing.assert_allclose(torque[inside], 20 + time[inside] - 1e-3, atol=1e-9)
 
 
-def test_csv_of_angles_that_share_no_instant_is_refused(tmp_path):
+def test_csv_of_angles_without_common_times_is_refused(tmp_path):
     path = tmp_path / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
         for i, name in enumerate(NAMES):
             writer.write(Samples.checked(name, np.arange(5) + 0.1 * i, np.arange(5.0)))
-    with pytest.raises(edge.InputError, match="share no instant"):
+    with pytest.raises(edge.InputError, match="have no time in common"):
         export(path, tmp_path / "run.csv")
     assert not (tmp_path / "run.csv").exists()
 
@@ -130,16 +130,16 @@ def test_memory_does_not_grow_with_the_recording(tmp_path):
             [sys.executable, "-c", MEMORY, path, *names], cwd=ROOT, capture_output=True, text=True, check=True
         )
         peaks[batches] = [int(line) for line in run.stdout.split()]
-    # 6 million samples, 200 MB, need hardly more than a tenth of them.
+    # 6 million samples, 200 MB, need hardly more memory than a tenth of them.
     assert max(peaks[100]) < max(peaks[10]) + 25, peaks
 
 
-def test_repair_says_what_a_torn_file_holds(tmp_path):
+def test_repair_reports_the_content_of_a_truncated_file(tmp_path):
     path = write(tmp_path / "run.arrows", [block(n, 10 * i, 10) for i in range(5) for n in NAMES])
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 2 // 3])
     held = repair(path, tmp_path / "whole.arrows")
-    assert "is cut or damaged after" in held.problems[0]
+    assert "is truncated or damaged after" in held.problems[0]
     before, after = read_recording(path), read_recording(tmp_path / "whole.arrows")
     assert after.problems == ()
     for name in NAMES:
@@ -149,7 +149,7 @@ def test_repair_says_what_a_torn_file_holds(tmp_path):
 
 
 @pytest.mark.parametrize("where", ["length", "flatbuffer", "marker"])
-def test_reading_goes_on_behind_a_damaged_place(tmp_path, where):
+def test_reading_continues_after_damage(tmp_path, where):
     path = write(tmp_path / "run.arrows", [block("torque", 10 * i, 10) for i in range(5)])
     ends = [len(write(tmp_path / f"{n}.arrows", [block("torque", 10 * i, 10) for i in range(n)]).read_bytes()) - 8
             for n in (2, 3)]  # fmt: skip
@@ -172,6 +172,6 @@ def test_the_commands(command, recording):
     recording.write_bytes(data[:-300])
     done = command("cycloid-bench", "repair", recording, "-o", "whole.arrows")
     assert done.returncode == 1
-    assert "is cut or damaged after 59 complete batches" in done.stderr
+    assert "is truncated or damaged after 59 complete batches" in done.stderr
     assert "59 intact batches, 19 events" in done.stdout
     assert "input_angle: 1000 samples, from 0.000000 s to 9.990000 s, 1 of them after a gap" in done.stdout

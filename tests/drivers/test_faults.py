@@ -1,7 +1,8 @@
-"""The fault table: what goes wrong on a bench, and what of it the recording says. Each row is a test."""
+"""The table of faults on a bench, and their traces in the recording. Each row is a test."""
 
 import itertools
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -40,7 +41,7 @@ def ideal(angle, torque):
 
 
 def slow_motion(turns=1, samples_per_turn=96):
-    """A motion that goes on for a second and more."""
+    """A motion of more than a second."""
     return simulate_motion(ideal, SimulatedRun(torque=5.0, turns=turns, samples_per_turn=samples_per_turn))
 
 
@@ -76,48 +77,48 @@ def marked(samples, bit):
 
 
 def lies_on(samples, time, angle, tolerance):
-    """Every value is one that the motion has at some instant: a wrong one would lie off the line."""
+    """Return whether every value occurs in the motion: a wrong one would be off the line."""
     slope = np.gradient(angle, time)
     expected = np.interp((samples.value - angle[0]) / slope[0] + time[0], time, angle)
     return np.max(np.abs(samples.value - expected)) <= tolerance
 
 
 @needs_pty
-def test_cable_pulled_and_put_back(tmp_path):
+def test_cable_unplugged_and_plugged_in(tmp_path):
     bench = SimulatedAmt21Bench(slow_motion(2), faults=[Fault("pull", 200, by=0.2)])
     recording, done = serial_recording(tmp_path, bench)
     assert done.failures == ()
     for name in ("input_angle", "output_angle"):
         said = texts(recording, name)
-        assert any("failed and will be opened again" in t and "broke" in t for t in said), said
-        assert "samples come again" in said
+        assert any("failed and will be opened again: The serial port" in t for t in said), said
+        assert "samples arrive again" in said
         samples = recording.samples[name]
         gap = np.argmax(np.diff(samples.time_host)) + 1
         assert gap in marked(samples, rf.GAP)
         assert np.diff(samples.time_host)[gap - 1] > 0.2
         assert samples.time_host[-1] - samples.time_host[gap] > 0.3, "it is recorded on"
-    # The crank turned by less than half a turn meanwhile, or the encoder's own turns would be needed.
+    # The crank turned by less than half a turn meanwhile; otherwise a multi-turn encoder would be needed.
     assert lies_on(recording.samples["output_angle"], bench.motion.time, bench.motion.output_angle, 1e-3)
 
 
 @needs_pty
 @pytest.mark.parametrize("kind", ["half", "garbage", "wrong_baud"])
-def test_half_frames_garbage_and_a_wrong_baud_rate_never_become_angles(tmp_path, kind, monkeypatch):
-    monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 1.0)  # a busy machine schedules the simulated encoder late
+def test_half_frames_garbage_and_a_wrong_baud_rate_are_never_used_as_angles(tmp_path, kind, monkeypatch):
+    monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 1.0)  # a busy machine delays the simulated encoder
     motion = slow_motion(3)
-    # The output hardly moves: at one position of nine the check bits hold in what a wrong baud rate makes of an answer.
+    # The output hardly moves: at one in nine positions an answer at a wrong baud rate has correct check bits.
     bench = SimulatedAmt21Bench(motion, faults=[Fault(kind, 100, 3, target=0x58)], speed_factor=0.001)
     recording, done = serial_recording(tmp_path, bench, samples=60)
     output = recording.samples["output_angle"]
     assert done.marks["output_angle"]["gaps"] >= 1
-    lost = [t for t in texts(recording, "output_angle") if "reading lost" in t]
+    lost = [t for t in texts(recording, "output_angle") if re.search("readings? lost", t)]
     assert sum(int(t.split()[0]) for t in lost) >= 1
     assert lies_on(output, motion.time, motion.output_angle, 1e-3)
     assert np.max(np.abs(np.diff(output.value))) < 0.2
     assert not marked(recording.samples["input_angle"], rf.GAP)
 
 
-def test_a_wrong_baud_rate_is_noticed_at_the_start(tmp_path):
+def test_a_wrong_baud_rate_is_detected_at_the_start(tmp_path):
     faults = [Fault("wrong_baud", 0, 10**9)]
     with SimulatedAmt21Bench(slow_motion(), faults=faults) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
@@ -128,8 +129,8 @@ def test_a_wrong_baud_rate_is_noticed_at_the_start(tmp_path):
             pass
 
 
-def test_what_a_receiver_at_another_baud_rate_makes_of_a_byte():
-    # 0x55 is a square wave of the bit time: at half the rate, each of its ten bits is every other of the sender's.
+def test_a_byte_received_at_another_baud_rate():
+    # 0x55 is a square wave with the bit time: at half the rate, each of its ten bits is every other bit sent.
     assert at_wrong_baud(b"\x00", 0.5) != b"\x00"
     assert at_wrong_baud(b"\x12\x34\xfe", 1.0) == b"\x12\x34\xfe"
 
@@ -150,7 +151,7 @@ def test_bus_off(tmp_path, bus_name):
 
 
 def test_rollover(tmp_path, bus_name):
-    # 2^31 counts a turn: a 32-bit position rolls over every second turn.
+    # 2^31 counts per turn: a 32-bit position rolls over every second turn.
     motion = simulate_motion(ideal, SimulatedRun(torque=0.0, turns=5, samples_per_turn=24))
     recording, done, _ = can_recording(tmp_path, bus_name, [], motion, input_counts_per_turn=1 << 31)
     assert done.marks["input_angle"] == {"rollovers": 2}
@@ -166,8 +167,8 @@ def test_counter_reset(tmp_path):
     assert done.marks["output_angle"]["resets"] == 1
     (reset,) = marked(samples, rf.RESET)
     assert samples.counts[reset] == 0
-    assert any("started again" in t for t in texts(recording, "output_angle"))
-    # Its clock started again as well: before and after, it is put on the host's by a line of its own.
+    assert any("restarted" in t for t in texts(recording, "output_angle"))
+    # Its clock restarted too: before and after, it is converted to the host's clock by separate lines.
     clocks = read_clocks(tmp_path / "run.arrows", ["output_angle"])["output_angle"]
     assert clocks.keys() == {0, 1}
     late = samples.time_host - recording.aligned_time("output_angle")
@@ -175,13 +176,13 @@ def test_counter_reset(tmp_path):
     assert np.median(late) < 0.1
 
 
-def test_a_node_that_starts_anew_is_set_operational_again(tmp_path, bus_name):
+def test_a_restarted_node_is_set_operational_again(tmp_path, bus_name):
     recording, done, _ = can_recording(
         tmp_path, bus_name, [Fault("reboot", 30, target=OUTPUT), Fault("reset", 30, target=OUTPUT)],
         speed_factor=1.0, idle=1.0,
     )  # fmt: skip
     output = recording.samples["output_angle"]
-    assert any("started again" in t for t in texts(recording, "output_angle"))
+    assert any("restarted" in t for t in texts(recording, "output_angle"))
     assert done.marks["output_angle"]["resets"] == 1
     assert len(output) > 120, "it sends again"
     first = marked(output, rf.RESET)[0]
@@ -230,18 +231,18 @@ def test_out_of_order(tmp_path, bus_name, trigger):
         assert marked(output, rf.OUT_OF_ORDER) == [21]
         order = np.argsort(output.time_host, kind="stable")
         np.testing.assert_allclose(output.value[order], motion.output_angle, atol=1e-6)
-    else:  # the frame of an older SYNC can't be told from one without: it is left out, not given the wrong instant
+    else:  # an answer to an older SYNC looks like one without SYNC: it is left out, not assigned a wrong time
         kept = np.setdiff1d(np.arange(len(motion.time)), [20])
         np.testing.assert_allclose(output.value, motion.output_angle[kept], atol=1e-6)
         assert marked(output, rf.GAP) != []
 
 
 @needs_pty
-def test_lines_missing_duplicate_and_out_of_order_are_told_by_their_number(tmp_path):
+def test_missing_duplicate_and_out_of_order_lines_are_detected_by_their_number(tmp_path):
     faults = [Fault("drop", 30), Fault("duplicate", 40), Fault("swap", 50)]
     motion = slow_motion(1)
     _recording, done = serial_recording(tmp_path, SimulatedAsciiBench(motion, faults=faults), idle=0.5, stop=None)
-    # The swapped pair costs a gap where the older line is missing at first.
+    # The swapped pair causes a gap, where the older line is missing at first.
     assert done.marks["output_angle"]["duplicates"] == 1
     assert done.marks["output_angle"]["out of order"] == 1
     assert done.marks["output_angle"]["gaps"] == 2
@@ -249,12 +250,12 @@ def test_lines_missing_duplicate_and_out_of_order_are_told_by_their_number(tmp_p
 
 @needs_pty
 @pytest.mark.parametrize("kind", ["half", "corrupt", "garbage", "wrong_baud"])
-def test_lines_that_are_torn_or_wrong_never_become_angles(tmp_path, kind):
+def test_incomplete_or_wrong_lines_are_never_used_as_angles(tmp_path, kind):
     motion = slow_motion(1)
     bench = SimulatedAsciiBench(motion, faults=[Fault(kind, 60, 2)])
     recording, done = serial_recording(tmp_path, bench, idle=0.5, stop=None)
     samples = recording.samples["output_angle"]
-    assert any("line lost" in t for t in texts(recording, "output_angle"))
+    assert any(re.search("lines? lost", t) for t in texts(recording, "output_angle"))
     assert done.marks["output_angle"]["gaps"] >= 1
     assert np.max(np.abs(np.diff(samples.value))) < 0.02
     assert len(samples) > 80
@@ -269,7 +270,7 @@ from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.recorder.session import RecordingError, record
 motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=5.0, turns=1000, samples_per_turn=480))
-# At the crank's own speed the file is full after some seconds, so that something was acknowledged before.
+# At the crank's real speed the file is full only after some seconds, so that samples are acknowledged before.
 with SimulatedCanBench(motion, channel="full", speed_factor=1.0) as bench:
     toml = bench.write_wiring("BENCH.toml")
     try:
@@ -280,7 +281,7 @@ with SimulatedCanBench(motion, channel="full", speed_factor=1.0) as bench:
 
 
 def test_disk_full(tmp_path):
-    """A limit on the file's size stands in for the disk: write() fails in the same place."""
+    """A limit on the file size replaces a full disk: write() fails in the same way."""
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     run = subprocess.run(
         [sys.executable, "-c", DISK_FULL], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
@@ -298,14 +299,14 @@ def test_disk_full(tmp_path):
 
 RECORDER = """
 import sys
-sys.modules["asammdf"] = None  # python-can would load it, more than a second of each kill
+sys.modules["asammdf"] = None  # python-can would import it, which takes more than a second per kill
 from drivers.recorder.session import record
 record("BENCH.toml", sys.argv[1], progress=lambda live: print(*live.samples.values(), flush=True))
 """
 
 
 def kill_once(folder, number, after, wait):
-    """Kill a recorder `wait` s into one of its loops; return what it had acknowledged and what the file holds."""
+    """Kill a recorder `wait` s into one of its loops; return the samples acknowledged and those in the file."""
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     path = folder / f"run-{number}.arrows"
     process = subprocess.Popen(
@@ -314,7 +315,7 @@ def kill_once(folder, number, after, wait):
     said = ""
     for _ in range(after):
         said = process.stdout.readline()
-    time.sleep(wait)  # the moment itself: anywhere between two acknowledgements, within a write too
+    time.sleep(wait)  # a moment between two acknowledgements, possibly within a write
     process.kill()
     rest = process.stdout.read().split("\n")
     process.wait()
@@ -351,7 +352,7 @@ def test_slow_consumer(tmp_path, bus_name, monkeypatch):
     def sleepy(live):
         if not slept.is_set():
             slept.set()
-            time.sleep(0.5)  # what a disk that spins up does to the recorder
+            time.sleep(0.5)  # like a disk that spins up
 
     with SimulatedCanBench(motion, channel=bus_name, speed_factor=20) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
@@ -375,7 +376,7 @@ def test_dead_heartbeat(tmp_path, bus_name):
     )
     said = texts(recording, "output_angle")
     assert any("no heartbeat and no frame for" in t for t in said), said
-    assert "samples come again" in said
+    assert "samples arrive again" in said
     output = recording.samples["output_angle"]
     gap = int(np.argmax(np.diff(output.time_host))) + 1
     assert output.status[gap] & rf.GAP
@@ -427,7 +428,7 @@ def test_a_reader_thread_that_dies_is_an_event(tmp_path, bus_name):
     assert done.failures == ()
 
 
-def test_counts_per_turn_that_contradict_the_device(tmp_path, bus_name):
+def test_counts_per_turn_that_contradict_the_device_are_refused(tmp_path, bus_name):
     with SimulatedCanBench(slow_motion(), channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("node = 1", "node = 1\ncounts_per_turn = 4096"))

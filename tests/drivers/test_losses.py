@@ -1,4 +1,4 @@
-"""What tells of lost readings, piece by piece: the kernel's count, SYNC, stamps, counters, the serial driver."""
+"""Detection of lost readings by each source: the kernel's count, SYNC, stamps, counters, the serial driver."""
 
 import fcntl
 import os
@@ -44,14 +44,14 @@ def frame(identifier, data=b"", at=0.0, **what):
 
 @pytest.fixture
 def hub(bus_name):
-    """A hub that takes only what a test hands it."""
+    """A hub that receives only the frames from the test."""
     made = hubs.acquire(BusConfig(interface="virtual", channel=bus_name))
     yield made
     hubs.release(made)
 
 
 def handed(hub, messages, gaps=()):
-    """Hand it a block that arrives with its last frame."""
+    """Pass a block to the hub, which arrives with its last frame."""
     hub._publish(list(messages), [], list(gaps), messages[-1].timestamp)
 
 
@@ -60,7 +60,7 @@ def said(hub):
 
 
 def cycle(number, *, counter=240, period=0.01):
-    """SYNC, with a counter that begins again at 1 behind so many, and the frame that answers it."""
+    """A SYNC, with a counter that rolls over to 1 after this number, and the frame that answers it."""
     now = 100.0 + number * period
     data = bytes([number % counter + 1]) if counter else b""
     return [frame(SYNC, data, now), frame(INPUT, struct.pack("<i", number), now + 1e-4)]
@@ -70,7 +70,7 @@ def flat(cycles):
     return [message for each in cycles for message in each]
 
 
-def test_behind_a_gap_no_frame_is_bound_to_the_sync_before_it(hub):
+def test_after_a_gap_no_frame_is_assigned_to_an_earlier_sync(hub):
     blocks = hub.subscribe(INPUT)
     sync, answer = cycle(0)
     late = frame(INPUT, struct.pack("<i", 90), 101.0)
@@ -82,8 +82,8 @@ def test_behind_a_gap_no_frame_is_bound_to_the_sync_before_it(hub):
 
 
 @pytest.mark.parametrize("counter", [240, 10, 0])
-def test_sync_is_counted_on_over_a_gap_by_the_time(hub, counter):
-    """1,234 are lost: more than any counter goes round; 0x1019 may have it begin again earlier than at 240."""
+def test_sync_is_counted_across_a_gap_from_the_elapsed_time(hub, counter):
+    """1,234 are lost, more than the range of any counter; by 0x1019 it may roll over before 240."""
     reader = FrameReader(hub, INPUT, 4, 1, "input_angle")
     handed(hub, flat(cycle(n, counter=counter) for n in range(300)))
     first = reader.read(0.0)
@@ -98,7 +98,7 @@ def test_sync_is_counted_on_over_a_gap_by_the_time(hub, counter):
 
 
 @pytest.mark.parametrize("counter", [240, 0])
-def test_an_interface_that_tells_of_no_drops_is_judged_by_its_stamps(hub, counter):
+def test_gaps_of_an_interface_without_drop_counts_are_detected_by_stamps(hub, counter):
     hub.tells_drops = False
     reader = FrameReader(hub, INPUT, 4, 1, "input_angle")
     handed(hub, flat(cycle(n, counter=counter) for n in range(300)))
@@ -110,8 +110,8 @@ def test_an_interface_that_tells_of_no_drops_is_judged_by_its_stamps(hub, counte
     assert reader.lost == 1234
 
 
-def test_answers_that_come_behind_a_later_sync_are_lost(hub):
-    """Also at the beginning, where no sample stands before the SYNC that have none."""
+def test_answers_after_a_later_sync_are_lost(hub):
+    """Also at the beginning, with no sample before the SYNCs without one."""
     reader = FrameReader(hub, INPUT, 4, 1, "input_angle")
     for n in (0, 10):
         syncs, answers = zip(*map(cycle, range(n, n + 4)), strict=True)
@@ -122,7 +122,7 @@ def test_answers_that_come_behind_a_later_sync_are_lost(hub):
     assert reader.lost == 6
 
 
-def test_frames_without_sync_are_counted_over_a_gap_by_their_usual_pace(hub):
+def test_frames_without_sync_are_counted_across_a_gap_by_their_usual_interval(hub):
     reader = FrameReader(hub, INPUT, 4, None, "torque")
     frames = [frame(INPUT, struct.pack("<i", n), 100.0 + 0.01 * n) for n in [*range(100), *range(600, 700)]]
     handed(hub, frames[:90])
@@ -131,7 +131,7 @@ def test_frames_without_sync_are_counted_over_a_gap_by_their_usual_pace(hub):
     found = reader.read(0.0)
     assert np.flatnonzero(found.status).tolist() == [10]
     assert reader.lost == 500
-    assert any("500 frame 0x181 missing" in event.text for event in reader.events())
+    assert any("500 × frame 0x181 missing" in event.text for event in reader.events())
 
 
 def test_an_overrun_of_the_controller_is_a_gap(hub):
@@ -146,18 +146,18 @@ def test_an_overrun_of_the_controller_is_a_gap(hub):
     assert "frames lost" in said(hub)
 
 
-def test_what_is_missing_behind_the_last_sample_is_said(hub):
+def test_samples_missing_after_the_last_one_are_reported(hub):
     reader = FrameReader(hub, INPUT, 4, 1, "input_angle")
     handed(hub, flat(cycle(n) for n in range(10)))
     reader.read(0.0)
     handed(hub, [cycle(n)[0] for n in range(10, 15)])
     reader.finish()
     assert reader.lost == 4, "the newest SYNC may still be answered"
-    assert any("4 SYNC without a sample behind the last one" in event.text for event in reader.events())
+    assert any("4 SYNC without a sample after the last one" in event.text for event in reader.events())
 
 
-def test_what_comes_behind_the_end_is_not_lost(hub):
-    """The bus goes on between the last reading and the end."""
+def test_frames_after_the_end_are_not_lost(hub):
+    """The bus continues between the last reading and the end."""
     reader = FrameReader(hub, INPUT, 4, 1, "input_angle")
     handed(hub, flat(cycle(n) for n in range(10)))
     reader.read(0.0)
@@ -167,7 +167,7 @@ def test_what_comes_behind_the_end_is_not_lost(hub):
 
 
 def test_frames_in_another_format_are_other_frames(tmp_path, bus_name):
-    """29 bits of the same number, or CAN FD: neither is a sample; a description says which frames it means."""
+    """A 29-bit identifier of the same number or a CAN FD frame is no sample; the DBC states which frames are."""
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=5.0, turns=1))
     with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
@@ -189,8 +189,8 @@ def test_frames_in_another_format_are_other_frames(tmp_path, bus_name):
 
 
 @linux
-def test_socketcan_frames_are_read_with_what_the_kernel_dropped_before_them(monkeypatch):
-    """The bytes of struct can_frame and canfd_frame over UDP: queue, stamps and counts are those of any socket."""
+def test_socketcan_frames_are_read_with_the_drops_before_them(monkeypatch):
+    """The bytes of struct can_frame and canfd_frame over UDP: queue, stamps and counts are the same for any socket."""
     monkeypatch.setattr(drops, "RECEIVE_BUFFER", 4096)
     receiver, sender = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     receiver.bind(("127.0.0.1", 0))
@@ -226,8 +226,8 @@ def test_socketcan_frames_are_read_with_what_the_kernel_dropped_before_them(monk
         bus._is_shutdown = True
 
 
-def test_running_numbers_that_went_round_unseen_are_counted_by_the_time():
-    """An 8-bit counter over a gap of 1,000: by itself it tells 231."""
+def test_missed_rollovers_of_sequence_numbers_are_counted_from_the_time():
+    """An 8-bit counter over a gap of 1,000, of which it shows only 231."""
     numbers = np.array([250, 251, 252, (252 + 1001) % 256, (252 + 1002) % 256])
     _, by_itself, _ = judge_sequence(numbers, 256, 249)
     assert by_itself.tolist() == [0, 0, 0, 232, 0] or by_itself.max() < 256
@@ -238,19 +238,19 @@ def test_running_numbers_that_went_round_unseen_are_counted_by_the_time():
     assert newest == 252 + 1002
 
 
-def test_readings_that_only_come_late_are_not_missing():
+def test_delayed_readings_are_not_missing():
     times = np.array([0.0, 1.0, 2.0, 6.4, 6.5, 6.6, 6.7, 7.0, 8.0, 20.0, 21.0])
     steps = np.diff(times, prepend=-1.0)
     missing, waited = missing_by_pace(times, steps, steps > 1.5, 1.0)
     assert missing.tolist() == [0] * 9 + [11, 0]
     assert np.flatnonzero(waited).tolist() == [4, 5, 6, 7]
-    times = np.array([0.0, *[0.06] * 30, 0.062, 0.064])  # a thirtieth that came late waited for 2 ms
+    times = np.array([0.0, *[0.06] * 30, 0.062, 0.064])  # the thirtieth was 2 ms late
     steps = np.diff(times, prepend=-0.002)
     assert not missing_by_pace(times, steps, steps > 0.003, 0.002)[0].any()
 
 
-def test_lines_that_waited_behind_a_gap_do_not_quicken_the_pace():
-    """Without number and clock: in turn 200 lines in time, 100 lost, and 20 that come at once because they waited."""
+def test_lines_delayed_at_a_gap_do_not_shorten_the_usual_interval():
+    """Lines without number and clock, in turn: 200 on time, 100 lost, and 20 delayed ones that arrive at once."""
     config = AsciiConfig(protocol="ascii", port="p", line="{counts}", counts_per_turn=100_000)
     counter = AsciiCounter("output_angle", config, PortConfig(url="loop://"))
     counter._skipping = False
@@ -265,7 +265,7 @@ def test_lines_that_waited_behind_a_gap_do_not_quicken_the_pace():
     assert counter.lost == pytest.approx(20 * 100, rel=0.005)
 
 
-def test_a_pace_is_known_from_few_readings_and_not_from_a_pause():
+def test_the_usual_interval_needs_few_readings_and_ignores_a_pause():
     pace = Pace()
     assert (pace.period, pace.longest) == (None, np.inf)
     pace.add(*[0.01] * 100, 5.0)
@@ -276,8 +276,8 @@ def test_a_pace_is_known_from_few_readings_and_not_from_a_pause():
     assert uneven.longest == np.inf
 
 
-def test_a_late_reading_before_a_gap_costs_no_turn():
-    """One turn a second, 5.2 s without a reading; the last before it is stamped 25 ms late, as an exchange may be."""
+def test_a_late_reading_before_a_gap_loses_no_turn():
+    """One turn per second, 5.2 s without a reading, before which the last stamp is 25 ms late, as it may be."""
     unseen = UnseenTurns(4096)
     taken = np.concatenate([np.arange(1000), np.arange(6200, 6400)]) / 1000
     counts = np.rint(4096 * taken).astype(np.int64)
@@ -291,7 +291,7 @@ def test_a_late_reading_before_a_gap_costs_no_turn():
 
 
 @linux
-def test_a_line_has_no_instant_where_the_recorder_was_held_up_behind_its_first_byte(monkeypatch):
+def test_a_line_has_no_time_if_the_recorder_was_delayed_after_its_first_byte(monkeypatch):
     bench, line = pty.openpty()
     tty.setraw(line)
     hub = serial_port.ports.acquire(PortConfig(url=os.ttyname(line)))
@@ -305,10 +305,10 @@ def test_a_line_has_no_instant_where_the_recorder_was_held_up_behind_its_first_b
     os.close(line)
 
 
-def test_an_answer_that_took_too_long_has_no_instant():
+def test_an_answer_that_took_too_long_has_no_time():
     encoder = Amt21Encoder("input_angle", Amt21Config(protocol="amt21", port="p"), PortConfig(url="loop://"))
     answers = [word.tobytes() for word in check_bits(np.arange(5))]
-    note = "no reading for 3.000 s: the recorder was held up"
+    note = "no reading for 3.000 s: the recorder was delayed"
     encoder._answers.put([
         Exchange(0.0, answers[0]), Exchange(1.5, answers[1], late=True), Exchange(3.0, answers[2]),
         Exchange(6.0, answers[3], note), Exchange(6.1, answers[4]),
@@ -322,7 +322,7 @@ def test_an_answer_that_took_too_long_has_no_instant():
     assert any("its time is unknown" in text for text in texts)
 
 
-def test_a_line_that_waited_has_an_instant_only_by_its_device_s_clock():
+def test_a_delayed_line_has_a_time_only_from_its_device_clock():
     for line, kept in (("{counts}", [1, 3]), ("{time},{counts}", [1, 2, 3])):
         config = AsciiConfig(protocol="ascii", port="p", line=line, counts_per_turn=100)
         counter = AsciiCounter("output_angle", config, PortConfig(url="loop://"))
@@ -335,8 +335,8 @@ def test_a_line_that_waited_has_an_instant_only_by_its_device_s_clock():
 
 
 @linux
-def test_behind_a_full_buffer_is_a_gap():
-    """512 lines of 8 bytes fill it; what came then was lost, to the end of a line."""
+def test_a_full_buffer_is_followed_by_a_gap():
+    """512 lines of 8 bytes fill the buffer; the following bytes are lost, up to the end of a line."""
     bench, line = pty.openpty()
     tty.setraw(line)
     config, port = AsciiConfig(protocol="ascii", port="p", line="{counts}", counts_per_turn=10_000), os.ttyname(line)
@@ -364,8 +364,8 @@ def test_behind_a_full_buffer_is_a_gap():
 
 
 @linux
-def test_what_a_serial_driver_counts_as_lost_is_an_event_and_a_gap(monkeypatch):
-    """TIOCGICOUNT, which a pseudo-terminal does not have."""
+def test_losses_counted_by_a_serial_driver_are_an_event_and_a_gap(monkeypatch):
+    """With a substitute for TIOCGICOUNT, which a pseudo-terminal does not have."""
     counts = [0] * 20
     real = fcntl.ioctl
 
@@ -390,8 +390,8 @@ def test_what_a_serial_driver_counts_as_lost_is_an_event_and_a_gap(monkeypatch):
 
 
 @needs_multicast
-def test_a_terminal_that_goes_away_leaves_a_whole_recording(tmp_path):
-    """A lost connection hangs the terminal up: SIGHUP, and nothing can be shown any more."""
+def test_a_closed_terminal_leaves_a_complete_recording(tmp_path):
+    """A lost connection hangs up the terminal: SIGHUP, and no more output is possible."""
     group = f"239.79.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=5.0, turns=4000))
     ours, theirs = pty.openpty()

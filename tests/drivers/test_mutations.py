@@ -1,4 +1,4 @@
-"""Mutated frames and bytes: no crash, and no sample that the checksums could have told to be wrong."""
+"""Mutated frames and bytes: no crash, and no wrong sample that the checksums can detect."""
 
 import os
 
@@ -24,7 +24,7 @@ PORT = PortConfig(url="loop://")
 
 
 def mutated(random, data):
-    """Flip bits, cut, repeat, insert."""
+    """Return the bytes with flipped bits, deletions, repetitions and insertions."""
     data = bytearray(data)
     for _ in range(random.integers(0, 3)):
         kind = random.integers(0, 4)
@@ -41,7 +41,7 @@ def mutated(random, data):
 
 
 def odd(answer):
-    """Whether the datasheet's check bits hold, from its own text: odd and even bits each of odd parity."""
+    """Return whether the check bits are correct by the datasheet: odd and even bits each have odd parity."""
     word = int.from_bytes(answer, "little")
     return all((word & mask).bit_count() % 2 == 1 for mask in (0xAAAA, 0x5555))
 
@@ -80,7 +80,7 @@ def test_modbus(count):
         whole = [s + FramerRTU.compute_CRC(s).to_bytes(2, "big") for s in sent]
         answers = [mutated(random, w) for w in whole]
         samples = polled(encoder, answers)
-        # A CRC of 16 bits sees every change of up to three bits of so short a frame: what is accepted was sent so.
+        # A 16-bit CRC detects every change of up to three bits in a frame this short: an accepted frame is as sent.
         untouched = [a for a, w in zip(answers, whole, strict=True) if a == w]
         assert len(untouched) <= len(samples) <= len(untouched) + 1
         if len(samples) == len(untouched):
@@ -138,7 +138,7 @@ def test_frames(count):
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_recordings(tmp_path, count, record_property):
-    """A file in which bits flip and bytes come and go: what is read was written, the rest is one sentence."""
+    """A file with flipped bits, inserted and missing bytes: samples read were written, the rest is reported."""
     random = np.random.default_rng(5)
     path = write(tmp_path / "run.arrows", [block(name, 10 * i, 10) for i in range(5) for name in NAMES])
     whole, header = path.read_bytes(), read_recording(path).header
@@ -162,7 +162,7 @@ def test_recordings(tmp_path, count, record_property):
     record_property("damaged recordings read or refused without a wrong sample", str(count // 50))
 
 
-def test_lines_without_a_checksum_are_told_by_their_form():
+def test_lines_without_a_checksum_are_checked_by_their_form():
     config = AsciiConfig(protocol="ascii", port="p", line="{counts}", counts_per_turn=10)
     counter = AsciiCounter("output_angle", config, PORT)
     counter._skipping = False

@@ -1,4 +1,4 @@
-"""What a drive does of itself is never marked; a stuck encoder, a jump and a value off the ratio's line always are."""
+"""Effects of the drive are never marked; a stuck encoder, a jump and a deviation from the ratio always are."""
 
 import dataclasses
 import itertools
@@ -18,12 +18,12 @@ from drivers.recording_format import ANGLES, GAP, IMPLAUSIBLE, Limits, Plausibil
 from drivers.simulated.motion import SimulatedRun, simulate_hysteresis, simulate_motion
 
 ARCMIN = math.pi / 10800
-EXAMPLES = int(float(os.environ.get("CYCLOID_MUTATIONS", "1e6")) / 1e3)  # of each check in the slow set
+EXAMPLES = int(float(os.environ.get("CYCLOID_MUTATIONS", "1e6")) / 1e3)  # per check in the slow set
 
 
 @dataclasses.dataclass
 class Run:
-    """Angles of a bench on one clock; the encoders' resolutions, and how fast the output turns at most, rad/s."""
+    """Angles of a bench on one clock, resolutions of the encoders, and largest speed of the output, rad/s."""
 
     ratio: float
     time: np.ndarray = dataclasses.field(repr=False)
@@ -34,7 +34,7 @@ class Run:
     speed: float
 
     def judged(self, cuts=()):
-        """Which samples are implausible, and what was found, however the blocks fall."""
+        """Return the masks of implausible samples and the findings, for any division into blocks."""
         judge = Plausibility(self.ratio, self.limits)
         borders = np.unique([0, *(int(c * self.time.size) for c in cuts), self.time.size])
         marks, found = [], []
@@ -48,10 +48,10 @@ class Run:
 
 @st.composite
 def runs(draw, reversals=True):
-    """A bench at work: backlash, windup, load steps, reversals, standstills, noise, gaps, steps of the encoders."""
+    """Runs of a bench with backlash, windup, load steps, reversals, standstills, noise, gaps and encoder steps."""
     ratio = draw(st.floats(5.0, 200.0)) * draw(st.sampled_from([1, -1]))
     crank = draw(st.floats(0.5, 300.0))  # rad/s
-    each = draw(st.floats(0.01, 0.15 if reversals else min(0.15, 0.003 * abs(ratio))))  # rad of the crank a sample
+    each = draw(st.floats(0.01, 0.15 if reversals else min(0.15, 0.003 * abs(ratio))))  # crank rotation per sample, rad
     rate = crank / each
     random = np.random.default_rng(draw(st.integers(0, 1 << 32)))
     turns = draw(st.floats(3.0, 8.0)) * max(1.0, abs(ratio) / 30.0)
@@ -101,7 +101,7 @@ def a_jump_of_half_a_turn_is_marked_until_the_angle_is_back(run, cuts, at, role,
     value[begin:end] += math.pi
     marks, found = run.judged(cuts)
     assert not marks[:begin].any()
-    # A jump of the newest sample of a block shows with the next one.
+    # A jump of the newest sample of a block shows only with the next sample.
     assert marks[begin + 1 : end].all()
     assert not marks[end + 2 :].any()
     assert found[0].roles == (role,)
@@ -110,19 +110,19 @@ def a_jump_of_half_a_turn_is_marked_until_the_angle_is_back(run, cuts, at, role,
 
 
 def a_stuck_encoder_is_marked_from_where_it_stands_still(run, cuts, at, role, lost):
-    """`lost`: an incremental one goes on from where it stood, an absolute one is back where the shaft is."""
+    """`lost`: an incremental encoder continues from where it was stuck, an absolute one from the shaft's angle."""
     begin, end = int(at * run.time.size), int(0.8 * run.time.size)
     allowed = 2.0 * (math.radians(1.0) + 2.0 * run.limits.output_resolution + 0.02 * run.speed)
     line = run.input_angle / run.ratio
     if abs(line[end] - line[begin]) < 2.0 * allowed:
-        return  # it turns less than a drive may give
+        return  # it turns less than the allowed deviation of a drive
     value = getattr(run, role)
     missed = value[end] - value[begin]
     value[begin:end] = value[begin]
     if lost:
         value[end:] -= missed
     marks, found = run.judged(cuts)
-    while value[begin - 1] == value[begin]:  # a coarse encoder stood there before
+    while value[begin - 1] == value[begin]:  # a coarse encoder had this value before
         begin -= 1
     shown = begin + int(np.argmax(np.abs(line[begin:] - line[begin]) > allowed))
     assert not marks[: begin + 1].any()
@@ -173,21 +173,21 @@ CHECKS = {
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 @pytest.mark.parametrize("examples", [12, pytest.param(EXAMPLES, marks=pytest.mark.slow(60))])
-def test_any_run_of_a_bench_is_judged_rightly(check, examples):
+def test_any_run_of_a_bench_is_judged_correctly(check, examples):
     wide = settings(max_examples=examples, deadline=None, suppress_health_check=[HealthCheck.too_slow])
     given(**CHECKS[check])(wide(check))()
 
 
 @pytest.mark.parametrize("ratio", [-40.0, -36.0, -29.0, 39.0, -1 / 39.0, -39.0 * 57.3, -39.0 / 57.3])
-def test_a_wrong_ratio_is_no_fault_of_any_sample(ratio):
-    """Swapped angles, a wrong sign or unit and another drive are said by who evaluates, of the whole recording."""
+def test_a_wrong_ratio_marks_no_sample(ratio):
+    """The evaluation reports swapped angles, a wrong sign or unit and another drive, for the whole recording."""
     time = np.arange(40_000) / 1000
     angle = 20.0 * time
     run = Run(ratio, time, angle, -angle / 39, np.zeros(time.size, np.uint8), Limits(), 20.0 / 39)
     assert not run.judged(np.linspace(0, 1, 100))[0].any()
 
 
-def test_a_loop_with_the_input_locked_is_no_stuck_encoder():
+def test_a_locked_input_is_not_a_stuck_encoder():
     torque = 100.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4000))
     windup = math.radians(1.5) * torque / 100.0
     run = Run(-39.0, np.arange(4000) / 100, np.zeros(4000), windup, np.zeros(4000, np.uint8), Limits(), 0.01)
@@ -205,7 +205,7 @@ def test_an_angle_faster_than_its_largest_speed_is_a_jump_however_small():
     assert found[0].text == "input_angle jumps by 12.03 deg"
 
 
-def test_turns_that_pass_unseen_in_a_gap_are_no_jump():
+def test_turns_missed_in_a_gap_are_not_a_jump():
     time = np.arange(4000) / 1000
     angle = 200.0 * time
     status = np.zeros(4000, np.uint8)
@@ -218,7 +218,7 @@ def test_turns_that_pass_unseen_in_a_gap_are_no_jump():
 
 
 class Stuck:
-    """A drive whose output encoder shows one angle for a while."""
+    """A drive whose output encoder is stuck for a while."""
 
     def __call__(self, angle, torque):
         output = angle / -39.0 + 2e-4 * np.sin(angle)
@@ -227,7 +227,7 @@ class Stuck:
 
 
 @pytest.mark.parametrize("trigger", ["controller", "timer"])
-def test_a_stuck_encoder_is_marked_while_it_is_recorded(tmp_path, bus_name, trigger):
+def test_a_stuck_encoder_is_marked_during_recording(tmp_path, bus_name, trigger):
     shown = []
     with drivers.simulate_bench(
         Stuck(), torque=20.0, ratio=-39.0, turns=30, interface="virtual", channel=bus_name, trigger=trigger

@@ -1,4 +1,4 @@
-"""Encoders of other packages: installed as pip leaves them, and never by what a file says."""
+"""Encoders of other packages: found by their installation, never by the content of a bench file."""
 
 import importlib
 import inspect
@@ -51,7 +51,7 @@ BENCH = 'format = "cycloid-bench/1"\n[channel.output_angle]\nprotocol = "{}"\n'
 
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
-    """Install a package into a folder of its own, as pip lays it out."""
+    """Install a package into its own folder, with the layout of pip."""
     site = tmp_path / "site"
     site.mkdir()
     monkeypatch.syspath_prepend(str(site))
@@ -75,7 +75,7 @@ def bench(tmp_path, protocol, keys=""):
     return path
 
 
-def test_an_installed_package_brings_an_encoder(tmp_path, installed, command):
+def test_an_installed_package_provides_an_encoder(tmp_path, installed, command):
     installed("rig_plug_in", "rig", "rig_plug_in:Counter")
     assert ", rig" in command("cycloid-bench", "list").stdout.splitlines()[0]
     done = drivers.record(bench(tmp_path, "rig", "begin = 7\n"), tmp_path / "run.arrows", samples=50)
@@ -114,21 +114,22 @@ def test_a_file_never_names_code(tmp_path, monkeypatch, protocol):
         (
             "broken_rig:Counter",
             "import no_such_package_at_all\n",
-            "broken_rig that has it does not load: No module named",
+            "broken_rig that provides it does not load: No module named",
         ),
-        ("broken_rig:Counter", "x = 1\n", "broken_rig that has it does not load: .*Counter"),
+        ("broken_rig:Counter", "x = 1\n", "broken_rig that provides it does not load: .*Counter"),
         ("broken_rig:Counter", "1 / 0\n", "does not load: division by zero"),
-        ("broken_rig:Counter", "Counter = dict\n", "gives no encoder with a configuration"),
+        ("broken_rig:Counter", "Counter = dict\n", "must provide a subclass of Encoder with a configuration"),
     ],
 )
-def test_a_package_that_is_broken_is_one_sentence(tmp_path, installed, value, code, said):
+def test_a_broken_package_is_reported_in_one_sentence(tmp_path, installed, value, code, said):
     installed("broken_rig", "broken", value, code)
     with pytest.raises(edge.InputError, match=said) as problem:
         read_bench(bench(tmp_path, "broken"))
     assert len(str(problem.value).splitlines()) == 1
 
 
-def test_a_name_that_is_taken_is_refused(tmp_path, installed):
+def test_a_protocol_name_in_use_is_refused(tmp_path, installed):
     installed("second_modbus", "modbus", "second_modbus:Counter")
-    with pytest.raises(edge.InputError, match="the packages cycloid-fmu and second_modbus both have it; remove one"):
+    both = "the packages cycloid-fmu and second_modbus both provide it; uninstall one"
+    with pytest.raises(edge.InputError, match=both):
         read_bench(bench(tmp_path, "modbus"))

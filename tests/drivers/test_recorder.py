@@ -1,4 +1,4 @@
-"""The recorder with encoders that follow a script: what is counted, said and kept, and what ends a recording."""
+"""The recorder with scripted encoders: counts, reports, written samples, and ends of a recording."""
 
 import collections
 import errno
@@ -22,7 +22,7 @@ from drivers.recording_format import Event, Samples, read_recording
 
 
 class Scripted(Encoder):
-    """Gives one block at each reading, then none; an error in the script is raised, a text is an event."""
+    """Returns one block per reading, then none; an error in the script is raised, a text is an event."""
 
     configuration = AngleConfig
 
@@ -69,7 +69,7 @@ def exhausted(*encoders):
     return lambda: not any(e.script for e in encoders)
 
 
-def test_what_came_is_written_and_counted(tmp_path):
+def test_samples_are_written_and_counted(tmp_path):
     marked = [rf.GAP, rf.GAP | rf.CHECKSUM, 0, rf.ROLLOVER]
     one = Scripted("input_angle", [([0.1, 0.2], [5.0, 4.0]), "paused", ([0.3, 0.4, 0.5, 0.6], [3.0, 3.5, 2.5, 3.2],
                                                                         {"status": marked})])  # fmt: skip
@@ -95,8 +95,8 @@ def test_what_came_is_written_and_counted(tmp_path):
     assert state.time == pytest.approx(0.6, abs=0.05)
     assert held[0].disk_free == pytest.approx(os.statvfs(tmp_path).f_bavail * os.statvfs(tmp_path).f_frsize, rel=0.1)
     assert held[0].transmission_error is None, "there is no output angle"
-    assert set(one.waits[:3]) == {0.05}, "the first channel is waited for"
-    assert set(other.waits) == {0.0}, "and the others have come meanwhile"
+    assert set(one.waits[:3]) == {0.05}, "it waits for the first channel"
+    assert set(other.waits) == {0.0}, "and the others have arrived meanwhile"
     kept = read_recording(tmp_path / "run.arrows")
     assert kept.samples["input_angle"].value.tolist() == [5.0, 4.0, 3.0, 3.5, 2.5, 3.2]
     assert kept.samples["input_angle"].time_host == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], abs=0.05)
@@ -105,8 +105,8 @@ def test_what_came_is_written_and_counted(tmp_path):
     assert (kept.header.ratio, kept.header.pair, kept.header.conditions) == (-39.0, "p", {"load": 5.0})
 
 
-def test_the_newest_transmission_error_is_that_at_the_newest_common_instant(tmp_path):
-    """φ_out - φ_in/i, less the first one: 1 mrad/s of it are seen where the output's samples lie within the input's."""
+def test_the_newest_transmission_error_is_at_the_newest_common_time(tmp_path):
+    """φ_out - φ_in/i minus its first value: a drift of 1 mrad/s shows at output samples within the input's times."""
     crank = [0.0, 1.0, 2.0], [0.0, 39.0, 78.0]
     given = [([-1.0], [0.0]), ([0.5, 9.0], [-0.5 + 0.5e-3, 0.0]), ([0.0, 2.0, 2.5], [0.0, -2.0 + 2e-3, 5.0])]
     one, other = Scripted("input_angle", [crank, None, None]), Scripted("output_angle", given)
@@ -121,7 +121,7 @@ def test_the_newest_transmission_error_is_that_at_the_newest_common_instant(tmp_
     assert seen[-1] is None, "without a ratio there is none"
 
 
-def test_each_stop_ends_it(tmp_path):
+def test_each_end_condition_ends_the_recording(tmp_path):
     blocks = [([0.01 * i], [0.0]) for i in range(40)]
     one, other = Scripted("input_angle", blocks), Scripted("torque", blocks[:20], unit="N*m")
     found = record_encoders([one, other], tmp_path / "a.arrows", samples=20)
@@ -136,8 +136,8 @@ def test_each_stop_ends_it(tmp_path):
         record_encoders([one], tmp_path / "a.arrows", samples=1)
 
 
-def test_rates_are_those_of_the_last_second_or_so(tmp_path, monkeypatch):
-    """By a clock that goes on by 0.3 s each time it is read, so that a second is a few readings."""
+def test_rates_are_over_about_the_last_second(tmp_path, monkeypatch):
+    """With a clock that advances by 0.3 s at each reading, so that a second is a few readings."""
     shown, seen = [0.0], []
 
     def clock():
@@ -168,8 +168,8 @@ def clocks(path, channel):
     return [json.loads(e.text[e.text.index("{") :]) for e in said if e.channel == channel]
 
 
-def test_a_device_s_clock_is_told_each_ten_seconds_and_at_each_start_anew(tmp_path):
-    """Its drift is found from what comes, before a restart and after it."""
+def test_a_device_clock_is_reported_every_ten_seconds_and_at_each_restart(tmp_path):
+    """The drift is found from the arrivals, before and after a restart."""
     host = np.linspace(0.0, 12.0, 200)
     early, late = (host[:150], (1 + 1e-3) * host[:150] + 7.0), (host[150:], (1 + 1e-3) * host[150:] + 7.0)
     again = 13.0 + host[:150], (1 - 2e-3) * host[:150] + 1.0
@@ -201,7 +201,7 @@ def test_a_calendar_clock_that_is_set_is_an_event(tmp_path, monkeypatch):
     assert found.events == 1
 
 
-def test_a_channel_that_is_out_is_named_and_the_others_go_on(tmp_path, monkeypatch):
+def test_a_failed_channel_is_named_and_the_others_continue(tmp_path, monkeypatch):
     lost = EncoderTimeout("output_angle: it does not answer.")
     one, other = Scripted("input_angle", [([0.1], [1.0])]), Scripted("output_angle", [lost])
     found = record_encoders([one, other], tmp_path / "a.arrows", stop=exhausted(one, other))
@@ -214,7 +214,7 @@ def test_a_channel_that_is_out_is_named_and_the_others_go_on(tmp_path, monkeypat
     assert any("failed and will be opened again" in e.text for e in read_recording(tmp_path / "b.arrows").events)
 
 
-def test_a_disk_that_takes_no_more_leaves_what_was_written(tmp_path, monkeypatch):
+def test_a_full_disk_leaves_the_written_samples(tmp_path, monkeypatch):
     blocks = [([0.1 * i, 0.1 * i + 0.05], [0.0, 1.0]) for i in range(9)]
     one, real = Scripted("input_angle", blocks), session.RecordingWriter.write
 
@@ -230,7 +230,7 @@ def test_a_disk_that_takes_no_more_leaves_what_was_written(tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_an_interrupted_recording_is_whole_and_the_second_signal_ends_at_once(tmp_path, number):
+def test_an_interrupted_recording_is_complete_and_a_second_signal_ends_at_once(tmp_path, number):
     before = signal.getsignal(number)
     one = Scripted("input_angle", [([0.1 * i], [float(i)]) for i in range(9)])
     with pytest.raises(session.RecordingInterrupted) as ending:
@@ -245,7 +245,7 @@ def test_an_interrupted_recording_is_whole_and_the_second_signal_ends_at_once(tm
     def twice(live):
         os.kill(os.getpid(), number)
         os.kill(os.getpid(), number)
-        if number != signal.SIGHUP:  # a terminal that is closed sends several
+        if number != signal.SIGHUP:  # a closed terminal sends several
             pytest.fail("the second is obeyed at once")
 
     with pytest.raises(KeyboardInterrupt) as ending:
@@ -253,8 +253,8 @@ def test_an_interrupted_recording_is_whole_and_the_second_signal_ends_at_once(tm
     assert isinstance(ending.value, session.RecordingInterrupted) == (number == signal.SIGHUP)
 
 
-def test_what_is_told_after_a_full_disk_is_what_the_file_holds(tmp_path, monkeypatch):
-    """A batch that the disk does not take is not counted, not even while it is being written."""
+def test_the_report_of_a_full_disk_agrees_with_the_file(tmp_path, monkeypatch):
+    """A batch that cannot be written is not counted, not even while it is being written."""
     blocks = [([0.1 * i, 0.1 * i + 0.05], [0.0, 1.0]) for i in range(9)]
     one, real, counted = Scripted("input_angle", blocks), os.write, []
 
@@ -273,8 +273,8 @@ def test_what_is_told_after_a_full_disk_is_what_the_file_holds(tmp_path, monkeyp
     assert counted[-1] == held
 
 
-def test_silence_is_the_line_s_and_not_that_of_a_recorder_that_stood_still(tmp_path):
-    """The recorder stands still for longer than the idle time; what came meanwhile waits for it, or comes after it."""
+def test_a_delay_of_the_recorder_is_not_silence_of_the_line(tmp_path):
+    """The recorder is stopped for longer than the idle time; samples arrive meanwhile or afterwards."""
 
     class Waiting(Scripted):
         def drain(self):
@@ -293,7 +293,7 @@ def test_silence_is_the_line_s_and_not_that_of_a_recorder_that_stood_still(tmp_p
 BENCH = 'format = "cycloid-bench/1"\n{}[port.a]\nurl = "COM1"\n[channel.input_angle]\nprotocol = "amt21"\nport = "a"\n'
 
 
-def test_a_bench_file_says_drive_conditions_and_wiring(tmp_path):
+def test_a_bench_file_states_drive_conditions_and_wiring(tmp_path):
     path = tmp_path / "bench.toml"
     stated = 'ratio = -39\npair = "p"\n[conditions]\nload = "2 kN*m"\nspeed = "60 rpm"\ntemperature = "298.15 K"\n'
     path.write_text(BENCH.format(stated + 'direction = "backward"\n'))

@@ -1,4 +1,4 @@
-"""The recording: what goes in comes out, and a cut or a kill costs no complete batch."""
+"""The recording format: round trips, and truncation or a kill loses no complete batch."""
 
 import dataclasses
 import os
@@ -67,7 +67,7 @@ batches = st.lists(
 
 @settings(max_examples=60, deadline=None)
 @given(batches)
-def test_what_is_written_is_read(tmp_path_factory, given_batches):
+def test_a_recording_is_read_as_written(tmp_path_factory, given_batches):
     path = tmp_path_factory.mktemp("r") / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
         for name, rows, said in given_batches:
@@ -104,7 +104,7 @@ def test_the_file_is_a_plain_arrow_stream_with_the_documented_checksum(tmp_path)
 
 
 @pytest.mark.slow(9)
-def test_a_file_cut_at_any_byte_of_its_last_two_batches_loses_no_complete_batch(tmp_path):
+def test_a_file_truncated_at_any_byte_of_its_last_two_batches_loses_no_complete_batch(tmp_path):
     all_batches = [block(NAMES[i % 3], 10 * i, 4) for i in range(6)]
     ends = [len(write(tmp_path / f"{n}.arrows", all_batches[:n]).read_bytes()) - 8 for n in (4, 5, 6)]
     data = (tmp_path / "6.arrows").read_bytes()
@@ -120,7 +120,7 @@ def test_a_file_cut_at_any_byte_of_its_last_two_batches_loses_no_complete_batch(
             np.testing.assert_array_equal(recording.samples[name].value, expected)
 
 
-def test_a_flipped_bit_in_the_data_costs_its_batch_alone_and_is_stated(tmp_path):
+def test_a_flipped_bit_loses_only_its_batch_and_is_reported(tmp_path):
     path = write(tmp_path / "run.arrows", [block("torque", 0, 4), block("torque", 1000, 4), block("torque", 2000, 4)])
     data = bytearray(path.read_bytes())
     where = data.index(np.float64(1002.0).tobytes())
@@ -138,7 +138,7 @@ def test_a_flipped_bit_in_the_data_costs_its_batch_alone_and_is_stated(tmp_path)
     alike=st.booleans(),
     flips=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 7)), max_size=2),
 )
-def test_batches_taken_together_are_those_taken_one_by_one(tmp_path_factory, sizes, alike, flips):
+def test_batches_decoded_together_equal_those_decoded_singly(tmp_path_factory, sizes, alike, flips):
     path = tmp_path_factory.mktemp("r") / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
         for number, (name, rows, counted) in enumerate(sizes):
@@ -160,7 +160,7 @@ def test_batches_taken_together_are_those_taken_one_by_one(tmp_path_factory, siz
     assert found[0] == found[1]
 
 
-def test_a_missing_batch_is_stated(tmp_path):
+def test_a_missing_batch_is_reported(tmp_path):
     path = tmp_path / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
         writer.write(block("torque", 0, 2))
@@ -184,7 +184,7 @@ def test_events_without_samples_are_kept(tmp_path):
     assert read_recording(path).events == (Event(1.5, "torque", "cable pulled"),)
 
 
-def test_what_is_recorded_is_not_overwritten(tmp_path):
+def test_a_recording_is_not_overwritten(tmp_path):
     path = write(tmp_path / "run.arrows", [block("torque", 0, 2)])
     before = path.read_bytes()
     with pytest.raises(edge.InputError, match="not overwritten"):
@@ -197,14 +197,14 @@ def test_what_is_recorded_is_not_overwritten(tmp_path):
     [
         (b"", "empty"),
         (b"time [s],torque [N*m]\n", "not a recording"),
-        (pa.schema([]).serialize().to_pybytes(), "names no format"),
+        (pa.schema([]).serialize().to_pybytes(), "states no format"),
         (
             pa.schema([], {"format": "cycloid-recording/9"}).serialize().to_pybytes(),
             'this version reads "cycloid-recording/1"',
         ),
     ],
 )
-def test_what_is_no_recording_is_refused_in_one_sentence(tmp_path, content, said):
+def test_other_files_are_refused_in_one_sentence(tmp_path, content, said):
     path = tmp_path / "run.arrows"
     path.write_bytes(content)
     with pytest.raises(edge.InputError, match=said) as problem:
@@ -214,7 +214,7 @@ def test_what_is_no_recording_is_refused_in_one_sentence(tmp_path, content, said
 
 
 def test_samples_of_unequal_length_are_refused():
-    with pytest.raises(ValueError, match="one length"):
+    with pytest.raises(ValueError, match="equal length"):
         Samples.checked("torque", [0.0, 1.0], [0.0])
 
 
@@ -229,7 +229,7 @@ with RecordingWriter(sys.argv[1], HEADER) as writer:
 """
 
 
-def test_a_recorder_killed_leaves_every_flushed_batch_readable(tmp_path):
+def test_a_killed_recorder_leaves_every_flushed_batch_readable(tmp_path):
     path = tmp_path / "run.arrows"
     root = Path(__file__).parents[2]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])}
@@ -257,7 +257,7 @@ def test_header_fields_survive(tmp_path):
     assert read_recording(tmp_path / "run.arrows").header == header
 
 
-def test_a_damaged_header_is_named_and_an_old_one_without_a_checksum_is_read(tmp_path, monkeypatch):
+def test_a_damaged_header_is_reported_and_an_old_one_without_checksum_is_read(tmp_path, monkeypatch):
     path = write(tmp_path / "run.arrows", [block("torque", 0, 5)])
     whole = path.read_bytes()
     path.write_bytes(whole.replace(b"-39.0", b"-38.0"))
@@ -281,8 +281,8 @@ def test_a_damaged_header_is_named_and_an_old_one_without_a_checksum_is_read(tmp
     assert read_recording(old).header == HEADER
 
 
-def test_a_recording_that_begins_with_no_schema_is_refused(tmp_path):
-    """Arrow takes any message for a schema, and ends the process."""
+def test_a_recording_without_a_schema_is_refused(tmp_path):
+    """Arrow accepts any message as a schema, and crashes the process."""
     path = write(tmp_path / "run.arrows", [block("torque", 0, 4)])
     data = bytearray(path.read_bytes())
     place = next(at for at in range(8, 64) if data[at] and message_type(data, at) == "unknown")
@@ -293,7 +293,7 @@ def test_a_recording_that_begins_with_no_schema_is_refused(tmp_path):
 
 
 def message_type(data, place):
-    """What Arrow takes a recording's first message for, with a byte of it zero."""
+    """Return the type that Arrow reads for a recording's first message if one of its bytes is zero."""
     try:
         return pa.ipc.read_message(pa.py_buffer(bytes(data[:place]) + b"\0" + bytes(data[place + 1 :]))).type
     except (pa.ArrowException, OSError):

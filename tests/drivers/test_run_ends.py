@@ -1,4 +1,4 @@
-"""A run that is killed leaves nothing that moves and no process; the next one sees a bench that another drives."""
+"""A killed run leaves no device moving and no process; the next run detects a bench that is in use."""
 
 import itertools
 import os
@@ -38,7 +38,7 @@ STOP = "import pathlib; pathlib.Path('stopped').touch()"
 
 
 def until(condition, seconds=20.0):
-    """Wait until something holds, and return it."""
+    """Wait until a result is true, and return it."""
     end = time.monotonic() + seconds
     while not (found := condition()):
         assert time.monotonic() < end, "it never came"
@@ -47,7 +47,7 @@ def until(condition, seconds=20.0):
 
 
 def processes(mark):
-    """Numbers of the processes that have a text in their command."""
+    """Return the ids of the processes with a text in their command."""
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
@@ -59,7 +59,7 @@ def processes(mark):
 
 
 def starter(folder, mark):
-    """A process that runs a stubborn drive command, with a child of its own, and waits."""
+    """Return a process that runs a drive command which ignores SIGTERM and has a child process, and waits."""
     (folder / "drive.py").write_text(DRIVE.replace("MARK", mark))
     text = f"""
 import pathlib, sys, time
@@ -81,7 +81,7 @@ with watched([sys.executable, "drive.py", {mark!r}], folder=pathlib.Path({str(fo
         pytest.param(signal.SIGKILL, "command", marks=pytest.mark.slow(4)),
     ],
 )
-def test_a_command_does_not_outlive_who_started_it(tmp_path, number, whom, monkeypatch):
+def test_a_command_does_not_outlive_its_starter(tmp_path, number, whom, monkeypatch):
     mark = f"mark-{os.getpid()}-{next(numbers)}"
     process = starter(tmp_path, mark)
     until((tmp_path / "started").exists)
@@ -100,7 +100,7 @@ def test_a_command_does_not_outlive_who_started_it(tmp_path, number, whom, monke
 
 
 @needs_processes
-def test_a_watchdog_that_is_killed_takes_the_command_with_it(tmp_path):
+def test_a_killed_watchdog_ends_the_command(tmp_path):
     mark = f"mark-{os.getpid()}-{next(numbers)}"
     (tmp_path / "drive.py").write_text(DRIVE.replace("MARK", mark))
     with watched([sys.executable, "drive.py", mark], folder=tmp_path) as process:
@@ -110,7 +110,7 @@ def test_a_watchdog_that_is_killed_takes_the_command_with_it(tmp_path):
     until(lambda: not processes(mark))
 
 
-def test_a_command_that_ends_by_itself_has_its_status_and_needs_no_stop(tmp_path):
+def test_a_command_that_ends_normally_has_its_status_and_needs_no_stop(tmp_path):
     stop = [sys.executable, "-c", STOP]
     for status in (0, 3):
         with watched([sys.executable, "-c", f"raise SystemExit({status})"], folder=tmp_path, stop=stop) as process:
@@ -123,7 +123,7 @@ def test_a_command_that_ends_by_itself_has_its_status_and_needs_no_stop(tmp_path
 
 @pytest.fixture
 def bench(tmp_path, bus_name):
-    """A bench on a virtual bus whose nodes nobody has started; its wiring lies in the folder."""
+    """A bench on a virtual bus with nodes not started; its wiring is in the folder."""
     motion = simulate_motion(lambda angle, torque: angle / -39, SimulatedRun(torque=20.0, turns=200))
     made = SimulatedCanBench(motion, channel=bus_name, speed_factor=1.0)
     made.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
@@ -160,17 +160,17 @@ def test_a_bench_that_moves_before_its_command_is_started_is_in_use(tmp_path, bu
     check_at_rest(wiring, nodes)
 
 
-def test_another_sync_than_the_recorders_is_another_master(tmp_path, bus_name, bench):
+def test_sync_from_another_device_is_another_master(tmp_path, bus_name, bench):
     text = (tmp_path / "BENCH.toml").read_text().replace("[bus.can0]\n", '[bus.can0]\nsync_period = "10 ms"\n')
     (tmp_path / "BENCH.toml").write_text(text)
     told(bus_name, 1)
     until(lambda: bench.sent > 5)
-    with pytest.raises(EncoderSetupError, match="another device sends SYNC, which sync_period leaves to the recorder"):
+    with pytest.raises(EncoderSetupError, match="another device sends SYNC, which the recorder is to send"):
         check_at_rest(read_bench(tmp_path / "BENCH.toml").wiring, {})
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by number")
-def test_a_bus_is_claimed_by_one_run_until_the_last_of_its_processes_is_gone(tmp_path, bench, monkeypatch):
+def test_a_bus_is_claimed_by_one_run_until_its_last_process_has_ended(tmp_path, bench, monkeypatch):
     monkeypatch.setattr(in_use, "WAIT_SECONDS", 0.2)
     wiring = read_bench(tmp_path / "BENCH.toml").wiring
     text = f"""
@@ -199,7 +199,7 @@ with Claims() as claims:
 @needs_processes
 @pytest.mark.slow(40)
 @pytest.mark.parametrize("end", ["SIGKILL", "SIGTERM", "SIGHUP", "terminal", "watchdog", "command"])
-def test_a_killed_run_leaves_nothing_that_moves_and_the_next_one_records(tmp_path, monkeypatch, end):
+def test_a_killed_run_leaves_nothing_moving_and_the_next_one_records(tmp_path, monkeypatch, end):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([ROOT, os.environ.get("PYTHONPATH", "")]))
     group = f"239.75.{os.getpid() % 250}.{next(numbers)}"
     (tmp_path / "sequence.toml").write_text(SEQUENCE.replace("turns = 3", "turns = 8") + drive(group).replace(
@@ -230,7 +230,7 @@ def test_a_killed_run_leaves_nothing_that_moves_and_the_next_one_records(tmp_pat
     process.wait(30)
     if end != "terminal":
         os.close(main)
-    if end != "watchdog":  # killed both at once, the drive command is alone
+    if end != "watchdog":  # if both are killed at once, the drive command remains
         until(lambda: not processes(group))
     kept = sorted(tmp_path.glob("*.trial-1.arrows"))
     assert kept

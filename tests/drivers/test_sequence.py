@@ -1,4 +1,4 @@
-"""A test sequence from its file to its recordings, driven by the simulated bench in a process of its own."""
+"""A test sequence from its file to its recordings, driven by a simulated bench in its own process."""
 
 import contextlib
 import itertools
@@ -71,7 +71,7 @@ def test_a_driven_sequence_records_every_step(command, tmp_path, monkeypatch):
 
 
 class Person:
-    """Reads the prompts in turn: a motion is set on the bench before Enter is pressed, a text is the answer."""
+    """Answers the prompts in turn: a motion is started on the bench before Enter, a text is typed."""
 
     def __init__(self, bus_name, *script):
         self.bus_name, self.script = bus_name, list(script)
@@ -81,7 +81,7 @@ class Person:
         now = self.script.pop(0)
         if isinstance(now, str):
             return now + "\n"
-        self.benches.close()  # the bench of the step before is switched off
+        self.benches.close()  # the bench of the previous step is switched off
         self.benches.enter_context(SimulatedCanBench(now, channel=self.bus_name, speed_factor=8.0))
         return "\n"
 
@@ -92,10 +92,8 @@ def moved(**options):
 
 
 @pytest.mark.slow(7)
-def test_a_prompted_sequence_goes_on_after_a_step_that_fell_short_and_hands_over_its_report(
-    command, tmp_path, wiring, bus_name
-):
-    """A brake set wrong at first; then all steps; at the end the real `cycloid-fit report`. No prompt is left over."""
+def test_a_prompted_sequence_repeats_a_step_that_fell_short_and_writes_the_report(command, tmp_path, wiring, bus_name):
+    """First with a wrong brake torque, then all steps, then the real `cycloid-fit report`. No prompt remains."""
     from common import EXAMPLES
 
     (tmp_path / "drive.toml").write_text((EXAMPLES / "drive-39-40.toml").read_text())
@@ -118,7 +116,7 @@ def test_a_prompted_sequence_goes_on_after_a_step_that_fell_short_and_hands_over
     assert "3 of 3: Lock the input. Torque 0 → +100 → 0 → −100 → 0 N*m, 1 times." in run.stdout
     short = "300rpm-20Nm-forward.trial-1.arrows: not reached: the mean torque is 15 N*m, not 20 ± 1."
     assert short in run.stderr
-    assert run.stderr.count("Press Enter when it runs") == 4
+    assert run.stderr.count("Press Enter when the bench is running") == 4
     kept = {p.name for p in tmp_path.glob("*.arrows")}
     steps = {"300rpm-20Nm-forward.arrows", "300rpm-20Nm-backward.arrows", "hysteresis-100Nm.arrows"}
     assert kept == steps | {"300rpm-20Nm-forward.trial-1.arrows"}
@@ -127,24 +125,22 @@ def test_a_prompted_sequence_goes_on_after_a_step_that_fell_short_and_hands_over
     assert "trial-1" not in page
 
 
-def test_a_step_that_is_given_up_is_kept_and_said_and_what_is_recorded_is_passed_over(
-    command, tmp_path, wiring, bus_name
-):
+def test_an_abandoned_step_is_kept_and_reported_and_recorded_steps_are_skipped(command, tmp_path, wiring, bus_name):
     (tmp_path / "sequence.toml").write_text(SEQUENCE)
     person = Person(bus_name, moved(torque=20.0, turns=4), moved(torque=-20.0, turns=4), "n")
     with person.benches:
         run = command("cycloid-bench", "run", "sequence.toml", input=person)
     assert run.returncode == 1, run.stdout + run.stderr
-    assert "the crank turns the other way, not backward" in run.stderr
+    assert "the crank does not turn backward but the other way" in run.stderr
     assert {p.name for p in tmp_path.glob("*.arrows")} == {
         "300rpm-20Nm-forward.arrows", "300rpm-20Nm-backward.trial-1.arrows",
     }  # fmt: skip
-    # Made again it goes on with what is missing, under the next free name.
+    # Run again, it continues with the missing step, under the next free name.
     person = Person(bus_name, moved(torque=-20.0, turns=4, direction="backward"))
     with person.benches:
         run = command("cycloid-bench", "run", "sequence.toml", input=person)
     assert run.returncode == 0, run.stderr
-    assert run.stderr.count("Press Enter when it runs") == 1
+    assert run.stderr.count("Press Enter when the bench is running") == 1
     assert (tmp_path / "300rpm-20Nm-backward.arrows").exists()
 
 
@@ -167,13 +163,13 @@ def step_and_samples(tmp_path, wiring, step_number=0, motion=None, **run_options
         ({}, None),
         ({"torque": 17.0}, r"the mean torque is 17 N\*m, not 20 ± 1"),
         ({"torque": -20.0}, r"the mean torque is -20 N\*m"),
-        ({"direction": "backward"}, "the crank turns the other way, not forward"),
+        ({"direction": "backward"}, "the crank does not turn forward but the other way"),
         ({"turns": 2}, r"the crank makes 1.99 turns, not 3"),
         ({"speed": 5 * math.pi}, r"the mean speed is 150 rpm, not 300 ± 30"),
         ({"torque_noise": 10.0}, "the torque varies by"),
     ],
 )
-def test_a_step_that_is_not_reached_says_why(tmp_path, wiring, options, said):
+def test_a_step_that_falls_short_states_the_reason(tmp_path, wiring, options, said):
     found = step_and_samples(tmp_path, wiring, **options)
     if said is None:
         assert found == []
@@ -183,7 +179,7 @@ def test_a_step_that_is_not_reached_says_why(tmp_path, wiring, options, said):
         assert any(re.search(said, s) for s in found), found
 
 
-def test_a_loop_that_is_not_reached_says_why(tmp_path, wiring):
+def test_a_loop_that_falls_short_states_the_reason(tmp_path, wiring):
     assert step_and_samples(tmp_path, wiring, 2, simulate_hysteresis, turns=1, torque=100.0) == []
     found = step_and_samples(tmp_path, wiring, 2, simulate_hysteresis, turns=1, torque=90.0)
     assert found == [
@@ -199,7 +195,7 @@ def test_a_loop_that_is_not_reached_says_why(tmp_path, wiring):
         (
             '"20 N*m"',
             '"300000 N*m"',
-            r"loads: 300000 N\*m is beyond the torque sensor, which measures -2",
+            r"loads: 300000 N\*m is outside the range of the torque sensor, -2",
         ),
         ("turns = 3", "turns = 0", "turns = 0: it should be greater than 0"),
         ("turns = 3", "twists = 3", "twists is not a known key"),
@@ -207,7 +203,7 @@ def test_a_loop_that_is_not_reached_says_why(tmp_path, wiring):
         ("BENCH.toml", "none.toml", "none.toml: No such file"),
     ],
 )
-def test_a_bad_sequence_is_refused_in_a_sentence(tmp_path, wiring, old, new, said):
+def test_an_invalid_sequence_is_refused_in_one_sentence(tmp_path, wiring, old, new, said):
     path = tmp_path / "sequence.toml"
     path.write_text(SEQUENCE.replace(old, new))
     with pytest.raises(edge.InputError, match=said):

@@ -1,4 +1,4 @@
-"""Modbus RTU against pymodbus's own server, lines of text against their description, AMT21 turns, URLs."""
+"""Modbus RTU against pymodbus's server, lines of text against their description, AMT21 turns, URLs."""
 
 import asyncio
 import contextlib
@@ -41,7 +41,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo
 
 @pytest.fixture
 def modbus_line(tmp_path):
-    """Two ends of a serial line with pymodbus's server on one of them; yields the other end's name."""
+    """Yield the name of one end of a serial line, with pymodbus's server on the other end."""
     ends = [os.openpty(), os.openpty()]
     for _, line in ends:
         tty.setraw(line)
@@ -113,14 +113,14 @@ def test_modbus_registers_are_the_position(modbus_line):
         assert set(some(encoder).counts.tolist()) == {0xE2400001}
 
 
-def test_modbus_says_what_is_wrong_at_the_start(modbus_line):
+def test_modbus_errors_are_reported_at_the_start(modbus_line):
     with pytest.raises(EncoderProtocolError, match=r"refuses register 1000 of the holding table: exception 2"):
         modbus(modbus_line, register=1000, counts_per_turn=4096).__enter__()
     with pytest.raises(EncoderSetupError, match="counts_per_turn is missing"):
         modbus(modbus_line).__enter__()
 
 
-def test_the_simulated_modbus_bench_is_what_pymodbus_s_own_client_reads():
+def test_the_simulated_modbus_bench_is_read_by_the_client_of_pymodbus():
     motion = simulate_motion(lambda a, t: -a / 39 + 0.5, SimulatedRun(torque=0.0, turns=1, speed=1e-6))
     with SimulatedModbusBench(motion) as bench, ModbusSerialClient(bench.url, baudrate=115200, timeout=1) as client:
         found = [client.read_holding_registers(0, count=2, device_id=d).registers for d in (1, 2)]
@@ -131,8 +131,8 @@ def test_the_simulated_modbus_bench_is_what_pymodbus_s_own_client_reads():
 
 
 @pytest.mark.parametrize("kind", [None, "mute", "half", "corrupt", "garbage", "wrong_baud"])
-def test_a_modbus_line_is_recorded_and_never_a_wrong_angle(tmp_path, kind, monkeypatch):
-    monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 0.3)  # a busy machine schedules the simulated encoder late
+def test_a_modbus_line_is_recorded_without_a_wrong_angle(tmp_path, kind, monkeypatch):
+    monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 0.3)  # a busy machine delays the simulated encoder
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=1, samples_per_turn=200))
     path = tmp_path / "run.arrows"
     faults = [] if kind is None else [Fault(kind, 20, 2, target=2)]
@@ -143,7 +143,7 @@ def test_a_modbus_line_is_recorded_and_never_a_wrong_angle(tmp_path, kind, monke
     for name, angle in (("input_angle", motion.input_angle), ("output_angle", motion.output_angle)):
         samples = recording.samples[name]
         assert len(samples) > 10
-        # Every value is one of the motion's, to half a count.
+        # Every value occurs in the motion, to half a count.
         nearest = np.abs(samples.value[:, None] - angle).min(axis=1)
         assert nearest.max() <= 1.001 * math.pi / (1 << 18)
         assert np.all(np.diff(samples.value) * np.sign(angle[-1]) >= 0)
@@ -151,7 +151,7 @@ def test_a_modbus_line_is_recorded_and_never_a_wrong_angle(tmp_path, kind, monke
     assert "gaps" not in done.marks["input_angle"]
 
 
-def test_the_specification_s_example_of_a_crc():
+def test_the_crc_example_of_the_specification():
     # Modbus over serial line V1.02, 6.2.2: the CRC of 02 07 is 1241 hexadecimal, sent low byte (41) first.
     from pymodbus.framer import FramerRTU
 
@@ -160,7 +160,7 @@ def test_the_specification_s_example_of_a_crc():
 
 @settings(max_examples=200)
 @given(st.binary(min_size=9, max_size=9))
-def test_no_answer_with_a_wrong_crc_is_a_position(answer):
+def test_an_answer_with_a_wrong_crc_is_never_a_position(answer):
     encoder = modbus("loop://", counts_per_turn=4096)
     from pymodbus.framer import FramerRTU
 
@@ -171,7 +171,7 @@ def test_no_answer_with_a_wrong_crc_is_a_position(answer):
 def test_lines_are_the_commanded_motion_and_their_clock_is_known(tmp_path):
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=2, samples_per_turn=200))
     path = tmp_path / "run.arrows"
-    drift = 0.01  # a counter without a crystal; what a busy machine delays all lines by is far less
+    drift = 0.01  # a counter without a crystal; the delay of all lines by a busy machine is far smaller
     with SimulatedAsciiBench(motion, clock_drift=drift) as bench:
         record(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
@@ -186,7 +186,7 @@ def test_lines_are_the_commanded_motion_and_their_clock_is_known(tmp_path):
 
 
 def ascii_samples(config, data):
-    """What a counter makes of bytes that came, without a port."""
+    """Return the samples that a counter decodes from received bytes, without a port."""
     counter = AsciiCounter("output_angle", config, PortConfig(url="loop://"))
     counter._skipping = False
     counter._answers.put([Exchange(float(i), data[i : i + 7]) for i in range(0, len(data), 7)], 1)
@@ -214,7 +214,7 @@ def test_the_checksum_is_that_of_nmea_0183():
 
 @settings(max_examples=150)
 @given(st.lists(st.tuples(st.integers(0, 10**6), st.binary(max_size=12)), max_size=12))
-def test_whatever_stands_between_good_lines_no_wrong_count_is_accepted(given_lines):
+def test_no_wrong_count_is_accepted_from_bytes_between_valid_lines(given_lines):
     data, sent = b"", []
     for number, (count, junk) in enumerate(given_lines):
         data += junk.replace(b"\n", b"") + b"\n" + nmea(number, count)
@@ -228,10 +228,10 @@ def test_whatever_stands_between_good_lines_no_wrong_count_is_accepted(given_lin
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"line": "{time}"}, r"line = .*write one of the fields \{counts\} and \{value\}"),
-        ({"line": "{counts}{value}"}, "write one of the fields"),
-        ({"line": "{count}"}, r"there is no field \{count\}; there are counts, value"),
-        ({"line": "{counts},{counts}"}, r"the field \{counts\} is in it twice"),
+        ({"line": "{time}"}, r"line = .*write exactly one of the fields \{counts\} and \{value\}"),
+        ({"line": "{counts}{value}"}, "write exactly one of the fields"),
+        ({"line": "{count}"}, r"there is no field \{count\}; the fields are counts, value"),
+        ({"line": "{counts},{counts}"}, r"the field \{counts\} occurs twice"),
     ],
 )
 def test_a_bad_description_is_refused(keys, said):
@@ -239,8 +239,8 @@ def test_a_bad_description_is_refused(keys, said):
         edge.validated(AsciiConfig, {"protocol": "ascii", "port": "p", **keys}, "BENCH.toml")
 
 
-def test_a_multi_turn_encoder_counts_what_the_readings_missed(tmp_path):
-    # 20 crank turns a second, read a few hundred times a second, with a pause of a tenth of a second in between.
+def test_a_multi_turn_encoder_counts_turns_that_readings_missed(tmp_path):
+    # 20 crank turns per second, read a few hundred times per second, with a pause of a tenth of a second.
     motion = simulate_motion(
         lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=40, samples_per_turn=500, speed=40 * math.pi)
     )
@@ -254,11 +254,11 @@ def test_a_multi_turn_encoder_counts_what_the_readings_missed(tmp_path):
 
 
 @given(st.lists(st.integers(-3000, 3000), min_size=2, max_size=60), st.integers(-(10**5), 10**5))
-def test_turns_and_position_of_two_questions_make_one_angle(steps, start):
+def test_turns_and_position_from_two_requests_make_one_angle(steps, start):
     config = Amt21Config(protocol="amt21", port="p", multi_turn=True, bits=12)
     encoder = Amt21Encoder("input_angle", config, PortConfig(url="loop://"))
     true = start + np.cumsum(steps)
-    late = true + np.array([s // 40 for s in steps])  # the turns are asked a little later
+    late = true + np.array([s // 40 for s in steps])  # the turns are requested slightly later
     counts, _missed = encoder._with_turns(
         _counted(true % 4096), true % 4096, (late // 4096) % (1 << 14)
     )  # fmt: skip
@@ -276,7 +276,7 @@ def _counted(raw):
 
 
 def test_a_port_may_be_a_socket(tmp_path):
-    """`socket://` as of a serial device server; here it sends lines."""
+    """`socket://`, as of a serial device server; here it sends lines."""
     server = socket.create_server(("127.0.0.1", 0))
     stop = threading.Event()
 
@@ -286,7 +286,7 @@ def test_a_port_may_be_a_socket(tmp_path):
             for number in range(10**6):
                 if stop.wait(0.002):
                     return
-                with contextlib.suppress(OSError):  # the recorder has hung up
+                with contextlib.suppress(OSError):  # the recorder has disconnected
                     connection.sendall(nmea(number, number))
 
     thread = threading.Thread(target=serve, daemon=True)
@@ -315,7 +315,7 @@ def test_a_port_may_be_a_socket(tmp_path):
         ('line = "{value}"\nunit = "mm"', 'unit = "mm": the unit "mm" '),
     ],
 )
-def test_what_a_line_s_table_lacks_is_said_with_file_and_channel(tmp_path, changed, said):
+def test_a_key_missing_in_the_table_of_a_line_is_reported_with_file_and_channel(tmp_path, changed, said):
     bench = tmp_path / "BENCH.toml"
     channel = '[channel.output_angle]\nprotocol = "ascii"\nport = "a"\n'
     bench.write_text(f'format = "cycloid-bench/1"\n[port.a]\nurl = "/dev/ttyUSB0"\n{channel}{changed}\n')
@@ -325,7 +325,7 @@ def test_what_a_line_s_table_lacks_is_said_with_file_and_channel(tmp_path, chang
 
 
 class _Line(serial.Serial):
-    """A pseudo-terminal as a port: it has no modem lines to read or set."""
+    """A pseudo-terminal as a port without modem lines."""
 
     cts = dsr = ri = cd = rts = dtr = False
 
@@ -336,8 +336,8 @@ class _Line(serial.Serial):
 
 
 def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path, monkeypatch):
-    """pyserial's own server end between a TCP connection and the simulated line: baud rate and bytes go through it."""
-    monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 1.0)  # a busy machine schedules the simulated encoder late
+    """pyserial's server between a TCP connection and the simulated line passes on baud rate and bytes."""
+    monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 1.0)  # a busy machine delays the simulated encoder
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=1, samples_per_turn=100))
     path, stopping, rates = tmp_path / "run.arrows", threading.Event(), []
     server = socket.create_server(("127.0.0.1", 0))
@@ -378,7 +378,7 @@ def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path, monkeypatch)
     assert nearest.max() <= 1.001 * math.pi / (1 << 14)
 
 
-def test_nothing_and_nonsense_are_told_apart(tmp_path, monkeypatch):
+def test_no_answer_and_invalid_answers_are_distinguished(tmp_path, monkeypatch):
     from drivers.encoders import ascii as ascii_counter
 
     monkeypatch.setattr(ascii_counter, "FIRST_LINE_SECONDS", 0.3)

@@ -1,4 +1,4 @@
-"""A tenth of the soak in benchmarks/test_acquisition_speed.py."""
+"""A tenth of the soak test in benchmarks/test_acquisition_speed.py."""
 
 import pytest
 from soak import soak

@@ -1,7 +1,7 @@
-"""A recorder that is stopped for a while, as a busy machine or a debugger does: no gap without a mark, no wrong pair.
+"""A recorder that is stopped for a while, as by a busy machine or a debugger: no gap without a mark, no wrong pair.
 
-The bench, in this process, knows what it sent and when; its line holds no more than a real one for a reader that does
-not come. `CYCLOID_STOPS` is how many stops each protocol and source of time gets in the slow campaign.
+The bench, in this process, knows what it sent and when; its line buffers no more than a real one while nobody reads.
+`CYCLOID_STOPS` is the number of stops per protocol and source of time in the slow campaign.
 """
 
 import contextlib
@@ -33,11 +33,11 @@ VCAN = "vcan0"
 RECORDER = """
 import json, os, sys
 if hasattr(os, "sched_setscheduler"):
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # as busy as the machine, other than the bench
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # normal priority, unlike the bench
 from drivers.can import drops
 from drivers.recorder.session import RecordingInterrupted, record
 drops.RECEIVE_BUFFER = int(sys.argv[1])
-if sys.argv[2] == "untold":  # an interface whose driver does not tell of what it drops
+if sys.argv[2] == "untold":  # an interface whose driver does not count its drops
     drops._DROPS, drops.SocketDrops.since = 9999, lambda self: 0
 try:
     record("BENCH.toml", "run.arrows", idle=2.0)
@@ -48,13 +48,13 @@ except RecordingInterrupted as interrupt:
 
 @contextlib.contextmanager
 def prompt():
-    """Let the threads begun in it, a bench's, go before all others where that is permitted: a device has its own time.
+    """Give threads started inside, those of a bench, priority over all others if permitted, like a real device.
 
-    Where it is not, a busy machine makes the bench late, and what is told by its clock or its pace is off by so much.
+    If not permitted, a busy machine delays the bench, and results from its clock or usual interval are off by that.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
-    except (AttributeError, OSError):  # Linux alone has it, for those with the right
+    except (AttributeError, OSError):  # Linux only, and only with the privilege
         yield
         return
     try:
@@ -64,14 +64,14 @@ def prompt():
 
 
 def motion(rate):
-    """Long enough at so many samples a second, one crank turn in each."""
+    """Return a motion that is long enough at this sampling rate, samples per second, with one crank turn per second."""
     return simulate_motion(
         lambda angle, torque: -angle / 39, SimulatedRun(torque=5.0, turns=1000, samples_per_turn=rate)
     )
 
 
 def recorded_over_stops(folder, bench, stops, seed, told="told"):
-    """Record a bench with a recorder that is stopped so often: the recording, what was told lost, the start's time."""
+    """Record a bench with a recorder stopped this often; return the recording, reported losses and the start time."""
     random = np.random.default_rng(seed)
     process = subprocess.Popen(
         [sys.executable, "-c", RECORDER, str(CAN_BUFFER), told], cwd=folder, env=ENVIRONMENT,
@@ -80,7 +80,7 @@ def recorded_over_stops(folder, bench, stops, seed, told="told"):
     try:
         grown(folder / "run.arrows", 30_000, 60)
         for _ in range(stops):
-            time.sleep(random.uniform(0.2, 0.5))  # the moments are the experiment
+            time.sleep(random.uniform(0.2, 0.5))  # random moments are the purpose of the test
             process.send_signal(signal.SIGSTOP)
             time.sleep(SHORTEST * (LONGEST / SHORTEST) ** random.uniform(0.0, 1.0))
             process.send_signal(signal.SIGCONT)
@@ -97,7 +97,7 @@ def recorded_over_stops(folder, bench, stops, seed, told="told"):
 
 
 def missing_and_marked(samples, own):
-    """Return how many of the bench's own numbers are missing among the samples; each gap is marked."""
+    """Return how many of the bench's sample numbers are missing; assert that each gap is marked."""
     step = np.diff(own)
     assert np.all(step > 0)
     assert np.all(samples.status[1:][step > 1] & rf.GAP), "a gap without a mark"
@@ -119,7 +119,7 @@ CAN = {
     "SYNC without counter, interface's clock, drops not told": {"clock_drift": 50e-6, "sync_counter": False},
     "event timer, interface's clock, drops not told": {"clock_drift": 50e-6, "trigger": "timer"},
 }
-# A bus of this machine alone; the kernel's own virtual CAN too, where it has one.
+# A bus on this machine, and the kernel's virtual CAN if it has one.
 BUSES = {"loopback": GROUP, **({"socketcan": VCAN} if Path("/sys/class/net", VCAN).exists() else {})}
 
 
@@ -163,12 +163,12 @@ def can_case(folder, bus, case, stops, record_property):
 
 
 @needs_multicast
-def test_a_recorder_that_stood_still_says_what_it_lost_on_can(tmp_path, record_property):
+def test_a_stopped_recorder_reports_its_losses_on_can(tmp_path, record_property):
     can_case(tmp_path, "loopback", next(iter(CAN)), 2, record_property)
 
 
 def nearest_places(sorted_values, values):
-    """Return the place of the nearest of sorted values to each of others."""
+    """Return for each of `others` the index of the nearest of sorted values."""
     after = np.clip(np.searchsorted(sorted_values, values), 1, len(sorted_values) - 1)
     before_is_nearer = values - sorted_values[after - 1] < sorted_values[after] - values
     return after - before_is_nearer
@@ -178,7 +178,7 @@ def nearest_places(sorted_values, values):
 @pytest.mark.slow(30)
 @pytest.mark.parametrize("case", CAN)
 @pytest.mark.parametrize("bus", BUSES)
-def test_stops_at_random_on_can(tmp_path, bus, case, record_property):
+def test_random_stops_on_can(tmp_path, bus, case, record_property):
     can_case(tmp_path, bus, case, STOPS, record_property)
 
 
@@ -192,7 +192,7 @@ LINES = {
 
 @pytest.mark.slow(30)
 @pytest.mark.parametrize("case", LINES)
-def test_stops_at_random_of_a_line_that_sends(tmp_path, case, record_property):
+def test_random_stops_with_a_device_that_sends(tmp_path, case, record_property):
     with prompt(), SimulatedAsciiBench(motion(500)) as bench:
         bench.receive_buffer = SERIAL_BUFFER
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
@@ -205,18 +205,18 @@ def test_stops_at_random_of_a_line_that_sends(tmp_path, case, record_property):
     missing = missing_and_marked(samples, own)
     clean = samples.status == 0
     late = (recording.aligned_time("output_angle") + start - when[own])[clean]
-    # Without a clock of its own a line's instant is when it came; what may have waited longer is left out.
+    # Without its own clock a line gets its arrival time; lines that may have been delayed are left out.
     assert np.max(np.abs(late)) < (2e-3 if "clock" in case else 0.06)
     assert missing > 0 or STOPS < 10  # a few short stops may lose nothing
-    # Of lines without number and clock a gap's length is known to 0.06 s, 30 lines, as their instants are: by chance.
+    # For lines without number and clock the length of a gap is known to 0.06 s, 30 lines, like their times.
     assert_told(told["output_angle"], missing, 1 + 30 * STOPS**0.5 if case == "neither" else 1)
     record_property(f"lines with {case}: stops, lines lost, told", f"{STOPS}, {missing}, {told['output_angle']}")
 
 
 @pytest.mark.slow(30)
 @pytest.mark.parametrize("kind", [SimulatedAmt21Bench, SimulatedModbusBench])
-def test_stops_at_random_of_devices_that_are_asked(tmp_path, kind, record_property):
-    sent = motion(1000)  # so a single-turn encoder turns several times in a gap
+def test_random_stops_with_polled_devices(tmp_path, kind, record_property):
+    sent = motion(1000)  # so that a single-turn encoder turns several times in a gap
     with prompt(), kind(sent) as bench:
         bench.receive_buffer = SERIAL_BUFFER
         bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
@@ -232,7 +232,7 @@ def test_stops_at_random_of_devices_that_are_asked(tmp_path, kind, record_proper
         assert np.max(np.abs(samples.value - turned)[clean]) < 0.03 * abs(angle[-1] / sent.time[-1]) + 5e-4
         assert np.all(samples.status[1:][np.diff(samples.time_host) > 0.3] & rf.GAP)
         answered_at = np.array(bench.answered_at[address])
-        # A single instant may be 25 ms off: most of the first and the last thirty, before and after all stops, are not.
+        # A single time may be 25 ms off, but not most of the first and last thirty, before and after all stops.
         nearest = nearest_places(answered_at, samples.time_host + start)
         first = int(np.median(nearest[:30] - np.arange(30)))
         last = int(np.median(nearest[-30:] + np.arange(30)[::-1]))

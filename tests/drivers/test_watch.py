@@ -1,4 +1,4 @@
-"""The live page: what it is told, who may see it, and that a real browser shows it."""
+"""The live page: its data, access to it, and display in a real browser."""
 
 import contextlib
 import email
@@ -35,7 +35,7 @@ HEADER = Header(
 
 
 def write_turns(writer, first, count, amplitude=30 * ARCSEC, order=2):
-    """Write some samples of a drive whose TE is one order, 96 samples a crank turn."""
+    """Write samples of a drive whose TE is a single order, 96 samples per crank turn."""
     time = np.arange(first, first + count) / 96
     angle = 2 * math.pi * time
     output = angle / -39 + amplitude * np.sin(order * angle)
@@ -53,7 +53,7 @@ def test_the_spectrum_of_one_order_is_that_order(direction, turns):
     assert np.sort(amplitudes)[-2] < 0.35
 
 
-def test_a_growing_recording_is_followed(tmp_path):
+def test_a_growing_recording_is_shown(tmp_path):
     path = tmp_path / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
         watcher = Watcher(path)
@@ -89,7 +89,7 @@ def status_of(url, **headers):
         return problem.code
 
 
-def test_who_may_see_the_page(tmp_path, serve):
+def test_the_page_requires_a_token_or_a_local_name(tmp_path, serve):
     path = tmp_path / "run.arrows"
     with RecordingWriter(path, HEADER):
         pass
@@ -103,7 +103,7 @@ def test_who_may_see_the_page(tmp_path, serve):
     assert status_of(bare) == status_of(bare + "?token=guess") == status_of(bare + "data") == 403
 
 
-def test_a_port_in_use_is_a_sentence(tmp_path, serve):
+def test_a_port_in_use_is_reported_in_one_sentence(tmp_path, serve):
     path = tmp_path / "run.arrows"
     with RecordingWriter(path, HEADER):
         pass
@@ -118,7 +118,7 @@ def test_a_slow_client_skips_to_the_newest(tmp_path, serve):
         server = serve(Watcher(path))
         number, _ = server.newest.after(0, 5.0)
         write_turns(writer, 0, 96)
-        while True:  # the server reads five times a second whatever the clients do
+        while True:  # the server reads five times per second regardless of clients
             now, text = server.newest.after(number, 5.0)
             assert now > number
             if json.loads(text)["channels"][0]["samples"] == 96:
@@ -165,7 +165,7 @@ def asked(server, request):
         return b"".join(iter(lambda: client.recv(1 << 16), b""))
 
 
-def test_values_that_are_no_numbers_are_null_and_left_out_of_the_transmission_error(tmp_path):
+def test_nan_values_are_null_and_left_out_of_the_transmission_error(tmp_path):
     with RecordingWriter(tmp_path / "run.arrows", HEADER) as writer:
         write_turns(writer, 0, 192)
         for name in ("input_angle", "output_angle", "torque"):
@@ -189,7 +189,7 @@ def test_values_that_are_no_numbers_are_null_and_left_out_of_the_transmission_er
      "GET /?token=%00%ff HTTP/1.1\r\nHost: \xff"],
 )  # fmt: skip
 @pytest.mark.parametrize("token", [None, "s3cret"])
-def test_an_odd_request_is_refused_and_nothing_is_printed(tmp_path, serve, capfd, line, token):
+def test_an_invalid_request_is_refused_and_nothing_is_printed(tmp_path, serve, capfd, line, token):
     with RecordingWriter(tmp_path / "run.arrows", HEADER):
         pass
     server = serve(Watcher(tmp_path / "run.arrows"), token)
@@ -206,7 +206,7 @@ def test_an_odd_request_is_refused_and_nothing_is_printed(tmp_path, serve, capfd
     assert capfd.readouterr() == ("", "")
 
 
-def test_clients_that_are_slow_or_many_are_let_go(tmp_path, serve, monkeypatch):
+def test_slow_or_surplus_clients_are_disconnected(tmp_path, serve, monkeypatch):
     monkeypatch.setattr(page_server, "REQUEST_SECONDS", 0.5)
     with RecordingWriter(tmp_path / "run.arrows", HEADER):
         pass

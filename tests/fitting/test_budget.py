@@ -173,7 +173,7 @@ def test_budgets_in_the_terminal_the_file_and_the_report(command, tmp_path):
         ('accuracy = "1 arcsec"', "accuracy = 1", "[instruments.output_encoder] accuracy = 1"),
         ("periods_per_turn = 1500\n", "", "subdivision needs periods_per_turn"),
         ("accuracy_class = 0.5", "accuracy_class = 200", "accuracy_class = 200"),
-        ("backlash =", "play =", "play is no figure"),
+        ("backlash =", "play =", "play is not a figure"),
         ("0.1 arcsec/K", "0.1 mm/K", "backlash"),
         ("2026-03-01", '"last spring"', "calibrated"),
         ("[instruments.thermometer]", "[instruments.barometer]", "barometer"),

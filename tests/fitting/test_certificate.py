@@ -106,7 +106,7 @@ def test_a_certificate_needs_instruments_and_html(found, tmp_path):
     [
         ('lost_motion = "1 arcmin"', "lost_motion = {}", "state min, max or both"),
         ('lost_motion = "1 arcmin"', 'lost_motion = {max = "1 mm"}', "lost_motion"),
-        ('lost_motion = "1 arcmin"', 'lost = {max = "1 arcmin"}', "lost is no figure"),
+        ('lost_motion = "1 arcmin"', 'lost = {max = "1 arcmin"}', "lost is not a figure"),
         ('lost_motion = "1 arcmin"', 'lost_motion = {min = "2 arcmin", max = "1 arcmin"}', "min is above max"),
         ('"guard band" ', '"shared risk" ', "decision_rule"),
         ('serial_number = "0007"', "", "[device] serial_number is missing"),

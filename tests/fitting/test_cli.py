@@ -77,10 +77,10 @@ def test_an_interrupt_keeps_the_figures_of_the_files_that_were_taken(command, tm
     assert run.returncode == 130, run.stderr
     found = json.loads(run.stdout)
     assert len(found["angular_transmission_error"]["runs"]) == len(found["data"]) == 2
-    assert found["notes"][0] == "Interrupted: 2 of 3 recordings were taken."
+    assert found["notes"][0] == "Interrupted: 2 of 3 recordings were evaluated."
     assert run.stderr.split() == found["notes"][0].split()
     text = (tmp_path / output).read_text(encoding="utf-8")
-    assert text.rstrip() == run.stdout.rstrip() if verb == "metrics" else "2 of 3 recordings were taken" in text
+    assert text.rstrip() == run.stdout.rstrip() if verb == "metrics" else "2 of 3 recordings were evaluated" in text
 
 
 def test_a_file_that_can_t_be_read_costs_its_own_figures_alone(command, tmp_path):

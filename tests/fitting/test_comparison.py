@@ -38,7 +38,7 @@ def test_what_can_not_be_compared_is_said():
     other = figures_from(torque, angle, rated=150.0).figures
     changes, notes = changes_between(whole, other)
     assert changes == []
-    assert "give both the same rated torque" in notes[0]
+    assert "use the same rated torque for both" in notes[0]
 
 
 def test_compare_from_the_command_line(command, tmp_path):

@@ -131,7 +131,7 @@ def test_conditions_in_names_of_files(name, stated):
 
 
 @pytest.mark.parametrize(
-    ("name", "asked"), [("RV-500Nm", "minus"), ("T=30", "torque or the temperature"), ("a_20Nm_of_50Nm", "which")]
+    ("name", "asked"), [("RV-500Nm", "minus"), ("T=30", "torque or temperature"), ("a_20Nm_of_50Nm", "which")]
 )
 def test_a_name_that_can_be_read_in_two_ways_is_asked(tmp_path, name, asked):
     write(path := tmp_path / f"{name}.csv", "brackets", made(20.0))
@@ -165,7 +165,7 @@ def test_a_transmission_error_needs_the_ratio(tmp_path):
         ('torque = {file_name = "{}Nm"}', "unit"),
         ('input_angle = {column = "b"}', "one of the two"),
         ("last_row_first = true\ntime = {column = 't'}", r"the \[time\] column determines the first sample"),
-        ("[[runs]]\nname = 'a'\n[[runs]]\nname = 'a'", "name of its own"),
+        ("[[runs]]\nname = 'a'\n[[runs]]\nname = 'a'", "needs its own name"),
     ],
 )
 def test_mappings_that_contradict_themselves_are_refused(tmp_path, text, said):

@@ -38,7 +38,7 @@ def test_files_by_pattern_are_sorted_into_curves_and_named_where_they_are_bad(tm
     assert "angular_transmission_error" in found.figures
     with pytest.raises(edge.InputError, match=r"bad\.csv"):
         fitting.identify(both, drive)
-    with pytest.raises(edge.InputError, match="fits this pattern"):
+    with pytest.raises(edge.InputError, match="matches this pattern"):
         fitting.read_recordings(str(tmp_path / "*.parquet"))
 
 

@@ -216,7 +216,10 @@ def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_pa
             ("ensemble", "drawn/s-0000.nc", "--pair", "pair.toml", "-o", "again"),
             "--pair has no covariance of a fit",
         ),
-        (("ensemble", "s.nc", "--pair", "pair.toml", "-o", "again", "--plot", "b.png"), "--plot and --torque belong"),
+        (
+            ("ensemble", "s.nc", "--pair", "pair.toml", "-o", "again", "--plot", "b.png"),
+            "--plot and --torque: give both or neither",
+        ),
     ):
         run = command("cycloid-fit", *words)
         assert run.returncode == 2

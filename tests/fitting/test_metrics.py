@@ -145,9 +145,9 @@ def test_a_torque_on_one_side_gives_its_stiffness_and_says_what_is_missing():
     assert set(found.figures) == {"torsional_stiffness"}
     assert found.figures["torsional_stiffness"].value * ARCMIN == pytest.approx(49.0)
     assert set(found.figures["torsional_stiffness"].parts) == {"positive"}
-    assert any("never crosses zero, it is always positive" in note for note in found.notes)
+    assert any("the torque is always positive" in note for note in found.notes)
     found = figures_from(torque[~half], angle[~half])
-    assert any("never crosses zero, it is always negative" in note for note in found.notes)
+    assert any("the torque is always negative" in note for note in found.notes)
 
 
 def test_the_figures_are_marked_where_they_are_read_off():
@@ -300,7 +300,7 @@ def test_a_branch_that_was_not_recorded_takes_its_figures_with_it():
     found = figures_from(torque[kept], angle[kept])
     assert set(found.figures) == {"torsional_stiffness"}
     for name in ("hysteresis_loss", "backlash", "lost_motion"):
-        assert any(f"{name} could not be given: a branch has fewer than three samples" in n for n in found.notes)
+        assert any(f"{name} could not be determined: a branch has fewer than three samples" in n for n in found.notes)
 
 
 def test_a_load_that_is_thrown_from_side_to_side_is_no_loop():
@@ -314,7 +314,7 @@ def test_a_load_that_is_thrown_from_side_to_side_is_no_loop():
     [
         (0.5432 * ARCMIN, 0.012 * ARCMIN, "rad", ("32.59", "0.72", "arcsec")),
         (1.5432 * ARCMIN, 0.012 * ARCMIN, "rad", ("1.543", "0.012", "arcmin")),
-        (-1.5432 * ARCMIN, np.nan, "rad", ("-1.543", "not known", "arcmin")),
+        (-1.5432 * ARCMIN, np.nan, "rad", ("-1.543", "unknown", "arcmin")),
         (49.0 / ARCMIN, 13.0 / ARCMIN, "N*m/rad", ("49", "13", "N·m/arcmin")),
         (3.25, 0.0, "N*m", ("3.250000", "0.000000", "N·m")),
     ],
@@ -333,7 +333,7 @@ def test_an_output_angle_that_is_late_is_noted_where_the_speed_changes():
         for shown, said in ((late, "late by 2"), (2.0 * angle - late, "early by 2"), (angle + noise, None)):
             found = survey(recording(time, angle, shown / -39.0, 100.0), -39.0, None)
             assert found.duration == pytest.approx(time[-1])
-            notes = [note for note in found.notes if "speed changes" in note]
+            notes = [note for note in found.notes if "changes of speed" in note]
             assert len(notes) == (said is not None and hundredths)
             if notes:
                 assert said in notes[0]
@@ -474,7 +474,7 @@ def test_a_few_points_that_were_never_recorded_leave_the_orders_as_they_are():
 def test_a_locked_input_without_a_loop_is_said_and_no_other():
     torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0)
     small, whole = figures_from(0.1 * torque, angle), figures_from(torque, angle)
-    assert any("the input is locked, but the torque does not go beyond a fifth" in note for note in small.notes)
+    assert any("the input is locked, but the torque does not exceed a fifth" in note for note in small.notes)
     assert not any("there is no loop" in note for note in whole.notes)
 
 
@@ -565,7 +565,7 @@ def test_the_no_load_starting_torque_is_that_of_the_input():
     assert "back_driving_torque" not in found.figures
     assert "no-load starting torque" in figure.definition
     panels = {p.title: p for p in panels_of(found)}
-    marked = [t for t in panels["Starts by the input"].traces if t.texts]
+    marked = [t for t in panels["Starts driven by the input"].traces if t.texts]
     assert [float(t.y[0]) for t in marked] == pytest.approx([0.03, 0.04, 0.05])
 
 
@@ -575,7 +575,7 @@ def test_what_keeps_a_start_from_being_one_is_said():
     made = dataclasses.replace(made, input_torque=given)
     assert "without a ratio it is unknown whether the output is loaded" in starting_torques(made, None)[1][0]
     still = dataclasses.replace(made, input_angle=0.0 * angle)
-    assert "never starts the crank from a standstill" in starting_torques(still, -39.0)[1][0]
+    assert "never starts the crank from standstill" in starting_torques(still, -39.0)[1][0]
     assert starting_torques(recording(made.time, angle, angle / -39, 0.0), -39.0) == ([], [])
 
 

@@ -133,7 +133,7 @@ def test_counts_direction_rollover_and_temperature(tmp_path):
     ("text", "said"),
     [
         ('[torque]\ncolumn = "M"\n', "output_angle is missing"),
-        ('[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\ncounts_per_turn = 5\n', "only an angle"),
+        ('[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\ncounts_per_turn = 5\n', "this is for angles"),
         ('[output_angle]\ncolumn = "a"\nunit = "deg"\ncounts_per_turn = 5\n[torque]\ncolumn = "M"\n', "no unit"),
         ('[time]\n[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\n', "either column or rate"),
         ('[time]\nrate = -1\n[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\n', "above zero"),
@@ -158,7 +158,7 @@ def test_parquet(tmp_path):
     write_parquet(tmp_path / "a.parquet")
     same(RecordingStream(tmp_path / "a.parquet").read())
     (tmp_path / "b.parquet").write_bytes((tmp_path / "a.parquet").read_bytes()[:-100])
-    with pytest.raises(edge.InputError, match=r"b\.parquet: this is not a .parquet file, or it is cut"):
+    with pytest.raises(edge.InputError, match=r"b\.parquet: this is not a .parquet file, or it is truncated"):
         RecordingStream(tmp_path / "b.parquet").read()
 
 
@@ -294,7 +294,7 @@ def test_the_last_line_of_a_cut_table_is_left_out(tmp_path):
     (tmp_path / "a.csv").write_text(header + "\n".join(lines)[:-40])
     found = RecordingStream(tmp_path / "a.csv").read()
     assert found.time.size == SAMPLES - 1
-    assert any("its last line is cut" in note for note in found.notes)
+    assert any("its last line is incomplete" in note for note in found.notes)
 
 
 def test_a_missing_package_names_its_extra(tmp_path):
@@ -322,8 +322,8 @@ def test_gaps_and_duplicates_are_marked_and_never_filled(tmp_path):
     assert found.time[found.status & GAP > 0] == pytest.approx([TIME[160], TIME[2100]])
     said = " ".join(found.notes)
     assert "2 gaps, the longest 0.101 s at 1.999 s" in said
-    assert "1 samples at the time of the one before" in said
-    assert "1 samples older than one before" in said
+    assert "1 samples with the time of the previous one" in said
+    assert "1 samples older than a previous one" in said
 
 
 def test_a_late_output_angle_is_found_by_changes_of_speed_and_a_delay_takes_it_away(tmp_path):
@@ -363,8 +363,8 @@ def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
         mdf.save(tmp_path / "a.mf4")
     runs_away = fitting.curves(RecordingStream(tmp_path / "a.mf4").read(), -39.0)[0]
     (note,) = (n for n in runs_away.notes if "drifts by" in n)
-    assert "clock runs +100 ppm fast" in note
-    assert f"by {100e-6 * 2 * np.pi * 206264.8:.3g}″ a turn" in note
+    assert "clock ran +100 ppm fast" in note
+    assert f"by {100e-6 * 2 * np.pi * 206264.8:.3g}″ per output turn" in note
     columns = "".join(f'[{n}]\ncolumn = "{n}"\n' for n in ("input_angle", "torque", "output_angle"))
     found = RecordingStream(tmp_path / "a.mf4", mapping(tmp_path, f"{columns}drift = 100e-6\n")).read()
     # The remainder is the error of interpolating a wave over steps of 0.6 rad.
@@ -387,16 +387,16 @@ def test_a_rollover_within_a_gap_is_counted_by_the_output_angle(tmp_path, gap):
     expected = 1e-4 * np.cos(curve.input_angle)
     offset = np.mean(curve.transmission_error - expected)
     assert curve.transmission_error - offset == pytest.approx(expected, abs=2e-6)
-    assert any("rolled over unseen in 1 gaps" in note for note in curve.notes)
+    assert any("crank turns were missed in 1 gaps" in note for note in curve.notes)
 
 
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        ((OUTPUT, INPUT), "input and output angle look swapped"),
+        ((OUTPUT, INPUT), "input and output angle seem to be swapped"),
         ((INPUT, -OUTPUT), "the ratio's sign or one angle's direction is wrong"),
-        ((INPUT, np.degrees(OUTPUT)), "the output angle's unit looks like deg taken for rad"),
-        ((np.degrees(INPUT), OUTPUT), "the input angle's unit looks like deg taken for rad"),
+        ((INPUT, np.degrees(OUTPUT)), "the output angle seems to be in deg"),
+        ((np.degrees(INPUT), OUTPUT), "the input angle seems to be in deg"),
         ((np.degrees(INPUT) % 360, OUTPUT), "its unit is deg, not rad"),
     ],
 )

@@ -378,7 +378,7 @@ def test_from_the_command_line(case, command, tmp_path):
         "--plot", "now.png",
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
-    assert run.stdout.startswith("The model holds")
+    assert run.stdout.startswith("The model is valid")
     found = json.loads((tmp_path / "now.json").read_text())
     assert len(found["history"]) == 2
     run = command(

@@ -134,7 +134,7 @@ def test_a_scale_that_may_not_be_applied_is_said(tmp_path):
     opened, _ = read(path)
     assert len(opened.problems) == 3
     assert (
-        'torque has a scale in TwinCAT Scope; the file does not say whether it was exported with "Scale'
+        'torque has a scale in TwinCAT Scope; the file does not state whether it was exported with "Scale'
         in opened.problems[2]
     )
 
@@ -145,7 +145,7 @@ def test_a_cut_export_gives_what_it_holds(tmp_path):
     path.write_text(text[:-9], encoding="utf-8", newline="")
     opened, found = read(path)
     assert len(found["input_angle"][0]) == 2999
-    assert opened.problems == [f"{path}: its last line is cut; it was left out."]
+    assert opened.problems == [f"{path}: its last line is incomplete; it was left out."]
 
 
 def without_times(text):
@@ -161,7 +161,7 @@ def without_times(text):
         (lambda t: t.replace("\r\n\r\n0.0\t", "\r\n\r\n132959733843760000\t"), "full time stamps; export it without"),
         (without_times, "fewer cells than its header; export it with time columns"),
         (lambda t: t.replace("\t", ",").replace("0.5,0.2", "0,5,0,2"), "more cells than its header"),
-        (lambda t: t.split("\r\n\r\n")[0], 'whose header has no row "Name"'),
+        (lambda t: t.split("\r\n\r\n")[0], 'has no row "Name" in its header'),
         (lambda t: t.replace("\r\n\r\n0.0\t", "\r\n\r\n0.0\0\t"), "zero bytes"),
     ],
 )

@@ -531,14 +531,14 @@ def test_the_command_writes_what_the_library_does(command, tmp_path, fit):
     [
         (["-o", "1st.c"], '--output = "1st.c": its name also names what is in it: it must begin with a letter'),
         (["-o", "joint.m"], "the name must end in"),
-        (["-o", "joint.c", "--temperatures", "20 degC"], "give two separated by a comma"),
+        (["-o", "joint.c", "--temperatures", "20 degC"], "give two values separated by a comma"),
         (["-o", "joint.c", "--temperatures", "20 degC, 5 mm"], "use one such as degC"),
         (
             ["-o", "joint.c", "--fit", "fit.json", "--stiffness", "1 N*m/rad"],
-            "--stiffness: --fit states the series compliance as well",
+            "--stiffness: --fit determines the series compliance too",
         ),
         (["-o", "joint.c", "--fit", "{drive}"], "this is not JSON"),
-        (["-o", "joint.c", "--fmi", "3.0"], "--fmi: only an FMU has one"),
+        (["-o", "joint.c", "--fmi", "3.0"], "--fmi: this option is for FMUs"),
         (["-o", "joint.fmu", "--platform", "m68k-amiga"], '--platform = "m68k-amiga": this is none of'),
     ],
 )
