@@ -6,8 +6,8 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
-OURS = {"docs", "measure", "test"}  # extras of whoever works on the package
-# What a package says in words, as SPDX names it. The Python Package Index does not tell which BSD licence it is.
+OURS = {"docs", "measure", "test"}  # extras for development
+# SPDX names of licences that packages state in words. The Python Package Index does not state which BSD licence it is.
 SPDX = {
     "Apache License 2.0": "Apache-2.0", "Apache Software License": "Apache-2.0", "BSD License": "BSD-3-Clause",
     "BSD": "BSD-3-Clause", "3-Clause BSD License": "BSD-3-Clause", "ISC License (ISCL)": "ISC", "MIT License": "MIT",
@@ -17,7 +17,7 @@ SPDX = {
 }  # fmt: skip
 STATED = {
     "fmpy": "BSD-2-Clause",  # by the licence file alone
-    # The binding says Apache-2.0; the wheel holds Open CASCADE as well.
+    # The binding states Apache-2.0; the wheel contains Open CASCADE as well.
     "cadquery-ocp-novtk": "Apache-2.0 AND LGPL-2.1-only WITH OCCT-exception-1.0",
 }
 # Anything may be built on these, as long as packages under LGPL or MPL stay packages of their own that can be replaced.
@@ -57,7 +57,7 @@ def licence(name: str) -> str:
 
 
 def parts(expression: str) -> set[str]:
-    """Return the licences that an SPDX expression names."""
+    """Return the licences in an SPDX expression."""
     return {word for word in re.split(r"[\s()]+|\b(?:AND|OR|WITH)\b", expression) if word}
 
 

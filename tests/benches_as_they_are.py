@@ -37,7 +37,7 @@ class Effect:
     Attributes
     ----------
     causes
-        Those of which a verdict should name one, or one that it can't tell from it; none where nothing is to be seen.
+        Causes of which a verdict should name one, or one that is not separable from it; none where nothing is visible.
     scatter
         Of every pin's places and every tooth, m.
     ring, crank
@@ -210,8 +210,8 @@ def identified(name, pair, seed, *, each=24.37, turns=2, loads=LOADS):
 def scores(found, values):
     """How far each fitted error is from the truth, so that 1.96 is the end of its interval: {name: score}.
 
-    An interval is that of Student's t where few pins and teeth say how much they scatter: a score is that of a normal
-    distribution which is as unlikely. Where the result says that several sets of errors make the curves, the set counts
+    An interval is that of Student's t where few pins and teeth determine the scatter: a score is that of a normal
+    distribution which is as unlikely. Where the result states several sets of errors for the curves, the set counts
     that is nearest.
     """
     fitted = [p for p in found.parameters if p.held is None]

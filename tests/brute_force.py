@@ -129,7 +129,7 @@ class Pair:
         """Find every tangent contact candidate with the gear turned by `psi` rad from its ideal rotation.
 
         The distance from pin axis to flank has a local minimum where its slope turns from falling to rising; looked for
-        in the slope, one in a tooth's first or last cell is told from the mere end of the tooth, which is no contact.
+        in the slope, one in a tooth's first or last cell is separated from the tooth's end, which is no contact.
         """
         from_centre = self.pin_axis - self.centre[:, None]
         x, y = from_centre[..., None, 0], from_centre[..., None, 1]
@@ -161,7 +161,7 @@ class Pair:
         gear, pin = self.compliance
         radius = self.pin_radius[contacts.pin]
         star = 1 / np.abs(1 / radius + contacts.curvature)
-        # The floor stands for an inflection met exactly; it keeps the printed law's logarithm finite.
+        # The floor represents an inflection met exactly; it keeps the printed law's logarithm finite.
         rho = np.minimum(1 / np.maximum(np.abs(contacts.curvature), 1e-12), self.longest)
         per_area = np.pi * self.width / (4 * star * (gear + pin))
 

@@ -14,7 +14,7 @@ curvature, and a finite range of half an element to either side. Where the paper
   elements faces, the pair that comes nearest to it counts, its ranges continued by up to half an element. Edges of
   elements above their neighbours therefore do not touch (`contact="facing"`).
 - `contact="deepest"` is the other answer: the deviated flank, with its steps, kinks and slopes, is sampled densely
-  and the deepest point counts, wherever in its element it lies. It is what the geometry does; the paper's search does
+  and the deepest point counts, anywhere in its element. It is the geometry's behaviour; the paper's search does
   it only in so far as a proud element's cylinder is taken beyond its range.
 - Deviation. It moves the control point along the nominal normal; normal and curvature stay nominal. `"constant"`:
   one value for all of the patch. `"linear"`: interpolated between the elements' middles, along the profile by its
@@ -406,7 +406,7 @@ def solve_elements(
         Crank angle, rad; torque of the environment on the output, N*m.
     width_elements, profile_elements, angle_elements
         Elements across the width (slices), along the profile of a tooth and around the facing half of a pin. Where the
-        surface holds deviations, its arrays say how many; slices may then still be given, each takes the deviation of
+        surface has deviations, its arrays give their number; slices may still be given, each takes the deviation of
         the element in which its middle is. Without either: one slice.
     reading
         "linear": deviations interpolated between the elements' middles; "constant": each element's own.

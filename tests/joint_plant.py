@@ -272,7 +272,7 @@ def _swung(state, told, teeth, root, beyond, ratio, index, friction, arm, servo,
 class Servo:
     """A position servo on the motor's side.
 
-    The profile is fed forward whole; what is added to it follows by the loop, which is told its speed (as a drive in
+    The whole profile is fed forward; an addition to it follows by the loop, which knows its speed (as a drive in
     cyclic synchronous position mode takes it from the commands): y'' = 2ζω(c' - y') + ω²(c - y). Where arm and motor
     swing it is position, speed and integral of the motor's inertia and the arm's, with one band for all; the load and
     the profile's acceleration are fed forward. The motor's inertia at the crank is the share `rotor` of the arm's.
@@ -432,7 +432,7 @@ class Motion:
 def moved(joint, profile, controller, sensors=PERFECT, kelvin=293.15, *, swings=True, seed=0, substep=50e-6):
     """A controller moves a joint along a profile.
 
-    At each sample it is told the desired angle and speed of the next one, the load, the temperature and both angles of
+    At each sample it gets the desired angle and speed of the next one, the load, the temperature and both angles of
     now, and gives the motor angle that is reached by the next sample, in between along a line.
 
     Parameters

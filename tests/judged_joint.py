@@ -231,7 +231,7 @@ def joint_of(made, profiles, case=Case(), friction=Friction(), index=0.0, **how)
 
 
 class Perfect:
-    """The inverse of the joint itself, that is told everything: what it leaves is what the judge makes."""
+    """The inverse of the joint itself, with all true values: its remaining error is the judge's own."""
 
     def __init__(self, joint, profile):
         whole, bristle, torque = profile.whole_load(joint.inertia), 0.0, None
@@ -306,7 +306,7 @@ class Found:
     friction
         N·m at the output.
     zero
-        Of the output's encoder, rad: what all pins and teeth have in common can't be told from it, so that a joint has
+        Of the output's encoder, rad: the common part of all pins and teeth can't be separated, so that a joint has
         the bench's zero.
     """
 
@@ -363,8 +363,8 @@ class Judged:
     seated
         Root mean square while one flank surely carries: more than 5 % of the rated torque 50 ms before and after.
     band, gain, holds
-        Of what a controller says of itself, NaN where it does not: share of the error within two of its standard
-        deviations, its last gain, and how long it says that the model holds.
+        Statements of a controller about itself, NaN where there are none: share of the error within two of its standard
+        deviations, its last gain, and how long it states that the model holds.
     """
 
     rms: float
@@ -426,7 +426,7 @@ def exact_model(found, profiles, told):
 
 
 class Remembering:
-    """The product's compensator with a memory that is new; it keeps what it said of itself."""
+    """The product's compensator with a new memory; its statements about itself are kept."""
 
     def __init__(self, compensator, zero=0.0, probability=1.0):
         self.compensator, self.zero, self.memory, self.said = compensator, zero, Memory(0.0, probability), []
@@ -438,12 +438,12 @@ class Remembering:
 
 
 def compensator(found, profiles, told):
-    """The product's compensator, made fresh; it was told of windup and friction as found."""
+    """The product's compensator, newly made, with windup and friction as found."""
     return lambda: Remembering(found.compensator, found.zero)
 
 
 def without_index(found, profiles, told):
-    """The same, that is told that nothing says that the index is right."""
+    """The same, with no probability of the index."""
     return lambda: Remembering(found.compensator, found.zero, 0.0)
 
 

@@ -1,4 +1,4 @@
-"""What the motor's torque tells of a drive in place, beside what a coarse output encoder tells: the table of a page.
+"""Information of the motor's torque about a drive in place, beyond a coarse output encoder: the table of a page.
 
 `python tests/motor_torque.py` prints figures of docs/recalibrate.md. Work is kept: with a load T on the output the
 motor carries -T (1/ratio + dx/dθ) beside its friction, where x is the transmission error over the crank angle θ. A

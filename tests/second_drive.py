@@ -222,7 +222,7 @@ def transmission_error(made, theta, torque, shift=0.0):
     theta, torque
         Shape (points,), or one torque: crank angle, rad; torque on the output, N·m.
     shift
-        By how much discs stand beside their crank's throw, complex in the crank's frame: real along the throw,
+        Displacement of discs from their crank's throw, complex in the crank's frame: real along the throw,
         imaginary ahead of it, m.
     """
     theta = np.asarray(theta, float)

@@ -95,7 +95,7 @@ def left_over(made, load, way, warm, **how):
 class Model:
     """A drive, and the remainder of its six conditions: {order: complex amplitudes of `_basis`}.
 
-    Each order that stands out of the noise of a condition, and order 0, is a straight line over the torque with a step
+    Each order above the noise of a condition, and order 0, is a straight line over the torque with a step
     between its signs: the rig's waves, lost motion and windup beside the drive, and how the disc floats.
     """
 
@@ -123,7 +123,7 @@ def misses(model, load, way, warm, **how):
     """Root mean square (arcsec) of the error in one condition, and of its orders by their cause.
 
     "rig", "pin", "tooth", "mesh" as the spectra of a report name them, "" for orders of another number, "mean" for
-    order 0, "noise" for what no order that stands out holds; "orders" lists those that stand out, the largest first.
+    order 0, "noise" for the rest without significant orders; "orders" lists the significant ones, the largest first.
     """
     torque, curve, orders = left_over(model.found.drive, load, way, warm, **how)
     turned = curve.input_angle / TEETH

@@ -124,7 +124,7 @@ def same_line(page, found):
 
 
 def missing_in(shown, output):
-    """The first line of a page that is not in the output in this order, or ""; a line "…" stands for any lines."""
+    """The first line of a page that is not in the output in this order, or ""; a line "…" matches any lines."""
     lines = iter(line for line in output.splitlines() if line.strip())
     return next((line for line in shown.splitlines() if line.strip() not in ("", "…")
                  and not any(same_line(line, found) for found in lines)), "")  # fmt: skip

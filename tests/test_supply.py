@@ -32,7 +32,7 @@ def test_the_constraints_hold_all_that_is_asked_for(licences):
 
 
 @pytest.mark.skipif(sys.version_info[:2] != (3, 11), reason="they are those of Python 3.11")
-@pytest.mark.skipif("CYCLOID_NO_SKIPS" not in os.environ, reason="whoever works here may try other versions")
+@pytest.mark.skipif("CYCLOID_NO_SKIPS" not in os.environ, reason="other versions may be installed here")
 def test_what_is_installed_is_what_the_constraints_say():
     stated = dict(line.split("==") for line in CONSTRAINTS)
     installed = {d.name: d.version for d in metadata.distributions() if d.name in stated}

@@ -1,4 +1,4 @@
-"""The joints that compensators are judged on: teeth, friction and dynamics are what they are said to be, and the judge.
+"""The joints that judge compensators: teeth, friction and dynamics are as described, and so is the judge.
 
 The joint is a second computation that shares nothing with the product; here it is held against the second solver and
 SciPy's integrators. Then one drive goes the whole way: recorded, identified, and moved by what was identified.
