@@ -236,7 +236,8 @@ def shortfalls(step: Step, samples: dict[str, Samples], file: SequenceFile) -> l
             said.append(f"the torque ends at {torque[-1]:.4g} N*m, not at zero")
         return said
     if way * (1 if step.direction == "forward" else -1) < 0:
-        said.append(f"the crank does not turn {step.direction} but the other way")
+        other = "backward" if step.direction == "forward" else "forward"
+        said.append(f"the crank turns {other}, not {step.direction}")
     turned = abs(way) / (2 * math.pi)
     if turned < step.turns * (1 - 1e-3) - 0.05:
         said.append(f"the crank makes {turned:.3g} turns, not {step.turns:g}")

@@ -51,6 +51,7 @@ def maps(
         numbers = {str(name): values.values for name, values in {**found.coords, **found.data_vars}.items()}
         commands.print_json({**numbers, "notes": notes})
         return
-    axes = ", ".join(f"{found.sizes[name]} x {name}" for name in ("torque", "speed", "temperature"))
+    sizes = {name: found.sizes[name] for name in ("torque", "speed", "temperature")}
+    axes = ", ".join(f"{size} {name}{'s' * (size != 1)}" for name, size in sizes.items())
     typer.echo(f"{found.attrs['curves']} curves over {axes}.")
     options.print_notes(notes)

@@ -131,7 +131,7 @@ def test_an_abandoned_step_is_kept_and_reported_and_recorded_steps_are_skipped(c
     with person.benches:
         run = command("cycloid-bench", "run", "sequence.toml", input=person)
     assert run.returncode == 1, run.stdout + run.stderr
-    assert "the crank does not turn backward but the other way" in run.stderr
+    assert "the crank turns forward, not backward" in run.stderr
     assert {p.name for p in tmp_path.glob("*.arrows")} == {
         "300rpm-20Nm-forward.arrows", "300rpm-20Nm-backward.trial-1.arrows",
     }  # fmt: skip
@@ -163,7 +163,7 @@ def step_and_samples(tmp_path, wiring, step_number=0, motion=None, **run_options
         ({}, None),
         ({"torque": 17.0}, r"the mean torque is 17 N\*m, not 20 ± 1"),
         ({"torque": -20.0}, r"the mean torque is -20 N\*m"),
-        ({"direction": "backward"}, "the crank does not turn forward but the other way"),
+        ({"direction": "backward"}, "the crank turns backward, not forward"),
         ({"turns": 2}, r"the crank makes 1.99 turns, not 3"),
         ({"speed": 5 * math.pi}, r"the mean speed is 150 rpm, not 300 ± 30"),
         ({"torque_noise": 10.0}, "the torque varies by"),
