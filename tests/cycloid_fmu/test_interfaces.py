@@ -352,7 +352,7 @@ def test_commands_lead_and_compare(command, tmp_path):
         (["simulate", "k.fmu", "--input", "none.csv"], "none.csv: No such file"),
         (["build", "pair.toml", "-o", "x.fmu", "--interface", "stiff"], "kinematic, compliant"),
         (["build", "pair.toml", "-o", "x.fmu", "--fmi", "1.0"], "2.0, 3.0"),
-        (["build", "pair.toml", "-o", "x.fmu", "--output-inertia", "1 kg*m^2"], "--output-inertia is for"),
+        (["build", "pair.toml", "-o", "x.fmu", "--output-inertia", "1 kg*m^2"], "--output-inertia is only for"),
         (["build", "pair.toml", "-o", "x.fmu", "--interface", "compliant", "--output-inertia", "1 kg"], "kg*m^2"),
     ):
         refused = command("cycloid-fmu", *words)

@@ -114,7 +114,7 @@ def test_smallest_curvature_radius_is_that_of_circles_through_three_points(modif
         ('[limits]\nbacklsh = "1 arcmin"', "[limits] backlsh is not a known key; did you mean backlash?"),
         ('[limits]\nbearing_life = "6000"', '[limits] bearing_life = "6000": write one number'),
         ("[limits]\nstatic_safety = -1", "[limits] static_safety = -1: it should be greater than 0."),
-        ('[limits]\nbacklash = "-1 arcmin"', '[limits] backlash = "-1 arcmin": a limit is the largest size allowed'),
+        ('[limits]\nbacklash = "-1 arcmin"', '[limits] backlash = "-1 arcmin": a limit must not be below zero'),
         ('[limits]\nbearing_life = "9 h"', "[limits] bearing_life needs speeds; state [[duty]]"),
         ('[limits]\nsliding_speed = "1 m/s"\n' + ROW.format("0 rpm", "1.0"), "[limits] sliding_speed needs speeds"),
         (ROW.format("3 rpm", 0.4), "[[duty]] share adds up to 0.4 over the rows; it must add up to 1"),
