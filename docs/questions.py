@@ -62,8 +62,8 @@ QUESTIONS: dict[str, tuple[Figure, ...]] = {
                "test_coverage_of_the_intervals[39]", ("residual of a load kept back, times its noise",)),
         Figure("identification by this package", "{}", "test_identify_speed",
                "test_identification_against_the_plain_way", ("identify",)),
-        Figure("identification of the same recordings by least squares with all errors free", "{}", "test_identify_speed",
-               "test_identification_against_the_plain_way", ("plain",)),
+        Figure("identification of the same recordings by least squares with all errors free", "{}",
+               "test_identify_speed", "test_identification_against_the_plain_way", ("plain",)),
         Figure("orders of the transmission error inside their 95 % intervals", "{}", "test_metrics",
                "test_known_orders_come_back_within_their_uncertainty[10-1.0-8192-1560]", ("of 10 seeds",)),
     ),
@@ -107,7 +107,8 @@ QUESTIONS: dict[str, tuple[Figure, ...]] = {
         Figure("the same to first order, 2 % of the drives exact", "{} ms", TOLERANCE,
                "test_exact_and_first_order_against_a_python_loop",
                ("first order, 2 % exact: ms a drive, wall and processor",)),
-        Figure("time with one worker over time with two, three rounds", "{}", TOLERANCE, "test_two_workers_over_one", ("each round",)),
+        Figure("time with one worker over time with two, three rounds", "{}", TOLERANCE,
+               "test_two_workers_over_one", ("each round",)),
         Figure("overhead of a task on a cluster, with a hundred tasks", "{} ms", TOLERANCE,
                "test_overhead_of_a_task_on_a_cluster[100]", ("ms a task",)),
         Figure("wear over three million turns, all teeth alike", "{}", "test_wear_speed",
@@ -188,8 +189,8 @@ def page(text: str) -> str:
         "Measured figures, by a reader's question. "
         + next(line for line in text.splitlines() if line.startswith("By `python docs/measure.py"))
         + " All figures, with the way each was measured: [benchmarks](development/benchmarks.md). The commands below a "
-        "table measure it again, in the order of its lines, in a copy of the source with `pip install -e '.[test]'`. To "
-        "write the figures add `--benchmark-json=figures.json` to `benchmarks`, `--junitxml=figures.xml` to `tests`.",
+        "table measure it again, in the order of its lines, in a copy of the source with `pip install -e '.[test]'`. "
+        "To write the figures add `--benchmark-json=figures.json` to `benchmarks`, `--junitxml=figures.xml` to `tests`.",
     ]
     for question, figures in QUESTIONS.items():
         answered = {figure: found for figure in figures if (found := values(figure, text))}
