@@ -190,7 +190,8 @@ def page(text: str) -> str:
         + next(line for line in text.splitlines() if line.startswith("By `python docs/measure.py"))
         + " All figures, with the way each was measured: [benchmarks](development/benchmarks.md). The commands below a "
         "table measure it again, in the order of its lines, in a copy of the source with `pip install -e '.[test]'`. "
-        "To write the figures add `--benchmark-json=figures.json` to `benchmarks`, `--junitxml=figures.xml` to `tests`.",
+        "To write the figures add `--benchmark-json=figures.json` to `benchmarks`, "
+        "`--junitxml=figures.xml` to `tests`.",
     ]
     for question, figures in QUESTIONS.items():
         answered = {figure: found for figure in figures if (found := values(figure, text))}
