@@ -58,23 +58,23 @@ QUESTIONS: dict[str, tuple[Figure, ...]] = {
         *(Figure(f"share of 95 % intervals of identified errors that contain the truth, {z}/{z + 1}", "{}",
                  "test_identify", f"test_coverage_of_the_intervals[{z}]", ("that hold the truth",))
           for z in (39, 31, 19)),
-        Figure("residual of a load that the fit had not seen, over its noise, 39/40", "{}", "test_identify",
+        Figure("residual of a load left out of the fit, over its noise, 39/40", "{}", "test_identify",
                "test_coverage_of_the_intervals[39]", ("residual of a load kept back, times its noise",)),
-        Figure("beside least squares with all errors free: this package", "{}", "test_identify_speed",
+        Figure("identification by this package", "{}", "test_identify_speed",
                "test_identification_against_the_plain_way", ("identify",)),
-        Figure("beside least squares with all errors free: least squares", "{}", "test_identify_speed",
-               "test_identification_against_the_plain_way", ("plain",)),
+        Figure("identification of the same recordings by least squares with all errors free", "{}",
+               "test_identify_speed", "test_identification_against_the_plain_way", ("plain",)),
         Figure("orders of the transmission error inside their 95 % intervals", "{}", "test_metrics",
                "test_known_orders_come_back_within_their_uncertainty[10-1.0-8192-1560]", ("of 10 seeds",)),
     ),
     "How safe is a recording?": (
-        Figure("recorders killed at a random moment, none lost a sample that it had counted", "{}", "test_faults",
+        Figure("recorders killed at a random moment; none lost a counted sample", "{}", "test_faults",
                "test_kill_9_at_any_moment_loses_nothing_acknowledged[30]", ("kills",)),
-        Figure("damaged files that were read or refused, without a wrong sample", "{}", "test_mutations",
+        Figure("damaged files, each read without a wrong sample or refused", "{}", "test_mutations",
                "test_recordings[100000]", ("damaged recordings",)),
         Figure("samples in one run; lost; memory after a tenth and at the end", "{}; {}; {} MB and {} MB",
                "test_acquisition_speed", "test_soak", ("samples", "lost", "after a tenth", "at the end")),
-        Figure("frames a second, of those that a bare loop of python-can takes (UDP)", "{} %",
+        Figure("frames a second, as a share of those of a bare python-can loop (UDP)", "{} %",
                "test_acquisition_speed", "test_frames_a_second_against_a_bare_receive_loop[udp_multicast]",
                ("per cent of the bare loop",)),
     ),
@@ -87,11 +87,11 @@ QUESTIONS: dict[str, tuple[Figure, ...]] = {
                ("µs a crank angle",)),
         Figure("a misaligned pair in a hundred slices", "{} ms", CONTACT, "test_a_hundred_slices_misaligned",
                ("ms a crank angle",)),
-        Figure("a change of a value on the desk, of processor time", "{} ms", "test_desk_speed",
+        Figure("a change of a value on the desk, processor time", "{} ms", "test_desk_speed",
                "test_a_change_on_the_desk[rigid bearings]", ("processor ms",)),
         Figure("the same on bearings", "{} ms", "test_desk_speed", "test_a_change_on_the_desk[on bearings]",
                ("processor ms",)),
-        Figure("how often a brute-force scan of the same accuracy takes as long", "{}", CONTACT,
+        Figure("time of a brute-force scan of the same accuracy, over that of the kernel", "{}", CONTACT,
                "test_against_brute_force", ("times faster",)),
     ),
     "How long does a step of an FMU take?": (
@@ -107,8 +107,9 @@ QUESTIONS: dict[str, tuple[Figure, ...]] = {
         Figure("the same to first order, 2 % of the drives exact", "{} ms", TOLERANCE,
                "test_exact_and_first_order_against_a_python_loop",
                ("first order, 2 % exact: ms a drive, wall and processor",)),
-        Figure("one worker over two, three rounds", "{}", TOLERANCE, "test_two_workers_over_one", ("each round",)),
-        Figure("a task on a cluster, with a hundred tasks", "{} ms", TOLERANCE,
+        Figure("time with one worker over time with two, three rounds", "{}", TOLERANCE,
+               "test_two_workers_over_one", ("each round",)),
+        Figure("overhead of a task on a cluster, with a hundred tasks", "{} ms", TOLERANCE,
                "test_overhead_of_a_task_on_a_cluster[100]", ("ms a task",)),
         Figure("wear over three million turns, all teeth alike", "{}", "test_wear_speed",
                "test_three_million_turns[alike]"),
@@ -185,11 +186,12 @@ def page(text: str) -> str:
     """Return the page by question, from the text of the record; figures that were not measured are left out."""
     parts = [
         "# Accuracy and speed",
-        "The figures that were measured, by question. "
+        "Measured figures, by a reader's question. "
         + next(line for line in text.splitlines() if line.startswith("By `python docs/measure.py"))
-        + " All figures and how each was taken: [benchmarks](development/benchmarks.md). The commands below a table "
-        "measure it again, in the order of its lines, in a copy of the source with `pip install -e '.[test]'`; for "
-        "figures add `--benchmark-json=figures.json` to `benchmarks`, `--junitxml=figures.xml` to `tests`.",
+        + " All figures, with the way each was measured: [benchmarks](development/benchmarks.md). The commands below a "
+        "table measure it again, in the order of its lines, in a copy of the source with `pip install -e '.[test]'`. "
+        "To write the figures add `--benchmark-json=figures.json` to `benchmarks`, "
+        "`--junitxml=figures.xml` to `tests`.",
     ]
     for question, figures in QUESTIONS.items():
         answered = {figure: found for figure in figures if (found := values(figure, text))}

@@ -1,0 +1,71 @@
+"""The site as a reader sees it, in Chromium."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+CHROMIUM = shutil.which("chromium")
+PHONE = 420  # px
+PAGES = (
+    "index",
+    "install",
+    "tutorials/system_modeller",
+    "tutorials/test_bench_engineer",
+    "tutorials/gear_designer",
+    "tutorials/controller",
+    "bench",
+    "reference/api",
+    "reference/commands",
+    "reference/glossary",
+    "generated/files",
+    "generated/variables",
+    "measured",
+)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Build from a copy, because the build writes beside its sources; the gallery's examples are not run."""
+    pytest.importorskip("sphinx_gallery")
+    copy = tmp_path_factory.mktemp("site")
+    for name in ("docs", "examples"):
+        shutil.copytree(
+            ROOT / name, copy / name, ignore=shutil.ignore_patterns("_build", "generated", "gallery", "*_out")
+        )
+    for page in ROOT.glob("*.md"):
+        shutil.copy(page, copy)
+    built = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-q", "-W", "-D", "plot_gallery=0", copy / "docs", copy / "html"],
+        capture_output=True, text=True, timeout=1800, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert built.returncode == 0, built.stderr[-3000:]
+    return copy / "html"
+
+
+def page_width(page, path):
+    """Width in px that a page needs, in a window of a phone's width."""
+    page.goto(path.as_uri())
+    return page.evaluate("document.documentElement.scrollWidth")
+
+
+@pytest.mark.slow(130)
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_no_page_is_wider_than_a_phone(site):
+    """Wide tables and commands scroll by themselves, and not the page."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        page = browser.new_page(viewport={"width": PHONE, "height": 900})
+        widths = {name: page_width(page, site / f"{name}.html") for name in PAGES}
+        wide = site / "wide.html"
+        wide.write_text(
+            "<p style='white-space: nowrap'>" + "a command without a scroll of its own " * 9, encoding="utf-8"
+        )
+        assert page_width(page, wide) > PHONE
+        browser.close()
+    assert {name: width for name, width in widths.items() if width > PHONE} == {}
