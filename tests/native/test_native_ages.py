@@ -111,7 +111,7 @@ def test_it_ages_as_the_fmu_in_python_does(twin, build):
                 fmu.variables["age"].valueReference, "s", "0.0", 600.0 * HOUR
             )  # fmt: skip
             assert (one.variability, factor.variability) == (("fixed",) * 2 if i == 0 else ("tunable",) * 2)
-            fmu.initialize({"age": age * HOUR, "wear_factor": 0.9, "flange_b.phi": 6e-4})
+            fmu.initialize({"age": age * HOUR, "wear_factor": 0.9, "flange_b.phi": 2.6e-4})
             found[i, k], rigid = fmu.reader(["flange_b.tau", "torsional_stiffness"])()
             stiffness.append(rigid)
     assert np.ptp(found[1]) > 3.0 * max(stiffness) * made.largest_error
@@ -161,9 +161,9 @@ def test_a_damaged_table_of_the_life_is_not_taken(built, tmp_path):
     slave.fmi.freeInstance()
 
 
-def test_common_nodes_change_nothing_but_rounding(drive, twin):
+def test_common_nodes_change_nothing_but_rounding(twin):
     """Splines and Hermite's cubics refine without an error."""
-    own = [drive.tables, tables.compute(twin.pair, of_age(twin, 600.0 * HOUR).surface, accuracy=ACCURACY)]
+    own = [tables.compute(twin.pair, of_age(twin, age * HOUR).surface, accuracy=ACCURACY) for age in (0.0, 600.0)]
     alike = on_common_nodes(own)
     assert {one.positive.load.size for one in alike} == {np.union1d(*(one.positive.load for one in own)).size}
     draw = np.random.default_rng(1)
@@ -173,7 +173,8 @@ def test_common_nodes_change_nothing_but_rounding(drive, twin):
         wanted, found = (tables.interpolated(one, theta, torque) for one in (before, after))
         step = after.positive.steps[0][0]
         assert np.abs(found.deviation - wanted.deviation).max() < 2.0 * step
-        assert np.quantile(np.abs(found.stiffness / wanted.stiffness - 1.0), 0.95) < 0.02
+        allowed = ACCURACY / tables.ACCURACY * tables.STIFFNESS_SHARE
+        assert np.quantile(np.abs(found.stiffness / wanted.stiffness - 1.0), tables.MOST_STATES) < 0.5 * allowed
         assert np.abs(found.pressure / wanted.pressure - 1.0)[np.abs(torque) > 5.0].max() < 0.01
 
 
