@@ -149,18 +149,25 @@ def build(
             "give --largest-torque."
         )
     names = platforms or platforms_of(fmi_version)  # type: ignore[arg-type]
+    life = drive.surface.life
+    ages = draws == 0 and life is not None and life.ageing is not None
+
+    def of(number: int) -> str:
+        if ages:
+            return f"crank angles of state {number + 1} of the life"
+        return f"crank angles of draw {number} of {draws}" if number else "crank angles"
+
     with commands.Bar("compiling", len(names)) as bar:
         made = build_native(
             drive, output, **options, platforms=names, largest_torque=largest_torque,
             workers=os.cpu_count() or 1, compiled=lambda name: bar.advance(), progress=bar.advance,
             total=lambda count: bar.update(completed=0, total=count),
-            drawing=lambda number: bar.update(
-                completed=0, description=f"crank angles of draw {number} of {draws}" if number else "crank angles"
-            ),
+            drawing=lambda number: bar.update(completed=0, description=of(number)),
         )  # fmt: skip
+    places = "random crank angles and torques, the transmission error also around its largest errors"
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, {made.told}; compared with the exact model at {PROBES} "
-        "random crank angles and torques, the transmission error also around its largest errors."
+        f"{'random ages, crank angles and torques' if ages else places}."
     )
 
 

@@ -1,7 +1,7 @@
 """A compensator: the data of a drive for a controller, and the step that uses them.
 
-Every step takes a fixed number of operations, sums, products, quotients and square roots alone, so that all forms give
-the same numbers. What depends on the drive alone is divided beforehand. Theory: docs/theory/compensation.md.
+Every step takes a fixed number of operations: sums, products, quotients and square roots only, so that all forms give
+the same numbers. Divisions by constants of the drive are made beforehand. Theory: docs/theory/compensation.md.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, LARGEST_TRANSMISSION_ER
 
 Array = NDArray[np.float64]
 
-LARGEST = 1e12  # a number of at least this size, as one that is none, counts as missing; also the band then
-CORRELATION = 1.0  # rad of the crank over which what the model does not hold stays alike: counts as one measurement
+LARGEST = 1e12  # an input of at least this size counts as missing, as NaN does; it is the band then
+CORRELATION = 1.0  # rad of the crank over which the model's errors are correlated: counts as one measurement
 MEMORY = 40.0 * math.pi  # rad of the crank after which what was learned counts 1/e
-FIRST = 2.0  # measurements that the stated band counts against what is left
+FIRST = 2.0  # weight of the stated band in the variance of the residuals, in measurements
 EXPECTED = (0.0, 0.0, 1.0, 1.0)  # offset (rad), further play (rad), gains of wind-up and ripple before measurements
 KNOWN = (5e-4, 1e-4, 0.3, 1.0)  # their standard deviations then
 PRIOR = tuple(value / known for value, known in zip(EXPECTED, KNOWN, strict=True))
 LARGEST_GAIN = 2.0
 GAIN_RATE = 0.25  # most that a gain changes over 1 rad of the crank
 ANGLE_RATE = 1e-4  # rad of the output, likewise of offset and play
-OUTLIER = 5.0  # standard deviations from which on a measurement counts as one so far off
-SURE_FLANK = 0.99  # mean direction of the torque: with less of it the output may be on its way through the play
-SETTLED = 0.5  # rad of the crank after that before measurements count again: the output comes late to the other flank
-ALARM = 3.0  # times the stated band: of more than that left the model does not hold
-LEAST_GAIN = 0.7  # of the probability of the index: with a ripple that is surely smaller the model does not hold
+OUTLIER = 5.0  # standard deviations; a measurement beyond them counts as one at this distance
+SURE_FLANK = 0.99  # mean sign of the torque: below it the output may be moving through the play
+SETTLED = 0.5  # rad of the crank after that before measurements count again: the output reaches the flank late
+ALARM = 3.0  # times the stated band: with a larger residual the model does not hold
+LEAST_GAIN = 0.7  # of the index's probability: if the ripple's gain is surely smaller, the model does not hold
 ENOUGH = 3.0  # measurements before that is judged
 COLUMNS = 4  # of `Tables.node` before the functions of the crank angle
-SUPPORT = 4  # coefficients of a spline that count at a place
+SUPPORT = 4  # coefficients of a cubic spline that contribute at a point
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ class Memory:
     index
         Crank angle of the model where the desired output angle is 0, rad; 0 in place of NaN.
     probability
-        That it is right, 0 to 1; 0 where the index is NaN. The part that depends on the crank angle is compensated in
+        Of the index, 0 to 1; 0 where the index is NaN. The part that depends on the crank angle is compensated in
         this proportion until there are measurements.
     angle
         Desired output angle of the last step, rad; NaN before the first.
@@ -197,7 +197,7 @@ class Memory:
     learned
         The same as measurements have it, over `KNOWN`.
     sure
-        Variance of the last of them as a gain.
+        Variance of the ripple's gain.
     moments, products
         Sums over measurements, which fade: of the four regressors' products, each times `KNOWN`, row by row up to the
         diagonal, and of theirs with what was measured.
@@ -227,10 +227,7 @@ class Memory:
 
     @property
     def doubt(self) -> float:
-        """Share of the ripple's variance that an index of this probability leaves.
-
-        Where it is right 1 - probability of the ripple is left, else all of it and as much of another.
-        """
+        """Share of the ripple's variance that remains with an index of this probability."""
         return 1.0 - self.probability * self.probability
 
 
@@ -244,10 +241,10 @@ class Command(NamedTuple):
     band
         Standard deviation of the output angle from the desired one, rad; `LARGEST` where an input is missing.
     gain
-        Of what the crank angle makes of the deviation, 0 to 2; it begins at the probability of the index.
+        Of the part that depends on the crank angle, 0 to 2; it begins at the probability of the index.
     holds
-        Whether the model holds: the inputs are numbers within the table, and measurements leave no more than expected
-        and have its ripple.
+        Whether the model holds: the inputs are within the table, the residuals of the measurements are no larger than
+        expected, and the measurements have the model's ripple.
     """
 
     motor_angle: float
@@ -313,11 +310,11 @@ def step(
 
 
 def _given(value: float) -> bool:
-    return abs(value) < LARGEST  # not so for NaN
+    return abs(value) < LARGEST  # false for NaN
 
 
 def _between(nodes: Array, rates: Array, at: float) -> tuple[int, float]:
-    """Return a cell between nodes and the share of it at which a value lies; the ends hold beyond."""
+    """Return the cell of a value between nodes and its position in it, 0 to 1; values beyond the ends are clipped."""
     if len(nodes) == 1:
         return 0, 0.0
     cell = min(max(bisect.bisect_right(nodes, at) - 1, 0), len(nodes) - 2)
@@ -331,7 +328,7 @@ def _on_line(nodes: Array, rates: Array, values: Array, at: float) -> float:
 
 
 def torque_of_teeth(c: Compensator, m: Memory, angle: float, speed: float, load: float, temperature: float) -> float:
-    """Return the torque that the teeth carry: the load without what friction holds; its elements move on."""
+    """Return the torque through the teeth, the load minus friction, and move the friction elements."""
     t = c.tables
     way = angle - m.angle if _given(m.angle) else 0.0
     m.angle = angle
@@ -362,7 +359,7 @@ def _state(c: Compensator, torque: float, temperature: float) -> _State:
 
 
 def _ripple(c: Compensator, state: _State, crank: float) -> tuple[float, float]:
-    """Return what the ideal crank angle makes of the deviation (rad), and its derivative."""
+    """Return the ripple at an ideal crank angle (rad), and its derivative."""
     turn = crank * c.tables.per_period
     turn -= math.floor(turn)
     value = slope = 0.0
@@ -379,7 +376,7 @@ def _ripple(c: Compensator, state: _State, crank: float) -> tuple[float, float]:
 
 
 def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_angle: float) -> bool:
-    """Take a measurement in; return whether it can be one of this drive."""
+    """Add a measurement to the regression; return whether it is plausible for this drive."""
     t = c.tables
     measured = output_angle - motor_angle * t.per_ratio
     if abs(measured) > LARGEST_TRANSMISSION_ERROR:
@@ -411,7 +408,7 @@ def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_
             n += 1
         m.products[i] = kept * m.products[i] + weighted * measured
     m.sure = _solve(m, variance)
-    # The mean square that is left is least where a gain that is not sure is taken for less.
+    # An uncertain gain is reduced: this minimises the mean square error.
     g = KNOWN[3] * m.learned[3]
     ripple = g * g * g / (g * g + m.sure) if g > 0.0 else 0.0
     targets = (
@@ -425,10 +422,10 @@ def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_
 
 
 def _solve(m: Memory, v: float) -> float:
-    """Find what measurements of a variance and what was known before say together; return the last gain's variance.
+    """Solve for the posterior mean given measurements with a variance; return the variance of the ripple's gain.
 
-    Normal equations, scaled by what was known before, with the variance on their diagonal, by L D Lᵀ: no pivot is below
-    the variance. Of D the inverse is kept.
+    Normal equations, scaled by the prior's standard deviations, with the variance on their diagonal, by L D Lᵀ: no
+    pivot is below the variance. The inverse of D is kept.
     """
     a00, a10, a11, a20, a21, a22, a30, a31, a32, a33 = m.moments
     d0 = 1.0 / max(a00 + v, v)

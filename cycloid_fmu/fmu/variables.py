@@ -479,21 +479,23 @@ def variables(
     )
 
 
-def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
+def from_tables(table: Sequence[Variable], *, ages: bool = False) -> dict[int, Variable]:
     """Return the variables of a native FMU, by value reference.
 
-    Values that are fixed in its tables are constants, and there are no values of single pins.
+    Values that are fixed in its tables are constants, and there are no values of single pins. With tables of several
+    `ages`, age and wear factor are set before initialisation.
     """
-    kept = {
-        reference: dataclasses.replace(v, causality="local", variability="constant") if v.baked else v
-        for reference, v in enumerate(table)
-        if not v.dimensions
-    }
-    constants = {v.name for v in table if v.baked}
-    return {
-        reference: dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants))
-        for reference, v in kept.items()
-    }
+    free = ("age", "wear_factor") if ages else ()
+    constants = {v.name for v in table if v.baked and v.name not in free}
+
+    def kept(v: Variable) -> Variable:
+        if v.name in constants:
+            return dataclasses.replace(v, causality="local", variability="constant")
+        if v.name in free:
+            return dataclasses.replace(v, variability="fixed", baked=False)
+        return dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants))
+
+    return {reference: kept(v) for reference, v in enumerate(table) if not v.dimensions}
 
 
 def states(interface: Interface) -> tuple[str, ...]:

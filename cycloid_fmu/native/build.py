@@ -31,13 +31,15 @@ from cycloid_fmu.fmu.variables import (
     Variable,
     exchanged,
     from_tables,
-    states,
     stiffness_text,
     variables,
 )
+from cycloid_fmu.fmu.variables import states as continuous_states
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.native import tables
+from cycloid_fmu.native.ages import ages_of, drive_at
 from cycloid_fmu.native.table_cache import tables_of
-from cycloid_fmu.native.table_file import constants_header, named, of_draw, write
+from cycloid_fmu.native.table_file import constants_header, named, numbered, write
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 IDENTIFIER = "CycloidDrive"
@@ -47,7 +49,7 @@ SOURCES = (
 )  # fmt: skip
 SOURCE_FOLDER = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
-MOST_BYTES = 1_000_000_000  # of the tables of an FMU with draws
+MOST_BYTES = 1_000_000_000  # of the tables of an FMU with draws or ages
 _UCRT = Path(__file__).with_name("windows") / "ucrt.c"
 
 
@@ -243,10 +245,12 @@ def binaries(
 
 
 def _description(
-    version: Version, token: str, kept: dict[int, Variable], interface: Interface, made: tables.Tables, stiffness: str
-) -> Element:
+    version: Version, token: str, kept: dict[int, Variable], interface: Interface, made: tables.Tables, stiffness: str,
+    states: int,
+) -> Element:  # fmt: skip
     told = list(kept.values())
-    text = f"Cycloid-pin gear drive, {interface.kind}, {made.told}; {stiffness}"
+    aged = f" at any age, between {states} states of its life" if states else ""
+    text = f"Cycloid-pin gear drive{aged}, {interface.kind}, {made.told}; {stiffness}"
     common = {
         "fmiVersion": version, "modelName": IDENTIFIER, "guid" if version == "2.0" else "instantiationToken": token,
         "description": text, "author": "cycloid-fmu", "version": __version__, "license": "MIT",
@@ -283,7 +287,7 @@ def _description(
         SubElement(categories, "Category", name=name, description=why)
     SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize=repr(interface.step))
     root.append(model_variables(told, version, tuple(kept)))
-    root.append(model_structure(told, version, tuple(kept), states(interface)))
+    root.append(model_structure(told, version, tuple(kept), continuous_states(interface)))
     return root
 
 
@@ -360,7 +364,7 @@ def build_native(
     compiled
         Called with each platform whose library is ready.
     drawing
-        Called with each draw before its tables are computed.
+        Called with the number of each draw, or state of an ageing drive's life, before its tables are computed.
 
     Raises
     ------
@@ -369,10 +373,11 @@ def build_native(
         its draws can't be made or would take more than `MOST_BYTES`.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
-    if (ageing := None if surface.life is None else surface.life.ageing) and ageing.bearing and pair.supports:
-        # The tables are those of one age, the surface's own.
-        supports = pair.supports.grown(ageing.bearing, ageing.clearance_per_second * ageing.age)
-        pair = pair.replace(supports=supports)
+    life = surface.life if surface.life is not None and surface.life.ageing is not None else None
+    aged, new = draws == 0 and life is not None, pair
+    if life is not None and life.ageing is not None:
+        # Everything but the tables of several ages is that of the surface's own age.
+        pair, _ = drive_at(pair, surface, 0.0, life.ageing.clearance_per_second * life.ageing.age)
     interface = completed(interface, pair, surface, first_stage)
     if len(interface.losses) > MOST_LOSS_ROWS:
         raise ArgumentError("losses", f"has {len(interface.losses)} rows; a native FMU has {MOST_LOSS_ROWS} at most")
@@ -382,28 +387,38 @@ def build_native(
     drawn = surfaces_of_draws(pair, surface, draws, seed)
     with edge.written_whole(path) as temporary:
         libraries = binaries(fmi_version, names, compiled, IDENTIFIER, binary)
-        kept = from_tables(variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage), draws))
-        kept = exchanged(kept, interface, fmi_version)
-        files = []
-        for number, one in enumerate((surface, *drawn)):
+        every = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage), draws)
+        kept = exchanged(from_tables(every, ages=aged), interface, fmi_version)
+        files: list[bytes] = []
+
+        def of_state(pair: Pair, surface: ErrorSurface, number: int) -> tables.Tables:
             drawing(number)
-            found = made if number == 0 else None
-            if found is None:
-                found = tables_of(
-                    pair, one, largest_load=largest_torque, workers=workers, total=total, progress=progress
-                )
-            files.append(write(found, interface, kept, first_stage=first_stage))
-            made = found if made is None else _erring_as_both(made, found)
-            if number == 0:
-                _check_size(draws, len(files[0]))
+            return tables_of(
+                pair, surface, largest_load=largest_torque, workers=workers, total=total, progress=progress
+            )
+
+        ages = ages_of(new, surface, of_state) if aged else None
+        if ages is not None:
+            made = ages.tables[0]
+            for number, found in enumerate(ages.tables):
+                files.append(write(found, interface, kept, first_stage=first_stage, ages=None if number else ages))
+        else:
+            for number, one in enumerate((surface, *drawn)):
+                found = of_state(pair, one, number) if number or made is None else made
+                files.append(write(found, interface, kept, first_stage=first_stage))
+                made = found if made is None else _erring_as_both(made, found)
+                if number == 0:
+                    _check_size(draws, len(files[0]))
         assert made is not None
         token = token_of(__version__ + hashlib.sha256(b"".join(files)).hexdigest())
         contents = {
             "modelDescription.xml": xml_bytes(
-                _description(fmi_version, token, kept, interface, made, stiffness_text(pair, interface))
+                _description(
+                    fmi_version, token, kept, interface, made, stiffness_text(pair, interface), len(files) * aged
+                )
             ),
             **{
-                f"resources/{of_draw(number)}": named(file, f"{token}{f' {number}' if number else ''}")
+                f"resources/{numbered(number)}": named(file, f"{token}{f' {number}' if number else ''}")
                 for number, file in enumerate(files)
             },
             **{f"sources/{name}": data for name, data in _source_files().items()},

@@ -1,9 +1,9 @@
 """Data shared by the C code of a native FMU and this package: the file of tables, and the numbers of `constants.h`.
 
 The file, little endian: magic, version, size of the rest and two sums of its words; then the FMU's token, interface and
-variables; ratio, period, first stage, torques; and for each direction, crank angle and load the deviation, its
-derivative by the load, the square of the largest pressure (each in whole steps of 16 bits) and the contact count. C
-uses them in place, once the deviation's differences from angle to angle are summed.
+variables; ratio, period, first stage, torques, states of a life; and for each direction, crank angle and load the
+deviation, its derivative by the load, the square of the largest pressure (each in whole steps of 16 bits) and the
+contact count. C uses them in place, once the deviation's differences from angle to angle are summed.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
+from cycloid_fmu.native.ages import Ages
 from cycloid_fmu.native.tables import Tables
 from cycloid_fmu.reducer.first_stage import FirstStage
 
-TABLE = "drive.table"  # in an FMU's resources; behind it, of a draw, its number
+TABLE = "drive.table"  # in an FMU's resources; behind it, of a draw or of a state of the life, its number
 HEAD = struct.Struct("<8sIIQQ")
 _MAGIC = "cycltab\n"
 _KINDS = ("real", "integer", "boolean")
@@ -35,8 +36,8 @@ _FIELDS = (
     "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "series_compliance", "temperature",
     "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
     "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "support_angle",
-    "support_speed", "support_torque", "time", "draw", "crank_acceleration", "output_acceleration",
-    "transmission_error_rate",
+    "support_speed", "support_torque", "time", "draw", "age", "wear_factor", "crank_acceleration",
+    "output_acceleration", "transmission_error_rate",
     *(f"event_indicator_{i}" for i in range(1, constants.EVENT_INDICATORS + 1)),
     *(f"{name}_{i}" for name in STRAINS for i in range(1, constants.FRICTION_ELEMENTS + 1)),
     *(f"{name}_rate_{i}" for name in STRAINS for i in range(1, constants.FRICTION_ELEMENTS + 1)),
@@ -44,8 +45,8 @@ _FIELDS = (
 )  # fmt: skip
 
 
-def of_draw(number: int) -> str:
-    """Return the name of a draw's file in the resources; 0 for the most likely drive."""
+def numbered(number: int) -> str:
+    """Return the name of a file in the resources: of a draw, or of a state of the life; 0 for the first."""
     return f"{TABLE}{number or ''}"
 
 
@@ -78,6 +79,7 @@ def write(
     variables: Mapping[int, Variable],
     token: str = "",
     first_stage: FirstStage | None = None,
+    ages: Ages | None = None,
 ) -> bytes:
     """Return the file of tables.
 
@@ -91,6 +93,8 @@ def write(
         The FMU's `guid` or `instantiationToken`.
     first_stage
         The first stage of an RV reducer.
+    ages
+        Of an ageing drive, in its first file: the states of its life that all files belong to.
 
     Raises
     ------
@@ -111,6 +115,10 @@ def write(
     counts = [count for s in sides for count in (s.load.size + 1, s.told_load.size)]
     body += struct.pack("<7d", tables.ratio, tables.period, tables.allowed, *stage)
     body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)
+    nodes = (np.empty(0), np.empty(0)) if ages is None else (ages.crank_turns, ages.clearance)
+    rates = (0.0, 0.0) if ages is None else (ages.crank_turns_per_second, ages.clearance_per_second)
+    body += struct.pack("<2I2d", *(n.size for n in nodes), *rates)
+    body += b"".join(n.astype("<f8").tobytes() for n in nodes)
     body += _padding(body)
     for side in sides:
         far, far_deviation, far_compliance = side.far

@@ -370,14 +370,20 @@ def _side(loads: Array, exact: _Solved, far: tuple[float, _Solved], step: float,
         ),
         _PRESSURE_STEP * np.maximum(square.max(axis=1), 1.0),
     )
-    fine, c_fine, p_fine = (s[:, None] for s in steps)
-    x = np.maximum.accumulate(np.round(_coefficients(exact.deviation) / fine), axis=0) * fine
-    slope = np.diff(x, axis=0) / h[:, None]
-    most = 3.0 * np.minimum(np.vstack([slope[:1], slope]), np.vstack([slope, slope[-1:]]))
-    c = np.minimum(np.maximum(_coefficients(exact.compliance), 0.0), most)
-    c = np.minimum(np.floor(c / c_fine), _MOST_STEPS) * c_fine
+    p_fine = steps[2][:, None]
+    x, c = monotone(loads, _coefficients(exact.deviation), _coefficients(exact.compliance), steps)
     p = np.maximum(np.round(_coefficients(square) / p_fine), 0.0) * p_fine
     return Side(loads, x, c, loads[some], count.astype(np.uint8), p, steps, _far_end(loads[-1], x[-1], c[-1], *far))
+
+
+def monotone(loads: Array, deviation: Array, compliance: Array, steps: Sequence[Array]) -> tuple[Array, Array]:
+    """Round coefficients of deviation and compliance to their steps such that they are monotone in the load."""
+    fine, c_fine = (s[:, None] for s in steps[:2])
+    x = np.maximum.accumulate(np.round(deviation / fine), axis=0) * fine
+    slope = np.diff(x, axis=0) / np.diff(loads)[:, None]
+    most = 3.0 * np.minimum(np.vstack([slope[:1], slope]), np.vstack([slope, slope[-1:]]))
+    c = np.minimum(np.maximum(compliance, 0.0), most)
+    return x, np.minimum(np.floor(c / c_fine), _MOST_STEPS) * c_fine
 
 
 def _far_end(
@@ -775,3 +781,18 @@ def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array, work
         _, highest = contact.load_sharing(drive, rows, force, pressure)
         found[:, i] = x, stiffness, rate - 1.0 / pair.ratio, crank_torque, highest
     return _Probed(theta, torque, States(*found))
+
+
+def probed_at(pair: Pair, surface: ErrorSurface, largest: float, probes: int, seed: int = 1) -> _Probed:
+    """Solve the exact model at random crank angles and torques, the latter up to a largest (N·m)."""
+    pitch = 2.0 * math.pi / (pair.pins if pair.output == "gear" else pair.gear_teeth)
+    return _probed(pair, surface, *_places(mesh_pitches(pair, surface) * pitch, largest, probes, seed))
+
+
+def at_loads(side: Side, loads: Array) -> tuple[Array, Array]:
+    """Return a side's coefficients of deviation and compliance at loads up to its far one, (loads, angles)."""
+    own = np.append(side.load, side.far[0])
+    ends = (np.vstack([side.deviation, side.far[1]]), np.vstack([side.compliance, side.far[2]]))
+    j, u, width = _cells(own, loads)
+    x, c = (values[np.stack([j, j + 1])] for values in ends)
+    return _hermite(u[:, None], width[:, None], x, c), _slope(u[:, None], width[:, None], x, c)

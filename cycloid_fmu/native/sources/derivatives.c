@@ -190,7 +190,8 @@ static int movable(const struct drive *drive, const struct variable *known) {
             return 1;
         }
     }
-    return known->causality == CAUSALITY_INPUT || (known->causality == CAUSALITY_PARAMETER && !known->baked);
+    return known->causality == CAUSALITY_INPUT
+        || (known->causality == CAUSALITY_PARAMETER && !known->baked && known->field != AGE && known->field != WEAR_FACTOR);
 }
 
 void derivative_begin(struct direction *direction) {

@@ -160,6 +160,8 @@ double *drive_stored(struct state *s, const struct variable *variable) {
     case DISSIPATED_ENERGY: return &s->dissipated_energy;
     case TIME: return &s->time;
     case DRAW: return &s->draw;
+    case AGE: return &s->age;
+    case WEAR_FACTOR: return &s->wear_factor;
     default: break;
     }
     if (variable->field >= INPUT_FRICTION_STRAIN_1 && variable->field < INPUT_FRICTION_STRAIN_RATE_1) {

@@ -33,6 +33,7 @@ struct state {
     double held, held_crank, held_strain[2][FRICTION_ELEMENTS];
     double event_mode; /* whether the instance is in it */
     double draw;       /* which drive of a fit's distribution it is; 0: the most likely one */
+    double age, wear_factor; /* of an ageing drive: running time (s), and wear coefficient over the forecast's median */
     struct friction friction[2];
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
@@ -65,7 +66,7 @@ struct rubbing {
 };
 
 struct drive {
-    const struct table *table; /* of the draw */
+    const struct table *table; /* of the draw, or of the age */
     uint32_t checksum;         /* of the most likely drive's table: whose states these are */
     double ratio;     /* of the flanges */
     double a, b, s;   /* of an RV reducer (reducer_model.py); b = 0 without its first stage */

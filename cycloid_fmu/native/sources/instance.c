@@ -37,6 +37,115 @@ int instance_refuse(struct instance *instance, int status, const char *format, .
     return status;
 }
 
+/* The table of a draw, or of a state of the life, or NULL with a message. */
+static struct table *numbered_table(struct instance *instance, unsigned number) {
+    size_t used = strlen(instance->path);
+    char token[MESSAGE_SIZE];
+    struct table *table;
+    snprintf(instance->path + used, NUMBER_SIZE, "%u", number);
+    table = table_open(instance->path, instance->message);
+    snprintf(token, sizeof token, "%.400s %u", instance->table->token, number);
+    if (table != NULL && strcmp(table->token, token) != 0) {
+        snprintf(instance->message, MESSAGE_SIZE, "%.300s: this table belongs to another FMU or number.", instance->path);
+        table_close(table);
+        table = NULL;
+    }
+    instance->path[used] = '\0';
+    return table;
+}
+
+/* The node before a place, and the share of the way to the next one. */
+static uint32_t node_before(const double *node, uint32_t nodes, double at, double *share) {
+    uint32_t i = 0;
+    while (i + 2 < nodes && node[i + 1] <= at) {
+        i++;
+    }
+    *share = nodes > 1 ? fmin(fmax((at - node[i]) / (node[i + 1] - node[i]), 0.0), 1.0) : 0.0;
+    return i;
+}
+
+/* The table of an ageing drive, between those of its life that surround it; 1 with a message if there is none. */
+static int table_of_age(struct instance *instance, struct table **found) {
+    const struct table *first = instance->table, *of[4];
+    const struct state *s = &instance->drive.state;
+    struct table *opened[4] = {NULL, NULL, NULL, NULL};
+    double share[2], weight[4];
+    uint32_t turns = node_before(first->node[0], first->nodes[0], s->age * first->pace[0] * s->wear_factor, &share[0]);
+    uint32_t grown = node_before(first->node[1], first->nodes[1], s->age * first->pace[1], &share[1]);
+    int i, count = 0, failed = 0;
+    for (i = 0; i < 4 && !failed; i++) {
+        uint32_t number = (turns + (uint32_t)(i & 1)) * first->nodes[1] + grown + (uint32_t)(i >> 1);
+        weight[count] = (i & 1 ? share[0] : 1.0 - share[0]) * (i >> 1 ? share[1] : 1.0 - share[1]);
+        if (weight[count] > 0.0) {
+            opened[count] = number > 0 ? numbered_table(instance, number) : NULL;
+            failed = number > 0 && opened[count] == NULL;
+            of[count] = number > 0 ? opened[count] : first;
+            count++;
+        }
+    }
+    if (!failed && (count > 1 || of[0] != first)) {
+        *found = table_between(first, of, weight, count, instance->message);
+        failed = *found == NULL;
+    }
+    for (i = 0; i < 4; i++) {
+        table_close(opened[i]);
+    }
+    return failed;
+}
+
+static const struct variable *of_field(const struct instance *instance, int field) {
+    uint32_t i;
+    for (i = 0; i < instance->table->variables; i++) {
+        if (instance->table->variable[i].field == field) {
+            return &instance->table->variable[i];
+        }
+    }
+    return NULL;
+}
+
+/* Whether a value is within the limits of its variable, if the drive has that. */
+static int within(struct instance *instance, int field, double value) {
+    const struct variable *v = of_field(instance, field);
+    if (v != NULL && !(value >= v->least && value <= v->most)) {
+        instance_refuse(instance, STATUS_ERROR, "%.100s = %g: it must be finite and lie between %g and %g.", v->name, value,
+                        v->least, v->most);
+        return 0;
+    }
+    return 1;
+}
+
+/* Take the tables of the draw or age that the state names; where that fails the present ones stay. */
+static int take_tables(struct instance *instance) {
+    const struct state *s = &instance->drive.state;
+    struct table *table = NULL;
+    int failed;
+    if (!(s->draw >= 0.0 && s->draw <= (double)MOST_DRAWS)) {
+        return instance_refuse(instance, STATUS_ERROR, "there is no draw %g.", s->draw);
+    }
+    if (!within(instance, AGE, s->age) || !within(instance, WEAR_FACTOR, s->wear_factor)) {
+        return STATUS_ERROR;
+    }
+    if (s->draw > 0.0) {
+        table = numbered_table(instance, (unsigned)s->draw);
+        failed = table == NULL;
+    } else {
+        failed = instance->table->nodes[0] > 0 && table_of_age(instance, &table);
+    }
+    if (failed) {
+        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    }
+    table_close(instance->taken);
+    instance->taken = table;
+    instance->drive.table = table != NULL ? table : instance->table;
+    instance->drive.placed = instance->drive.solved = 0;
+    return STATUS_OK;
+}
+
+/* Whether two states have the same tables. */
+static int same_tables(const struct state *a, const struct state *b) {
+    return a->draw == b->draw && a->age == b->age && a->wear_factor == b->wear_factor;
+}
+
 int instance_open(struct instance *instance, const char *name, const char *token, const char *resources, int exchange) {
     char path[4096];
     size_t size = name == NULL ? 0 : strlen(name);
@@ -71,54 +180,17 @@ int instance_open(struct instance *instance, const char *name, const char *token
                         "\"%.100s\".", token == NULL ? "" : token, instance->table->token);
         return 1;
     }
-    return 0;
+    return take_tables(instance) != STATUS_OK;
 }
 
 void instance_close(struct instance *instance) {
     if (instance != NULL) {
-        table_close(instance->drawn);
+        table_close(instance->taken);
         table_close(instance->table);
         free(instance->path);
         free(instance->name);
         free(instance);
     }
-}
-
-/* The table of a draw, or NULL with a message. */
-static struct table *table_of_draw(struct instance *instance, unsigned number) {
-    size_t used = strlen(instance->path);
-    char token[MESSAGE_SIZE];
-    struct table *table;
-    snprintf(instance->path + used, NUMBER_SIZE, "%u", number);
-    table = table_open(instance->path, instance->message);
-    snprintf(token, sizeof token, "%.400s %u", instance->table->token, number);
-    if (table != NULL && strcmp(table->token, token) != 0) {
-        snprintf(instance->message, MESSAGE_SIZE, "%.300s: this table belongs to another FMU or draw.", instance->path);
-        table_close(table);
-        table = NULL;
-    }
-    instance->path[used] = '\0';
-    return table;
-}
-
-/* Take the tables of the draw that the state names; where that fails the present ones stay. */
-static int take_draw(struct instance *instance) {
-    double draw = instance->drive.state.draw;
-    struct table *table = NULL;
-    if (!(draw >= 0.0 && draw <= (double)MOST_DRAWS)) {
-        return instance_refuse(instance, STATUS_ERROR, "there is no draw %g.", draw);
-    }
-    if (draw > 0.0) {
-        table = table_of_draw(instance, (unsigned)draw);
-        if (table == NULL) {
-            return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
-        }
-    }
-    table_close(instance->drawn);
-    instance->drawn = table;
-    instance->drive.table = table != NULL ? table : instance->table;
-    instance->drive.placed = instance->drive.solved = 0;
-    return STATUS_OK;
 }
 
 static int in_phase(struct instance *instance, enum phase phase, const char *what) {
@@ -245,16 +317,6 @@ static int states_of(struct instance *instance, size_t count, int fields[MOST_ST
                                (unsigned)own);
     }
     return status;
-}
-
-static const struct variable *of_field(const struct instance *instance, int field) {
-    uint32_t i;
-    for (i = 0; i < instance->table->variables; i++) {
-        if (instance->table->variable[i].field == field) {
-            return &instance->table->variable[i];
-        }
-    }
-    return NULL;
 }
 
 static double *state_at(struct instance *instance, int field) {
@@ -386,7 +448,7 @@ int instance_reset(struct instance *instance) {
     drive_reset(&instance->drive);
     instance->warned = 0;
     instance->phase = INSTANTIATED;
-    return take_draw(instance);
+    return take_tables(instance);
 }
 
 const struct variable *instance_variable(struct instance *instance, uint32_t reference, int kind) {
@@ -408,16 +470,19 @@ int instance_get(struct instance *instance, const struct variable *variable, dou
 }
 
 int instance_set(struct instance *instance, const struct variable *variable, double value) {
-    double before;
+    double before = 0.0, *chosen = NULL;
     if (instance->phase == TERMINATED) {
         return in_phase(instance, STEPPING, "to set a variable");
     }
-    before = instance->drive.state.draw;
+    if (variable->field == DRAW || variable->field == AGE || variable->field == WEAR_FACTOR) {
+        chosen = drive_stored(&instance->drive.state, variable);
+        before = *chosen;
+    }
     if (drive_set(&instance->drive, variable, value, instance->message)) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
     }
-    if (instance->drive.state.draw != before && take_draw(instance) != STATUS_OK) {
-        instance->drive.state.draw = before;
+    if (chosen != NULL && *chosen != before && take_tables(instance) != STATUS_OK) {
+        *chosen = before;
         return STATUS_ERROR;
     }
     return STATUS_OK;
@@ -440,7 +505,7 @@ int instance_restore(struct instance *instance, const void *state) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
     }
     drive_state_read(&instance->drive, state);
-    if (instance->drive.state.draw != kept.state.draw && take_draw(instance) != STATUS_OK) {
+    if (!same_tables(&instance->drive.state, &kept.state) && take_tables(instance) != STATUS_OK) {
         instance->drive = kept;
         return STATUS_ERROR;
     }

@@ -7,8 +7,8 @@
 
 struct instance {
     char *name;
-    char *path;                  /* of the table, with room for a draw's number behind it */
-    struct table *table, *drawn; /* of the most likely drive, and of the draw that is taken, or NULL */
+    char *path;                  /* of the table, with room for a number behind it */
+    struct table *table, *taken; /* of the most likely or of the new drive, and of the draw or age, or NULL */
     struct drive drive;
     enum phase phase;
     /* Hands a message on; `status` is FMI's own number, the same in both versions. */

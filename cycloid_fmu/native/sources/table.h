@@ -32,6 +32,7 @@ struct side {
 struct table {
     struct table *next;
     size_t users;
+    int between; /* whether it was made of others (table_between) */
     unsigned char *file, head[TABLE_HEAD]; /* the file, whose steps stay where they are; and how it begins */
     uint32_t checksum;
     char *token;
@@ -40,6 +41,10 @@ struct table {
     struct variable *variable;
     double ratio, period, allowed;
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
+    /* Of an ageing drive: crank turns worn and a bearing's growth of clearance (m) at the states of its files, the latter
+       of one number of turns one after the other; and how fast both grow, 1/s and m/s. */
+    uint32_t nodes[2];
+    double node[2][MOST_AGES], pace[2];
     struct side side[2]; /* positive and negative torque */
     double *rest_torque, *rest_energy; /* at zero load, by crank angle; NULL without interference */
 };
@@ -59,6 +64,10 @@ struct loaded {
 /* The table of a file, which is read unless an instance has one with the same head; NULL with a message. */
 struct table *table_open(const char *path, char message[MESSAGE_SIZE]);
 void table_close(struct table *table);
+/* The weighted mean of tables on the same nodes, with the first one's variables, which it lasts no longer than; NULL with a
+   message. */
+struct table *table_between(const struct table *first, const struct table *const *of, const double *weight, int count,
+                            char message[MESSAGE_SIZE]);
 uint32_t table_checksum(const unsigned char *data, size_t size); /* CRC-32 */
 
 struct place table_place(const struct table *table, double crank_angle);

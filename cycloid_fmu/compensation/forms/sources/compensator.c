@@ -1,4 +1,4 @@
-/* One operation after the other as `step` of cycloid_fmu/compensation/compensator.py makes them: the same bits. */
+/* The operations of `step` in cycloid_fmu/compensation/compensator.py in the same order: results have the same bits. */
 #include "compensator.h"
 
 #include <math.h>
@@ -10,10 +10,10 @@
 #if defined(__clang__) || !defined(__GNUC__)
 #pragma STDC FP_CONTRACT OFF
 #else
-#pragma GCC optimize("fp-contract=off") /* GCC does not know the standard's */
+#pragma GCC optimize("fp-contract=off") /* GCC ignores the standard's pragma */
 #endif
 
-/* Whole numbers of a spline over the period: of 8 bits or of 16, from the one before the first knot on. */
+/* Integer coefficients of a periodic spline, of 8 or 16 bits, from the one before the first knot on. */
 struct spline {
     const int8_t *small;
     const int16_t *large;
@@ -24,7 +24,7 @@ struct spline {
 
 #define MOST_TURNS 4503599627370496.0 /* 2^52: beyond it all doubles are whole */
 
-/* What a torque and a temperature make of the tables. */
+/* The tables at a torque and a temperature. */
 struct state {
     double torque, wound, node[COLUMNS + FUNCTIONS];
 };
@@ -32,7 +32,7 @@ struct state {
 enum { MEAN, FLANK, VARIANCE, RIPPLE }; /* the first columns of a node */
 
 static int given(double value) {
-    return value < LARGEST && value > -LARGEST; /* not so for NaN */
+    return value < LARGEST && value > -LARGEST; /* false for NaN */
 }
 
 static double larger(double a, double b) {
@@ -47,14 +47,14 @@ static double size_of(double value) {
     return value < 0.0 ? -value : value;
 }
 
-/* A cell between nodes and the share of it at which a value lies; the ends hold beyond. */
+/* The cell of a value between nodes, and its position in the cell, 0 to 1; values beyond the ends are clipped. */
 static inline int between(const double *nodes, const double *rates, int count, double at, double *share) {
     int cell = 0, left = count - 1;
     if (count == 1) {
         *share = 0.0;
         return 0;
     }
-    while (left > 1) { /* as often for any value */
+    while (left > 1) { /* the same number of rounds for any value */
         int half = left / 2;
         cell += nodes[cell + half] <= at ? half : 0;
         left -= half;
@@ -69,7 +69,7 @@ static inline double on_line(const double *nodes, const double *rates, const dou
     return share > 0.0 ? (1.0 - share) * values[cell] + share * values[cell + 1] : values[cell];
 }
 
-/* The torque that the teeth carry: the load without what friction holds; its elements move on. */
+/* The torque through the teeth, the load minus friction; moves the friction elements. */
 static double torque_of_teeth(struct compensator_memory *m, double angle, double speed, double load,
                               double temperature) {
     double way = given(m->angle) ? angle - m->angle : 0.0;
@@ -119,7 +119,7 @@ static void state_of(struct state *found, double torque, double temperature) {
     found->wound = COMPLIANCE * torque;
 }
 
-/* What the ideal crank angle makes of the deviation (rad), and where asked for its derivative. */
+/* The ripple at an ideal crank angle (rad), and its derivative unless `slope` is 0. */
 static inline double ripple_of(const struct state *state, double crank, double *slope) {
     double value = 0.0, steep = 0.0;
     double turn = crank * PER_PERIOD, whole;
@@ -133,7 +133,7 @@ static inline double ripple_of(const struct state *state, double crank, double *
     for (n = 0; n < FUNCTIONS; n++) {
         const struct spline *spline = &SPLINE[n];
         double place = turn * spline->knots, share = state->node[COLUMNS + n], s, third, second, first;
-        int knot = (int)place, a, b, d, e; /* whole numbers of 19 bits at most */
+        int knot = (int)place, a, b, d, e; /* integers of 19 bits at most */
         s = place - knot;
         if (spline->small != 0) {
             const int8_t *at = spline->small + knot;
@@ -156,9 +156,9 @@ static inline double ripple_of(const struct state *state, double crank, double *
     return value;
 }
 
-/* What measurements of a variance and what was known before say together; returns the last gain's variance.
+/* Solve for the posterior mean given measurements with a variance; returns the variance of the ripple's gain.
 
-   Normal equations with the variance on their diagonal by L D L', in full: it is shorter than their loops. */
+   Normal equations with the variance on their diagonal by L D L', written out: shorter than loops. */
 static inline double solve(struct compensator_memory *m, double v) {
     const double *a = m->moments, *b = m->products;
     double d0 = 1.0 / larger(a[0] + v, v);
@@ -183,12 +183,12 @@ static inline double solve(struct compensator_memory *m, double v) {
     return KNOWN[3] * KNOWN[3] * v * d3;
 }
 
-/* Share of the ripple's variance that an index of its probability leaves. */
+/* Share of the ripple's variance that remains with an index of its probability. */
 static double doubt(const struct compensator_memory *m) {
     return 1.0 - m->probability * m->probability;
 }
 
-/* Take a measurement in; returns whether it can be one of this drive. */
+/* Add a measurement to the regression; returns whether it is plausible for this drive. */
 static int learn(struct compensator_memory *m, const struct state *state, double motor_angle, double output_angle) {
     double measured = output_angle - motor_angle * PER_RATIO;
     double rows[4], targets[4], crank, way, kept, expected, variance, off, weight, most, g;

@@ -37,7 +37,7 @@ static void fresh(struct instance *instance) {
 
 int instance_open(struct instance *instance, const char *name, const char *token, const char *resources, int exchange) {
     size_t size = name == NULL ? 0 : strlen(name);
-    (void)resources; /* all that it needs is compiled in */
+    (void)resources; /* everything is compiled in */
     instance->name = calloc(size + 1, 1);
     if (instance->name == NULL) {
         return 1;
@@ -73,8 +73,7 @@ static int in_phase(struct instance *instance, enum phase phase, const char *wha
     return STATUS_OK;
 }
 
-/* Make a step and keep its memory where it is one, not where outputs are looked at before the first: until then the
-   index may be set. */
+/* Make a step. Its memory is kept, except where outputs are read before the first step: the index may still be set then. */
 static void stepped(struct kept *state, int keep) {
     const double *in = state->value;
     struct compensator_memory memory = state->memory;
@@ -300,7 +299,7 @@ int instance_state_from_bytes(struct instance *instance, const unsigned char *by
     return STATUS_OK;
 }
 
-/* ---- what it has not ---- */
+/* ---- functions of Model Exchange, which it does not support ---- */
 
 int exchange_states(const void *drive, int fields[MOST_STATES]) {
     (void)drive, (void)fields;
