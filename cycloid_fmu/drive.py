@@ -57,6 +57,11 @@ def _torque(given: Any) -> float:
     return _quantity("torque", given, "N*m")
 
 
+def _torques(given: Any) -> list[float]:
+    """One torque or several, as numbers or text."""
+    return [_torque(one) for one in ([given] if isinstance(given, str) or np.ndim(given) == 0 else given)]
+
+
 def _tolerances(given: Tolerances | str | os.PathLike[str]) -> Tolerances:
     if isinstance(given, str | os.PathLike):
         from cycloid_fmu.surfaces.sampling import read_tolerances
@@ -230,9 +235,8 @@ class Drive:
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
-        given = [torque] if isinstance(torque, str) or np.ndim(torque) == 0 else list(torque)  # type: ignore[arg-type]
         return analyze(
-            self.pair, self.surface, self.first_stage, [_torque(t) for t in given], crank_angle,
+            self.pair, self.surface, self.first_stage, _torques(torque), crank_angle,
             slices or slices_needed(self.surface), with_elements=slices is not None,
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
@@ -292,15 +296,13 @@ class Drive:
             crank_angle = _quantity("crank_angle", crank_angle, "rad")
         if not np.isfinite(crank_angle).all():
             raise edge.ArgumentError("crank_angle", "it must be finite", crank_angle)
-        given = [torque] if isinstance(torque, str) or np.ndim(torque) == 0 else list(torque)  # type: ignore[arg-type]
-        loads = [_torque(t) for t in given]
-        found = motion_of(self.pair, self.surface, loads, crank_angle, exaggeration, progress=progress)
+        found = motion_of(self.pair, self.surface, _torques(torque), crank_angle, exaggeration, progress=progress)
         return dataclasses.replace(found, behind_first_stage=self.first_stage is not None)
 
     def judge(
         self,
         requirements: Requirements | str | os.PathLike[str],
-        torque: Sequence[float | str] | None = None,
+        torque: float | str | Sequence[float | str] | None = None,
         *,
         angles: int = ANGLES,
         turns: int = 1,
@@ -314,8 +316,8 @@ class Drive:
         requirements
             The requirements of the application, or their file (cycloid-requirements/1).
         torque
-            Torques of the environment on the output, counter-clockwise positive, N·m or text with a unit; those of the
-            duty are added.
+            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or
+            several. Those of the duty are added.
         angles, turns
             Number of crank angles, and of the crank turns that they span.
         workers, progress
@@ -335,7 +337,7 @@ class Drive:
         ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
         ... )
         >>> asked = Requirements(limits={"max_contact_pressure": "1000 MPa", "backlash": "1 arcmin"})
-        >>> [(one.figure, one.met) for one in cy.Drive(pair).judge(asked, ["181 N*m"], angles=45).verdicts]
+        >>> [(one.figure, one.met) for one in cy.Drive(pair).judge(asked, "181 N*m", angles=45).verdicts]
         [('backlash', True), ('max_contact_pressure', False)]
         """
         from cycloid_fmu.studies.limits import Requirements, read_requirements
@@ -343,7 +345,8 @@ class Drive:
 
         stated = requirements if isinstance(requirements, Requirements) else read_requirements(requirements)
         return judge_drive(
-            self.pair, self.surface, self.first_stage, stated, [_torque(t) for t in torque or ()],
+            self.pair, self.surface, self.first_stage, stated,
+            [] if torque is None else _torques(torque),
             np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False), workers=workers or os.cpu_count() or 1,
             progress=progress,
         )  # fmt: skip
@@ -492,7 +495,7 @@ class Drive:
     def study(
         self,
         tolerances: Tolerances | str | os.PathLike[str],
-        torque: Sequence[float | str] | None = None,
+        torque: float | str | Sequence[float | str] | None = None,
         *,
         samples: int = 1000,
         seed: int = 1,
@@ -508,7 +511,7 @@ class Drive:
         tolerances
             The tolerances and limits, or their file.
         torque
-            Torques on the output, N·m or text with a unit; by default plus and minus the rated torque.
+            Torque on the output, N·m or text with a unit; one or several, by default plus and minus the rated torque.
         samples, seed, angles
             Number of drives, seed that determines them, and number of crank angles of each.
         first_order
@@ -528,7 +531,7 @@ class Drive:
         ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
         ... )
         >>> tolerances = cy.Tolerances(pin_radius={"tolerance": "2 um"}, eccentricity={"tolerance": "3 um"})
-        >>> found = cy.Drive(pair).study(tolerances, ["100 N*m"], samples=4, angles=20, workers=1)
+        >>> found = cy.Drive(pair).study(tolerances, "100 N*m", samples=4, angles=20, workers=1)
         >>> len(found.result.sample)
         4
         """
@@ -538,9 +541,9 @@ class Drive:
         rated = self.pair.rated_torque
         if torque is None and rated is None:
             raise edge.ArgumentError("torque", "is missing; give it, or state the pair's rated torque")
-        loads = [rated, -rated] if torque is None and rated is not None else torque or ()
+        loads = [rated, -rated] if torque is None and rated is not None else torque
         study = Study(
-            self.pair, _tolerances(tolerances), samples, seed, tuple(_torque(t) for t in loads),
+            self.pair, _tolerances(tolerances), samples, seed, tuple(_torques(loads)),
             angles=angles, first_stage=self.first_stage,
         )  # fmt: skip
         yields.check(study, "pair", "tolerances", to_first_order=first_order is not None)
@@ -604,11 +607,10 @@ class Drive:
         from cycloid_fmu.studies.sweep_files import conduct
 
         rated = self.pair.rated_torque
-        given = rated if torque is None else torque
-        loads = [given] if isinstance(given, str) or np.ndim(given) == 0 else list(given)  # type: ignore[arg-type]
+        loads = rated if torque is None else torque
         sweep = Sweep(
             self.pair, self.surface, self.first_stage, vary_of(vary),
-            tuple(_torque(one) for one in loads if one is not None), angles, turns,
+            () if loads is None else tuple(_torques(loads)), angles, turns,
         )  # fmt: skip
         return conduct(sweep, output, workers=workers or os.cpu_count() or 1, progress=progress)
 

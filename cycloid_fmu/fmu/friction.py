@@ -28,7 +28,7 @@ from cycloid_fmu.fmu.constants import (
 from cycloid_fmu.fmu.losses import Row, lost_torque
 
 # Equal springs whose yield strains are evenly spaced up to the presliding angle (Iwan's uniform distribution): torque
-# over strain is a piecewise linear parabola, F (1 - (1 - z/z_p)²).
+# over strain is a piecewise linear parabola, F (1 - (1 - z/z_s)²).
 SHARE = 2.0 / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0))
 """Share of the first element in the sliding friction torque; the others have twice, three times, … as much."""
 LOSSLESS = (1.0, 1.0, 0.0, 0.0)  # a row of the loss table, without its speed
