@@ -25,6 +25,8 @@ PAGES = (
     "generated/files",
     "generated/variables",
     "measured",
+    "genindex",
+    "theory/measurement",
     "theory/contact",
 )
 # The theme lets an article scroll as a whole, so the page's own width is not enough.
