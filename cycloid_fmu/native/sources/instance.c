@@ -46,7 +46,8 @@ static struct table *numbered_table(struct instance *instance, unsigned number) 
     table = table_open(instance->path, instance->message);
     snprintf(token, sizeof token, "%.400s %u", instance->table->token, number);
     if (table != NULL && strcmp(table->token, token) != 0) {
-        snprintf(instance->message, MESSAGE_SIZE, "%.300s: this table belongs to another FMU or number.", instance->path);
+        snprintf(instance->message, MESSAGE_SIZE, "%.300s: this table belongs to another FMU or draw, or state of a life.",
+                 instance->path);
         table_close(table);
         table = NULL;
     }
