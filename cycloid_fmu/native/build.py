@@ -192,11 +192,11 @@ def library(name: str, files: Mapping[str, bytes], sources: Sequence[str]) -> by
     command = [*_compiler(name), *_FLAGS]
     zig = "ziglang" in command
     runtime = ["-Wl,--no-entry", *windows_runtime()] if zig and name.endswith("windows") else ["-lm"]
-    # Where zig and its headers lie says nothing: another environment with the same ones finds the library here.
+    # The folder of zig and its headers is left out: another environment with the same ones finds the library here.
     compiler = f"ziglang {importlib.metadata.version('ziglang')}" if zig else command[0]
     words = [compiler, *(word for word in (*command[1:], *runtime) if not Path(word).is_absolute())]
-    told = repr((words, _UCRT.read_bytes(), sorted(files.items())))
-    digest = hashlib.sha256(told.encode()).hexdigest()
+    origin = repr((words, _UCRT.read_bytes(), sorted(files.items())))
+    digest = hashlib.sha256(origin.encode()).hexdigest()
     kept = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "native"
     target = kept / f"{digest}-{name}{PLATFORMS[name].suffix}"
     if not target.exists():
@@ -248,7 +248,7 @@ def _description(
     version: Version, token: str, kept: dict[int, Variable], interface: Interface, made: tables.Tables, stiffness: str,
     states: int,
 ) -> Element:  # fmt: skip
-    told = list(kept.values())
+    listed = list(kept.values())
     aged = f" at any age, between {states} states of its life" if states else ""
     text = f"Cycloid-pin gear drive{aged}, {interface.kind}, {made.told}; {stiffness}"
     common = {
@@ -281,13 +281,13 @@ def _description(
             files = SubElement(offered, "SourceFiles")
             for source in SOURCES:
                 SubElement(files, "File", name=source)
-    root.append(unit_definitions(told))
+    root.append(unit_definitions(listed))
     categories = SubElement(root, "LogCategories")
     for name, why in (("logStatusWarning", "torques beyond the tables"), ("logStatusError", "refused values")):
         SubElement(categories, "Category", name=name, description=why)
     SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize=repr(interface.step))
-    root.append(model_variables(told, version, tuple(kept)))
-    root.append(model_structure(told, version, tuple(kept), continuous_states(interface)))
+    root.append(model_variables(listed, version, tuple(kept)))
+    root.append(model_structure(listed, version, tuple(kept), continuous_states(interface)))
     return root
 
 

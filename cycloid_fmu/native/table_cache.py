@@ -42,7 +42,7 @@ def tables_of(pair: Pair, surface: ErrorSurface, *, largest_load: float | None =
     asked = f"{drive_hash(pair, surface)} {largest_load} {making.get('accuracy', tables.ACCURACY)!r} {_makers()}"
     kept = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "tables"
     path = kept / f"{hashlib.sha256(asked.encode()).hexdigest()}.tables"
-    with contextlib.suppress(Exception):  # whatever is wrong with it
+    with contextlib.suppress(Exception):  # a damaged file is made again, whatever the damage
         found = _read(path.read_bytes())
         os.utime(path)
         return found

@@ -86,7 +86,7 @@ def write(
     Parameters
     ----------
     interface
-        What the FMU offers.
+        The FMU's interface.
     variables
         The FMU's variables by value reference, which are 0, 1, 2, ….
     token
@@ -130,7 +130,7 @@ def write(
         whole = np.round((deviation - base[:, None]) / steps[0][:, None])
         if not np.abs(whole).max() < 32768.0:
             raise ValueError("the accuracy is finer than a file of tables can store")
-        # Of differences from angle to angle the ZIP makes half of what it makes of the numbers themselves.
+        # Differences from angle to angle compress to half the size of the numbers themselves.
         body += _words(np.diff(whole, axis=1, prepend=0.0) % 65536.0)
         body += _words(np.round(np.vstack([side.compliance, far_compliance]) / steps[1][:, None]))
         body += _words(np.round(side.pressure / side.steps[2][:, None]))

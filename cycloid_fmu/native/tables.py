@@ -38,33 +38,36 @@ from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: what the deviation may err
+ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: allowed error of the deviation
 RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, where that is more
-# Where a pin begins to carry, stiffness and speed all but jump, and no grid follows a jump: what they may err is said
-# of most states, and of all in the mean of squares.
-STIFFNESS_SHARE = 0.02  # of itself: what the stiffness may err in `MOST_STATES`
-SPEED_SHARE = 0.2  # of its own: rms that the ripple of the output's speed may err by
+# Where a pin begins to carry, stiffness and speed nearly jump, and no grid follows a jump: the stiffness has an allowed
+# error for most states, the speed for the mean square of all.
+STIFFNESS_SHARE = 0.02  # allowed relative error of the stiffness in `MOST_STATES`
+SPEED_SHARE = 0.2  # allowed rms error of the output speed's ripple, of its own rms
 MOST_STATES = 0.95
-TOLD_FROM = 0.01  # of the largest torque: where these hold, and what is told of them
-_MOST_VALUES = 7_000_000  # deviations and compliances that finer stiffness and speed may make: 14 MB
-_SAMPLES = (16, 128, 1024)  # crank angles a mesh pitch: the fewest, doubled to the most of any drive and of few pitches
-_MOST_ANGLES = 200_000  # in all, of more than 128 a mesh pitch
-_SHARE = 0.7  # of the allowed error that a cell between loads may have in its middle
-_NEIGHBOURS, _REACHES = 5, (1.0, 0.5, 0.25)  # places drawn around each of the worst probes, and how far: cells
-_BLAMED = 2 / 3  # of what stiffness and speed err: the cells that make so much of it are halved
-_WORST = 200  # probes that tell whether loads or crank angles are too few
+TOLD_FROM = 0.01  # of the largest torque: from there on these hold and are stated
+_MOST_VALUES = 7_000_000  # deviations and compliances up to which stiffness and speed are refined: 14 MB
+_SAMPLES = (16, 128, 1024)  # crank angles per mesh pitch: fewest, most of any drive, most of a drive of few pitches
+_MOST_ANGLES = 200_000  # in total, with more than 128 per mesh pitch
+_SHARE = 0.7  # of the allowed error, at most in the middle of a cell between loads
+_NEIGHBOURS, _REACHES = 5, (1.0, 0.5, 0.25)  # places drawn around each of the worst probes, and within how many cells
+_BLAMED = 2 / 3  # of the errors of stiffness and speed: the cells that cause this share are halved
+_WORST = 200  # probes that decide whether loads or crank angles are too few
 _DIRECTIONS = (1.0, -1.0)
-_LIKE = 512  # probes that are solved one after the other
+# Interpolation is accurate enough where it gives both neighbours within these shares of the allowed error and of the
+# compliance. Where a pin begins to carry its error is up to 1.5 times theirs.
+_MIDWAY, _MIDWAY_COMPLIANCE = 0.1, 0.005
+_LIKE = 512  # probes of similar torque, solved in a row
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
-# Contact count and pressure are told, nothing follows from them: their crank angles are the fewest of a mesh pitch.
+# Contact count and pressure are outputs from which nothing follows: they keep the fewest crank angles per mesh pitch.
 _TOLD_LOADS = 24  # at most
 _PRESSURE_STEP = 2.5e-3  # of the largest pressure's square
 _FAR = (4.0, 2.0, 1.2)  # times the last load: the first at which contacts can balance it ends the cell beyond
-_STEPS = 16  # of the stored deviation, and of what a stored compliance adds to it, in what it may err
+_STEPS = 16  # quantisation steps of the deviation, and of a compliance's part in it, in the allowed error
 _COMPLIANCE_SHARE = 0.005  # largest step of the stored compliance, of its mean
 _MOST_STEPS = 65000  # of any channel, in 16 bits
-PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
+PROBES = 20000  # random crank angles and torques at which the finished tables are compared with the model
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,7 @@ class States(NamedTuple):
     Attributes
     ----------
     deviation
-        Of the output from its ideal place, rad.
+        Of the output from its ideal angle, rad.
     stiffness
         N·m/rad.
     rate
@@ -179,7 +182,7 @@ class Tables:
 
     @property
     def told(self) -> str:
-        """What an FMU's description says of its tables."""
+        """Accuracy of the tables, for an FMU's description."""
         largest, reach = self.largest_error * 648000 / math.pi, self.positive.load[-1]
         text = f"from tables up to {reach:.4g} N.m that err by at most {largest:.3f} arcsec"
         if self.errors is None:
@@ -225,43 +228,81 @@ class _Solved(NamedTuple):
     contact_count: Array32
 
 
+class _Rest(NamedTuple):
+    """The drive without a load, each of shape (angles,); see `Transmission`.
+
+    Attributes
+    ----------
+    low, high
+        Ends of the play, rad.
+    pressed
+        Whether there is no play.
+    deviation, stiffness, pressure, contact_count, crank_torque
+        Where there is none; 0 elsewhere.
+    """
+
+    low: Array
+    high: Array
+    pressed: NDArray[np.bool_]
+    deviation: Array
+    stiffness: Array
+    pressure: Array
+    contact_count: Array
+    crank_torque: Array
+
+
+def _at_rest(pair: Pair, surface: ErrorSurface, angles: Array, workers: int = 1) -> _Rest:
+    """Solve the play, and the drive at rest where there is none: once for both directions."""
+    slices = slices_needed(surface)
+    free = solve(pair, surface, [], angles, slices, workers=workers)
+    rest = _Rest(free.play_low, free.play_high, free.interference > 0.0, *np.zeros((5, angles.size)))
+    here = np.flatnonzero(rest.pressed)
+    if here.size:
+        one = solve(pair, surface, [0.0], angles[here], slices, with_play=False, workers=workers)
+        drive = drive_of(pair, surface, slices)
+        rows, cold = contact.contact_rows(drive), True
+        for k, i in enumerate(here):
+            x, _ = contact.equilibrium(drive, angles[i], 0.0, one.transmission_error[0, k], rows, cold)
+            rest.crank_torque[i], cold = contact.crank_side(drive, angles[i], x, rows)[0], False
+        rest.deviation[here], rest.stiffness[here] = one.transmission_error[0], one.torsional_stiffness[0]
+        rest.pressure[here], rest.contact_count[here] = one.max_contact_pressure[0], one.contact_count[0]
+    return rest
+
+
 def _solved(
     pair: Pair,
     surface: ErrorSurface,
     direction: float,
     loads: Array,
     angles: Array,
+    rest: _Rest | None = None,
     workers: int = 1,
     progress: Callable[[int], None] = lambda angles: None,
+    following: float | None = None,
 ) -> _Solved:
-    """Solve the model at loads, the first of which may be 0: the end of the play, or the rest without one."""
+    """Solve the model at loads; the first may be 0, the end of the play or the rest without one.
+
+    The slope at 0 is taken towards the `following` load, by default the second one.
+    """
     slices = slices_needed(surface)
     parts = []
     for k, load in enumerate(loads):
-        signed = direction * float(load)
-        one = solve(pair, surface, [signed], angles, slices, with_play=load == 0.0, workers=workers, progress=progress)
-        x, stiffness = direction * one.transmission_error[0], one.torsional_stiffness[0]
+        at = load
         if load == 0.0:
-            free = one.interference == 0.0
-            end = direction * (one.play_high if direction > 0.0 else one.play_low)
-            x = np.where(free, end, x)
-            if free.any():
-                # On bearings the play is where the tangent at the first load ends.
-                share = _FIRST_SLOPE if pair.supports is None else 1.0
-                near = solve(
-                    pair, surface, [direction * share * float(loads[k + 1])], angles, slices, with_play=False,
-                    workers=workers,
-                )  # fmt: skip
-                stiffness = np.where(free, near.torsional_stiffness[0], stiffness)
-        parts.append(
-            (
-                x,
-                1.0 / stiffness,
-                np.square(one.max_contact_pressure[0]),
-                np.minimum(one.contact_count[0], 255),
-            )
+            # On bearings the play is where the tangent at the first load ends.
+            at = (_FIRST_SLOPE if pair.supports is None else 1.0) * (following or loads[k + 1])
+        one = solve(
+            pair, surface, [direction * float(at)], angles, slices, with_play=False, workers=workers, progress=progress
         )
-    # Far finer than what tables err; a drive whose pins and teeth all differ takes a gigabyte otherwise.
+        found = one.transmission_error[0], one.torsional_stiffness[0], one.max_contact_pressure[0], one.contact_count[0]
+        if load == 0.0:
+            assert rest is not None
+            end = rest.high if direction > 0.0 else rest.low
+            x = np.where(rest.pressed, rest.deviation, end)
+            found = x, np.where(rest.pressed, rest.stiffness, found[1]), rest.pressure, rest.contact_count
+        x, stiffness, pressure, count = found
+        parts.append((direction * x, 1.0 / stiffness, np.square(pressure), np.minimum(count, 255)))
+    # Far finer than the tables' error; a drive whose pins and teeth all differ takes a gigabyte otherwise.
     return _Solved(*(np.array(p, dtype=np.float32) for p in zip(*parts, strict=True)))
 
 
@@ -284,7 +325,9 @@ def _slope(
     return np.asarray(6.0 * u * v * (deviation[1] - deviation[0]) / width + slopes)
 
 
-def _integral(share: float | Array, width: float | Array, deviation: Array, compliance: Array) -> Array:
+def _integral(
+    share: float | Array, width: float | Array, deviation: Sequence[Array] | Array, compliance: Sequence[Array] | Array
+) -> Array:
     """Hermite's interpolation integrated over the load, from a cell's beginning to a share of it."""
     s, h = share, width
     value = (s - s**3 + 0.5 * s**4) * deviation[0] + (s**3 - 0.5 * s**4) * deviation[1]
@@ -297,12 +340,12 @@ def _middle(low: float, high: float) -> float:
 
 
 def _chosen_loads(
-    pair: Pair, surface: ErrorSurface, direction: float, largest: float, angles: Array, allowed: float
+    pair: Pair, surface: ErrorSurface, direction: float, largest: float, angles: Array, rest: _Rest, allowed: float
 ) -> Array:
     """Return loads between which Hermite's interpolation is within the allowed error: cells are halved until then."""
 
     def at(load: float, following: float) -> tuple[Array, Array]:
-        one = _solved(pair, surface, direction, np.array([load, following] if load == 0.0 else [load]), angles)
+        one = _solved(pair, surface, direction, np.array([load]), angles, rest, following=following)
         return one.deviation[0], one.compliance[0]
 
     def halved(low: float, high: float) -> tuple[float, float, float, float]:
@@ -336,6 +379,18 @@ def _joined(parts: Sequence[_Solved], order: NDArray[np.int64], axis: int) -> _S
     return _Solved(*(np.take(np.concatenate(channel, axis), order, axis) for channel in channels))
 
 
+def _apart(values: Array32) -> Array32:
+    """Differences of values from those interpolated by `_midway` between their neighbours."""
+    near, far = (np.roll(values, k, -1) + np.roll(values, -k, -1) for k in (1, 3))
+    return np.asarray(np.abs(values - (9.0 * near - far) / 16.0), dtype=np.float32)
+
+
+def _midway(values: Array32) -> Array32:
+    """Values midway between equidistant ones of a period along the last axis, by the cubic through four."""
+    near, far = values + np.roll(values, -1, -1), np.roll(values, 1, -1) + np.roll(values, -2, -1)
+    return np.asarray((9.0 * near - far) / 16.0, dtype=np.float32)
+
+
 def _with_angles(coarse: _Solved, between: _Solved) -> _Solved:
     """Insert the midway crank angles."""
     return _joined([coarse, between], np.arange(2 * coarse.deviation.shape[1]).reshape(2, -1).T.ravel(), 1)
@@ -355,8 +410,8 @@ def _side(loads: Array, exact: _Solved, far: tuple[float, _Solved], step: float,
     """Convert nodes to coefficients that are monotone in the load for every crank angle, rounded as stored.
 
     Where the coefficients satisfy Fritsch and Carlson's condition (SIAM J. Numer. Anal. 17 (1980) 238), every spline
-    between them does, for a B-spline's weights are positive. Count and pressure are kept at every `told`th node. Both
-    directions have the same step of the deviation.
+    between them does, because a B-spline's weights are positive. Count and pressure are kept at every `told`th node.
+    Both directions have the same step of the deviation.
     """
     some = np.unique(np.round(np.linspace(0, loads.size - 1, _TOLD_LOADS)).astype(int))
     square, count = exact.pressure[some, ::told], exact.contact_count[some, ::told]
@@ -396,22 +451,6 @@ def _far_end(
     x = np.maximum(_coefficients(exact.deviation[0]), deviation + compliance * (load - last) / 3.0)
     c = min(float(exact.compliance.mean()), 3.0 * float((x - deviation).min()) / (load - last))
     return load, x, np.full(x.shape, max(c, 0.0))
-
-
-def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array, workers: int) -> Array:
-    """Crank torque at zero load, where interference presses the contacts."""
-    if pair.supports is not None:
-        return np.zeros(angles.size)
-    slices = slices_needed(surface)
-    one = solve(pair, surface, [0.0], angles, slices, workers=workers)
-    drive, rows = drive_of(pair, surface, slices), None
-    found = np.zeros(angles.size)
-    for i in np.flatnonzero(one.interference > 0.0):
-        cold = rows is None
-        rows = contact.contact_rows(drive) if rows is None else rows
-        x, _ = contact.equilibrium(drive, angles[i], 0.0, one.transmission_error[0, i], rows, cold)
-        found[i] = contact.crank_side(drive, angles[i], x, rows)[0]
-    return found
 
 
 def _rest_step(rest: Array) -> float:
@@ -459,53 +498,79 @@ def compute(
     period = pitches * pitch
     random = np.random.default_rng(1)
     spread = np.sort(random.uniform(0.0, period, _SPREAD))
-    range_ = float(np.ptp(_solved(pair, surface, 1.0, np.array([0.0, largest_load]), spread).deviation, axis=1).max())
-    allowed = max(accuracy, RANGE_SHARE * range_)
+    rest = _at_rest(pair, surface, spread, workers)
+    ends = _solved(pair, surface, 1.0, np.array([0.0, largest_load]), spread, rest)
+    allowed = max(accuracy, RANGE_SHARE * float(np.ptp(ends.deviation, axis=1).max()))
+
+    def chosen_loads(direction: float) -> Array:
+        return _chosen_loads(pair, surface, direction, largest_load, spread, rest, _SHARE * allowed)
+
     with ThreadPoolExecutor(min(workers, len(_DIRECTIONS))) as pool:
-        loads = list(
-            pool.map(lambda d: _chosen_loads(pair, surface, d, largest_load, spread, _SHARE * allowed), _DIRECTIONS)
-        )
+        loads = list(pool.map(chosen_loads, _DIRECTIONS))
     samples, most = _SAMPLES[0], max(_SAMPLES[1], min(_SAMPLES[2], _MOST_ANGLES // pitches))
     angles: Array = np.arange(pitches * samples, dtype=float) * (pitch / samples)
-    rest = _rest_torque(pair, surface, angles, workers)
+    rest = _at_rest(pair, surface, angles, workers)
     total(angles.size * sum(n.size for n in loads))
 
-    def solved(direction: float, at: Array, crank_angle: Array) -> _Solved:
-        return _solved(pair, surface, direction, at, crank_angle, workers, progress)
+    def solved(direction: float, at: Array) -> _Solved:
+        return _solved(pair, surface, direction, at, angles, rest, workers, progress)
+
+    def between(coarse: _Solved, direction: float, at: Array, here: _Rest) -> _Solved:
+        """Crank angles midway, solved where interpolation between neighbours is not accurate enough.
+
+        Count and pressure are not kept there.
+        """
+        found = _Solved(*map(_midway, coarse))
+        needed = (_apart(coarse.deviation) > _MIDWAY * allowed) | (
+            _apart(coarse.compliance) > _MIDWAY_COMPLIANCE * coarse.compliance
+        )
+        needed |= np.roll(needed, -1, 1)
+        total(int(np.count_nonzero(needed)))
+        for k in range(at.size):
+            some = np.flatnonzero(needed[k])
+            if some.size:
+                following = float(at[min(k + 1, at.size - 1)])
+                one = _solved(
+                    pair, surface, direction, at[k : k + 1], angles[1::2][some],
+                    _Rest._make(channel[some] for channel in here), workers, progress, following,
+                )  # fmt: skip
+                found.deviation[k, some], found.compliance[k, some] = one.deviation[0], one.compliance[0]
+        return found
 
     def closer() -> None:
-        """Put crank angles midway."""
+        """Insert the crank angles midway."""
         nonlocal samples, angles, rest
         samples *= 2
         angles = np.arange(pitches * samples, dtype=float) * (pitch / samples)
-        total(angles[1::2].size * sum(n.size for n in loads))
+        here = _at_rest(pair, surface, angles[1::2], workers)
         for k, direction in enumerate(_DIRECTIONS):
-            exact[k] = _with_angles(exact[k], solved(direction, loads[k], angles[1::2]))
-            far[k] = far[k][0], _with_angles(far[k][1], solved(direction, np.array([far[k][0]]), angles[1::2]))
-        rest = np.ravel([rest, _rest_torque(pair, surface, angles[1::2], workers)], "F")
+            exact[k] = _with_angles(exact[k], between(exact[k], direction, loads[k], here))
+            last, beyond = far[k]
+            far[k] = last, _with_angles(beyond, between(beyond, direction, np.array([last]), here))
+        rest = _Rest._make(np.ravel(channels, "F") for channels in zip(rest, here, strict=True))
 
     def with_more(further: Sequence[Array]) -> None:
-        """Put loads between."""
+        """Insert loads."""
         total(angles.size * sum(n.size for n in further))
         for k, direction in enumerate(_DIRECTIONS):
             if further[k].size:
-                # The slope at zero load is taken on the way to the first load.
-                anew = int(further[k][0] < loads[k][1])
-                more = np.append(loads[k][:anew], further[k])
-                kept = _Solved(*(channel[anew:] for channel in exact[k]))
-                exact[k] = _with_loads(kept, loads[k][anew:], solved(direction, more, angles), more)
+                # The slope at zero load is taken towards the first load: with a new first load it is solved again.
+                again = int(further[k][0] < loads[k][1])
+                more = np.append(loads[k][:again], further[k])
+                kept = _Solved(*(channel[again:] for channel in exact[k]))
+                exact[k] = _with_loads(kept, loads[k][again:], solved(direction, more), more)
                 loads[k] = np.union1d(loads[k], more)
 
     def random_places(seed: int) -> _Probed:
         return _probed(pair, surface, *_places(period, largest_load, PROBES, seed), workers)
 
-    exact = [solved(d, n, angles) for d, n in zip(_DIRECTIONS, loads, strict=True)]
+    exact = [solved(d, n) for d, n in zip(_DIRECTIONS, loads, strict=True)]
     far = [
         _far(pair, surface, d, n[-1], angles, one, workers) for d, n, one in zip(_DIRECTIONS, loads, exact, strict=True)
     ]
     drawn = 1
     chosen = random_places(drawn)
-    tables = _assembled(pair, surface, period, loads, exact, rest, allowed, far)
+    tables = _assembled(pair, surface, period, loads, exact, rest.crank_torque, allowed, far)
     probed = _around_the_worst(tables, pair, surface, chosen, pitch / samples, drawn, workers)
     while True:
         off = np.abs(_off(tables, probed))
@@ -522,7 +587,7 @@ def compute(
         elif any(n.size for n in further) and not enough:
             with_more(further)
         else:
-            # Held against places that nothing was chosen by; where they find more, they are chosen by too.
+            # Compared at places that chose nothing; where these find larger errors, they choose too.
             drawn += 1
             fresh = random_places(drawn)
             near = _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn, workers)
@@ -530,7 +595,7 @@ def compute(
             if coarse or np.abs(_off(tables, near)).max() <= allowed:
                 break
             continue
-        tables = _assembled(pair, surface, period, loads, exact, rest, allowed, far)
+        tables = _assembled(pair, surface, period, loads, exact, rest.crank_torque, allowed, far)
     found = interpolated(tables, fresh.crank_angle, fresh.torque)
     return dataclasses.replace(
         tables,
@@ -545,7 +610,7 @@ def _far(
     """Solve the model at a load far beyond the last."""
     for times in _FAR:
         with contextlib.suppress(InputError):  # contacts can't balance every load
-            return times * last, _solved(pair, surface, direction, np.array([times * last]), angles, workers)
+            return times * last, _solved(pair, surface, direction, np.array([times * last]), angles, workers=workers)
     end = _Solved(*(channel[-1:] for channel in exact))
     beyond = (_FAR[-1] - 1.0) * last
     return _FAR[-1] * last, end._replace(deviation=end.deviation + np.float32(beyond) * end.compliance)
@@ -576,20 +641,33 @@ def _missing_loads(
     If exact nodes at the probe's own crank angle have half of the error, the cell of the load is the cause.
     """
     worst = np.argsort(-np.abs(off))[: min(int(np.sum(np.abs(off) > allowed)), _WORST)]
-    further: list[set[float]] = [set() for _ in loads]
-    by_angle = 0
-    for i in worst:
-        side = int(probed.torque[i] < 0.0)
-        direction, load = _DIRECTIONS[side], abs(float(probed.torque[i]))
-        j = int(np.clip(np.searchsorted(loads[side], load) - 1, 0, loads[side].size - 2))
-        low, high = (float(n) for n in loads[side][j : j + 2])
-        ends = _solved(pair, surface, direction, np.array([low, high]), probed.crank_angle[i : i + 1])
-        found = float(_hermite((load - low) / (high - low), high - low, ends.deviation, ends.compliance)[0])
-        if abs(found - direction * probed.exact.deviation[i]) > 0.5 * abs(off[i]):
-            further[side].add(_middle(low, high))
-        else:
-            by_angle += 1
-    return [np.array(sorted(middles)) for middles in further], 2 * by_angle > worst.size
+    theta, torque = probed.crank_angle[worst], probed.torque[worst]
+    found, _ = _between_loads(pair, surface, loads, theta, torque)
+    by_load = np.abs(found - probed.exact.deviation[worst]) > 0.5 * np.abs(off[worst])
+    further = []
+    for at, direction in zip(loads, _DIRECTIONS, strict=True):
+        cells, _, _ = _cells(at, np.abs(torque[by_load & (torque * direction > 0.0)]))
+        further.append(np.array([_middle(*map(float, at[j : j + 2])) for j in np.unique(cells)]))
+    return further, bool(2 * by_load.sum() < worst.size)
+
+
+def _between_loads(
+    pair: Pair, surface: ErrorSurface, loads: Sequence[Array], theta: Array, torque: Array
+) -> tuple[Array, Array]:
+    """Interpolate deviation and stiffness between exact nodes of the loads at the very crank angles."""
+    deviation, stiffness = np.empty((2, theta.size))
+    for at, direction in zip(loads, _DIRECTIONS, strict=True):
+        side = np.flatnonzero(torque * direction > 0.0)
+        side = side[np.argsort(theta[side])]
+        cells, shares, widths = _cells(at, np.abs(torque[side]))
+        for j in np.unique(cells):
+            here = side[cells == j]
+            rest = _at_rest(pair, surface, theta[here]) if j == 0 else None
+            ends = _solved(pair, surface, direction, at[j : j + 2], theta[here], rest)
+            u, h = shares[cells == j], widths[cells == j]
+            deviation[here] = direction * _hermite(u, h, ends.deviation, ends.compliance)
+            stiffness[here] = 1.0 / _slope(u, h, ends.deviation, ends.compliance)
+    return deviation, stiffness
 
 
 def _missing_elsewhere(
@@ -612,7 +690,8 @@ def _missing_elsewhere(
     too_stiff, too_fast = stiff.sum() > (1.0 - MOST_STATES) * told.sum(), speed.sum() > told.sum()
     blame = too_stiff * stiff / (1.0 - MOST_STATES) + too_fast * speed
     cells: list[tuple[float, int, float]] = []
-    for k, side in enumerate((tables.positive, tables.negative)):
+    sides = (tables.positive, tables.negative)
+    for k, side in enumerate(sides):
         here = torque * _DIRECTIONS[k] > 0.0
         j, _, _ = _cells(side.load, np.abs(torque[here]))
         shares = np.bincount(j, blame[here], side.load.size - 1)
@@ -622,19 +701,9 @@ def _missing_elsewhere(
     kept = cells[: max(min(int(until), room), 0)]
     further = [np.array(sorted(middle for _, side, middle in kept if side == k)) for k in range(len(_DIRECTIONS))]
     some = np.flatnonzero(stiff)[:: max(int(stiff.sum()) // _WORST, 1)] if too_stiff else np.empty(0, dtype=int)
-    by_load = sum(_blames_load(pair, surface, tables, theta[i], torque[i], e.stiffness[i], allowed) for i in some)
-    return further, bool(2 * by_load < some.size)
-
-
-def _blames_load(
-    pair: Pair, surface: ErrorSurface, tables: Tables, theta: float, torque: float, stiffness: float, allowed: float
-) -> bool:
-    """Whether exact nodes at a probe's own crank angle exceed the allowed error too."""
-    side, direction = (tables.positive, 1.0) if torque > 0.0 else (tables.negative, -1.0)
-    (j,), (u,), (h,) = _cells(side.load, np.array([abs(torque)]))
-    ends = _solved(pair, surface, direction, side.load[j : j + 2], np.array([theta]))
-    x, c = ends.deviation[:, 0], ends.compliance[:, 0]
-    return bool(abs(stiffness * _slope(u, h, x, c) - 1.0) > allowed)
+    _, found = _between_loads(pair, surface, [side.load for side in sides], theta[some], torque[some])
+    by_load = np.abs(e.stiffness[some] / found - 1.0) > allowed
+    return further, bool(2 * by_load.sum() < some.size)
 
 
 def interpolated(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> States:
@@ -650,25 +719,39 @@ def interpolated(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> S
     nodes, weights, rates = _place(tables.period, angles, theta)
     told, told_weights, _ = _place(tables.period, tables.positive.pressure.shape[1], theta)
     found = States(*np.empty((len(States._fields), *theta.shape)))
+    found.deviation[...] = _deviation(tables, theta, signed)
     for side, direction in ((tables.positive, 1.0), (tables.negative, -1.0)):
         here = signed * direction > 0.0
         load, among, weight, by_angle = np.abs(signed[here]), nodes[:, here], weights[:, here], rates[:, here]
         j, u, h = _cells(side.load, load)
         x, c = _ends(side, j, weight, among)
-        found.deviation[here] = direction * _hermite(u, h, x, c)
         found.stiffness[here] = 1.0 / np.maximum(_slope(u, h, x, c), LEAST_COMPLIANCE)
         x, c = _ends(side, j, by_angle, among)
         found.rate[here] = direction * _hermite(u, h, x, c)
-        energy_rate = _integral(u, h, x, c)
-        for k in range(side.load.size - 1):  # the whole cells below
-            above = j > k
-            width = float(side.load[k + 1] - side.load[k])
-            energy_rate[above] += _integral(1.0, width, *_ends(side, k, by_angle[:, above], among[:, above]))
+        energy_rate = _integral(u, h, x, c) + np.sum(by_angle * _energy(side)[j, among], axis=0)
         rest = np.sum(weight * tables.rest_torque[among], axis=0)
         found.crank_torque[here] = rest - direction * load / tables.ratio - energy_rate
         j, u, _ = _cells(side.told_load, load)
         low, high = (np.sum(told_weights[:, here] * side.pressure[row, told[:, here]], axis=0) for row in (j, j + 1))
         found.pressure[here] = np.sqrt(np.maximum((1.0 - u) * low + u * high, 0.0))
+    return found
+
+
+def _energy(side: Side) -> Array:
+    """Coefficients of the deviation integrated over the load, up to each load, shape (loads, angles)."""
+    x, c = side.deviation, side.compliance
+    cells = _integral(1.0, np.diff(side.load)[:, None], (x[:-1], x[1:]), (c[:-1], c[1:]))
+    return np.cumsum(np.concatenate([np.zeros_like(cells[:1]), cells]), axis=0)
+
+
+def _deviation(tables: Tables, theta: Array, torque: Array) -> Array:
+    """Interpolate the deviation as `interpolated` does."""
+    nodes, weights, _ = _place(tables.period, tables.rest_torque.size, theta)
+    found = np.empty_like(theta)
+    for side, direction in zip((tables.positive, tables.negative), _DIRECTIONS, strict=True):
+        here = torque * direction > 0.0
+        j, u, h = _cells(side.load, np.abs(torque[here]))
+        found[here] = direction * _hermite(u, h, *_ends(side, j, weights[:, here], nodes[:, here]))
     return found
 
 
@@ -682,7 +765,7 @@ def _place(period: float, angles: int, theta: Array) -> tuple[NDArray[np.int64],
     return (first + np.arange(-1, 3)[:, None]) % angles, weights / 6.0, 0.5 * angles / period * rates
 
 
-def _ends(side: Side, cell: NDArray[np.int64] | int, weights: Array, nodes: NDArray[np.int64]) -> tuple[Array, Array]:
+def _ends(side: Side, cell: NDArray[np.int64], weights: Array, nodes: NDArray[np.int64]) -> tuple[Array, Array]:
     """Deviations and compliances at both ends of cells, or their rates by the crank angle, shape (2, places)."""
     x, c = (
         np.array([np.sum(weights * values[row, nodes], axis=0) for row in (cell, cell + 1)])
@@ -692,14 +775,14 @@ def _ends(side: Side, cell: NDArray[np.int64] | int, weights: Array, nodes: NDAr
 
 
 def _cells(loads: Array, load: Array) -> tuple[NDArray[np.int64], Array, Array]:
-    """Cells that loads lie in, at what share of them, and their widths."""
+    """Cells that contain loads, the loads' places in them as shares (0 to 1), and the cells' widths."""
     j = np.clip(np.searchsorted(loads, load, "right") - 1, 0, loads.size - 2)
     width = loads[j + 1] - loads[j]
     return j, (load - loads[j]) / width, width
 
 
 def errors_of(tables: Tables, found: States, exact: States, torque: Array) -> Errors:
-    """Return what tables err by, from what they and the exact model give at torques (N·m)."""
+    """Return the errors of tables from their states and the exact ones at torques (N·m)."""
     told = np.abs(torque) >= TOLD_FROM * tables.positive.load[-1]
     f, e = (States(*(channel[told] for channel in states)) for states in (found, exact))
 
@@ -717,8 +800,8 @@ def errors_of(tables: Tables, found: States, exact: States, torque: Array) -> Er
 
 
 def _off(tables: Tables, probed: _Probed) -> Array:
-    """What the deviation errs by, rad."""
-    return interpolated(tables, probed.crank_angle, probed.torque).deviation - probed.exact.deviation
+    """Errors of the deviation, rad."""
+    return _deviation(tables, probed.crank_angle, probed.torque) - probed.exact.deviation
 
 
 class _Probed(NamedTuple):
@@ -742,7 +825,7 @@ def _places(period: float, largest: float, probes: int, seed: int) -> tuple[Arra
 def _around_the_worst(
     tables: Tables, pair: Pair, surface: ErrorSurface, probed: _Probed, spacing: float, seed: int, workers: int
 ) -> _Probed:
-    """Add places ever closer around those where tables err most: the largest errors are narrower than probes lie."""
+    """Add places ever closer around the largest errors, which are narrower than the distance between probes."""
     random, found = np.random.default_rng(seed), probed
     largest = min(tables.positive.load[-1], tables.negative.load[-1])
     for reach in _REACHES:
@@ -762,9 +845,9 @@ def _together(*parts: _Probed) -> _Probed:
 
 def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array, workers: int = 1) -> _Probed:
     if pair.supports is not None:
-        # What is nearer to no torque lies on a tangent.
+        # Smaller torques are on a tangent.
         torque = np.copysign(np.maximum(np.abs(torque), play_loads(pair)[1]), torque)
-        # A place is soon found from one near by under a like torque.
+        # A solution is found quickly from a neighbour's under a similar torque.
         rank = np.argsort(np.argsort(torque)) // _LIKE
         order = np.lexsort((theta, rank))
         theta, torque = theta[order], torque[order]

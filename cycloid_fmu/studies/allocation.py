@@ -133,7 +133,7 @@ class Nearby:
             surface = surface_of(at, place[drive])
             for number, (torque, theta) in enumerate(sweeps):
                 one = sensitivity(pair, surface, torque, theta)
-                # The play lies between the places where the tangents of two small torques meet none.
+                # The ends of the play are where the tangents at two small torques reach zero torque.
                 left = torque * one.by_torque if number >= len(sweeps) - len(ends) else 0.0
                 deviations.append(one.transmission_error - left)
                 slopes.append(errors[:, drive] @ one.by_displacement.T)

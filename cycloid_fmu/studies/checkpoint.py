@@ -157,7 +157,7 @@ def _write(file: Any, data: bytes) -> None:
 
 
 def _check_words(first: int, values: Array) -> NDArray[np.uint64]:
-    """Return the CRC-32 of each drive's figures, begun with its number, and a bit that says that they are there."""
+    """Return the CRC-32 of each drive's figures, started with its number, with a bit that marks them as present."""
     rows = np.ascontiguousarray(values, dtype=_NUMBER)
     return np.array([zlib.crc32(row, first + k) | _THERE for k, row in enumerate(rows)], dtype=np.uint64)
 
@@ -168,7 +168,7 @@ def _line(record: dict[str, Any]) -> bytes:
 
 
 def _content(line: bytes) -> dict[str, Any] | None:
-    """Return what `_line` wrote, None where the line is not whole."""
+    """Return the record that `_line` wrote, None if the line is damaged."""
     check, _, text = line.rstrip(b"\n").partition(b" ")
     if check != f"{zlib.crc32(text):08x}".encode():
         return None

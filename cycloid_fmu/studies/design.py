@@ -73,8 +73,8 @@ _SHARPNESS = 2500.0  # of the envelope, times its values' size
 _FIRST_STEP, _LAST_STEP = 0.2, 1e-5  # of a range: steps of a search
 _EVALUATIONS = 200  # at most in a search, for each value that varies
 _STEP = 1e-3  # of a range, for differences
-_SPARE = 1e-4  # of a limit: what the search keeps of it, which ends a little beside
-_BINDS = 5e-3  # of a limit: kept by less, it binds
+_SPARE = 1e-4  # of a limit: margin of the search, which ends slightly off a limit
+_BINDS = 5e-3  # of a limit: with a smaller margin it is binding
 _ROUNDS, _SETTLED = 6, 0.02  # of tightening, and the share of a limit by which it may still change
 _GIVEN_WAY = 1e-3
 
@@ -192,7 +192,7 @@ def rotation_form(pair: Pair, elements: int) -> Array:
     """Return the form of a tooth whose flanks are turned towards each other by 1 rad, shape (elements,), m/rad.
 
     The rotation of the profile of Chinese practice (Guan, Zhang and others): the material that a rotation about the
-    gear's centre removes along the flank's normal, on both sides; none at root and tip, so it is not a clearance alone.
+    gear's centre removes along the flank's normal, on both sides; none at root and tip, so it is more than a clearance.
 
     Examples
     --------

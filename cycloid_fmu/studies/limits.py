@@ -246,7 +246,7 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
     Parameters
     ----------
     limits
-        What the drive must keep.
+        The limits of the application.
     pair
         For its pressure limit and its flank.
     data

@@ -155,7 +155,7 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
                 one = solve(
                     pair, surface, sweep.first_stage, torque, angle, slices_needed(surface), with_play=False
                 )  # fmt: skip
-            except edge.InputError as problem:  # this load alone
+            except edge.InputError as problem:  # of this load only
                 reasons.append(str(problem).rstrip("."))
                 continue
             figures = {

@@ -1,8 +1,8 @@
 """Tolerance studies: many drives within tolerances, each solved exactly, and the resulting yield and cost.
 
 A drive is a point of the unit cube with one axis for each tolerance (`sampling.surface_at`). The design of a study is a
-set of such points, fixed by its seed; every drive is solved alone, from a cold start, so the number of workers, their
-order and interruptions do not change a result.
+set of such points, fixed by its seed; every drive is solved independently, from a cold start, so the number of workers,
+their order and interruptions do not change a result.
 """
 
 from __future__ import annotations
@@ -94,10 +94,10 @@ class Study:
     @functools.cached_property
     def columns(self) -> tuple[tuple[str, int | None], ...]:
         """Name and index of the torque (None where there is none) of each number that a sample yields."""
-        alone: list[tuple[str, int | None]] = [(n, None) for n in FIGURES if n not in PER_TORQUE]
+        single: list[tuple[str, int | None]] = [(n, None) for n in FIGURES if n not in PER_TORQUE]
         if self.pair.rated_torque is None:
-            alone.remove(("lost_motion", None))
-        return (*((n, k) for n in PER_TORQUE for k in range(len(self.torque))), *alone)
+            single.remove(("lost_motion", None))
+        return (*((n, k) for n in PER_TORQUE for k in range(len(self.torque))), *single)
 
     def identity(self) -> dict[str, Any]:
         """Return the identity of this study, for a checkpoint."""
@@ -348,7 +348,7 @@ class Result:
 
     @functools.cached_property
     def point(self) -> Array:
-        """Where the samples lie in the unit cube, shape (samples, factors)."""
+        """Coordinates of the samples in the unit cube, shape (samples, factors)."""
         return points(self.study)[self.sample]
 
     def figure(self, name: str) -> Array:
@@ -504,7 +504,7 @@ def statistics(result: Result) -> dict[str, dict[str, Any]]:
 def demand(study: Study, values: Array) -> dict[str, Array]:
     """Return the samples' figures as shares of each stated limit, largest over the loads: {limit: shape (samples,)}.
 
-    1 is at the limit. A limit of 0 is kept (share 0) by what does not exceed it.
+    1 is at the limit. A limit of 0 is met (share 0) by figures that do not exceed it.
     """
     found = {}
     for name, limit in study.tolerances.limits.stated().items():

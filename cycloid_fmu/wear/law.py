@@ -116,7 +116,7 @@ def duty_cycle(
         raise edge.ArgumentError("crank_turns", "it must be zero or above, and finite", crank_turns)
     if torque is not None:
         if crank_turns is None:
-            raise edge.ArgumentError("crank_turns", "is missing; one torque alone does not determine the duration")
+            raise edge.ArgumentError("crank_turns", "is missing; one torque does not determine the duration")
         return (Load(torque=torque, crank_turns=1.0),), crank_turns
     loads = law.duty if duty_file is None else read_duty_cycle(duty_file)
     total = sum(load.crank_turns for load in loads)

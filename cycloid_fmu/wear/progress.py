@@ -31,8 +31,8 @@ from cycloid_fmu.wear.sliding import velocities
 Array = NDArray[np.float64]
 
 # Crank angles in a crank turn: where the sweep is one pin pitch, where every pin or tooth meets each phase once, and
-# where it meets it many times, each time a little on. Against ten times as many, what a contact feels of the wear errs
-# by a few thousandths at most.
+# where it meets it many times, each time slightly shifted. Compared with ten times as many, the wear that a contact
+# sees has an error of a few thousandths at most.
 ANGLES = (5120, 1280, 240)
 # Half length, in half widths, of the arc over which a contact feels the loss. The pressure's ellipse, centred on a
 # crest, wears ripples shorter than 1.64 a in their valleys (its transform, 2 J_1(ka)/ka, is negative there); a mean
@@ -327,7 +327,7 @@ def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> Wear
     if model.sweep.pins_alike:
         pin = np.broadcast_to(pin.mean(axis=0), pin.shape).copy()
     if model.law.pins == "free":
-        # A pin that turns in its hole shares the loss among all of its circumference, twice what an element row spans.
+        # A pin that turns in its hole loses evenly over its whole circumference, twice the span of an element row.
         pin = np.broadcast_to(0.5 * pin.mean(axis=1, keepdims=True), pin.shape).copy()
     return WearRate(
         Depth(gear, pin),
@@ -349,9 +349,9 @@ def _part_of_rate(model: WearModel, drive: contact.Problem, load: Load, crank_an
     area = coefficient * work / drive.slice_width
     cells = depth.gear.shape[2]
     ends = np.concatenate([[0.0], np.arange(cells) + 0.5, [cells]])
-    assert drive.deviations is not None  # what wears has elements
+    assert drive.deviations is not None  # a surface that wears has elements
     place = np.interp(contacts.place, drive.deviations.flank_alpha, ends)
-    # Elements of a disc's teeth in a row for each slice: a contact at a root lies on both its teeth.
+    # Elements of a disc's teeth in a row for each slice: a contact at a root is on both of its teeth.
     rows = np.zeros((depth.gear.shape[0] * depth.gear.shape[3], drive.teeth * cells))
     _deposit(
         rows, contacts.disc * depth.gear.shape[3] + contacts.slice_, place + contacts.tooth * cells,
@@ -464,7 +464,7 @@ def wear_states(model: WearModel, crank_turns: float, workers: int = 1) -> Itera
                 break
             turns *= max(longer, 0.2)
         reached = min(end, crank_turns) if turns == left else state.crank_turns + turns
-        # A step that ended at its load's end says nothing against longer ones.
+        # A step that ended with its load is no reason for a shorter next one.
         following = max(min(longer, 3.0) * fastest * turns, state.reach if turns == left else 0.0)
         state = WearState(reached, depth, whole, following)
         yield state
@@ -492,7 +492,7 @@ def _period_at(periods: list[tuple[float, WearModel]], crank_turns: float) -> tu
         return periods[0][1], math.inf
     ends = np.cumsum([turns for turns, _ in periods])
     cycle = float(ends[-1])
-    # A period ends where the sum of the turns says, but for rounding.
+    # A period ends at the sum of the turns, up to rounding.
     begun = math.floor(crank_turns / cycle + 1e-9)
     at = int(np.searchsorted(ends, crank_turns - begun * cycle + 1e-9 * cycle, side="right"))
     return periods[at][1], begun * cycle + float(ends[at])
@@ -538,7 +538,7 @@ class Accuracy:
     """Accuracy over the sweep, mean and peak to peak: rad; arrays of shape (states,).
 
     The transmission error is that under the heaviest load; backlash is 0 where there is no free position. Lost motion
-    lies between + and - `pair.LOST_MOTION_LOAD` of the rated torque; where the pair states none, of the heaviest load.
+    is between + and - `pair.LOST_MOTION_LOAD` of the rated torque; where the pair states none, of the heaviest load.
     """
 
     transmission_error: Array
@@ -560,7 +560,7 @@ def accuracy(model: WearModel, depths: Sequence[Depth], half_width: float, worke
         found = solve(model.pair, surface, torques, angle, model.unworn.gear.shape[3], workers=workers)
         error, up, down = found.transmission_error
         backlash = np.nan_to_num(found.backlash)
-        # Without any load what is lost is the play.
+        # Without any load the lost motion is the play.
         lost = up - down if rated > 0.0 else backlash
         rows.append([figure(values) for values in (error, backlash, lost) for figure in (np.mean, np.ptp)])
     return Accuracy(*np.array(rows).T)
