@@ -44,9 +44,11 @@ def site(tmp_path_factory):
     """Build from a copy, because the build writes beside its sources; the gallery's examples are not run."""
     pytest.importorskip("sphinx_gallery")
     copy = tmp_path_factory.mktemp("site")
-    for name in ("docs", "examples"):
+    for name in ("docs", "examples", "benchmarks", "drivers", "tests"):  # the last three are linked
         shutil.copytree(
-            ROOT / name, copy / name, ignore=shutil.ignore_patterns("_build", "generated", "gallery", "*_out")
+            ROOT / name,
+            copy / name,
+            ignore=shutil.ignore_patterns("_build", "generated", "gallery", "*_out", "__pycache__"),
         )
     for page in ROOT.glob("*.md"):
         shutil.copy(page, copy)
