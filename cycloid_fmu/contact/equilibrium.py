@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from cycloid_fmu.contact.compiling import compiled, inlined, part, spliced
-from cycloid_fmu.contact.hertz import hertz
+from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
+from cycloid_fmu.contact.lanes import LANES
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
-from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
+from cycloid_fmu.contact.rows import Rows
 
 _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
 _BY_RATES = 1e-6  # rad: so near the rotation at which contacts were solved, their rates say how they are
@@ -26,23 +27,34 @@ def rotational_stiffness(contact: np.record) -> float:
 
 @part
 def load(problem: Problem, theta: float, x: float, contacts: Rows) -> tuple[float, float]:
-    """Forces of all rows at deviation x; returns the torque that balances them (N·m) and its derivative by x."""
+    """Forces of all rows placed at crank angle θ and deviation x.
+
+    Returns the torque that balances them (N·m) and its derivative by x.
+    """
     torque = stiffness = 0.0
-    for row in range(contacts.shape[0]):
-        contact = contacts[row]
-        gap, last = contact.gap + problem.seat_gap, contact.force
-        contact.force = contact.stiffness = 0.0
-        if gap >= 0.0 or not is_solved_at(contact, theta, x):
-            continue
-        _, _, pin = disc_slice_pin(problem, row)
-        force, k, by_curvature = hertz(
-            -gap, contact.curvature, problem.pin_radius[pin], problem.slice_width,
-            problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius, last,
+    touching = 0
+    while touching < contacts.shape[0] and contacts[touching].touching >= 0.0:
+        touching += 1
+    lanes = np.empty(1, PRESSED)
+    one = lanes[0]
+    pins, pin_radius = problem.pin_x.size, problem.pin_radius
+    for first in range(0, touching, LANES):
+        for lane in range(LANES):
+            row = int(contacts[min(first + lane, touching - 1)].touching)
+            contact = contacts[row]
+            one.approach[lane], one.curvature[lane] = -contact.gap - problem.seat_gap, contact.curvature
+            one.pin_radius[lane], one.force[lane] = pin_radius[row // 2 % pins], contact.force
+        hertz_in_lanes(
+            lanes, problem.slice_width, problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius,
             problem.seat_compliance,
         )  # fmt: skip
-        contact.force, contact.stiffness, contact.force_by_curvature = force, k, by_curvature
-        torque += force * contact.arm
-        stiffness += rotational_stiffness(contact)
+        for lane in range(min(LANES, touching - first)):
+            contact = contacts[int(contacts[first + lane].touching)]
+            contact.force, contact.stiffness = one.force[lane], one.stiffness[lane]
+            contact.force_by_curvature = one.by_curvature[lane]
+            if contact.force > 0.0:
+                torque += contact.force * contact.arm
+                stiffness += rotational_stiffness(contact)
     return torque, stiffness
 
 
@@ -131,7 +143,7 @@ def _balance(
             place(problem, theta, x, contacts, cold, CLEAR, BOUNDED)
             cold, placed = False, x
         else:
-            _move(problem, theta, last, x, contacts)
+            _move(problem.teeth, problem.ring, x - last, x, contacts)
         balance, stiffness = load(problem, theta, x, contacts)
         short = share * (torque - balance) + hold * (flange - x)
         slope = share * stiffness + hold
@@ -146,7 +158,7 @@ def _balance(
             step = direction * (max(to_touch(contacts, theta, x, direction), 0.0) + 1e-6)
         step = min(max(step, -1e-3), 1e-3)
         if abs(step) < _LINEAR_STEP:
-            _move(problem, theta, x, x + step, contacts)
+            _move(problem.teeth, problem.ring, step, x + step, contacts)
             x += step
             break
         if not low < x + step < high:
@@ -156,17 +168,17 @@ def _balance(
 
 
 @part
-def _move(problem: Problem, theta: float, last: float, x: float, contacts: Rows) -> None:
-    """Move rows solved at one deviation to one nearby: the gap to second order, the others to first.
+def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None:
+    """Move the rows that may touch by a small rotation to x: the gap to second order, the others to first.
 
     Half of a sweep's contacts were solved again after such small steps, which took 1.3 times as long.
     """
-    step = x - last
-    conjugate = -step / problem.teeth if problem.ring else 0.0
-    for row in range(contacts.shape[0]):
+    conjugate = -step / teeth if ring else 0.0
+    for i in range(contacts.shape[0]):
+        row = int(contacts[i].touching)
+        if row < 0:
+            break
         contact = contacts[row]
-        if not is_solved_at(contact, theta, last):
-            continue
         if contact.force > 0.0:
             contact.force += step * contact.stiffness * contact.arm
         contact.gap -= step * (contact.arm + 0.5 * step * contact.arm_rate)
