@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import compiled, inlined, part, spliced
+from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
 from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
 from cycloid_fmu.contact.lanes import LANES
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
-from cycloid_fmu.contact.rows import Rows
+from cycloid_fmu.contact.rows import Rows, touching_count
 
 _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
 _BY_RATES = 1e-6  # rad: so near the rotation at which contacts were solved, their rates say how they are
@@ -25,29 +25,33 @@ def rotational_stiffness(contact: np.record) -> float:
     return float(contact.stiffness * arm * arm + contact.force * contact.arm_rate + curved * arm)
 
 
-@part
-def load(problem: Problem, theta: float, x: float, contacts: Rows) -> tuple[float, float]:
-    """Forces of all rows placed at crank angle θ and deviation x.
+@inlined
+def load(problem: Problem, contacts: Rows) -> tuple[float, float]:
+    """Forces of all rows where they were placed; returns the torque that balances them (N·m), its derivative by x."""
+    # The whole problem as an argument would have the references to each of its arrays counted at every call.
+    return _press(
+        contacts, problem.pin_radius, problem.slice_width, problem.compliance_gear, problem.compliance_pin,
+        problem.largest_log_radius, problem.seat_gap, problem.seat_compliance,
+    )  # fmt: skip
 
-    Returns the torque that balances them (N·m) and its derivative by x.
-    """
+
+@part
+def _press(
+    contacts: Rows, pin_radius: Array, width: float, compliance_gear: float, compliance_pin: float,
+    largest_log_radius: float, seat_gap: float, seat_compliance: float,
+) -> tuple[float, float]:  # fmt: skip
     torque = stiffness = 0.0
-    touching = 0
-    while touching < contacts.shape[0] and contacts[touching].touching >= 0.0:
-        touching += 1
+    touching = touching_count(contacts)
     lanes = np.empty(1, PRESSED)
     one = lanes[0]
-    pins, pin_radius = problem.pin_x.size, problem.pin_radius
+    pins = pin_radius.size
     for first in range(0, touching, LANES):
         for lane in range(LANES):
             row = int(contacts[min(first + lane, touching - 1)].touching)
             contact = contacts[row]
-            one.approach[lane], one.curvature[lane] = -contact.gap - problem.seat_gap, contact.curvature
+            one.approach[lane], one.curvature[lane] = -contact.gap - seat_gap, contact.curvature
             one.pin_radius[lane], one.force[lane] = pin_radius[row // 2 % pins], contact.force
-        hertz_in_lanes(
-            lanes, problem.slice_width, problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius,
-            problem.seat_compliance,
-        )  # fmt: skip
+        hertz_in_lanes(lanes, width, compliance_gear, compliance_pin, largest_log_radius, seat_compliance)
         for lane in range(min(LANES, touching - first)):
             contact = contacts[int(contacts[first + lane].touching)]
             contact.force, contact.stiffness = one.force[lane], one.stiffness[lane]
@@ -144,7 +148,7 @@ def _balance(
             cold, placed = False, x
         else:
             _move(problem.teeth, problem.ring, x - last, x, contacts)
-        balance, stiffness = load(problem, theta, x, contacts)
+        balance, stiffness = load(problem, contacts)
         short = share * (torque - balance) + hold * (flange - x)
         slope = share * stiffness + hold
         if short > 0.0:
@@ -174,11 +178,8 @@ def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None
     Half of a sweep's contacts were solved again after such small steps, which took 1.3 times as long.
     """
     conjugate = -step / teeth if ring else 0.0
-    for i in range(contacts.shape[0]):
-        row = int(contacts[i].touching)
-        if row < 0:
-            break
-        contact = contacts[row]
+    for i in range(touching_count(contacts)):
+        contact = contacts[int(contacts[i].touching)]
         if contact.force > 0.0:
             contact.force += step * contact.stiffness * contact.arm
         contact.gap -= step * (contact.arm + 0.5 * step * contact.arm_rate)

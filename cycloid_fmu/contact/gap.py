@@ -46,9 +46,7 @@ class Contact(NamedTuple):
 
 
 @inlined
-def contact_at(
-    flank: Flank, offset: Offset, pin_radius: float, foot: float, alpha: float, state: Tangency
-) -> Contact:
+def contact_at(flank: Flank, offset: Offset, pin_radius: float, foot: float, alpha: float, state: Tangency) -> Contact:
     """Gap, moment arm and their rates where the pin is nearest the flank's point α.
 
     The foot is that of the pin on the nominal flank, as an offset from the conjugate point; α is the same place unless
@@ -86,9 +84,7 @@ def contact_at(
         arm=arm,
         arm_rate=lever - lever * lever * kappa / stretch,
         curvature=kappa * inside,
-        curvature_rate=(
-            -circle_radius * teeth * by * ((teeth + 2) / speed - 3.0 * kappa) / speed2 * inside * inside
-        ),
+        curvature_rate=(-circle_radius * teeth * by * ((teeth + 2) / speed - 3.0 * kappa) / speed2 * inside * inside),
         gap_by_crank=vx * nx + vy * ny + turning * arm,
         foot_by_crank=along - turning * foot_rate - abs(turning),
     )

@@ -91,7 +91,9 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
     # Arrays are taken out of the tuple once: each use of it inside a loop would count their references.
     pin_x, pin_y, pin_radius, tooth_turn = problem.pin_x, problem.pin_y, problem.pin_radius, problem.tooth_turn
     centre_x, centre_y, root_phase = problem.centre_x, problem.centre_y, problem.root_phase
-    flank = Flank(problem.circle_radius, problem.generating_eccentricity, problem.generating_radius, teeth, problem.ring)
+    flank = Flank(
+        problem.circle_radius, problem.generating_eccentricity, problem.generating_radius, teeth, problem.ring
+    )
     rough = problem.deviations is not None
     keeps = not cold and clear < math.inf
     lever = _largest_lever(flank)
@@ -115,13 +117,13 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
             py = pin_x[pin] * at.turned_sine + pin_y[pin] * at.turned_cosine
             five = 0 if slices < 8 or rough or (keeps and contacts[first].crank_angle == theta) else 5
             if five > 0:
-                listed = _solve(problem, theta, x, contacts, lanes, filled, listed)
+                listed = _solve(problem, flank, theta, x, contacts, lanes, filled, listed)
                 filled = 0
             before = listed
             for step in range(slices + five):
                 slice_ = step - five if step >= five else step * (slices - 1) // 4
                 if five > 0 and step == five:
-                    listed = _solve(problem, theta, x, contacts, lanes, filled, listed)
+                    listed = _solve(problem, flank, theta, x, contacts, lanes, filled, listed)
                     filled = 0
                     if _interpolated(contacts, first, stride, slices, theta, x):
                         break
@@ -149,9 +151,9 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
                 one.root_radius[filled] = root_radius if tooth.near else math.inf
                 filled += 1
                 if filled == LANES:
-                    listed = _solve(problem, theta, x, contacts, lanes, filled, listed)
+                    listed = _solve(problem, flank, theta, x, contacts, lanes, filled, listed)
                     filled = 0
-    listed = _solve(problem, theta, x, contacts, lanes, filled, listed)
+    listed = _solve(problem, flank, theta, x, contacts, lanes, filled, listed)
     if listed < contacts.shape[0]:
         contacts[listed].touching = -1.0
     if rough:
@@ -204,18 +206,31 @@ def _largest_lever(flank: Flank) -> float:
     return flank.circle_radius + flank.eccentricity * (flank.teeth + 1)
 
 
-@part
+@inlined
 def _solve(
-    problem: Problem, theta: float, x: float, contacts: Rows, lanes: Lanes, filled: int, listed: int
+    problem: Problem, flank: Flank, theta: float, x: float, contacts: Rows, lanes: Lanes, filled: int, listed: int
 ) -> int:
     """Solve the contacts in the lanes, write and list them; returns how many rows are listed."""
-    if filled == 0:
-        return listed
+    if filled > 0:
+        raised = _largest(problem.deviations)
+        listed = _solve_in_lanes(
+            flank, problem.stray, problem.root_margin, raised, theta, x, contacts, lanes, filled, listed
+        )
+        for lane in range(filled):
+            if lanes[0].alone[lane] > 0.0:
+                listed = _solve_alone(problem, theta, x, contacts, int(lanes[0].row[lane]), False, listed)
+    return listed
+
+
+@part
+def _solve_in_lanes(
+    flank: Flank, stray: float, margin: float, raised: float, theta: float, x: float, contacts: Rows, lanes: Lanes,
+    filled: int, listed: int,
+) -> int:  # fmt: skip
+    """Solve the contacts in the lanes as far as these can, write and list them."""
     one = lanes[0]
-    R, e, teeth = problem.circle_radius, problem.generating_eccentricity, problem.teeth
-    flank = Flank(R, e, problem.generating_radius, teeth, problem.ring)
-    stray, raised = problem.stray, _largest(problem.deviations)
-    _, root_margin = _around_root(flank, problem.root_margin)
+    R, e, teeth = flank.circle_radius, flank.eccentricity, flank.teeth
+    _, root_margin = _around_root(flank, margin)
     for lane in range(filled, LANES):
         one.axis_x[lane], one.axis_y[lane], one.start[lane] = one.axis_x[0], one.axis_y[0], one.start[0]
     for lane in range(LANES):
@@ -255,10 +270,9 @@ def _solve(
             found.gap - raised, found.gap_by_crank, one.phase[lane], root_radius < math.inf, x, flank, stray
         )
     for lane in range(filled):
-        row = int(one.row[lane])
         if one.alone[lane] > 0.0:
-            listed = _solve_alone(problem, theta, x, contacts, row, False, listed)
             continue
+        row = int(one.row[lane])
         contact, across = contacts[row], contacts[row + 1]
         found = Contact(
             one.foot[lane], one.place[lane], one.foot_rate[lane], one.gap[lane], one.arm[lane], one.arm_rate[lane],
@@ -291,9 +305,7 @@ def _list(contacts: Rows, row: int, raised: float, listed: int) -> int:
 
 
 @part
-def _solve_alone(
-    problem: Problem, theta: float, x: float, contacts: Rows, row: int, cold: bool, listed: int
-) -> int:
+def _solve_alone(problem: Problem, theta: float, x: float, contacts: Rows, row: int, cold: bool, listed: int) -> int:
     """Solve one pin in one slice on both teeth that it may touch, write and list it."""
     disc, slice_, pin = disc_slice_pin(problem, row)
     R, e, teeth, pin_radius = problem.circle_radius, problem.generating_eccentricity, problem.teeth, problem.pin_radius

@@ -57,6 +57,15 @@ def contact_rows(problem: Problem) -> Rows:
     return contacts
 
 
+@part
+def touching_count(contacts: Rows) -> int:
+    """How many rows may touch: their numbers are in `touching` of the first rows."""
+    count = 0
+    while count < contacts.shape[0] and contacts[count].touching >= 0.0:
+        count += 1
+    return count
+
+
 @inlined
 def disc_slice_pin(problem: Problem, row: _Index) -> tuple[_Index, _Index, _Index]:
     """Disc, slice and pin of a row."""
