@@ -9,7 +9,7 @@ import numpy as np
 
 from cycloid_fmu.contact.compiling import Array, inlined, part
 from cycloid_fmu.contact.foot import Tangency, on_tooth, path_curvature, tangency
-from cycloid_fmu.contact.gap import Flank, Offset, write_contact
+from cycloid_fmu.contact.gap import Flank, Offset, contact_at, write_contact
 from cycloid_fmu.contact.problem import Deviations, Problem, poses
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
 
@@ -108,9 +108,11 @@ def move_to_deviations(
             problem.ring,
         )  # fmt: skip
         offset = Offset(ox, oy, 0.0, 0.0)
-        write_contact(contact, flank, offset, pin_radius + pin_height, contact.foot, place, state, theta, x)
+        found = contact_at(flank, offset, pin_radius + pin_height, contact.foot, place, state)
+        write_contact(contact, found, theta, x)
         # What a raised flank predicts reaches no farther than its next element.
         contact.gap_by_crank = math.nan
+        contact.bounded_for = 0.0
         if deviations.gear_curvature.size > 0:
             seen = _facing_place(problem, deviations, facing, at, state, gear_height)
             added = added_curvature(deviations, facing, at, seen)

@@ -98,7 +98,7 @@ def press(
     """
     if compliance == 0.0:
         place(problem, theta, flange, contacts, cold, CLEAR, BOUNDED)
-        _, stiffness = load(problem, theta, flange, contacts)
+        _, stiffness = load(problem, contacts)
         energy, by_angle, by_rotation = elastic_energy(problem, theta, flange, contacts)
         return flange, stiffness, energy, by_angle, by_rotation
     x, stiffness = behind_compliance(problem, theta, flange, compliance, x, contacts, cold)
@@ -106,7 +106,7 @@ def press(
     for _ in range(10):
         place(problem, theta, x, contacts, cold, CLEAR, BOUNDED)
         cold = False
-        _, stiffness = load(problem, theta, x, contacts)
+        _, stiffness = load(problem, contacts)
         energy, by_angle, by_rotation = elastic_energy(problem, theta, x, contacts)
         step = (flange - x - compliance * by_rotation) / (1.0 + compliance * stiffness)
         if abs(step) < _ROTATION_STEP:

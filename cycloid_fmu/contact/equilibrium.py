@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import compiled, inlined, part, spliced
-from cycloid_fmu.contact.hertz import hertz
+from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
+from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
+from cycloid_fmu.contact.lanes import LANES
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
-from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
+from cycloid_fmu.contact.rows import Rows, touching_count
 
 _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
 _BY_RATES = 1e-6  # rad: so near the rotation at which contacts were solved, their rates say how they are
@@ -24,25 +25,40 @@ def rotational_stiffness(contact: np.record) -> float:
     return float(contact.stiffness * arm * arm + contact.force * contact.arm_rate + curved * arm)
 
 
+@inlined
+def load(problem: Problem, contacts: Rows) -> tuple[float, float]:
+    """Forces of all rows where they were placed; returns the torque that balances them (N·m), its derivative by x."""
+    # The whole problem as an argument would have the references to each of its arrays counted at every call.
+    return _press(
+        contacts, problem.pin_radius, problem.slice_width, problem.compliance_gear, problem.compliance_pin,
+        problem.largest_log_radius, problem.seat_gap, problem.seat_compliance,
+    )  # fmt: skip
+
+
 @part
-def load(problem: Problem, theta: float, x: float, contacts: Rows) -> tuple[float, float]:
-    """Forces of all rows at deviation x; returns the torque that balances them (N·m) and its derivative by x."""
+def _press(
+    contacts: Rows, pin_radius: Array, width: float, compliance_gear: float, compliance_pin: float,
+    largest_log_radius: float, seat_gap: float, seat_compliance: float,
+) -> tuple[float, float]:  # fmt: skip
     torque = stiffness = 0.0
-    for row in range(contacts.shape[0]):
-        contact = contacts[row]
-        gap, last = contact.gap + problem.seat_gap, contact.force
-        contact.force = contact.stiffness = 0.0
-        if gap >= 0.0 or not is_solved_at(contact, theta, x):
-            continue
-        _, _, pin = disc_slice_pin(problem, row)
-        force, k, by_curvature = hertz(
-            -gap, contact.curvature, problem.pin_radius[pin], problem.slice_width,
-            problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius, last,
-            problem.seat_compliance,
-        )  # fmt: skip
-        contact.force, contact.stiffness, contact.force_by_curvature = force, k, by_curvature
-        torque += force * contact.arm
-        stiffness += rotational_stiffness(contact)
+    touching = touching_count(contacts)
+    lanes = np.empty(1, PRESSED)
+    one = lanes[0]
+    pins = pin_radius.size
+    for first in range(0, touching, LANES):
+        for lane in range(LANES):
+            row = int(contacts[min(first + lane, touching - 1)].touching)
+            contact = contacts[row]
+            one.approach[lane], one.curvature[lane] = -contact.gap - seat_gap, contact.curvature
+            one.pin_radius[lane], one.force[lane] = pin_radius[row // 2 % pins], contact.force
+        hertz_in_lanes(lanes, width, compliance_gear, compliance_pin, largest_log_radius, seat_compliance)
+        for lane in range(min(LANES, touching - first)):
+            contact = contacts[int(contacts[first + lane].touching)]
+            contact.force, contact.stiffness = one.force[lane], one.stiffness[lane]
+            contact.force_by_curvature = one.by_curvature[lane]
+            if contact.force > 0.0:
+                torque += contact.force * contact.arm
+                stiffness += rotational_stiffness(contact)
     return torque, stiffness
 
 
@@ -131,8 +147,8 @@ def _balance(
             place(problem, theta, x, contacts, cold, CLEAR, BOUNDED)
             cold, placed = False, x
         else:
-            _move(problem, theta, last, x, contacts)
-        balance, stiffness = load(problem, theta, x, contacts)
+            _move(problem.teeth, problem.ring, x - last, x, contacts)
+        balance, stiffness = load(problem, contacts)
         short = share * (torque - balance) + hold * (flange - x)
         slope = share * stiffness + hold
         if short > 0.0:
@@ -146,7 +162,7 @@ def _balance(
             step = direction * (max(to_touch(contacts, theta, x, direction), 0.0) + 1e-6)
         step = min(max(step, -1e-3), 1e-3)
         if abs(step) < _LINEAR_STEP:
-            _move(problem, theta, x, x + step, contacts)
+            _move(problem.teeth, problem.ring, step, x + step, contacts)
             x += step
             break
         if not low < x + step < high:
@@ -156,17 +172,14 @@ def _balance(
 
 
 @part
-def _move(problem: Problem, theta: float, last: float, x: float, contacts: Rows) -> None:
-    """Move rows solved at one deviation to one nearby: the gap to second order, the others to first.
+def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None:
+    """Move the rows that may touch by a small rotation to x: the gap to second order, the others to first.
 
     Half of a sweep's contacts were solved again after such small steps, which took 1.3 times as long.
     """
-    step = x - last
-    conjugate = -step / problem.teeth if problem.ring else 0.0
-    for row in range(contacts.shape[0]):
-        contact = contacts[row]
-        if not is_solved_at(contact, theta, last):
-            continue
+    conjugate = -step / teeth if ring else 0.0
+    for i in range(touching_count(contacts)):
+        contact = contacts[int(contacts[i].touching)]
         if contact.force > 0.0:
             contact.force += step * contact.stiffness * contact.arm
         contact.gap -= step * (contact.arm + 0.5 * step * contact.arm_rate)

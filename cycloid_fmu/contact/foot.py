@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 from cycloid_fmu.contact.compiling import inlined, part
+from cycloid_fmu.contact.lanes import sine_cosine
 
 _FOOT_STEP = 1e-11  # m: Newton's last step along the flank; near a root the moment arm errs by a thousand times that
 
@@ -32,7 +33,8 @@ class Tangency(NamedTuple):
 def tangency(px: float, py: float, alpha: float, R: float, e: float, teeth: int) -> Tangency:
     """Tangency of the axis (px, py) and T at α."""
     pins = teeth + 1
-    ca, sa, c, s = math.cos(alpha), math.sin(alpha), math.cos(teeth * alpha), math.sin(teeth * alpha)
+    sa, ca = sine_cosine(alpha)
+    s, c = sine_cosine(teeth * alpha)
     qx, qy = px * ca + py * sa, py * ca - px * sa
     bx, by = R - e * pins * c, -e * pins * s
     dx, dy = qx - (R - e * c), qy + e * s

@@ -30,19 +30,24 @@ class Offset(NamedTuple):
     crank_y: float
 
 
+class Contact(NamedTuple):
+    """What a foot gives: fields of a contact row."""
+
+    foot: float
+    place: float
+    foot_rate: float
+    gap: float
+    arm: float
+    arm_rate: float
+    curvature: float
+    curvature_rate: float
+    gap_by_crank: float
+    foot_by_crank: float
+
+
 @inlined
-def write_contact(
-    contact: np.record,
-    flank: Flank,
-    offset: Offset,
-    pin_radius: float,
-    foot: float,
-    alpha: float,
-    state: Tangency,
-    theta: float,
-    x: float,
-) -> None:
-    """Write gap, moment arm and their rates where the pin is nearest the flank's point α.
+def contact_at(flank: Flank, offset: Offset, pin_radius: float, foot: float, alpha: float, state: Tangency) -> Contact:
+    """Gap, moment arm and their rates where the pin is nearest the flank's point α.
 
     The foot is that of the pin on the nominal flank, as an offset from the conjugate point; α is the same place unless
     deviations move the contact along the flank.
@@ -65,22 +70,31 @@ def write_contact(
     # 1 + κ s, because (P - T)·T'' = -κ s |T'|²
     stretch = -slope / speed2
     kappa = path_curvature(circle_radius, eccentricity, teeth, bx, speed)
-    contact.foot = foot
-    contact.place = alpha
-    contact.foot_rate = sign * lever / (speed * stretch)
-    contact.gap = distance - pin_radius
+    foot_rate = sign * lever / (speed * stretch)
     arm = sign * (qy * nx - qx * ny)
-    contact.arm = arm
     # The gear's centre moves by i times the eccentricity, so the pin's axis by the opposite of it.
     vx, vy = crank_y * ca - crank_x * sa, -crank_x * ca - crank_y * sa
-    contact.crank_angle = theta
-    contact.gap_by_crank = vx * nx + vy * ny + turning * arm
     along = (vy * bx - vx * by) / (speed2 * stretch)
-    contact.foot_by_crank = along - turning * contact.foot_rate - abs(turning)
-    contact.arm_rate = lever - lever * lever * kappa / stretch
     inside = 1.0 / (1.0 - radius * kappa)
-    contact.curvature = kappa * inside
-    contact.curvature_rate = (
-        -circle_radius * teeth * by * ((teeth + 2) / speed - 3.0 * kappa) / speed2 * inside * inside
+    return Contact(
+        foot,
+        alpha,
+        foot_rate,
+        gap=distance - pin_radius,
+        arm=arm,
+        arm_rate=lever - lever * lever * kappa / stretch,
+        curvature=kappa * inside,
+        curvature_rate=(-circle_radius * teeth * by * ((teeth + 2) / speed - 3.0 * kappa) / speed2 * inside * inside),
+        gap_by_crank=vx * nx + vy * ny + turning * arm,
+        foot_by_crank=along - turning * foot_rate - abs(turning),
     )
-    contact.deviation = x
+
+
+@inlined
+def write_contact(row: np.record, found: Contact, theta: float, x: float) -> None:
+    """Write a contact that was solved at crank angle θ and deviation x."""
+    row.foot, row.place, row.foot_rate = found.foot, found.place, found.foot_rate
+    row.gap, row.arm, row.arm_rate = found.gap, found.arm, found.arm_rate
+    row.curvature, row.curvature_rate = found.curvature, found.curvature_rate
+    row.gap_by_crank, row.foot_by_crank = found.gap_by_crank, found.foot_by_crank
+    row.crank_angle, row.deviation = theta, x

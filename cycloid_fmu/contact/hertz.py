@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from cycloid_fmu.contact.compiling import compiled
+from cycloid_fmu.contact.compiling import compiled, inlined, part
+from cycloid_fmu.contact.lanes import LANES, Lanes, lanes_of, logarithm
+
+_FORCE_STEP = 1e-6  # of the force: Newton's last step
+PRESSED = lanes_of(
+    "approach", "curvature", "pin_radius", "force", "stiffness", "by_curvature", "guess", "target", "h", "bending",
+    "start", "q",
+)  # fmt: skip
 
 
 @compiled
@@ -55,31 +63,19 @@ def hertz(
     force, stiffness, by_curvature
         N, N/m, and the force's derivative by the flank's curvature, N·m.
     """
-    both = compliance_gear + compliance_pin
-    equivalent = 1.0 / max(abs(1.0 / pin_radius + curvature), 1e-9)
-    log_radius = min(1.0 / max(abs(curvature), 1e-12), largest_log_radius)
-    # With κ = (V_c + V_p)/(πb) the law reads δ = κ F (H - ln F).
-    kappa = both / (math.pi * width)
-    share = compliance_gear / both
-    h = (
-        2.0 * (share * math.log(4.0 * log_radius) + (1.0 - share) * math.log(4.0 * pin_radius))
-        - 1.0
-        - math.log(4.0 * equivalent * kappa)
-    )
+    law = _law(curvature, pin_radius, width, compliance_gear, compliance_pin, largest_log_radius)
+    kappa, h = law.kappa, law.h
     # A spring in series adds to H.
     series = seat_compliance / kappa
     target = approach / kappa
-    force = target / (max(h - math.log(target) + 2.0, 2.0) + series) if guess <= 0.0 else guess
+    force = _first_guess(target, h, series) if guess <= 0.0 else guess
     q = change = start = 0.0
     for _ in range(30):
-        q = max(h - math.log(force), 1.5) + series
-        following = (target - force) / (q - 1.0)
-        if following <= 0.0:
-            following = 0.5 * force
-        start, force = force, following
+        start = force
+        force, q = _following(force, target, h, series)
         change = abs(force - start)
         # The next step would be a thirtieth of the square of this one, or less.
-        if change <= 1e-6 * force:
+        if change <= _FORCE_STEP * force:
             break
     # ln F of the last step, whose square is nothing.
     q -= (force - start) / force
@@ -88,7 +84,98 @@ def hertz(
     if target >= (2.0 + series) * limit:
         force = (target - limit) / (1.0 + series)
         return force, 1.0 / (kappa * (1.0 + series)), 0.0
+    return force, 1.0 / (kappa * (q - 1.0)), -force * law.bending / (q - 1.0)
+
+
+class _Law(NamedTuple):
+    """Hertz's law of one contact, δ = κ F (H - ln F)."""
+
+    kappa: float
+    h: float
+    bending: float  # -∂H/∂(1/ρ_c), m
+
+
+@inlined
+def _law(
+    curvature: float, pin_radius: float, width: float, compliance_gear: float, compliance_pin: float,
+    largest_log_radius: float,
+) -> _Law:  # fmt: skip
+    both = compliance_gear + compliance_pin
+    equivalent = 1.0 / max(abs(1.0 / pin_radius + curvature), 1e-9)
+    log_radius = min(1.0 / max(abs(curvature), 1e-12), largest_log_radius)
+    kappa, share = both / (math.pi * width), compliance_gear / both
+    h = (
+        2.0 * (share * logarithm(4.0 * log_radius) + (1.0 - share) * logarithm(4.0 * pin_radius))
+        - 1.0
+        - logarithm(4.0 * equivalent * kappa)
+    )
     bending = 1.0 / (1.0 / pin_radius + curvature)
-    if log_radius < largest_log_radius:
-        bending -= 2.0 * share / curvature
-    return force, 1.0 / (kappa * (q - 1.0)), -force * bending / (q - 1.0)
+    bending -= 2.0 * share / curvature if log_radius < largest_log_radius else 0.0
+    return _Law(kappa, h, bending)
+
+
+@inlined
+def _first_guess(target: float, h: float, series: float) -> float:
+    return target / (max(h - logarithm(target) + 2.0, 2.0) + series)
+
+
+@inlined
+def _following(force: float, target: float, h: float, series: float) -> tuple[float, float]:
+    """Newton's next force, and H - ln F with what a spring adds, before it."""
+    q = max(h - logarithm(force), 1.5) + series
+    following = (target - force) / (q - 1.0)
+    return following if following > 0.0 else 0.5 * force, q
+
+
+@part
+def hertz_in_lanes(
+    lanes: Lanes,
+    width: float,
+    compliance_gear: float,
+    compliance_pin: float,
+    largest_log_radius: float,
+    seat_compliance: float,
+) -> None:
+    """Write force, stiffness and the force's derivative by curvature of contacts side by side, as `hertz`.
+
+    Parameters
+    ----------
+    lanes
+        `PRESSED`, with each contact's approach, curvature, pin radius and first guess of the force; without an approach
+        all three become 0.
+    """
+    one = lanes[0]
+    for lane in range(LANES):
+        law = _law(
+            one.curvature[lane], one.pin_radius[lane], width, compliance_gear, compliance_pin, largest_log_radius
+        )
+        one.h[lane], one.bending[lane] = law.h, law.bending
+        target = max(one.approach[lane], 1e-15) / law.kappa
+        guess = _first_guess(target, law.h, seat_compliance / law.kappa)
+        one.target[lane], one.guess[lane] = target, one.force[lane]
+        one.force[lane] = one.force[lane] if one.force[lane] > 0.0 else guess
+    kappa = (compliance_gear + compliance_pin) / (math.pi * width)
+    series = seat_compliance / kappa
+    for _ in range(30):
+        moving = 0
+        for lane in range(LANES):
+            one.start[lane] = one.force[lane]
+            one.force[lane], one.q[lane] = _following(one.start[lane], one.target[lane], one.h[lane], series)
+            moving += 1 if abs(one.force[lane] - one.start[lane]) > _FORCE_STEP * one.force[lane] else 0
+        if moving == 0:
+            break
+    bent = 0
+    for lane in range(LANES):
+        force, pressed = one.force[lane], one.approach[lane] > 0.0
+        q = one.q[lane] - (force - one.start[lane]) / force
+        bent += 1 if q < 3.0 + series else 0
+        one.force[lane] = force if pressed else 0.0
+        one.stiffness[lane] = 1.0 / (kappa * (q - 1.0)) if pressed else 0.0
+        one.by_curvature[lane] = -one.force[lane] * one.bending[lane] / (q - 1.0)
+    if bent > 0:
+        for lane in range(LANES):
+            if one.approach[lane] > 0.0:
+                one.force[lane], one.stiffness[lane], one.by_curvature[lane] = hertz(
+                    one.approach[lane], one.curvature[lane], one.pin_radius[lane], width, compliance_gear,
+                    compliance_pin, largest_log_radius, one.guess[lane], seat_compliance,
+                )  # fmt: skip

@@ -12,7 +12,7 @@ from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
 from cycloid_fmu.contact.hertz import half_width
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.problem import Problem, poses
-from cycloid_fmu.contact.rows import Rows, disc_slice_pin
+from cycloid_fmu.contact.rows import Rows, disc_slice_pin, touching_count
 
 _COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
 
@@ -60,7 +60,8 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
     for disc in range(discs):
         for pin in range(pins):
             pin_force[disc, pin] = pin_pressure[disc, pin] = 0.0
-    for row in range(contacts.shape[0]):
+    for i in range(touching_count(contacts)):
+        row = int(contacts[i].touching)
         force = contacts[row].force
         if force <= 0.0:
             continue

@@ -9,6 +9,7 @@ import numpy as np
 
 from cycloid_fmu.contact.compiling import inlined, part
 from cycloid_fmu.contact.foot import path_curvature
+from cycloid_fmu.contact.lanes import sine_cosine
 from cycloid_fmu.contact.problem import Problem, poses
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin
 
@@ -39,19 +40,20 @@ def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: i
     crank, ring, gear = poses(problem, theta, x, disc)
     alpha = pin * 2.0 * math.pi / pins + (crank - ring) / problem.teeth + contacts[row].foot
     tooth = math.floor(alpha * problem.teeth / (2.0 * math.pi)) % problem.teeth
-    c, s = math.cos(problem.teeth * alpha), math.sin(problem.teeth * alpha)
+    s, c = sine_cosine(problem.teeth * alpha)
     ez = problem.generating_eccentricity * pins
     bx, by = problem.circle_radius - ez * c, -ez * s
     speed = math.sqrt(bx * bx + by * by)
     facing, leaning = bx / speed, by / speed
     angle = alpha + gear + problem.tooth_turn[disc, tooth]
-    ca, sa = math.cos(angle), math.sin(angle)
+    sa, ca = sine_cosine(angle)
     nx, ny = ca * facing - sa * leaning, sa * facing + ca * leaning
-    cr, sr = math.cos(ring), math.sin(ring)
+    sr, cr = sine_cosine(ring)
     lx = problem.pin_x[pin] * cr - problem.pin_y[pin] * sr
     ly = problem.pin_x[pin] * sr + problem.pin_y[pin] * cr
-    gx = lx - problem.eccentricity * math.cos(crank) - problem.centre_x[slice_] - problem.shift_x[disc]
-    gy = ly - problem.eccentricity * math.sin(crank) - problem.centre_y[slice_] - problem.shift_y[disc]
+    sc, cc = sine_cosine(crank)
+    gx = lx - problem.eccentricity * cc - problem.centre_x[slice_] - problem.shift_x[disc]
+    gy = ly - problem.eccentricity * sc - problem.centre_y[slice_] - problem.shift_y[disc]
     sign = 1.0
     if not problem.ring:
         lx, ly, sign = gx, gy, -1.0

@@ -3,19 +3,64 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from cycloid_fmu.contact.compiling import compiled, inlined, part
+import numpy as np
+
+from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
 from cycloid_fmu.contact.deviations import move_to_deviations
 from cycloid_fmu.contact.foot import Tangency, foot, on_tooth, tangency
-from cycloid_fmu.contact.gap import Flank, Offset, write_contact
-from cycloid_fmu.contact.problem import Problem, poses
-from cycloid_fmu.contact.rows import Rows, is_solved_at
+from cycloid_fmu.contact.gap import Contact, Flank, Offset, contact_at, write_contact
+from cycloid_fmu.contact.lanes import LANES, Lanes, lanes_of
+from cycloid_fmu.contact.problem import Deviations, Problem, poses
+from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
 
 BOUNDED = 2e-6  # m: in an equilibrium a gap above this need not be known exactly
 CLEAR = 1e-7  # m: a pin predicted to be this clear is not solved again within one equilibrium
 _INTERPOLATED = 1e-9  # m: what interpolation across slices may err on a clear pin's gap
 _END = 1e-9  # rad: how far inside a tooth its end is taken, so that it belongs to that tooth
-_PREDICTED = 2e-4  # rad: so far a gap's derivatives by the rotation may predict it, where the second adds little
+_TURNED = 2e-4  # rad: a rotation beyond this is followed by solving
+_NEAR_ROOT = 0.25  # rad of the crank: as far as the bound near a root reaches
+_NEIGHBOUR = 0.05  # of a pitch: a foot that lies farther from its first guess is searched inside the tooth's bracket
+_FEET_STEP = 1e-9  # m: Newton's last step along the flanks; its square, near a root times 1e4, is left
+
+_SOLVED = lanes_of(
+    # A pin's axis and the gear's centre in its tooth's frame, where its foot is expected and where it must be:
+    "row", "axis_x", "axis_y", "offset_x", "offset_y", "crank_x", "crank_y", "pin_radius", "conjugate", "phase",
+    "start", "lower", "upper", "first", "root", "root_radius",
+    # What is found:
+    *Contact._fields, "alpha", "fall", "bounded_for", "alone",
+)  # fmt: skip
+
+
+class _Disc(NamedTuple):
+    """Where a disc and the pin ring are: rotations, and centres in the gear's frame."""
+
+    shift: float  # of the conjugate points, rad
+    turned_cosine: float  # of the ring in the gear's frame
+    turned_sine: float
+    cosine: float  # of the gear
+    sine: float
+    x: float  # the gear's centre, m, in the housing's frame
+    y: float
+    crank_x: float  # the crank's part of it, in the gear's frame
+    crank_y: float
+
+
+class _Tooth(NamedTuple):
+    """The tooth that a pin faces, and the one across the nearest root."""
+
+    number: int
+    beyond: int
+    turn: float  # rad, by pitch errors
+    turn_beyond: float
+    phase: float  # from the root, rad
+    near: bool  # whether the pin may touch the tooth beyond as well
+    root: float  # profile parameters, rad
+    inwards: float  # direction from the root into the tooth
+    extent: float  # where the two teeth meet, from the root
+    lower: float  # ends of the tooth
+    upper: float
 
 
 @compiled
@@ -27,190 +72,357 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
     cold
         Whether to start from the conjugate points instead of from what `contacts` holds of a neighbouring state.
     clear
-        Rows whose gap, predicted from the last solution, is above this are left as they are (m; infinite: none is).
-        From another crank angle what is predicted is a bound below the gap (docs/theory/contact.md).
+        Rows whose gap is certainly above this are left as they are (m; infinite: none is). A bound below the gap
+        follows from the last solution (docs/theory/contact.md).
     bounded
         With deviations, rows whose gap is certainly above this get a bound below it instead of the gap itself (m;
         infinite: none does).
 
     Notes
     -----
+    Pins that are followed from a neighbouring state are solved side by side (`lanes`), the others one by one.
+
     Across many slices of nominal flanks the gap of a pin is smooth: five slices are solved, and where they show that
     the pin is clear everywhere the others are interpolated.
     """
-    teeth = problem.teeth
-    pins, slices = teeth + 1, problem.centre_x.size
+    teeth, slices = problem.teeth, problem.centre_x.size
+    pins = teeth + 1
     stride = 2 * pins
     # Arrays are taken out of the tuple once: each use of it inside a loop would count their references.
     pin_x, pin_y, pin_radius, tooth_turn = problem.pin_x, problem.pin_y, problem.pin_radius, problem.tooth_turn
-    centre_x, centre_y, root_phase, stray = problem.centre_x, problem.centre_y, problem.root_phase, problem.stray
-    R, e = problem.circle_radius, problem.generating_eccentricity
-    flank = Flank(R, e, problem.generating_radius, teeth, problem.ring)
-    pitch = 2.0 * math.pi / teeth
-    k = e * pins / R
-    root_radius = R * (1.0 - k) ** 2 / max(pins * k - 1.0, 1e-9) - problem.root_margin
-    root_margin = problem.root_margin / (R * (1.0 - k))
+    centre_x, centre_y, root_phase = problem.centre_x, problem.centre_y, problem.root_phase
+    flank = Flank(
+        problem.circle_radius, problem.generating_eccentricity, problem.generating_radius, teeth, problem.ring
+    )
     rough = problem.deviations is not None
     keeps = not cold and clear < math.inf
+    lever = _largest_lever(flank)
+    root_radius, root_margin = _around_root(flank, problem.root_margin)
+    lanes = np.empty(1, _SOLVED)
+    filled = listed = 0
     for disc in range(problem.crank_phase.size):
-        crank, ring, gear = poses(problem, theta, x, disc)
-        ct, st = math.cos(ring - gear), math.sin(ring - gear)
-        cg, sg = math.cos(gear), math.sin(gear)
-        ox, oy = problem.eccentricity * math.cos(crank), problem.eccentricity * math.sin(crank)
-        crank_x, crank_y = ox * cg + oy * sg, oy * cg - ox * sg
-        ox, oy = ox + problem.shift_x[disc], oy + problem.shift_y[disc]
-        shift = (crank - ring) / teeth
+        at = _disc_at(problem, theta, x, disc)
         for pin in range(pins):
             first = disc * slices * stride + 2 * pin
             end = first + slices * stride
-            conjugate = pin * 2.0 * math.pi / pins + shift
             if keeps:
                 row = first
-                while row < end and _stays_clear(contacts, row, flank, stray, root_phase, theta, x, conjugate, clear):
+                while row < end and _stays_clear(contacts, row, theta, x, clear, lever):
                     row += stride
                 if row >= end:
                     continue
-            tooth = math.floor(conjugate / pitch)
-            along = conjugate / pitch - tooth
-            near = 2.0 * math.pi * min(along, 1.0 - along) < root_phase
-            few = slices < 8 or rough or (keeps and contacts[first].crank_angle == theta)
-            px = pin_x[pin] * ct - pin_y[pin] * st
-            py = pin_x[pin] * st + pin_y[pin] * ct
-            turn = tooth_turn[disc, int(tooth) % teeth]
-            lower, upper = tooth * pitch, (tooth + 1.0) * pitch
-            root, inwards = (lower, 1.0) if along < 0.5 else (upper, -1.0)
-            beyond = tooth - inwards
-            turn_beyond = tooth_turn[disc, int(beyond) % teeth]
-            # Two teeth end where they meet, midway between where pitch errors leave the root of each.
-            extent = 0.5 * (turn_beyond - turn) if near else 0.0
-            lower, upper = (lower + extent, upper) if inwards > 0.0 else (lower, upper + extent)
-            for step in range(slices if few else slices + 5):
-                slice_ = step if few else step * (slices - 1) // 4
-                if not few and step >= 5:
-                    if step == 5 and _interpolated(contacts, first, stride, slices, theta, x):
+            conjugate = pin * 2.0 * math.pi / pins + at.shift
+            tooth = _tooth_at(tooth_turn[disc], conjugate, root_phase)
+            px = pin_x[pin] * at.turned_cosine - pin_y[pin] * at.turned_sine
+            py = pin_x[pin] * at.turned_sine + pin_y[pin] * at.turned_cosine
+            five = 0 if slices < 8 or rough or (keeps and contacts[first].crank_angle == theta) else 5
+            if five > 0:
+                listed = _solve(problem, flank, theta, x, contacts, lanes, filled, listed)
+                filled = 0
+            before = listed
+            for step in range(slices + five):
+                slice_ = step - five if step >= five else step * (slices - 1) // 4
+                if five > 0 and step == five:
+                    listed = _solve(problem, flank, theta, x, contacts, lanes, filled, listed)
+                    filled = 0
+                    if _interpolated(contacts, first, stride, slices, theta, x):
                         break
-                    slice_ = step - 5
+                    listed = before  # what touches among the five is solved again with all others
                 row = first + slice_ * stride
-                if (
-                    (keeps and slices > 1 and (few or step >= 5))
-                    and _stays_clear(contacts, row, flank, stray, root_phase, theta, x, conjugate, clear)
-                ):  # fmt: skip
+                if keeps and slices > 1 and step >= five and _stays_clear(contacts, row, theta, x, clear, lever):
                     continue
-                ux, uy = ox + centre_x[slice_], oy + centre_y[slice_]
-                cx, cy = ux * cg + uy * sg, uy * cg - ux * sg
-                wx, wy = px - cx, py - cy
-                offset = Offset(cx, cy, crank_x, crank_y)
-                contact, across = contacts[row], contacts[row + 1]
-                qx, qy = on_tooth(wx, wy, turn)
+                contact = contacts[row]
                 start = conjugate + contact.foot + contact.foot_rate * (x - contact.deviation)
                 start += contact.foot_by_crank * (theta - contact.crank_angle)
-                if cold or not lower <= start <= upper:
-                    # Near a root the way downhill from the conjugate point may miss the contact farther in.
-                    start = root + inwards * root_phase / teeth if near else conjugate
-                found, alpha, state = foot(qx, qy, start, lower, upper, R, e, teeth)
-                distance = math.inf
-                contact.deviation = across.deviation = x
-                contact.crank_angle = across.crank_angle = theta
-                contact.gap = across.gap = math.inf
-                if found:
-                    bx, by = state.path_x, state.path_y
-                    distance = (state.apart_x * bx + state.apart_y * by) / math.sqrt(bx * bx + by * by)
-                    alpha = min(max(alpha, tooth * pitch + _END), (tooth + 1.0) * pitch - _END)
-                    write_contact(contact, flank, offset, pin_radius[pin], alpha - conjugate, alpha, state, theta, x)
-                else:
-                    contact.foot = math.nan
-                # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the
-                # foot is so close to the root that the step between the two teeth decides.
-                if not near or (distance < root_radius and abs(alpha - root) > root_margin):
-                    across.foot = math.nan
+                if cold or not tooth.lower <= start <= tooth.upper:
+                    listed = _solve_alone(problem, theta, x, contacts, row, cold, listed)
                     continue
-                left, right = beyond * pitch, (beyond + 1.0) * pitch
-                left, right = (left, right - extent) if inwards > 0.0 else (left - extent, right)
-                start = conjugate + across.foot
-                if cold or not left < start < right:
-                    start = root - inwards * root_phase / teeth
-                qx, qy = on_tooth(wx, wy, turn_beyond)
-                found, alpha, state = foot(qx, qy, start, left, right, R, e, teeth)
-                if found and left < alpha < right:
-                    alpha = min(max(alpha, beyond * pitch + _END), (beyond + 1.0) * pitch - _END)
-                    write_contact(across, flank, offset, pin_radius[pin], alpha - conjugate, alpha, state, theta, x)
-                    continue
-                across.foot = math.nan
-                if contact.foot != contact.foot:
-                    # The edge where the two teeth meet stands out.
-                    qx, qy = on_tooth(wx, wy, turn)
-                    state = tangency(qx, qy, root + extent, R, e, teeth)
-                    # It stays where it is, so only what is left of the arm's rate bends: about the edge itself.
-                    state = Tangency(state.value, -math.inf, *state[2:])
-                    alpha = root + inwards * _END
-                    write_contact(contact, flank, offset, pin_radius[pin], alpha - conjugate, alpha, state, theta, x)
-                    contact.arm_rate -= contact.arm_rate * contact.arm_rate / (contact.gap + pin_radius[pin])
-    move_to_deviations(problem, problem.deviations, theta, x, contacts, bounded)
-    _keep_one_of_two(contacts, 2.0 * root_margin, theta, x)
-
-
-@part
-def _keep_one_of_two(contacts: Rows, apart: float, theta: float, x: float) -> None:
-    """Where a pin is on the ends of two teeth that meet in a notch, the nearer alone holds it."""
-    for row in range(0, contacts.shape[0], 2):
-        contact, across = contacts[row], contacts[row + 1]
-        if not (across.gap < math.inf and contact.gap < math.inf and is_solved_at(across, theta, x)):
-            continue
-        if abs(contact.foot - across.foot) < apart:
-            farther = across if contact.gap <= across.gap else contact
-            farther.gap, farther.foot = math.inf, math.nan
+                ux, uy = at.x + centre_x[slice_], at.y + centre_y[slice_]
+                cx, cy = ux * at.cosine + uy * at.sine, uy * at.cosine - ux * at.sine
+                one = lanes[0]
+                one.row[filled], one.start[filled] = row, start
+                one.axis_x[filled], one.axis_y[filled] = on_tooth(px - cx, py - cy, tooth.turn)
+                one.offset_x[filled], one.offset_y[filled] = cx, cy
+                one.crank_x[filled], one.crank_y[filled] = at.crank_x, at.crank_y
+                one.pin_radius[filled], one.conjugate[filled] = pin_radius[pin], conjugate
+                one.phase[filled], one.first[filled] = tooth.phase, tooth.number
+                one.lower[filled], one.upper[filled] = tooth.lower, tooth.upper
+                one.root[filled] = tooth.root if tooth.near else -math.inf
+                one.root_radius[filled] = root_radius if tooth.near else math.inf
+                filled += 1
+                if filled == LANES:
+                    listed = _solve(problem, flank, theta, x, contacts, lanes, filled, listed)
+                    filled = 0
+    listed = _solve(problem, flank, theta, x, contacts, lanes, filled, listed)
+    if listed < contacts.shape[0]:
+        contacts[listed].touching = -1.0
+    if rough:
+        move_to_deviations(problem, problem.deviations, theta, x, contacts, bounded)
+        for row in range(0, contacts.shape[0], 2):
+            if is_solved_at(contacts[row], theta, x):
+                _keep_one_of_two(contacts[row], contacts[row + 1], root_margin)
 
 
 @inlined
-def _stays_clear(
-    contacts: Rows,
-    row: int,
-    flank: Flank,
-    stray: float,
-    root_phase: float,
-    theta: float,
-    x: float,
-    conjugate: float,
-    clear: float,
-) -> bool:
-    """Whether a pin that was solved elsewhere is certainly farther than `clear` from both teeth.
+def _disc_at(problem: Problem, theta: float, x: float, disc: int) -> _Disc:
+    crank, ring, gear = poses(problem, theta, x, disc)
+    c, s = math.cos(gear), math.sin(gear)
+    ox, oy = problem.eccentricity * math.cos(crank), problem.eccentricity * math.sin(crank)
+    return _Disc(
+        (crank - ring) / problem.teeth, math.cos(ring - gear), math.sin(ring - gear), c, s,
+        ox + problem.shift_x[disc], oy + problem.shift_y[disc], ox * c + oy * s, oy * c - ox * s,
+    )  # fmt: skip
 
-    At the same crank angle its gap is predicted by its rates. From another one what errors and rotation can bend it by
-    is taken off; near a root how far the axis moves, which leaves half of the contacts of drives with errors unsolved
-    and is 1.3 times as fast.
-    """
+
+@inlined
+def _tooth_at(tooth_turn: Array, conjugate: float, root_phase: float) -> _Tooth:
+    """Tooth and neighbour of a pin, from its conjugate point and the turns of its disc's teeth."""
+    teeth = tooth_turn.size
+    pitch = 2.0 * math.pi / teeth
+    number = math.floor(conjugate / pitch)
+    along = conjugate / pitch - number
+    phase = 2.0 * math.pi * min(along, 1.0 - along)
+    near = phase < root_phase
+    lower, upper = number * pitch, (number + 1.0) * pitch
+    root, inwards, beyond = (lower, 1.0, number - 1) if along < 0.5 else (upper, -1.0, number + 1)
+    turn, turn_beyond = tooth_turn[int(number) % teeth], tooth_turn[int(beyond) % teeth]
+    # Two teeth end where they meet, midway between where pitch errors leave the root of each.
+    extent = 0.5 * (turn_beyond - turn) if near else 0.0
+    lower, upper = (lower + extent, upper) if inwards > 0.0 else (lower, upper + extent)
+    return _Tooth(number, beyond, turn, turn_beyond, phase, near, root, inwards, extent, lower, upper)
+
+
+@inlined
+def _around_root(flank: Flank, margin: float) -> tuple[float, float]:
+    """Distance from the path within which a point near a root has one foot only (m), and the margin as a parameter."""
+    R, pins = flank.circle_radius, flank.teeth + 1
+    k = flank.eccentricity * pins / R
+    return R * (1.0 - k) ** 2 / max(pins * k - 1.0, 1e-9) - margin, margin / (R * (1.0 - k))
+
+
+@inlined
+def _largest_lever(flank: Flank) -> float:
+    """How far a pin's axis moves against the gear at most for each radian of the output, m."""
+    return flank.circle_radius + flank.eccentricity * (flank.teeth + 1)
+
+
+@inlined
+def _solve(
+    problem: Problem, flank: Flank, theta: float, x: float, contacts: Rows, lanes: Lanes, filled: int, listed: int
+) -> int:
+    """Solve the contacts in the lanes, write and list them; returns how many rows are listed."""
+    if filled > 0:
+        raised = _largest(problem.deviations)
+        listed = _solve_in_lanes(
+            flank, problem.stray, problem.root_margin, raised, theta, x, contacts, lanes, filled, listed
+        )
+        for lane in range(filled):
+            if lanes[0].alone[lane] > 0.0:
+                listed = _solve_alone(problem, theta, x, contacts, int(lanes[0].row[lane]), False, listed)
+    return listed
+
+
+@part
+def _solve_in_lanes(
+    flank: Flank, stray: float, margin: float, raised: float, theta: float, x: float, contacts: Rows, lanes: Lanes,
+    filled: int, listed: int,
+) -> int:  # fmt: skip
+    """Solve the contacts in the lanes as far as these can, write and list them."""
+    one = lanes[0]
+    R, e, teeth = flank.circle_radius, flank.eccentricity, flank.teeth
+    _, root_margin = _around_root(flank, margin)
+    for lane in range(filled, LANES):
+        one.axis_x[lane], one.axis_y[lane], one.start[lane] = one.axis_x[0], one.axis_y[0], one.start[0]
+    for lane in range(LANES):
+        one.alpha[lane] = one.start[lane]
+    for _ in range(6):
+        moving = 0
+        for lane in range(LANES):
+            state = tangency(one.axis_x[lane], one.axis_y[lane], one.alpha[lane], R, e, teeth)
+            step = -state.value / state.slope
+            one.alpha[lane] += step
+            speed2 = state.path_x * state.path_x + state.path_y * state.path_y
+            moving += 1 if step * step * speed2 > _FEET_STEP * _FEET_STEP else 0
+        if moving == 0:
+            break
+    for lane in range(LANES):
+        alpha, root_radius = one.alpha[lane], one.root_radius[lane]
+        state = tangency(one.axis_x[lane], one.axis_y[lane], alpha, R, e, teeth)
+        speed = math.sqrt(state.path_x * state.path_x + state.path_y * state.path_y)
+        distance = (state.apart_x * state.path_x + state.apart_y * state.path_y) / speed
+        converged = (state.slope < 0.0) & (abs(state.value) * speed < -_FEET_STEP * state.slope)
+        beside = (abs(alpha - one.start[lane]) < _NEIGHBOUR * 2.0 * math.pi / teeth) & (
+            (one.lower[lane] <= alpha) & (alpha <= one.upper[lane])
+        )
+        # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the foot is
+        # so close to the root that the step between the two teeth decides.
+        single = (distance < root_radius) & (abs(alpha - one.root[lane]) > root_margin)
+        one.alone[lane] = 0.0 if converged & beside & single else 1.0
+        pitch = 2.0 * math.pi / teeth
+        alpha = min(max(alpha, one.first[lane] * pitch + _END), (one.first[lane] + 1.0) * pitch - _END)
+        offset = Offset(one.offset_x[lane], one.offset_y[lane], one.crank_x[lane], one.crank_y[lane])
+        found = contact_at(flank, offset, one.pin_radius[lane], alpha - one.conjugate[lane], alpha, state)
+        one.foot[lane], one.place[lane], one.foot_rate[lane] = found.foot, found.place, found.foot_rate
+        one.gap[lane], one.arm[lane], one.arm_rate[lane] = found.gap, found.arm, found.arm_rate
+        one.curvature[lane], one.curvature_rate[lane] = found.curvature, found.curvature_rate
+        one.gap_by_crank[lane], one.foot_by_crank[lane] = found.gap_by_crank, found.foot_by_crank
+        one.fall[lane], one.bounded_for[lane] = _bound(
+            found.gap - raised, found.gap_by_crank, one.phase[lane], root_radius < math.inf, x, flank, stray
+        )
+    for lane in range(filled):
+        if one.alone[lane] > 0.0:
+            continue
+        row = int(one.row[lane])
+        contact, across = contacts[row], contacts[row + 1]
+        found = Contact(
+            one.foot[lane], one.place[lane], one.foot_rate[lane], one.gap[lane], one.arm[lane], one.arm_rate[lane],
+            one.curvature[lane], one.curvature_rate[lane], one.gap_by_crank[lane], one.foot_by_crank[lane],
+        )  # fmt: skip
+        write_contact(contact, found, theta, x)
+        contact.fall, contact.bounded_for = one.fall[lane], one.bounded_for[lane]
+        across.crank_angle, across.deviation, across.gap, across.foot = theta, x, math.inf, math.nan
+        listed = _list(contacts, row, raised, listed)
+    return listed
+
+
+@inlined
+def _largest(deviations: Deviations | None) -> float:
+    if deviations is None:
+        return 0.0
+    return deviations.largest
+
+
+@inlined
+def _list(contacts: Rows, row: int, raised: float, listed: int) -> int:
+    """List what may touch of a pin's two rows; the others carry nothing."""
+    for either in range(row, row + 2):
+        if contacts[either].gap - raised <= CLEAR:
+            contacts[listed].touching = either
+            listed += 1
+        else:
+            contacts[either].force = contacts[either].stiffness = 0.0
+    return listed
+
+
+@part
+def _solve_alone(problem: Problem, theta: float, x: float, contacts: Rows, row: int, cold: bool, listed: int) -> int:
+    """Solve one pin in one slice on both teeth that it may touch, write and list it."""
+    disc, slice_, pin = disc_slice_pin(problem, row)
+    R, e, teeth, pin_radius = problem.circle_radius, problem.generating_eccentricity, problem.teeth, problem.pin_radius
+    pitch = 2.0 * math.pi / teeth
+    flank = Flank(R, e, problem.generating_radius, teeth, problem.ring)
+    root_radius, root_margin = _around_root(flank, problem.root_margin)
+    at = _disc_at(problem, theta, x, disc)
+    conjugate = pin * 2.0 * math.pi / (teeth + 1) + at.shift
+    tooth = _tooth_at(problem.tooth_turn[disc], conjugate, problem.root_phase)
+    near, root, inwards, extent = tooth.near, tooth.root, tooth.inwards, tooth.extent
+    px = problem.pin_x[pin] * at.turned_cosine - problem.pin_y[pin] * at.turned_sine
+    py = problem.pin_x[pin] * at.turned_sine + problem.pin_y[pin] * at.turned_cosine
+    ux, uy = at.x + problem.centre_x[slice_], at.y + problem.centre_y[slice_]
+    cx, cy = ux * at.cosine + uy * at.sine, uy * at.cosine - ux * at.sine
+    wx, wy = px - cx, py - cy
+    offset = Offset(cx, cy, at.crank_x, at.crank_y)
     contact, across = contacts[row], contacts[row + 1]
-    dx, since = x - contact.deviation, theta - contact.crank_angle
-    bow = 0.5 * dx * dx * contact.arm_rate
-    ahead = contact.gap - dx * contact.arm - bow
-    if not clear < ahead < math.inf or abs(dx) > _PREDICTED or abs(bow) > 0.5 * clear:
-        return False
-    if since == 0.0:
-        bow = 0.5 * dx * dx * across.arm_rate
-        ahead = across.gap - dx * across.arm - bow
-        return across.gap == math.inf or (ahead > clear and abs(bow) <= 0.5 * clear)
+    qx, qy = on_tooth(wx, wy, tooth.turn)
+    start = conjugate + contact.foot + contact.foot_rate * (x - contact.deviation)
+    start += contact.foot_by_crank * (theta - contact.crank_angle)
+    if cold or not tooth.lower <= start <= tooth.upper:
+        # Near a root the way downhill from the conjugate point may miss the contact farther in.
+        start = root + inwards * problem.root_phase / teeth if near else conjugate
+    found, alpha, state = foot(qx, qy, start, tooth.lower, tooth.upper, R, e, teeth)
+    distance = math.inf
+    start_beyond = conjugate + across.foot
+    contact.deviation = across.deviation = x
+    contact.crank_angle = across.crank_angle = theta
+    contact.gap = across.gap = math.inf
+    contact.foot = across.foot = math.nan
+    contact.gap_by_crank = 0.0
+    if found:
+        bx, by = state.path_x, state.path_y
+        distance = (state.apart_x * bx + state.apart_y * by) / math.sqrt(bx * bx + by * by)
+        alpha = min(max(alpha, tooth.number * pitch + _END), (tooth.number + 1.0) * pitch - _END)
+        write_contact(contact, contact_at(flank, offset, pin_radius[pin], alpha - conjugate, alpha, state), theta, x)
+    # As in `_solve`.
+    if near and not (distance < root_radius and abs(alpha - root) > root_margin):
+        left, right = tooth.beyond * pitch, (tooth.beyond + 1.0) * pitch
+        left, right = (left, right - extent) if inwards > 0.0 else (left - extent, right)
+        if cold or not left < start_beyond < right:
+            start_beyond = root - inwards * problem.root_phase / teeth
+        qx, qy = on_tooth(wx, wy, tooth.turn_beyond)
+        found, alpha, state = foot(qx, qy, start_beyond, left, right, R, e, teeth)
+        if found and left < alpha < right:
+            alpha = min(max(alpha, tooth.beyond * pitch + _END), (tooth.beyond + 1.0) * pitch - _END)
+            beyond = contact_at(flank, offset, pin_radius[pin], alpha - conjugate, alpha, state)
+            write_contact(across, beyond, theta, x)
+        elif contact.gap == math.inf:
+            # The edge where the two teeth meet stands out.
+            qx, qy = on_tooth(wx, wy, tooth.turn)
+            state = tangency(qx, qy, root + extent, R, e, teeth)
+            # It stays where it is, so only what is left of the arm's rate bends: about the edge itself.
+            state = Tangency(state.value, -math.inf, *state[2:])
+            alpha = root + inwards * _END
+            edge = contact_at(flank, offset, pin_radius[pin], alpha - conjugate, alpha, state)
+            write_contact(contact, edge, theta, x)
+            contact.arm_rate -= contact.arm_rate * contact.arm_rate / (contact.gap + pin_radius[pin])
+    raised = _largest(problem.deviations)
+    if problem.deviations is None:
+        _keep_one_of_two(contact, across, root_margin)
     nearest = min(contact.gap, across.gap)
-    if not (nearest > 0.0 and contact.gap_by_crank < math.inf):
-        return False
-    circle_radius, teeth = flank.circle_radius, flank.teeth
-    turns = teeth * conjugate / (2.0 * math.pi)
-    phase = 2.0 * math.pi * abs(turns - math.floor(turns + 0.5))
-    passed = abs(since) + abs(dx)
-    k = flank.eccentricity * (teeth + 1) / circle_radius
-    reach = stray + abs(x) * circle_radius
-    if phase + passed < root_phase:
-        # The distance from both teeth falls by no more than the axis moves.
-        speed = circle_radius * math.sqrt((1.0 - k) ** 2 + k * (phase + passed) ** 2) / teeth + 2.0 * reach
-        return nearest - abs(since) * speed - abs(dx) * circle_radius * (1.0 + k) > clear
-    if across.gap < math.inf or phase < root_phase or phase < passed:
-        return False
-    phase -= passed
-    # 1 + k² - 2k cos φ from below, and with it how fast the normal turns at most, seen from what displaces the pin.
-    least = (1.0 - k) ** 2 + 4.0 * k * (phase / math.pi) ** 2
+    contact.fall, contact.bounded_for = _bound(
+        nearest - raised, contact.gap_by_crank, tooth.phase, near or across.gap < math.inf, x, flank, problem.stray
+    )
+    return _list(contacts, row, raised, listed)
+
+
+@inlined
+def _keep_one_of_two(contact: np.record, across: np.record, root_margin: float) -> None:
+    """Where a pin is on the ends of two teeth that meet in a notch, the nearer alone holds it."""
+    if across.gap < math.inf and contact.gap < math.inf and abs(contact.foot - across.foot) < 2.0 * root_margin:
+        if contact.gap <= across.gap:
+            across.gap, across.foot = math.inf, math.nan
+        else:
+            contact.gap, contact.foot = math.inf, math.nan
+
+
+@inlined
+def _bound(
+    gap: float, gap_by_crank: float, phase: float, near: bool, x: float, flank: Flank, stray: float
+) -> tuple[float, float]:
+    """How fast a pin's gap falls at most with the crank (m/rad), and up to which crank angle either way (rad).
+
+    The crank may take half of the gap, the rotation of the output the other half (docs/theory/contact.md).
+    """
+    R, teeth, lever = flank.circle_radius, flank.teeth, _largest_lever(flank)
+    k = lever / R - 1.0
+    gap = max(gap, 0.0)
+    spare = 0.5 * max(gap - CLEAR, 0.0)
+    turned = min(gap / lever, _TURNED)
+    reach = stray + (abs(x) + turned) * R
+    # Near a root the gap falls by no more than the axis moves.
+    ahead = phase + _NEAR_ROOT
+    speed = R * math.sqrt((1.0 - k) * (1.0 - k) + k * ahead * ahead) / teeth + 2.0 * reach
+    by_speed = min(spare / speed, _NEAR_ROOT)
+    # Elsewhere it falls at its rate, which what displaces the pin can bend: 1 + k² - 2k cos φ from below, and with it
+    # how fast the normal turns at most.
+    passed = 0.5 * phase
+    ahead = max(phase - passed - turned, 0.0) / math.pi
+    least = (1.0 - k) * (1.0 - k) + 4.0 * k * ahead * ahead
     turning = 0.5 + 1.0 / teeth + 0.5 * (1.0 - k * k) / least
     bend = reach * (turning * turning + k * (1.0 - k * k) / (least * least))
-    ahead += since * contact.gap_by_crank - since * since * bend
-    return ahead - abs(since * dx) * circle_radius * turning > clear
+    rate = abs(gap_by_crank) + turned * R * turning + 1e-12
+    by_rate = min(2.0 * spare / (rate + math.sqrt(rate * rate + 4.0 * bend * spare)), passed)
+    fall, bounded_for = (speed, by_speed) if near else (rate + by_rate * bend, by_rate)
+    return fall, bounded_for
+
+
+@inlined
+def _stays_clear(contacts: Rows, row: int, theta: float, x: float, clear: float, lever: float) -> bool:
+    """Whether a pin that was solved elsewhere is certainly farther than `clear` from both teeth."""
+    contact, across = contacts[row], contacts[row + 1]
+    since, turned = abs(theta - contact.crank_angle), abs(x - contact.deviation)
+    if since > contact.bounded_for or turned > _TURNED:
+        return False
+    return clear < min(contact.gap, across.gap) - since * contact.fall - turned * lever < math.inf
 
 
 @part
@@ -228,6 +440,7 @@ def _interpolated(contacts: Rows, first: int, stride: int, slices: int, theta: f
         wa, wb, wc = _parabola(slice_, middle, last)
         if abs(wa * a.gap + wb * b.gap + wc * c.gap - contacts[first + slice_ * stride].gap) > _INTERPOLATED:
             return False
+    fall, bounded_for = max(a.fall, b.fall, c.fall), min(a.bounded_for, b.bounded_for, c.bounded_for)
     smallest = math.inf
     for slice_ in range(slices):
         if slice_ * 4 % last == 0:
@@ -246,6 +459,8 @@ def _interpolated(contacts: Rows, first: int, stride: int, slices: int, theta: f
         contact.deviation = across.deviation = x
         contact.crank_angle = across.crank_angle = theta
         across.gap, across.foot = math.inf, math.nan
+        contact.force = contact.stiffness = across.force = across.stiffness = 0.0
+        contact.fall, contact.bounded_for = fall, bounded_for
         smallest = min(smallest, contact.gap)
     return smallest > CLEAR
 

@@ -21,6 +21,9 @@ place              rad   profile parameter of the contact; other than the foot's
 crank_angle        rad   θ at which the row was solved
 gap_by_crank       m/rad the gap's derivative by θ; NaN with deviations, where it reaches no farther than an element
 foot_by_crank      1     the foot's derivative by θ
+fall               m/rad the nearer gap of the pin's two rows falls by no more than this for each radian of the crank
+bounded_for        rad   crank angle either way up to which `fall` holds; both are in the pin's first row
+touching           1     in row i the number of the ith row that may touch where all were placed last, -1 after the last
 ================== ===== ==========================================================================================
 """
 
@@ -36,7 +39,8 @@ from cycloid_fmu.contact.problem import Problem
 
 _FIELDS = (
     "foot", "foot_rate", "gap", "arm", "arm_rate", "curvature", "curvature_rate", "force", "stiffness",
-    "force_by_curvature", "deviation", "place", "crank_angle", "gap_by_crank", "foot_by_crank",
+    "force_by_curvature", "deviation", "place", "crank_angle", "gap_by_crank", "foot_by_crank", "fall", "bounded_for",
+    "touching",
 )  # fmt: skip
 ROW = np.dtype((np.record, [(name, np.float64) for name in _FIELDS]))  # a record, so that `.gap` works in Python too
 Rows = NDArray[np.void]
@@ -49,7 +53,17 @@ def contact_rows(problem: Problem) -> Rows:
     contacts = np.zeros(problem.crank_phase.size * problem.centre_x.size * problem.pin_x.size * 2, ROW)
     contacts["gap"][:] = np.inf
     contacts["foot"][:] = np.nan
+    contacts["touching"][:] = -1.0
     return contacts
+
+
+@part
+def touching_count(contacts: Rows) -> int:
+    """How many rows may touch: their numbers are in `touching` of the first rows."""
+    count = 0
+    while count < contacts.shape[0] and contacts[count].touching >= 0.0:
+        count += 1
+    return count
 
 
 @inlined

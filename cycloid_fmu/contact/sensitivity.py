@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined
+from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
 from cycloid_fmu.contact.equilibrium import rotational_stiffness
+from cycloid_fmu.contact.lanes import sine_cosine
 from cycloid_fmu.contact.local_frame import LocalFrame, displaced, local_frame
 from cycloid_fmu.contact.problem import Problem, poses
-from cycloid_fmu.contact.rows import Rows, disc_slice_pin
+from cycloid_fmu.contact.rows import Rows, disc_slice_pin, touching_count
 
 # The displacements of one number, in the order of `errors.kinds.BODIES`; then those of pins and teeth.
 CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING, BODY_COUNT = range(8)
@@ -39,6 +40,16 @@ def larger_circle(problem: Problem, contact: np.record, pin: int, local: LocalFr
 def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out: Array) -> float:
     """Derivatives of the deviation at constant torque by every displacement (implicit function theorem).
 
+    As `derivatives`, without that by the crank; returns ∂M/∂x, N·m/rad.
+    """
+    stiffness, _ = derivatives(problem, theta, x, contacts, out)
+    return stiffness
+
+
+@part
+def derivatives(problem: Problem, theta: float, x: float, contacts: Rows, out: Array) -> tuple[float, float]:
+    """Derivatives of the deviation at constant torque by every displacement, and of the output by the crank.
+
     dx/dp = -(∂M/∂p)/(∂M/∂x) (docs/theory/errors.md), with the arms' own change included.
 
     Parameters
@@ -52,16 +63,17 @@ def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out:
 
     Returns
     -------
-    stiffness
-        ∂M/∂x, N·m/rad.
+    stiffness, output_rate
+        ∂M/∂x (N·m/rad) and dφ_b/dθ at constant torque (1), as `crank_side`.
     """
     pins = problem.teeth + 1
     radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
     pitch = BODY_COUNT + 3 * pins
     for column in range(out.size):
         out[column] = 0.0
-    stiffness = 0.0
-    for row in range(contacts.shape[0]):
+    stiffness = coupling = 0.0
+    for i in range(touching_count(contacts)):
+        row = int(contacts[i].touching)
         contact = contacts[row]
         if contact.force <= 0.0:
             continue
@@ -78,10 +90,13 @@ def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out:
         out[CENTRE_Y] += along_y
         out[TILT_X] += along_x * z
         out[TILT_Y] += along_y * z
-        out[CRANK_THROW] += along_x * math.cos(crank) + along_y * math.sin(crank)
+        sc, cc = sine_cosine(crank)
+        out[CRANK_THROW] += along_x * cc + along_y * sc
+        # The crank moves the gear's centre across its throw.
+        coupling += problem.eccentricity * (along_y * cc - along_x * sc)
         # The pin moves with the ring.
         direction = pin * 2.0 * math.pi / pins + ring
-        c, s = math.cos(direction), math.sin(direction)
+        s, c = sine_cosine(direction)
         sign = 1.0 if problem.ring else -1.0
         out[radial + pin] += displaced(contact, local, c, s, -sign * s, sign * c)
         out[tangential + pin] += displaced(contact, local, -s, c, -sign * c, -sign * s)
@@ -94,6 +109,7 @@ def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out:
         tooth = math.floor(foot * problem.teeth / (2.0 * math.pi)) % problem.teeth
         wx, wy = (local.lever_x, local.lever_y) if problem.ring else (-local.gear_x, -local.gear_y)
         out[pitch + disc * problem.teeth + tooth] += displaced(contact, local, local.gear_y, -local.gear_x, wx, wy)
+    scale = -1.0 / stiffness
     for column in range(out.size):
-        out[column] = -out[column] / stiffness
-    return stiffness
+        out[column] *= scale
+    return stiffness, scale * coupling

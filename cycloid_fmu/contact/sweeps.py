@@ -17,7 +17,7 @@ from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.play import end_beside, play
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, contact_rows, disc_slice_pin
-from cycloid_fmu.contact.sensitivity import sensitivities
+from cycloid_fmu.contact.sensitivity import derivatives
 
 
 class LoadedSweep(NamedTuple):
@@ -155,7 +155,7 @@ def sweep_crank_torque(problem: Problem, thetas: Array, deviation: Array, crank_
     contacts = contact_rows(problem)
     for i in range(thetas.size):
         place(problem, thetas[i], deviation[i], contacts, i == 0, CLEAR, BOUNDED)
-        load(problem, thetas[i], deviation[i], contacts)
+        load(problem, contacts)
         crank_torque[i], _ = crank_side(problem, thetas[i], deviation[i], contacts)
 
 
@@ -177,8 +177,8 @@ def sweep_sensitivities(
     for i in range(thetas.size):
         x, _ = equilibrium(problem, thetas[i], torque[i], _ahead(thetas, deviation, 0, i), contacts, i == 0)
         deviation[i] = x
-        by_torque[i] = 1.0 / sensitivities(problem, thetas[i], x, contacts, errors[i])
-        _, by_angle[i] = crank_side(problem, thetas[i], x, contacts)
+        stiffness, by_angle[i] = derivatives(problem, thetas[i], x, contacts, errors[i])
+        by_torque[i] = 1.0 / stiffness
 
 
 @compiled
@@ -205,7 +205,7 @@ def sweep_flank_sensitivities(
     pitch = 2.0 * math.pi / problem.teeth
     for i in range(thetas.size):
         place(problem, thetas[i], deviation[i], contacts, i == 0, math.inf, BOUNDED)
-        load(problem, thetas[i], deviation[i], contacts)
+        load(problem, contacts)
         stiffness = 0.0
         for wave in range(waves.shape[0]):
             out[i, wave] = 0.0

@@ -314,7 +314,7 @@ def assemble(
 ) -> None:  # fmt: skip
     """Write the residual of the balance at q, and its derivatives."""
     _place_discs(problem, assembly, theta, q, contacts, work)
-    load(problem, theta, q[0], contacts)
+    load(problem, contacts)
     for i in range(work.residual.size):
         work.residual[i] = 0.0
         for j in range(work.residual.size):

@@ -1,0 +1,65 @@
+"""Contacts side by side: several go through the processor's vector registers together.
+
+A loop over `LANES` numbers becomes vector instructions where it has neither branches nor calls: so the arrays of one
+record are at fixed distances, choices are conditional expressions, and sine, cosine and logarithm are polynomials.
+Feet of 100 slices were 1.3 times as fast with a call for each and 5 times with lanes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.contact.compiling import inlined
+
+LANES = 8  # two vectors of four; more would leave lanes empty in drives with errors, where four pins carry
+
+Lanes = NDArray[np.void]
+_ROUND = 6755399441055744.0  # 1.5·2⁵²: added to a small number, it leaves no bits for a fraction
+_HALF_PI_HIGH, _HALF_PI_LOW = 1.57079632673412561417, 6.07710050650619224932e-11  # the first has 33 bits
+_LN2 = 6.93147180559945286227e-01
+
+
+def lanes_of(*names: str) -> np.dtype[np.void]:
+    """Return a record of `LANES` numbers for each name."""
+    return np.dtype([(name, np.float64, (LANES,)) for name in names])
+
+
+@inlined
+def sine_cosine(angle: float) -> tuple[float, float]:
+    """Sine and cosine, to 2e-16 for angles up to 1e5 rad (polynomials of fdlibm, within a quarter turn)."""
+    quarters = (angle * (2.0 / math.pi) + _ROUND) - _ROUND
+    r = (angle - quarters * _HALF_PI_HIGH) - quarters * _HALF_PI_LOW
+    z = r * r
+    s = r + r * z * (
+        -1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * (-1.98412698298579493134e-04
+        + z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10))))
+    )  # fmt: skip
+    c = 1.0 - 0.5 * z + z * z * (
+        4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * (2.48015872894767294178e-05
+        + z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11))))
+    )  # fmt: skip
+    half = 0.5 * quarters
+    odd = half != (half + _ROUND) - _ROUND
+    sine, cosine = (c, -s) if odd else (s, c)
+    half = 0.25 * (quarters - (1.0 if odd else 0.0))
+    sign = -1.0 if half != (half + _ROUND) - _ROUND else 1.0
+    return sign * sine, sign * cosine
+
+
+@inlined
+def logarithm(value: float) -> float:
+    """Natural logarithm of a positive number, to 2e-16 of 1 or of itself (polynomial of fdlibm)."""
+    bits = np.float64(value).view(np.int64)
+    exponent = (bits - 0x3FE6A09E667F3BCD) >> 52  # so that the mantissa is from √½ to √2
+    f = np.int64(bits - (exponent << 52)).view(np.float64) - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    rest = z * (
+        6.666666666666735130e-01 + z * (3.999999999940941908e-01 + z * (2.857142874366239149e-01
+        + z * (2.222219843214978396e-01 + z * (1.818357216161805012e-01 + z * (1.531383769920937332e-01
+        + z * 1.479819860511658591e-01)))))
+    )  # fmt: skip
+    return float(exponent * _LN2 + (f - s * (f - rest)))
