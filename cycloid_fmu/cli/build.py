@@ -167,7 +167,7 @@ def build(
     places = "random crank angles and torques, the transmission error also around its largest errors"
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, {made.told}; compared with the exact model at {PROBES} "
-        f"{'random ages, crank angles and torques' if ages else places}."
+        f"{'random crank angles and torques, at random ages' if ages else places}."
     )
 
 
