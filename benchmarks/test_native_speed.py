@@ -1,10 +1,14 @@
-"""Steps of a native FMU, in the C host and through fmpy, against one that does nothing."""
+"""How fast tables are computed, and how fast a native FMU steps, in the C host and through fmpy.
+
+The latter is compared with an FMU that does nothing.
+"""
 
 import re
 import statistics
 import time
 
 import fmpy
+import numpy as np
 import pytest
 from common import EXAMPLES
 from fmpy.fmi2 import FMU2Slave
@@ -12,6 +16,8 @@ from native.c_host import HERE, compiled, run_host
 
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.native import build as native_build
+from cycloid_fmu.native import tables
+from cycloid_fmu.surfaces.surface import surface_of_pair
 
 STEPS = 20_000
 
@@ -26,6 +32,19 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean n) { 
 void *fmi2Instantiate(void) { return values; }
 """
 GIVEN = ("fmi2SetReal", "fmi2GetReal", "fmi2DoStep", "fmi2Instantiate")
+
+
+@pytest.mark.parametrize("which", ["as made", "2 um on every pin", "2 um on every pin and tooth"])
+def test_tables(benchmark, which):
+    """Tables of drives with errors on one thread; the last takes minutes."""
+    pair = read_pair(EXAMPLES / ("drive-39-40-as-made.toml" if which == "as made" else "drive-39-40.toml"))
+    surface, random = surface_of_pair(pair), np.random.default_rng(2)
+    for name in ("pin_radial", "tooth_cumulative_pitch")[: which.count("pin") + which.count("tooth")]:
+        surface = surface.replace(**{name: 2e-6 * random.normal(size=getattr(surface, name).shape)})
+    begun = time.process_time()
+    made = benchmark.pedantic(tables.compute, (pair, surface), rounds=1)
+    benchmark.extra_info["processor seconds"] = round(time.process_time() - begun, 1)
+    benchmark.extra_info["accuracy"] = made.told
 
 
 @pytest.fixture(scope="module")
