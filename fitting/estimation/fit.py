@@ -53,6 +53,7 @@ Array = NDArray[np.float64]
 NO_SCATTER = 1e-8  # m: a scatter below this changes nothing that a bench can see
 OUTLYING = 6.0  # robust standard deviations from the fit
 EVALUATIONS = 60  # of one fit, which needs ten to thirty
+_LITTLE = 4.0  # times the gain at which a fit ends: a smaller promise that a step did not keep is not pursued
 _PATIENCE = 3  # steps in a row that may bring less than they should, at the curves' corners
 TURNS = 3  # fewer do not say how they scatter
 _PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a profile ends, and how near it must come
@@ -304,7 +305,20 @@ def fit(
     if estimated:
         observed, now = _at_noise(observed, now, now.scale**2)
         limit = np.full_like(limit, OUTLYING)
-    damping, done, idle, settled = 1e-3, 1 if linear is None else 0, 0, not estimated
+    damping, done, idle, settled, tried = 1e-3, 1 if linear is None else 0, 0, not estimated, False
+
+    def at_variances() -> None:
+        """Let noise and scatter settle on the model at hand, in one round or, near the optimum, in many."""
+        nonlocal observed, now, scatter, settled
+        ahead = np.zeros_like(unknowns)
+        for _ in range(_ROUNDS if promised < _LINEAR * observed.measured.size else 1):
+            observed, now, scatter, settled = _variances(
+                problem, observed, now, scatter, unknowns, ahead, known, _SETTLED * max(gain, 1.0)
+            )
+            if settled:
+                break
+            ahead = _ahead(problem, now, scatter, unknowns, mean, list(pins))
+
     while done < evaluations:
         precision = problem.precision(scatter)
         precision[list(pins)] = _PINNED
@@ -320,6 +334,11 @@ def fit(
         promised = float(2.0 * slope @ step - step @ gram @ step)
         if promised < gain and settled:
             break
+        if promised < gain and not tried:
+            # At the optimum noise and scatter settle without another evaluation of the model.
+            at_variances()
+            limit, tried = _limits(now), True
+            continue
         step = np.maximum(step, problem.lowest - unknowns)
         while not problem.is_possible(unknowns + step) and np.abs(step).max() > 0.0:
             step *= 0.5
@@ -333,22 +352,16 @@ def fit(
         gained = misfit - _misfit(then, limit) - float(precision @ (away + step) ** 2)
         idle = idle + 1 if gained < gain else 0
         if gained > 0.0:
-            unknowns, now = unknowns + step, then
+            unknowns, now, tried = unknowns + step, then, False
             damping = max(0.1 * damping, 1e-9) if gained > 0.5 * promised else damping
             if estimated:
-                ahead = np.zeros_like(unknowns)
-                # Where the model is as good as linear the variances settle without another evaluation of it.
-                for _ in range(_ROUNDS if promised < _LINEAR * observed.measured.size else 1):
-                    observed, now, scatter, settled = _variances(
-                        problem, observed, now, scatter, unknowns, ahead, known, _SETTLED * max(gain, 1.0)
-                    )
-                    if settled:
-                        break
-                    ahead = _ahead(problem, now, scatter, unknowns, mean, list(pins))
+                at_variances()
             limit = _limits(now)
         else:
             damping = max(10.0 * damping, 1e-2)
-        if idle > _PATIENCE:
+        # Near the optimum the curves' corners absorb small promised gains, here and in the next steps. Ending here
+        # saves 3 of 6 evaluations of the exact fit; six curves of 720 points are identified 1.35 times as fast.
+        if idle > (0 if settled and promised < _LITTLE * min(gain, 1.0) else _PATIENCE):
             break
     misfit = _misfit(now, limit) + float(precision @ (unknowns - mean) ** 2)
     gram = now.gram.sum(axis=0) + np.diag(precision)
@@ -395,8 +408,8 @@ def _variances(
     precision = problem.precision(scatter)
     gram = normal.gram.sum(axis=0) + np.diag(precision)
     covariance = Factor(gram).inverse()
-    resolved = np.einsum("kij,ji->k", normal.gram, covariance)
-    square = normal.square - 2.0 * normal.moment @ ahead + np.einsum("i,kij,j->k", ahead, normal.gram, ahead)
+    resolved = normal.gram.reshape(len(normal.gram), -1) @ covariance.ravel()
+    square = normal.square - 2.0 * normal.moment @ ahead + normal.gram @ ahead @ ahead
     # A step ahead that the linear model does not hold may promise to leave nothing.
     variance = np.maximum(square, _SHRINKS * normal.square) / np.maximum(normal.count - resolved, 1.0)
     unknowns = unknowns + ahead
