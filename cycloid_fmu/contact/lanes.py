@@ -2,7 +2,7 @@
 
 A loop over `LANES` numbers becomes vector instructions where it has neither branches nor calls: so the arrays of one
 record are at fixed distances, choices are conditional expressions, and sine, cosine and logarithm are polynomials.
-Feet of 100 slices were 1.3 times as fast with a call for each and 5 times with lanes.
+A tangency takes 14 ns so, and 45 ns alone (docs/development/speed.md).
 """
 
 from __future__ import annotations
