@@ -166,12 +166,10 @@ def between(ages: Ages, crank_turns: float, clearance: float) -> Tables:
 
 
 def on_common_nodes(of: Sequence[Tables]) -> tuple[Tables, ...]:
-    """Return tables on common crank angles, loads and steps; they differ from the given ones by rounding alone.
+    """Return tables on common crank angles, loads and steps.
 
-    Raises
-    ------
-    ValueError
-        If they have more loads together than a file has room for.
+    They differ from the given ones by rounding, as long as all their loads together have room in a file; otherwise the
+    loads with the closest neighbours are left out.
     """
     period = max(one.period for one in of)
     repeats = [round(period / one.period) for one in of]
@@ -200,12 +198,17 @@ def _refined(values: Array, angles: int) -> Array:
     return values
 
 
+def _fewer(loads: Array, most: int) -> Array:
+    """Leave out the loads with the closest neighbours, in proportion to the load, until no more than `most` remain."""
+    while loads.size > most:
+        loads = np.delete(loads, 1 + np.argmin((loads[2:] - loads[:-2]) / loads[1:-1]))
+    return loads
+
+
 def _sides_alike(of: Sequence[Side], periods: Sequence[int], angles: int) -> list[Side]:
-    loads = functools.reduce(np.union1d, [side.load for side in of])
-    told = functools.reduce(np.union1d, [side.told_load for side in of])
+    loads = _fewer(functools.reduce(np.union1d, [side.load for side in of]), MOST_LOADS - 1)
+    told = _fewer(functools.reduce(np.union1d, [side.told_load for side in of]), MOST_LOADS)
     far = min(side.far[0] for side in of)
-    if loads.size > MOST_LOADS - 1:
-        raise ValueError(f"{loads.size} loads")
     grown = [
         [_refined(np.tile(v, (1, n)), angles) for v in tables.at_loads(side, np.append(loads, far))]
         for side, n in zip(of, periods, strict=True)

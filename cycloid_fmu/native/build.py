@@ -19,7 +19,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
-from cycloid_fmu.edge import ArgumentError, missing_package
+from cycloid_fmu.edge import ArgumentError, InputError, missing_package
 from cycloid_fmu.fmu.build import AnyDrive, completed, ratio_of, surfaces_of_draws, whole_drive
 from cycloid_fmu.fmu.constants import EVENT_INDICATORS, MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
@@ -402,6 +402,9 @@ def build_native(
             made = ages.tables[0]
             for number, found in enumerate(ages.tables):
                 files.append(write(found, interface, kept, first_stage=first_stage, ages=None if number else ages))
+            if sum(map(len, files)) > MOST_BYTES:
+                text = f"its life needs tables of {sum(map(len, files)) / 1e6:.0f} MB"
+                raise InputError(f"{path}: {text}; an FMU has room for {MOST_BYTES / 1e6:.0f} MB.")
         else:
             for number, one in enumerate((surface, *drawn)):
                 found = of_state(pair, one, number) if number or made is None else made

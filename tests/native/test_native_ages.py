@@ -178,6 +178,21 @@ def test_common_nodes_change_nothing_but_rounding(twin):
         assert np.abs(found.pressure / wanted.pressure - 1.0)[np.abs(torque) > 5.0].max() < 0.01
 
 
+def test_more_loads_than_a_file_has_room_for_are_thinned(twin, monkeypatch):
+    """The kept loads are the union's without the closest ones, and only the deviation between them changes."""
+    own = [tables.compute(twin.pair, of_age(twin, age * HOUR).surface, accuracy=ACCURACY) for age in (0.0, 600.0)]
+    all_loads = np.union1d(*(one.positive.load for one in own))
+    monkeypatch.setattr(ages_module, "MOST_LOADS", all_loads.size - 2)
+    alike = on_common_nodes(own)
+    kept = alike[0].positive.load
+    assert kept.size == all_loads.size - 3
+    assert set(kept) < set(all_loads)
+    assert kept[[0, -1]] == pytest.approx(all_loads[[0, -1]])
+    for before, after in zip(own, alike, strict=True):
+        wanted, found = (tables.interpolated(one, np.full(kept.size, 0.3), kept) for one in (before, after))
+        assert np.abs(found.deviation - wanted.deviation).max() < 2.0 * after.positive.steps[0][0]
+
+
 def test_a_bearing_wears_beside_the_flanks(twin, drive, build, tmp_path, monkeypatch):
     """Four tables: the FMU's deviation is bilinear in crank turns worn and in the clearance."""
     rate, growth = twin.surface.life.ageing.crank_turns_per_second, 1e-6 / (600.0 * HOUR)
