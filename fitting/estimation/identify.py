@@ -22,7 +22,7 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
-from cycloid_fmu.surfaces.structured import displacement_vector, profile_names, structured_value, with_structured
+from cycloid_fmu.surfaces.structured import profile_names, structured_value, with_structured
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 from fitting.arguments import positive
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
@@ -69,8 +69,6 @@ Array = NDArray[np.float64]
 
 _MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another, and not explained
 _START_POINTS = 4000  # of all curves together, for the way from the prior
-# Contacts solved for a drive serve others whose displacements differ by less, m: the second start is 1.4 times as fast.
-_NEAR = 3e-6
 _MOST_STARTS, _START_EVALUATIONS = 24, 30
 _BESIDE = 1.5  # times the noise: more than a minimum beside the best one leaves
 _SUSPECTS, _REACHES = 3, (1, 2, 4)  # pins that are put back, and with how many neighbours on either side
@@ -574,20 +572,12 @@ def _starting_estimate(
     exact = observed.fit_crank or pair.supports is not None or observed.first_stage is not None
     nominal = None if exact else linearisation_point(pair, prior, fewer)
     found: list[Estimate] = []
-    solved: list[LinearisationPoint] = []
 
     def around(surface: ErrorSurface) -> LinearisationPoint | None:
-        if nominal is None:
-            return None
-        errors = displacement_vector(pair, surface)
-        for one in solved:
-            if np.abs(errors - one.errors).max() < _NEAR:
-                return one
         try:
-            solved.append(linearisation_point(pair, surface, few))
+            return None if nominal is None else linearisation_point(pair, surface, few)
         except edge.InputError:
             return None
-        return solved[-1]
 
     def agree() -> bool:
         """Put the best first; return whether the next one ended there too."""
