@@ -21,7 +21,7 @@ _INTERPOLATED = 1e-9  # m: what interpolation across slices may err on a clear p
 _END = 1e-9  # rad: how far inside a tooth its end is taken, so that it belongs to that tooth
 _TURNED = 2e-4  # rad: a rotation beyond this is followed by solving
 _NEAR_ROOT = 0.25  # rad of the crank: as far as the bound near a root reaches
-_NEIGHBOUR = 0.05  # of a pitch: a foot that lies farther from its first guess is searched inside the tooth's bracket
+_NEIGHBOUR = 0.01  # of a pitch: a foot that lies farther from its first guess is searched inside the tooth's bracket
 _FEET_STEP = 1e-9  # m: Newton's last step along the flanks; its square, near a root times 1e4, is left
 
 _SOLVED = lanes_of(
@@ -234,13 +234,15 @@ def _solve_in_lanes(
     for lane in range(filled, LANES):
         one.axis_x[lane], one.axis_y[lane], one.start[lane] = one.axis_x[0], one.axis_y[0], one.start[0]
     for lane in range(LANES):
-        one.alpha[lane] = one.start[lane]
+        one.alpha[lane], one.alone[lane] = one.start[lane], 0.0
     for _ in range(6):
         moving = 0
         for lane in range(LANES):
             state = tangency(one.axis_x[lane], one.axis_y[lane], one.alpha[lane], R, e, teeth)
             step = -state.value / state.slope
             one.alpha[lane] += step
+            # Where the distance is not smallest but largest, Newton's step may lead to another foot.
+            one.alone[lane] = one.alone[lane] if state.slope < 0.0 else 1.0
             speed2 = state.path_x * state.path_x + state.path_y * state.path_y
             moving += 1 if step * step * speed2 > _FEET_STEP * _FEET_STEP else 0
         if moving == 0:
@@ -257,7 +259,7 @@ def _solve_in_lanes(
         # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the foot is
         # so close to the root that the step between the two teeth decides.
         single = (distance < root_radius) & (abs(alpha - one.root[lane]) > root_margin)
-        one.alone[lane] = 0.0 if converged & beside & single else 1.0
+        one.alone[lane] = one.alone[lane] if converged & beside & single else 1.0
         pitch = 2.0 * math.pi / teeth
         alpha = min(max(alpha, one.first[lane] * pitch + _END), (one.first[lane] + 1.0) * pitch - _END)
         offset = Offset(one.offset_x[lane], one.offset_y[lane], one.crank_x[lane], one.crank_y[lane])
