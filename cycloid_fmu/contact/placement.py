@@ -424,6 +424,12 @@ def _stays_clear(contacts: Rows, row: int, theta: float, x: float, clear: float,
     since, turned = abs(theta - contact.crank_angle), abs(x - contact.deviation)
     if since > contact.bounded_for or turned > _TURNED:
         return False
+    # From where a row is, `to_touch` predicts it to second order: beside an edge that may err far more than the bound.
+    bend = abs(contact.arm_rate)
+    if across.gap < math.inf:
+        bend = max(bend, abs(across.arm_rate))
+    if turned * turned * bend > clear:
+        return False
     return clear < min(contact.gap, across.gap) - since * contact.fall - turned * lever < math.inf
 
 
