@@ -49,6 +49,7 @@ def straight(slope=2e11, by_clearance=None):
 PRIOR = Prior(1e-18, 10.0, offset={"lost_motion": 5 / ARCSEC, "backlash": 5 / ARCSEC}, scatter=0.2, period=1e6)
 
 
+@pytest.mark.slow(27)
 def test_a_life_is_that_of_the_dose_alone():
     """Twice the coefficient wears in half the turns as much as one does, profile update included."""
     drive = cy.Drive(pair_of(11))
@@ -72,6 +73,7 @@ def test_lost_motion_grows_as_a_second_computation_of_wear_says():
         assert grown[1:] == pytest.approx(second[name][1:] - second[name][0], rel=0.02)
 
 
+@pytest.mark.slow(30)
 def test_a_growing_clearance_adds_the_closed_form_of_a_crank_bearing():
     """Lost motion of a clearance is the clearance over the cranks' circle (RV paper, equation 20), nearly."""
     made = cy.read_drive(EXAMPLES / "drive-39-40-bearings.toml").pair

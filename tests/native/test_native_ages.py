@@ -161,9 +161,14 @@ def test_a_damaged_table_of_the_life_is_not_taken(built, tmp_path):
     slave.fmi.freeInstance()
 
 
-def test_common_nodes_change_nothing_but_rounding(twin):
+@pytest.fixture(scope="module")
+def own(twin):
+    """Tables of two ages, each on nodes of its own."""
+    return [tables.compute(twin.pair, of_age(twin, age * HOUR).surface, accuracy=ACCURACY) for age in (0.0, 600.0)]
+
+
+def test_common_nodes_change_nothing_but_rounding(own):
     """Splines and Hermite's cubics refine without an error."""
-    own = [tables.compute(twin.pair, of_age(twin, age * HOUR).surface, accuracy=ACCURACY) for age in (0.0, 600.0)]
     alike = on_common_nodes(own)
     assert {one.positive.load.size for one in alike} == {np.union1d(*(one.positive.load for one in own)).size}
     draw = np.random.default_rng(1)
@@ -178,9 +183,8 @@ def test_common_nodes_change_nothing_but_rounding(twin):
         assert np.abs(found.pressure / wanted.pressure - 1.0)[np.abs(torque) > 5.0].max() < 0.01
 
 
-def test_more_loads_than_a_file_has_room_for_are_thinned(twin, monkeypatch):
+def test_more_loads_than_a_file_has_room_for_are_thinned(own, monkeypatch):
     """The kept loads are the union's without the closest ones, and only the deviation between them changes."""
-    own = [tables.compute(twin.pair, of_age(twin, age * HOUR).surface, accuracy=ACCURACY) for age in (0.0, 600.0)]
     all_loads = np.union1d(*(one.positive.load for one in own))
     monkeypatch.setattr(ages_module, "MOST_LOADS", all_loads.size - 2)
     alike = on_common_nodes(own)
