@@ -12,7 +12,7 @@ from cycloid_fmu.contact.problem import Problem, poses
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin
 
 TOUCHING = 2e-10  # m: an interference below this counts as touching
-_ROTATION_STEP = 1e-12  # rad: last step of the play's ends
+ROTATION_STEP = 1e-12  # rad: last step of the play's ends
 
 
 @part
@@ -109,7 +109,7 @@ def _first_touch(problem: Problem, theta: float, x: float, contacts: Rows, cold:
     for _ in range(50):
         step = min(to_touch(contacts, theta, x, direction), 1e-3)
         x += direction * step
-        if abs(step) < _ROTATION_STEP:
+        if abs(step) < ROTATION_STEP:
             break
         place(problem, theta, x, contacts, cold, clear, math.inf)
     return x

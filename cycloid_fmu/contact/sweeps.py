@@ -14,7 +14,7 @@ from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffn
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
-from cycloid_fmu.contact.play import end_beside, play
+from cycloid_fmu.contact.play import ROTATION_STEP, end_beside, play
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, contact_rows, disc_slice_pin
 from cycloid_fmu.contact.sensitivity import derivatives
@@ -123,8 +123,11 @@ def _solve_play(problem: Problem, thetas: Array, first: int, last: int, low: Arr
         if problem.deviations is None and not cold:
             low[i] = end_beside(problem, thetas[i], low[i - 1], at_low, not followed, -1.0)
             high[i] = end_beside(problem, thetas[i], high[i - 1], at_high, not followed, 1.0)
-            followed = low[i] < high[i]
+            # Without errors and modification the ends are the same but for rounding.
+            followed = low[i] < high[i] + 2.0 * ROTATION_STEP
             if followed:
+                if low[i] > high[i]:
+                    low[i] = high[i] = 0.5 * (low[i] + high[i])
                 gap[i] = 0.0
                 continue
             cold = True
