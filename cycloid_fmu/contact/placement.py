@@ -22,7 +22,7 @@ _END = 1e-9  # rad: how far inside a tooth its end is taken, so that it belongs 
 _TURNED = 2e-4  # rad: a rotation beyond this is followed by solving
 _NEAR_ROOT = 0.25  # rad of the crank: as far as the bound near a root reaches
 _NEIGHBOUR = 0.01  # of a pitch: a foot that lies farther from its first guess is searched inside the tooth's bracket
-_FEET_STEP = 1e-9  # m: Newton's last step along the flanks; its square, near a root times 1e4, is left
+_FEET_STEP = 1e-11  # m: Newton's last step along the flanks
 
 _SOLVED = lanes_of(
     # A pin's axis and the gear's centre in its tooth's frame, where its foot is expected and where it must be:
