@@ -28,6 +28,7 @@ from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, ErrorSurface, surface_
 from fitting.estimation.normal_equations import Factor
 from fitting.model.identifiability import UNKNOWN
 from fitting.model.observations import (
+    CHAIN,
     KNOWN_SIZES,
     PIN_RADIUS,
     PROFILE_ORDERS,
@@ -168,7 +169,9 @@ class Problem:
         self.bench = slice(len(chosen), len(chosen) + known.size)
         for group, part in observed.estimated.items():
             self.parts[group] = slice(part.start + len(chosen), part.stop + len(chosen))
-            self.scale[self.parts[group]] = _CREEP_SCALE
+            if group != CHAIN:
+                self.scale[self.parts[group]] = _CREEP_SCALE
+        self.least = {group: observed.least(group) for group in observed.estimated}
         self.bearings = slice(self.first_scatter - observed.bearing_prior.size, self.first_scatter)
         self.lowest = np.full(self.scale.size, -np.inf)
         self.lowest[self.bearings] = observed.bearing_lowest / self.scale[self.bearings]
@@ -219,7 +222,8 @@ class Problem:
         """Return the prior precision of each unknown, 1/variance in its scale."""
         found: Array = self.known.copy()
         for name, part in self.parts.items():
-            found[part] = (self.scale[part.start] / max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER)) ** 2
+            size = max(scatter.get(name, 0.0), self.least.get(name, 1e-2 * NO_SCATTER))
+            found[part] = (self.scale[part.start] / size) ** 2
         return found
 
     def normal(self, unknowns: Array, observed: Observations, limit: Array, known: Linear | None = None) -> _Normal:
@@ -418,10 +422,12 @@ def _variances(
         if name in known:
             continue
         resolved_of = part.stop - part.start - precision[part.start] * np.trace(covariance[part, part])
-        before = max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER) ** 2
+        before = max(scatter.get(name, 0.0), problem.least.get(name, 1e-2 * NO_SCATTER)) ** 2
         after = float(unknowns[part] @ unknowns[part]) * problem.scale[part.start] ** 2 / max(resolved_of, 1e-9)
         found[name] = float(np.sqrt(np.clip(after / before, _SHRINKS, _GROWS) * before))
-    hardly = all(abs(v - scatter.get(n, 0.0)) < little * v or v < NO_SCATTER for n, v in found.items())
+    hardly = all(
+        abs(v - scatter.get(n, 0.0)) < little * v or v < problem.least.get(n, NO_SCATTER) for n, v in found.items()
+    )
     settled = hardly and bool((np.abs(variance - 1.0) < little).all())
     observed, normal = _at_noise(observed, normal, variance)
     return observed, normal, found, settled

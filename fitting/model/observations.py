@@ -46,7 +46,10 @@ PROFILE_ORDERS = (1, 2, 3, 4)  # of the profile deviation that all teeth share, 
 OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
 DRIFT = 5e-5  # rad an output turn: how far the angles' zeros may creep while the bench warms up
 CREEP = "output_angle_creep"  # what a common zero has moved from one recording to the next; how far, the fit estimates
-CHAIN = "chain_compliance"  # of what stands in series with the gear pair
+CHAIN = (
+    "chain_compliance"  # of what is in series with the gear pair; where it is softer than usual, the size is estimated
+)
+HYSTERESIS = "output_angle_hysteresis"  # half of what a common zero differs between the directions; size estimated
 MISFIT = "misfit"  # what the model does not hold, by cause; how large, the fit estimates
 GIVES = ("centre_distance_x", "centre_distance_y", "eccentricity")  # what moves where supports give way
 NO_CREEP = 1e-8  # rad
@@ -92,6 +95,8 @@ class Observations:
         `fitting.model.bearings`.
     first_stage
         First stage, for curves of a whole reducer.
+    chain_prior
+        Usual size of the chain's compliance, rad/(N·m): a small share of the gear pair's own.
     """
 
     curves: tuple[Curve, ...]
@@ -110,6 +115,7 @@ class Observations:
     bearing_prior: Array = field(default_factory=lambda: np.zeros(0))
     bearing_lowest: Array = field(default_factory=lambda: np.zeros(0))
     first_stage: FirstStage | None = None
+    chain_prior: float = 0.0
 
     @property
     def running(self) -> list[int]:
@@ -128,19 +134,33 @@ class Observations:
 
     @property
     def estimated(self) -> dict[str, slice]:
-        """Groups of the bench's nuisances whose common size the fit estimates: creeping zeros, causes of misfit."""
+        """Groups of the bench's nuisances whose common size the fit estimates.
+
+        Creeping zeros, causes of misfit, and compliance and hysteresis of the chain between the encoders.
+        """
         groups: dict[str, slice] = {}
         for i, name in enumerate(self.bench_names):
             if name.startswith((CREEP, MISFIT)):
                 group = name.rpartition("_")[0]
                 groups[group] = slice(groups[group].start if group in groups else i, i + 1)
+            elif name == HYSTERESIS or (name == CHAIN and not self.is_compliant):
+                groups[name] = slice(i, i + 1)
         return groups
+
+    @property
+    def is_compliant(self) -> bool:
+        """Whether further compliance is among the causes of misfit: the chain's own is then of the usual size."""
+        return any(name.startswith(f"{MISFIT}_compliance_") for name in self.bench_names)
+
+    def least(self, group: str) -> float:
+        """Smallest size of a group of `estimated`: rad, of the chain rad/(N·m)."""
+        return self.chain_prior if group == CHAIN else NO_CREEP
 
     def with_sizes(self, sizes: Mapping[str, float]) -> Observations:
         """The same with the sizes of these groups, rad, as prior of their nuisances."""
         prior = self.bench_prior.copy()
         for group, part in self.estimated.items():
-            prior[part] = max(sizes.get(group, 0.0), NO_CREEP)
+            prior[part] = max(sizes.get(group, 0.0), self.least(group))
         return dataclasses.replace(self, bench_prior=prior)
 
     def with_misfit(
@@ -264,6 +284,11 @@ def observations(
         columns.append(np.concatenate([np.zeros(sum(sizes[:number])), place - place.mean(),
                                        np.zeros(sum(sizes[number + 1 :]))]))  # fmt: skip
         priors.append(DRIFT)
+    turning = [i for group in absolute for i in group if not curves[i].branch]
+    if turning:
+        names.append(HYSTERESIS)
+        columns.append(np.repeat([float(c.direction) * (i in turning) for i, c in enumerate(curves)], sizes))
+        priors.append(NO_CREEP)
     largest = max(float(np.abs(torque).max()), 1e-9)
     nominal = solve(pair, surface_of_pair(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
     names.append(CHAIN)
@@ -285,6 +310,7 @@ def observations(
         bearing_prior=sizes_of(pair, first_stage),
         bearing_lowest=lowest_of(pair, first_stage),
         first_stage=first_stage,
+        chain_prior=priors[-1],
     )
 
 

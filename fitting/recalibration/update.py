@@ -35,7 +35,15 @@ _BEGUN, _TO_ALL = 0.5, 0.1
 _FLAT = 1e-9  # of the largest singular value: zeros that others stand for
 _OUTLYING_SHARE = 0.01  # of the points: when more lie far off they are no outliers
 _TOLD = 0.1  # information in units of the prior's: combinations with less are not tested
-_LOCAL = ("output_angle_offset", "loop_angle_offset", "output_angle_drift", "output_angle_creep", "friction", "loop_fr")
+_LOCAL = (
+    "output_angle_offset",
+    "loop_angle_offset",
+    "output_angle_drift",
+    "output_angle_creep",
+    "output_angle_hysteresis",
+    "friction",
+    "loop_fr",
+)
 
 
 @dataclass(frozen=True)

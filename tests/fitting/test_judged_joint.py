@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 import second_drive
 from joint_plant import ARCSEC, PERFECT, Friction, Profile, Sensors, Servo, bent, level, moved, pressed, quintic
-from judged_joint import CASES, RATED, Perfect, Remembering, drive_of, found_of, joint_of, judged, outcomes
+from judged_joint import CASES, RATED, WINDUP, Perfect, Remembering, drive_of, found_of, joint_of, judged, outcomes
 from sampled_drives import SMALL
 from scipy.integrate import solve_ivp
 
 import cycloid_fmu as cy
+from fitting.model.observations import CREEP
 
 
 def short(points=(84.0, 96.0, 86.0), step=1e-3):
@@ -115,6 +116,24 @@ def test_the_inverse_of_the_joint_leaves_nothing(joint):
     found = judged(at_once, profile, Perfect(at_once, profile), PERFECT, swings=False)
     assert found.plain_rms > 100.0 * ARCSEC
     assert found.rms < 1e-3 * found.plain_rms
+
+
+@pytest.mark.parametrize("size", [SMALL, pytest.param({}, marks=pytest.mark.slow(25))], ids=["11/12", "39/40"])
+def test_creep_takes_neither_wind_up_nor_the_direction(size, record_property):
+    """The zeros of this bench do not creep: all that its means hold is the drive's, the chain's, or the direction's."""
+    pair, made, _, generator = drive_of(size, 0)
+    found = found_of(pair, made, generator)
+    creep = np.array([value for name, value in found.identification.bench.items() if name.startswith(CREEP)])
+    theta = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    rigid = dataclasses.replace(made, windup=0.0)
+    play = np.mean(np.diff([second_drive.transmission_error(rigid, theta, torque) for torque in (-0.05, 0.05)], axis=0))
+    fitted = found.drive.analyze([-0.05, 0.05], crank_angle=theta).transmission_error.values
+    record_property("creep", f"{np.std(creep) / ARCSEC:.2f}″")
+    record_property("wind-up at rated torque", f"{found.windup * RATED / ARCSEC:.2f}″ for {WINDUP * RATED / ARCSEC:g}″")
+    record_property("play", f"{np.mean(np.diff(fitted, axis=0)) / ARCSEC:.2f}″ for {play / ARCSEC:.2f}″")
+    assert np.std(creep) < 0.2 * ARCSEC
+    assert found.windup == pytest.approx(WINDUP, rel=0.03)
+    assert np.mean(np.diff(fitted, axis=0)) == pytest.approx(play, abs=1.0 * ARCSEC)
 
 
 @pytest.mark.slow(10)
