@@ -19,7 +19,7 @@ from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
 from fitting.estimation.fit import Estimate, Problem
-from fitting.model.discrepancy import FORM, SENTENCES, is_whole, waves, way
+from fitting.model.discrepancy import BESIDE_THE_GEAR, FORM, SENTENCES, is_whole, waves, way
 from fitting.model.observations import CHAIN, MISFIT, Observations, left_of, with_scatter
 
 Array = NDArray[np.float64]
@@ -360,18 +360,19 @@ def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likel
         scores = {name: residual.score(one) for name, one in rest.items()}
         chances = {n: min(chance, pulls.get(n, (1.0, 0.0))[0]) for n, (chance, _) in scores.items()}
         told = [n for n, chance in chances.items() if chance * len(columns) < _FALSE]
-        if not told:
-            break
         gains = {n: max(float(residual.left @ scores[n][1]) - rest[n].shape[1], pulls.get(n, (1.0, 0.0))[1])
                  for n in told}  # fmt: skip
-        best = max(told, key=lambda n: gains[n])
-        residual.take(rest[best])
-        if best == FORM:
-            rest.pop(best)
-            formed = True
-            continue
-        alike[best] = tuple(n for n in told if n not in (best, FORM) and gains[n] > _ALIKE * gains[best])
+        told.sort(key=lambda n: -gains[n])
+        # A form moves the contacts: other columns of the contact resemble it to first order and may gain more. What the
+        # bench adds is exact, and leaves a form only if there is one.
+        formed = formed or (FORM in told and told[0] not in BESIDE_THE_GEAR)
+        told = [n for n in told if n != FORM]
+        if not told:
+            break
+        best = told[0]
+        alike[best] = tuple(n for n in told if n != best and gains[n] > _ALIKE * gains[best])
         found[best] = rest.pop(best)
+        residual.take(found[best])
     orders = list(known.orders) if known else []
     for _ in range(_ORDERS):
         order = peak(residual.observed, residual.left)

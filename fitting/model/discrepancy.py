@@ -23,6 +23,7 @@ _FORM_STEP = 1e-6  # m: over which differences by a form are taken, where it has
 _SLOW = 6  # degree of what a zero drifts over a recording
 _CRANK = 100.0  # rad of the crank for one of the transmission error
 _STEADY = 1e-3  # of the speed: what changes less shows no lag
+BESIDE_THE_GEAR = ("compliance", "run_out", "drift")  # causes that act outside the contacts
 SENTENCES = {
     GIVE: "supports that are compliant or have play under load",
     "compliance": "further compliance between the encoders",

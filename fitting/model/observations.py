@@ -58,6 +58,7 @@ RADIUS_SPREAD = 0.3e-6  # m: usual of single pins' radii, as a sort of rollers i
 _REACH = 80e-6  # m: gaps that errors and the rotation may close where contacts are taken to first order
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
+_OTHER_LOAD = 1.2  # times the smallest load: one at which wind-up differs from play
 FRICTION_SHARE = 0.002  # of the largest torque
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance; a softer chain is a cause of misfit, whose size is found
 KNOWN_SIZES = {
@@ -143,9 +144,19 @@ class Observations:
             if name.startswith((CREEP, MISFIT)):
                 group = name.rpartition("_")[0]
                 groups[group] = slice(groups[group].start if group in groups else i, i + 1)
-            elif name == HYSTERESIS or (name == CHAIN and not self.is_compliant):
+            elif name in self._of_chain:
                 groups[name] = slice(i, i + 1)
         return groups
+
+    @property
+    def _of_chain(self) -> set[str]:
+        """Which of compliance and hysteresis of the chain the curves separate from the drive's play."""
+        zeros = [self.curves[i] for i in self.running if self.curves[i].common_zero]
+        sizes = np.array([abs(c.torque) for c in zeros])
+        ways = {(np.sign(c.torque), c.direction) for c in zeros}
+        several_loads = sizes.size > 0 and bool(sizes.max() > _OTHER_LOAD * sizes.min())
+        found = {CHAIN} if (several_loads or self.with_loops) and not self.is_compliant else set()
+        return found | ({HYSTERESIS} if len(ways) > len({sign for sign, _ in ways}) else set())
 
     @property
     def is_compliant(self) -> bool:
