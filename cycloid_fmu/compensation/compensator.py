@@ -32,7 +32,7 @@ GAIN_RATE = 0.25  # most that a gain changes over 1 rad of the crank
 ANGLE_RATE = 1e-4  # rad of the output, likewise of offset and play
 OUTLIER = 5.0  # standard deviations; a measurement beyond them counts as one at this distance
 SURE_FLANK = 0.99  # mean sign of the torque: below it the output may be moving through the play
-SETTLED = 0.5  # rad of the crank after that before measurements count again: the output reaches the flank late
+SETTLED = 0.05  # rad of the output after that before measurements count again: it reaches the flank late
 ALARM = 3.0  # times the stated band: with a larger residual the model does not hold
 LEAST_GAIN = 0.7  # of the index's probability: if the ripple's gain is surely smaller, the model does not hold
 ENOUGH = 3.0  # measurements before that is judged
@@ -190,7 +190,7 @@ class Memory:
     output
         Last output angle that was measured, rad; NaN before the first.
     settled
-        Rotation of the crank since the flank was uncertain, rad.
+        Rotation of the output since the flank was uncertain, rad.
     applied
         Learned values in the command: difference of the encoders' zeros (rad), half of the added play (rad), gain of
         mean deviation and wind-up, gain of the part that depends on the crank angle.
@@ -385,14 +385,15 @@ def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_
     ripple = _ripple(c, state, crank + m.index)[0]
     rows = (KNOWN[0], KNOWN[1] * state.flank, KNOWN[2] * (state.wound + state.mean), KNOWN[3] * ripple)
     first = not _given(m.output)
-    way = 0.0 if first else abs(c.crank_ratio * (output_angle - m.output))
+    turned = 0.0 if first else abs(output_angle - m.output)
+    way = abs(c.crank_ratio * turned)
     m.output = output_angle
     kept = max(0.0, 1.0 - way * (1.0 / MEMORY))
     expected = state.variance + t.noise + m.doubt * state.ripple
     variance = (FIRST * expected + kept * m.left) / (FIRST + kept * m.count)
     a, b, d, e = m.learned
     off = measured - (a * rows[0] + b * rows[1] + d * rows[2] + e * rows[3])
-    m.settled = m.settled + way if abs(state.flank) >= SURE_FLANK else 0.0
+    m.settled = m.settled + turned if abs(state.flank) >= SURE_FLANK else 0.0
     weight = 0.0 if m.settled < SETTLED else 1.0 if first else min(1.0, way * (1.0 / CORRELATION))
     weight *= min(1.0, t.least / (state.variance + t.noise))
     most = OUTLIER * OUTLIER * variance

@@ -191,7 +191,7 @@ static double doubt(const struct compensator_memory *m) {
 /* Add a measurement to the regression; returns whether it is plausible for this drive. */
 static int learn(struct compensator_memory *m, const struct state *state, double motor_angle, double output_angle) {
     double measured = output_angle - motor_angle * PER_RATIO;
-    double rows[4], targets[4], crank, way, kept, expected, variance, off, weight, most, g;
+    double rows[4], targets[4], crank, turned, way, kept, expected, variance, off, weight, most, g;
     const double *node = state->node;
     int first = !given(m->output), i, j, n = 0;
     if (size_of(measured) > LARGEST_TRANSMISSION_ERROR) {
@@ -202,14 +202,15 @@ static int learn(struct compensator_memory *m, const struct state *state, double
     rows[1] = KNOWN[1] * node[FLANK];
     rows[2] = KNOWN[2] * (state->wound + node[MEAN]);
     rows[3] = KNOWN[3] * ripple_of(state, crank + m->index, 0);
-    way = first ? 0.0 : size_of(CRANK_RATIO * (output_angle - m->output));
+    turned = first ? 0.0 : size_of(output_angle - m->output);
+    way = size_of(CRANK_RATIO * turned);
     m->output = output_angle;
     kept = larger(0.0, 1.0 - way * PER_MEMORY);
     expected = node[VARIANCE] + NOISE + doubt(m) * node[RIPPLE];
     variance = (FIRST * expected + kept * m->left) / (FIRST + kept * m->count);
     off = measured - (m->learned[0] * rows[0] + m->learned[1] * rows[1] + m->learned[2] * rows[2]
                       + m->learned[3] * rows[3]);
-    m->settled = size_of(node[FLANK]) >= SURE_FLANK ? m->settled + way : 0.0;
+    m->settled = size_of(node[FLANK]) >= SURE_FLANK ? m->settled + turned : 0.0;
     weight = m->settled < SETTLED ? 0.0 : first ? 1.0 : smaller(1.0, way * PER_CORRELATION);
     weight *= smaller(1.0, LEAST / (node[VARIANCE] + NOISE));
     most = OUTLIER * OUTLIER * variance;

@@ -20,7 +20,7 @@ struct compensator_memory {
     double angle;       /* desired output angle of the last step, or COMPENSATOR_NONE */
     double strains[5];  /* of the friction elements, rad */
     double output;      /* last measured output angle, or COMPENSATOR_NONE */
-    double settled;     /* crank angle since the flank was last uncertain, rad */
+    double settled;     /* rotation of the output since the flank was last uncertain, rad */
     double applied[4];  /* offset (rad), further play (rad), gains of wind-up and of ripple, in the command */
     double learned[4];  /* the same as estimated from measurements and prior */
     double sure;        /* variance of the last of them */
