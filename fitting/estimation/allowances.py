@@ -20,8 +20,8 @@ from fitting.model.prior import tolerances_of
 
 Array = NDArray[np.float64]
 
-_SINGULAR = 1e16  # condition of equations that tell nothing: what noise-free curves leave
-_WIDE, _WIDEST = 2.0, 4  # times as wide for a form of the flanks: what a note names, and how many
+_SINGULAR = 1e16  # condition number of equations without information, as from curves without noise
+_WIDE, _WIDEST = 2.0, 4  # times as wide for a form of the flanks: from where a note names it, and how many
 LAG_NAME = f"{MISFIT}_{LAG}_0"
 _TOLD = 0.1  # share of a bearing's variance that the data must take away for it to be told
 

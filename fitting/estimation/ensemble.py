@@ -35,7 +35,7 @@ def ensemble(drive: Drive, count: int = 20, seed: int = 0) -> list[Drive]:
     >>> bool(0.8e-6 < np.std([one.surface.eccentricity for one in drawn]) < 1.2e-6)
     True
 
-    Threads solve several drives at once, and only what is kept of each takes memory:
+    Threads solve several drives at once, and only the parts that are kept take memory:
 
     >>> from concurrent.futures import ThreadPoolExecutor
     >>> with ThreadPoolExecutor() as pool:

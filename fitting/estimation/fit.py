@@ -330,7 +330,7 @@ def fit(
         misfit = _misfit(now, limit) + float(precision @ away**2)
         gram = now.gram.sum(axis=0) + np.diag(precision)
         slope = now.moment.sum(axis=0) - precision * away
-        # What stands at its bound and would go beyond stays there for this step.
+        # An unknown at its bound that would go beyond it stays there for this step.
         bound = (unknowns <= problem.lowest) & (slope < 0.0)
         gram[bound, bound] *= _PINNED
         slope[bound] = 0.0
@@ -605,7 +605,7 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
         own = np.where(there, curve.each_turn - curve.transmission_error + left[part], 0.0) / there.sum(axis=0)
         turns = len(own)
         taken = generator.multinomial(turns, np.full(turns, 1.0 / turns), size=draws).astype(float)
-        # The turns drawn scatter less than turns do, by one of their number.
+        # Drawn turns scatter less than the turns themselves: n - 1 in place of n.
         moved += np.sqrt(turns / (turns - 1.0)) * taken @ (own @ step[:, part].T)
     inside = observed.weight > 0.0
     white = np.sqrt(((step[:, inside] / observed.weight[inside]) ** 2).sum(axis=1))

@@ -72,15 +72,15 @@ _START_POINTS = 4000  # of all curves together, for the way from the prior
 _MOST_STARTS, _START_EVALUATIONS = 24, 30
 _BESIDE = 1.5  # times the noise: more than a minimum beside the best one leaves
 _SUSPECTS, _REACHES = 3, (1, 2, 4)  # pins that are put back, and with how many neighbours on either side
-_AGREE = 0.01  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 0.5 %
+_AGREE = 0.01  # of the points: two starts agree where -2 log likelihood differs by less, the noise by 0.5 %
 _CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
 _MISFIT = 2e-6  # rad: from where the size of a cause of misfit is estimated
 _MISFITS = 5  # fits with causes of misfit at most
 _SETTLED = 1e-7, 1e-7, 1e-7, 1e-4  # m and rad: supports that give way by no more have been found
 _TOLD_APART = 10.0  # of -2 log likelihood: a description that is less likely by more is excluded, 150 to 1
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
-# A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves one estimate by a
-# standard error at most, and by a tenth where it is shared among all. The last step follows.
+# A fit ends where a step reduces the sum of squares in units of the noise by less than this: such a step moves one
+# estimate by a standard error at most, or all of them by a tenth. The last step follows.
 _START_GAIN, _GAIN = 8.0, 1.0
 
 
@@ -263,7 +263,7 @@ def _described_otherwise(
     reported.
     """
     prior, every = surface_of_pair(pair), [found]
-    # On bearings the places of the cranks tell the discs apart.
+    # On bearings the positions of the cranks distinguish the discs.
     for surface in () if pair.supports is not None else other_descriptions(pair, found.state.surface):
         progress("describing the drive from another disc")
         state = _described_by(pair, found, surface)
@@ -382,7 +382,7 @@ def _validated(
             likely = looks_like(found)
             first = verdict_of(pair, found, likely, formed)
     if likely.columns:
-        # The scatter has swallowed what it could of the causes.
+        # The scatter has absorbed as much of the causes as it could.
         found = _without_scatter(pair, found)
     give: Array | None = None
     coefficients, verdict = np.zeros(0), None
@@ -403,12 +403,12 @@ def _validated(
             if likely.formed:
                 known, formed = _with_form(known, form), True
         else:
-            # Supports that gave way have moved the contacts: what more of it does is taken there.
+            # Supports that gave way have moved the contacts: further compliance is linearised at the new ones.
             moved = dataclasses.replace(found.observed, give=give)
             there = causes(pair, moved, linearise(pair, moved, found.state))
             likely = dataclasses.replace(likely, columns={n: there.get(n, one) for n, one in likely.columns.items()})
     if found.disagreeing and verdict is not None and verdict.state != "not explained":
-        # The starts knew of no cause: whether two of them agree beside it is what counts.
+        # The starts were made without the cause; two of them must agree with it.
         again = _fitted(curves, pair, None, known, progress, misfit)
         better = again.unlikelihood < found.unlikelihood + _GAIN
         found = again if better else dataclasses.replace(found, disagreeing=again.disagreeing)
@@ -505,8 +505,8 @@ def _carried_over(
 
 
 def _chosen(observed: Observations, linear: Linear, pair: Pair) -> list[str]:
-    # Without what single pins and teeth do, which widens the intervals: a scatter that took what held errors did would
-    # keep them held, and others that move the curves nearly as these do would take the rest.
+    # Without the scatter of single pins and teeth, which widens the intervals: a scatter that has absorbed held errors
+    # would keep them held, and fitted errors of nearly the same effect would absorb the rest.
     chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, {}))
     if not chosen:
         raise edge.InputError("the data resolve none of the structured errors; record more loads or more turns.")
@@ -547,7 +547,7 @@ def _starting_estimate(
     high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
     unknown = {**dict.fromkeys(observed.estimated, _MISFIT), **_no_scatter(pair)}
-    # Radii of single pins could do before the errors are found what these do: from the prior they scatter later.
+    # Radii of single pins could absorb errors that are not found yet: in starts from the prior they scatter later.
     same_radius = {PIN_RADIUS: 1e-2 * NO_SCATTER} if start is None else {}
     pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
 
@@ -604,7 +604,7 @@ def _starting_estimate(
             "turn, directions and the pair file."
         )
     for order in (1, 3) if pair.discs == 2 else ():
-        # Two discs see the product of odd orders round the ring alone: each pair of them may come out negated.
+        # The curves of two discs depend on products of odd orders around the ring only: each pair may be found negated.
         progress(f"finding a start ({len(found) + 1})")
         state = _negated(pair, found[0].state, order, found[0].chosen)
         take(ended(few, state, unknown, around(found[0].state.surface)))
@@ -614,7 +614,7 @@ def _starting_estimate(
         progress(f"finding a start ({len(found) + 1})")
         take(ended(few, _described_by(pair, found[0], surface), found[0].scatter, None))
         agree()
-    # In a minimum beside the best one pins that lie side by side stand wrong, one for the other; most is left there.
+    # In a minimum beside the best one neighbouring pins are wrong in opposite ways; the residual is largest there.
     searching = not alike
     while searching and len(found) < _MOST_STARTS:
         best, searching = found[0], False

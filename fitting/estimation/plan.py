@@ -217,7 +217,7 @@ class _Foretold:
         self.runs = [(t, way) for t in loads for way in (1, -1)]
         running = [planned_curve(pair.ratio, way * t, way, turns, samples) for t, way in self.runs]
         winding = planned_branches(pair, self.peak, 0.0, 0)
-        # What comes next may be what is there already: the same derivatives, but a drift and a zero of its own.
+        # The next run may repeat one of these: the same derivatives, but a drift and a zero of its own.
         # Runs begin anywhere between two samples.
         running = [dataclasses.replace(c, input_angle=c.input_angle + np.mod(i * _GOLDEN, 1.0) * 2.0 * np.pi / samples)
                    for i, c in enumerate(running)]  # fmt: skip

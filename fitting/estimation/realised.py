@@ -35,7 +35,7 @@ GAUGE = (
     "the mean radius with the same effect. The pin's own place is that plus radius_lever times its "
     "pin_radius_deviation.",
 )
-_MEASURED = 3.0  # times the scatter, or _SMALL: what the data tell of a pin or tooth by itself must be more exact
+_MEASURED = 3.0  # times the scatter, or _SMALL: the data must determine a pin or tooth more exactly than this
 _SMALL = 1e-6  # m
 
 
@@ -233,7 +233,7 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
     before = displaced_covariance(pair, chosen, unmeasured, lever)
     deviation, prior = np.sqrt(np.maximum(np.diag(variance), 0.0)), np.sqrt(np.diag(before))
     own = _own_information(covariance, spread)
-    # A radius is known as well as the size of their scatter is, from as many of them as the curves tell.
+    # A radius is known no better than the size of its scatter, which is known from the radii that the curves resolve.
     size = estimated_parts(pair)[PIN_RADIUS]
     told = pair.pins - float(np.trace(covariance[-spread.size :, -spread.size :][size, size])) / max(
         float(spread[size.start]), NO_SCATTER) ** 2  # fmt: skip
@@ -285,7 +285,7 @@ def _orders(name: str, values: Array, covariance: Array, before: Array, discs: i
     found, count = [], values.size
     at = 2.0 * np.pi * np.arange(count) / count
     for order in range(ORDERS_STATED + 1):
-        # The gauge leaves of means what the discs' differ by.
+        # Of means the gauge leaves the differences between the discs.
         if 2 * order >= count or (order == 0 and (name.startswith("pin_") or discs == 1)):
             continue
         share = (2.0 if order else 1.0) / count

@@ -89,7 +89,7 @@ class Identification:
     realised
         Every pin and tooth of this ring, and its orders: structured errors and scatter together, without the gauge.
     bearings
-        Of a drive with supports: each bearing's stiffness as a share of what the pair file states (unit "1"), and its
+        Of a drive with supports: each bearing's stiffness as a share of that in the pair file (unit "1"), and its
         clearance, m.
     clock_lag
         Delay of the output angle (> 0) or of the input angle (< 0), s, if the curves show it.
@@ -261,10 +261,10 @@ def result_of(
         every[np.diag_indices(len(chosen))] += added
     quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * CONFIDENCE)
     singular, combinations, reasons, beside = weakness(observed, linear, names, chosen)
-    # Held errors that no fitted one stands for have been as large as is usual, and what is stated allows for it.
+    # Held errors that no fitted one represents may be as large as is usual; the intervals allow for it.
     moved_by = moved_by_held(pair, fit, beside)
     every += moved_by @ moved_by.T
-    # The scatter of pins and teeth stands behind the errors and the bench.
+    # The scatter of pins and teeth is behind the errors and the bench in the vector.
     stated = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
     own = observed.bearing_names
     bench = {n: p.value for n, p in stated.items() if n not in names and n not in own}

@@ -25,17 +25,17 @@ from fitting.model.observations import CHAIN, MISFIT, Observations, left_of, wit
 Array = NDArray[np.float64]
 
 _FALSE = 2e-3  # how often a test alarms where there is nothing, all that it looks at together
-_MORE = 1.15  # times the yardstick: what is left counts as more than noise
-_SEEN = 1e-3  # of a column's square: what the errors leave of it; with less a cause can't be told from them
+_MORE = 1.15  # times the yardstick: a larger residual counts as more than noise
+_SEEN = 1e-3  # of a column's square outside the span of the errors; below it a cause is not separable from them
 _TOLD = 0.02  # of what curves tell of the fit's unknowns: what they alone tell is not held against others
 _ORDERS = 12  # most orders that are named
 _HIGHEST = 4096  # order of the output that is looked at
-_REPEATED = 100  # points of a curve with several turns that tell its noise
-_ALIKE = 0.8  # of the best cause's gain: one that gains as much can't be told from it
-_SMALL = 0.01  # of the largest cause, or of the noise: what adds less is not stated
-_WHOLE = 0.15  # of what the turns resolve: an order so near a whole number is one
+_REPEATED = 100  # points of a curve with several turns from which its noise is estimated
+_ALIKE = 0.8  # of the best cause's gain: a cause with this gain is not separable from it
+_SMALL = 0.01  # of the largest cause, or of the noise: a smaller contribution is not stated
+_WHOLE = 0.15  # of the resolution of the turns: an order so near a whole number is one
 _PULLED = {"chain_compliance": "compliance", "friction_torque": "friction"}  # the cause, where it is far from its prior
-_FREE = 0.9  # of a prior's variance: where the data leave more, they do not tell how far from it the unknown is
+_FREE = 0.9  # of a prior's variance: if more of it is left, the data do not show how far the unknown is from the prior
 _NAMED = 4  # causes and orders that a sentence names
 
 
@@ -142,7 +142,7 @@ def mispredicted(verdict: Verdict, predicted: HeldOut) -> Verdict:
 class Residual:
     """The residual of a fit in units of its noise, and its derivatives by the unknowns.
 
-    `pulls` states of causes that unknowns of the bench stand for the chance that these are so far from zero, and by how
+    `pulls` gives, for causes with an unknown of the bench, the probability that it is so far from zero, and by how
     much it lowers -2 log likelihood to take the cause instead.
 
     Parameters
@@ -160,7 +160,7 @@ class Residual:
         precision = problem.precision(estimate.scatter)
         self.information = self.columns.T @ self.columns + np.diag(precision)
         self._factor = linalg.cho_factor(self.information)
-        # The fit ends where a step gains little; the tests stand at the optimum.
+        # The fit ends where a step gains little; the tests are made at the optimum.
         slope = self.columns.T @ self.left - precision * problem.unknowns(estimate.state)
         step = linalg.cho_solve(self._factor, slope)
         self.left = self.left - self.columns @ step
@@ -184,7 +184,7 @@ class Residual:
         return found
 
     def score(self, columns: Array) -> tuple[float, Array]:
-        """Probability that noise alone resembles these columns as much, and their part of the residual.
+        """Probability that noise resembles these columns as much, and their part of the residual.
 
         A score test (Rao, Proc. Camb. Phil. Soc. 44 (1948) 50): the model is not fitted again.
         """
@@ -218,7 +218,7 @@ class Residual:
         return float(special.chdtrc(values.size, float(values @ np.linalg.solve(covariance, values)))) > _FALSE
 
     def contradicts(self, numbers: Sequence[int]) -> float:
-        """Probability that noise alone makes some curves and the others disagree as much on the fit's unknowns."""
+        """Probability that noise makes some curves and the others disagree as much on the fit's unknowns."""
         places = np.split(np.arange(self.left.size), self.observed.ends)
         part = np.concatenate([places[n] for n in numbers])
         columns = self.columns[part]

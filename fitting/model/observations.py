@@ -39,19 +39,17 @@ from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
 
-ORDERS = (1, 2, 3)  # of pins and teeth that are structured errors; what is beyond them is scatter
+ORDERS = (1, 2, 3)  # of pins and teeth that are structured errors; the rest is scatter
 PROFILE_ORDERS = (1, 2, 3, 4)  # of the profile deviation that all teeth share, where it is fitted
 
 # What an encoder errs once a turn of its own shaft before anything is measured, rad; its order shows the shaft.
 OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
 DRIFT = 5e-5  # rad an output turn: how far the angles' zeros may creep while the bench warms up
-CREEP = "output_angle_creep"  # what a common zero has moved from one recording to the next; how far, the fit estimates
-CHAIN = (
-    "chain_compliance"  # of what is in series with the gear pair; where it is softer than usual, the size is estimated
-)
-HYSTERESIS = "output_angle_hysteresis"  # half of what a common zero differs between the directions; size estimated
-MISFIT = "misfit"  # what the model does not hold, by cause; how large, the fit estimates
-GIVES = ("centre_distance_x", "centre_distance_y", "eccentricity")  # what moves where supports give way
+CREEP = "output_angle_creep"  # change of a common zero from one recording to the next; its size is estimated
+CHAIN = "chain_compliance"  # in series with the gear pair; its size is estimated
+HYSTERESIS = "output_angle_hysteresis"  # half of a common zero's difference between directions; its size is estimated
+MISFIT = "misfit"  # effects outside the model, by cause; their size is estimated
+GIVES = ("centre_distance_x", "centre_distance_y", "eccentricity")  # displacements where supports give way
 NO_CREEP = 1e-8  # rad
 PIN_RADIUS = "pin_radius_deviation"
 RADIUS_SPREAD = 0.3e-6  # m: usual of single pins' radii, as a sort of rollers is 2 µm of diameter wide (ISO 3096, G2)
@@ -65,7 +63,7 @@ KNOWN_SIZES = {
     DISC_PHASE: 10e-6, "hole_x": 5e-6, "hole_y": 5e-6, "crank_x": 5e-6, "crank_y": 5e-6, "roller_x": 5e-6,
     "roller_y": 5e-6, "crank_throw": 3e-6, "crank_phase": 3e-4, "hole_radius": 3e-6,
 }  # fmt: skip
-"""Standard deviation of what a drive has only a few of before anything is measured, m or rad: too few to estimate."""
+"""Prior standard deviation of elements of which a drive has too few to estimate it, m or rad."""
 
 
 @dataclass(frozen=True)
@@ -155,13 +153,10 @@ class Observations:
         sizes = np.array([abs(c.torque) for c in zeros])
         ways = {(np.sign(c.torque), c.direction) for c in zeros}
         several_loads = sizes.size > 0 and bool(sizes.max() > _OTHER_LOAD * sizes.min())
-        found = {CHAIN} if (several_loads or self.with_loops) and not self.is_compliant else set()
+        # Where further compliance is among the causes of misfit, the chain's own has the usual size.
+        is_cause = any(name.startswith(f"{MISFIT}_compliance_") for name in self.bench_names)
+        found = {CHAIN} if (several_loads or self.with_loops) and not is_cause else set()
         return found | ({HYSTERESIS} if len(ways) > len({sign for sign, _ in ways}) else set())
-
-    @property
-    def is_compliant(self) -> bool:
-        """Whether further compliance is among the causes of misfit: the chain's own is then of the usual size."""
-        return any(name.startswith(f"{MISFIT}_compliance_") for name in self.bench_names)
 
     def least(self, group: str) -> float:
         """Smallest size of a group of `estimated`: rad, of the chain rad/(N·m)."""
@@ -259,7 +254,7 @@ def observations(
     crank = np.concatenate([c.input_angle for c in curves])
     torque = np.concatenate([c.torque_at_points for c in curves])
     names, columns, priors = [], [], []
-    # The branches of a loop share its zero, and what that has crept.
+    # The branches of a loop share its zero and its creep.
     recordings: dict[str | int, list[int]] = {}
     for number, curve in enumerate(curves):
         recordings.setdefault(curve.source if curve.branch else number, []).append(number)
@@ -522,7 +517,7 @@ def linearised_curve(
         return Linear(model, jacobian, scatter, by_bearing, by_crank, against * by_torque)
     by_play = -0.5 * np.sign(torque) * (by_crank - 1.0 / pair.gear_teeth)
     by_bearing = np.column_stack([by_bearing, by_play])
-    # The cranks turn with what the output deviates, to first order.
+    # The cranks turn with the output's deviation, to first order.
     share = s / (1.0 - s * observed.first_stage.crank_share * by_crank)
     of = share[:, None]
     return Linear(share * (model + beside), of * jacobian, of * scatter, of * by_bearing,
