@@ -746,8 +746,16 @@ def _check(pair: Pair, task: DesignTask) -> None:
             refuse(f"{name} needs speeds; state [[duty]] with an output_speed above 0")
     if "friction_power_density" in asked and task.friction_coefficient is None:
         refuse("friction_power_density needs friction_coefficient")
-    if "bearing_life" in asked and pair.supports is None:
-        refuse("bearing_life needs the pair's [supports]")
+    supports = pair.supports
+    bearings = () if supports is None else (supports.turning_arm, supports.crank_shaft, supports.main)
+    if all(one.dynamic_capacity is None for one in bearings):
+        if "bearing_life" in asked:
+            refuse("bearing_life needs the pair's [supports] with a dynamic_capacity")
+        if task.limits.bearing_life is not None:
+            raise edge.InputError(
+                "[limits] bearing_life: no bearing of the pair's [supports] states its dynamic_capacity; state it, or "
+                "remove the limit."
+            )
 
 
 def _tightened_best(

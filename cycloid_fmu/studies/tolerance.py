@@ -243,7 +243,7 @@ def free_figures(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | No
 
 
 def figures_of(study: Study, surface: ErrorSurface) -> Array:
-    """Return the figures of one drive in the order of `Study.columns`, by the exact kernel."""
+    """Return the figures of one drive in the order of `Study.columns`, by the exact model."""
     angles, first = crank_angles(study), study.first_stage
     loaded = solve(
         study.pair, surface, first, study.torque, angles, slices_needed(surface), with_play=False, with_stiffness=False
@@ -259,7 +259,7 @@ def check_first_order(study: Study, tolerances_source: str) -> None:
     for name in study.factors:
         if name.endswith("_profile"):
             raise edge.InputError(
-                f"{tolerances_source}: [{name}]: form deviations need the exact kernel; remove the table."
+                f"{tolerances_source}: [{name}]: form deviations need the exact model; remove the table."
             )
 
 
@@ -411,7 +411,7 @@ class Screened:
     Attributes
     ----------
     result
-        All samples, the confirmed ones by the exact kernel.
+        All samples, the confirmed ones by the exact model.
     confirmed
         Numbers of the samples solved exactly.
     difference
@@ -434,7 +434,7 @@ def screened(
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda samples: None,
 ) -> Screened:
-    """Solve a study to first order and confirm a share of it by the exact kernel.
+    """Solve a study to first order and confirm a share of it by the exact model.
 
     The samples nearest to the limits are confirmed, where a difference would change the verdict; without limits the
     first ones.
@@ -539,7 +539,9 @@ def shares_kept(kept: Mapping[str, NDArray[np.bool_]]) -> dict[str, dict[str, fl
 
 
 def sobol_indices(result: Result) -> dict[str, dict[str, Array]]:
-    """Return Sobol's indices of each figure that varies, from Saltelli's design (SALib), shape (factors,).
+    """Return Sobol's indices of each figure that varies over the base points of Saltelli's design, shape (factors,).
+
+    SALib estimates them, with the variance over these points; interference may differ from zero at other points only.
 
     Returns
     -------
@@ -560,11 +562,12 @@ def sobol_indices(result: Result) -> dict[str, dict[str, Array]]:
     found = {}
     for column, (name, k) in enumerate(study.columns):
         values = result.values[:, column]
-        if np.ptp(values) == 0.0:
+        if np.ptp(values[result.independent]) == 0.0:
             continue
         indices = sobol.analyze(
-            _problem(study), (values - values.mean()) / values.std(), calc_second_order=False, seed=study.seed
-        )
+            _problem(study), (values - values.mean()) / values.std(), calc_second_order=False,
+            seed=np.random.default_rng(study.seed),  # SALib ignores a seed of 0
+        )  # fmt: skip
         label = name if k is None or len(study.torque) == 1 else f"{name} {study.torque[k]:g} N*m"
         found[label] = {
             "first_order": np.asarray(indices["S1"]), "first_order_confidence": np.asarray(indices["S1_conf"]),
