@@ -169,9 +169,9 @@ def points(study: Study) -> Array:
 
 
 def points_of(study: Study) -> Points:
-    """Return a function that gives the points of some samples, from a first one to that before a last.
+    """Return a function of (first sample, last sample + 1) that returns their points.
 
-    Sobol's are made when asked for; of other designs the last point needs all.
+    Sobol points are computed on request; the other designs compute all points at once.
     """
     from scipy.stats import qmc
 
@@ -186,7 +186,7 @@ def points_of(study: Study) -> Points:
         if first > engine.num_generated:
             engine.fast_forward(first - engine.num_generated)
         with warnings.catch_warnings():
-            # A number of points that is no power of two loses the sequence's balance, not its evenness.
+            # Without a power of two of points the sequence is no longer balanced, but still even.
             warnings.filterwarnings("ignore", message="The balance properties")
             return np.asarray(engine.random(last - first))
 
@@ -280,7 +280,7 @@ def screen_of(study: Study, largest: float = 1.0) -> Screen:
         width = stated.cumulative if hasattr(stated, "cumulative") else stated.tolerance
         reach += width * (study.pair.face_width if isinstance(stated, AngleError) else 1.0)
     tilted = any(isinstance(getattr(study.tolerances, name), AngleError) for name in study.factors)
-    # Errors close a gap by their sum and once more by the rotation that they allow, here with room to spare.
+    # Errors close a gap by their sum, and again by the rotation that they allow; here with a margin.
     return Screen(study.pair, loads, SLICES_MISALIGNED if tilted else 1, 20e-6 + 3.0 * largest * reach)
 
 
@@ -311,7 +311,7 @@ def figures_to_first_order(study: Study, screen: NearDrives, errors: Array) -> A
     return np.column_stack([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 
-_screens: dict[str, Screen] = {}  # the last one of this process
+_screens: dict[str, Screen] = {}  # the last screen of this process
 
 
 def _screening_task(study: Study, first: int, rows: Array) -> Solved:
@@ -326,7 +326,7 @@ def _screening_task(study: Study, first: int, rows: Array) -> Solved:
 
 
 def _task(study: Study, first: int, rows: Array) -> Solved:
-    """Solve some samples wherever this runs."""
+    """Solve some samples in any process."""
     return Solved(first, np.array([figures_of(study, surface_of(study, row)) for row in rows]))
 
 
