@@ -11,14 +11,11 @@ if TYPE_CHECKING:
     from fitting.estimation.plan import Plan as Plan
     from fitting.estimation.plan import plan as plan
     from fitting.estimation.result import Identification as Identification
-    from fitting.figures.comparison import Comparison as Comparison
     from fitting.figures.comparison import compare as compare
     from fitting.figures.maps import maps as maps
     from fitting.figures.metrics import Figures as Figures
     from fitting.figures.metrics import metrics as metrics
-    from fitting.recordings.inspection import Inspection as Inspection
     from fitting.recordings.inspection import inspect as inspect
-    from fitting.recordings.mapping import FileMapping as FileMapping
     from fitting.recordings.mapping import read_mapping as read_mapping
     from fitting.recordings.sources import Run as Run
     from fitting.recordings.sources import read_recordings as read_recordings

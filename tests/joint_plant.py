@@ -1,9 +1,9 @@
-"""A robot joint behind a drive that `second_drive` makes: output angle, friction with presliding, arm and servo.
+"""A robot joint with a drive of `second_drive`: output angle, friction with presliding, arm and servo.
 
 The teeth are a table of the second solver's results over the crank's angle and the torque through them. The output's
 friction is the LuGre model (Canudas de Wit et al., IEEE Trans. Autom. Control 40(3), 1995), its bristles integrated in
-closed form over a step; the product holds friction by other laws. Arm and motor swing, or the output settles at every
-sample. Signs are the product's: a torque is that of the environment on the output.
+closed form over a step; the product uses another friction law. Arm and motor are integrated, or the output is in
+equilibrium at every sample. Signs are those of the product: a torque is that of the environment on the output.
 """
 
 import dataclasses
@@ -14,29 +14,29 @@ import second_drive
 from numba import njit
 
 ARCSEC = np.pi / 648000
-PLAY = 0.05  # N·m: between this on either flank the output is free but for the lubricant's drag, which is this
-NODES = 32  # of the torque on a flank
-EACH = 360  # crank angles a turn
+PLAY = 0.05  # N·m: below this torque the output is free, except for the lubricant's drag, which has this size
+NODES = 32  # nodes of the torque on a flank
+EACH = 360  # crank angles per turn
 
 
 @dataclasses.dataclass(frozen=True)
 class Friction:
-    """LuGre's friction at the output, weaker where the drive is warm.
+    """LuGre friction at the output, which decreases with temperature.
 
     Attributes
     ----------
     sliding, sticking
-        Level at speed and at rest, N·m.
+        Levels at speed and at rest, N·m.
     load_share
-        Its increase for each N·m through the teeth.
+        Increase of both levels per N·m through the teeth.
     stribeck
-        Speed over which it falls from one to the other, rad/s.
+        Speed scale of the transition between both levels, rad/s.
     viscous
         N·m·s/rad.
     presliding
-        Angle over which the bristles bend, rad.
+        Bending angle of the bristles, rad.
     fade
-        Share by which it falls for each kelvin.
+        Relative decrease per kelvin.
     """
 
     sliding: float = 2.0
@@ -63,7 +63,7 @@ class Friction:
 
 @dataclasses.dataclass(frozen=True)
 class Teeth:
-    """Rotation beyond the ideal one over crank angle and torque.
+    """Deviation of the output from the ideal rotation, over crank angle and torque.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Teeth:
 
 
 def torques(largest, nodes=NODES):
-    """Torques of a table, evenly spaced in their roots on either flank, N·m."""
+    """Torques of a table, with evenly spaced square roots on either flank, N·m."""
     one = np.linspace(np.sqrt(PLAY), np.sqrt(largest), nodes) ** 2
     return np.concatenate([-one[::-1], one])
 
@@ -170,7 +170,7 @@ def _beyond(theta, torque, first, step, root, beyond):
 
 @njit(cache=True)
 def bent(bristle, way, high, stiffness):
-    """The bristles' torque after a way at one level."""
+    """The bristles' torque after a displacement at one level."""
     if way == 0.0:
         return bristle
     end = high if way > 0.0 else -high
@@ -179,16 +179,16 @@ def bent(bristle, way, high, stiffness):
 
 @njit(cache=True)
 def _torques(low, root, beyond):
-    """Torques (N·m) at both ends of a cell of the table; at the table's own ends that much beyond."""
+    """Torques (N·m) at both ends of a cell of the table; the outer cells extend beyond the table."""
     a, b = np.sign(root[low]) * root[low] ** 2, np.sign(root[low + 1]) * root[low + 1] ** 2
     return a - beyond * (low == 0), b + beyond * (low == root.size - 2)
 
 
 @njit(cache=True)
 def _settled(ideal, column, root, load, bristle, before, drag, high, stiffness):
-    """Torque through the teeth where load, friction and teeth balance, and the output's angle.
+    """Torque through the teeth and output angle in the equilibrium of load, friction and teeth.
 
-    The way from `before` bends the bristles and has the drag of `drag` for each radian; what is left is monotone.
+    The displacement from `before` bends the bristles, with a drag of `drag` per radian; the residual is monotone.
     """
     low, top = 0, root.size - 1
     while top - low > 1:
@@ -236,7 +236,7 @@ def pressed(ideal, column, root, angle):
 
 @njit(cache=True)
 def _swung(state, told, teeth, root, beyond, ratio, index, friction, arm, servo, count, duration):
-    """Arm and motor over one sample: `count` steps, each half a kick, a drift, and half a kick.
+    """Integrate arm and motor over one sample, in `count` steps of half a kick, a drift, and half a kick.
 
     state: output's angle and speed, bristles' torque, motor's angle and speed, the servo's integral. told: the command
     before and after, the profile's motor speed and acceleration, load without the arm's inertia before and after.
@@ -272,10 +272,11 @@ def _swung(state, told, teeth, root, beyond, ratio, index, friction, arm, servo,
 class Servo:
     """A position servo on the motor's side.
 
-    The whole profile is fed forward; an addition to it follows by the loop, which knows its speed (as a drive in
-    cyclic synchronous position mode takes it from the commands): y'' = 2ζω(c' - y') + ω²(c - y). Where arm and motor
-    swing it is position, speed and integral of the motor's inertia and the arm's, with one band for all; the load and
-    the profile's acceleration are fed forward. The motor's inertia at the crank is the share `rotor` of the arm's.
+    The profile is fed forward. A correction to it follows through the loop, which knows its speed (as a drive in cyclic
+    synchronous position mode takes it from the commands): y'' = 2ζω(c' - y') + ω²(c - y). If arm and motor are
+    integrated, the servo controls position, speed and integral for the inertia of motor and arm with one bandwidth;
+    load and acceleration of the profile are fed forward. The motor's inertia at the crank is the share `rotor` of the
+    arm's.
     """
 
     frequency: float = 60.0  # Hz
@@ -288,7 +289,7 @@ class Servo:
         from scipy.linalg import expm
 
         w, z = 2.0 * np.pi * self.frequency, self.damping
-        # y, y', command, its rate over the step
+        # y, y', command, and rate of the command over the step
         system = np.array([[0, 1, 0, 0], [-w * w, -2 * z * w, w * w, 2 * z * w], [0, 0, 0, 1], [0, 0, 0, 0]], float)
         return expm(system * step)
 
@@ -300,15 +301,15 @@ class Joint:
     Attributes
     ----------
     teeth
-        The drive's, its windup included.
+        Teeth of the drive, with its windup.
     ratio
         Signed.
     friction
-        As `Friction.at` gives it.
+        Result of `Friction.at`.
     index
-        Crank angle minus that by the motor's angle, rad.
+        Crank angle minus the crank angle of the motor encoder, rad.
     inertia, loss
-        Of the arm, kg·m², and the damping of its oscillation on the teeth, N·m·s/rad.
+        Inertia of the arm, kg·m², and damping of its oscillation on the teeth, N·m·s/rad.
     """
 
     teeth: Teeth
@@ -355,7 +356,7 @@ class Profile:
     step
         s.
     angle, speed, acceleration
-        Of the output as desired: rad, rad/s, rad/s².
+        Desired motion of the output: rad, rad/s, rad/s².
     load
         On the output, without the arm's inertia, N·m.
     """
@@ -378,11 +379,11 @@ class Sensors:
     Attributes
     ----------
     gain, offset, noise
-        Of the load: share, and N·m.
+        Errors of the load signal: relative, and in N·m.
     late
-        Samples by which it is late.
+        Delay of the load signal in samples.
     warm
-        Of the temperature, K.
+        Error of the temperature, K.
     encoder
         Whether there is one at the output; its steps are 2π/2^`bits`, its noise `jitter` (rad).
     """
@@ -419,7 +420,7 @@ class Motion:
     Attributes
     ----------
     error
-        Of the output's angle, actual minus desired.
+        Actual minus desired angle of the output.
     motor, torque
         The motor's angle, and the torque through the teeth.
     """
@@ -430,10 +431,10 @@ class Motion:
 
 
 def moved(joint, profile, controller, sensors=PERFECT, kelvin=293.15, *, swings=True, seed=0, substep=50e-6):
-    """A controller moves a joint along a profile.
+    """Move a joint along a profile with a controller.
 
-    At each sample it gets the desired angle and speed of the next one, the load, the temperature and both angles of
-    now, and gives the motor angle that is reached by the next sample, in between along a line.
+    At each sample the controller gets the desired angle and speed of the next sample, the load, the temperature and
+    both present angles. It returns the motor angle for the next sample, which is approached linearly.
 
     Parameters
     ----------
@@ -442,8 +443,8 @@ def moved(joint, profile, controller, sensors=PERFECT, kelvin=293.15, *, swings=
     kelvin
         Temperature without the sensor's error, K.
     swings
-        Whether arm and motor are integrated, by `substep` (s); else the output settles at every sample and the arm's
-        inertia is part of the load: then it crosses the play at once, which an arm does not.
+        Whether arm and motor are integrated with `substep` (s). Otherwise the output is in equilibrium at every sample
+        and the arm's inertia is part of the load; the output then crosses the play at once, unlike a real arm.
     """
     generator, ratio, size = np.random.default_rng(seed), joint.ratio, profile.angle.size
     whole = profile.whole_load(joint.inertia)
@@ -486,9 +487,9 @@ def moved(joint, profile, controller, sensors=PERFECT, kelvin=293.15, *, swings=
 
 
 def quintic(points, speed, acceleration, dwell, step):
-    """Moves from point to point, each a polynomial of the fifth degree, with a rest between: angle and two derivatives.
+    """Moves between points as polynomials of the fifth degree with rests between them: angle and two derivatives.
 
-    Each is as fast as its highest speed and acceleration allow.
+    Each move is as fast as the limits of speed and acceleration allow.
     """
     angle, first, second = [np.full(round(dwell / step), points[0])], [np.zeros(round(dwell / step))], []
     second.append(first[0])

@@ -1,7 +1,7 @@
-"""Lives of drives: errors that are known as after a fit, worn from date to date, measured in place by a coarse encoder.
+"""Lives of drives: errors known as after a fit, worn from date to date, measured in place with a coarse encoder.
 
-The drive is `second_drive`'s, its joint has what a joint has: an absolute encoder of few bits that errs by itself, a
-torque whose scale is a few per cent wrong, friction that nobody knows. `python tests/lived_drives.py DRIVES` prints the
+The drive is one of `second_drive`. Its joint has an absolute encoder of few bits with errors of its own, a torque
+signal with a scale error of a few per cent, and unknown friction. `python tests/lived_drives.py DRIVES` prints the
 table of docs/recalibrate.md.
 """
 
@@ -22,8 +22,8 @@ from fitting.recalibration.known import DRIFT, REFERENCE_TURNS, drift_of
 from fitting.recalibration.recalibrate import recalibrate
 
 ARCSEC = np.pi / 648000
-BITS, KNOWN_TO = 17, 0.3e-6  # of the output encoder; standard deviation of each error and pin after the fit, m
-TURNS = REFERENCE_TURNS  # of the crank between two dates
+BITS, KNOWN_TO = 17, 0.3e-6  # bits of the output encoder; standard deviation of each error and pin after the fit, m
+TURNS = REFERENCE_TURNS  # crank turns between two dates
 LOADS = (0.03, 0.6)  # of the rated torque
 HELD = ("misalignment_xz", "misalignment_yz", "isometric", "offset", "pin_radial_1_cos", "pin_radial_1_sin")
 
@@ -37,7 +37,7 @@ def small():
 
 
 def fitted(pair, generator):
-    """A drive as a fit leaves it, and the drive that it is: the surface with its covariance, and values and scatter."""
+    """A drive after a fit, and the true drive: the surface with its covariance, and values and scatter."""
     names = [n for n in errors_of(pair) if n not in HELD]
     parts = scatter_parts(pair)
     made_so = dict(zip(names, generator.normal(0.0, 1e-6, len(names)), strict=True))
@@ -55,7 +55,7 @@ def fitted(pair, generator):
 
 
 def on_cranks(drive, stiffness):
-    """The same drive as a fit leaves it on three cranks, whose bearings are stated with this stiffness, N/m."""
+    """The same drive after a fit, on three cranks with bearings of a stated stiffness, N/m."""
     pair, surface = on_bearings(drive.pair, drive.surface, stiffness)
     before = drive.surface.covariance_of
     names = [n for n in before if not n.startswith("misalignment")]
@@ -67,7 +67,7 @@ def on_cranks(drive, stiffness):
 
 
 def behind(stage, body, ideal, torque):
-    """By how much the output deviates behind a first stage, rad (docs/theory/reducer.md), by repeated substitution."""
+    """Deviation of the output behind a first stage, rad (docs/theory/reducer.md), by fixed-point iteration."""
     share = 1.0 / (1.0 + stage.crank_share / body.teeth)
     turned = -(1.0 - share) / stage.crank_share * torque / stage.crank_stiffness
     turned = turned - 0.5 * stage.crank_play * np.sign(torque)
@@ -90,22 +90,22 @@ def made(pair, values, scatter, **more):
 
 
 def worn(pair, values, scatter, generator, turns=TURNS, drift=DRIFT, monotone=False):
-    """The same after so many crank turns: flanks are thinner, all else walks as far as is usual."""
+    """The drive after a number of crank turns: thinner flanks, and the usual random drift of all other errors."""
     size = drift_of(pair, [*values], turns, drift)
     walk = generator.normal(0.0, size)
     found = {n: v + w for (n, v), w in zip(values.items(), walk, strict=False)}
     if monotone:
-        # Wear takes material off, it never puts any on.
+        # Wear only removes material.
         found["pin_radius"] = values["pin_radius"] - abs(walk[list(values).index("pin_radius")])
     return found, scatter + walk[len(values) :]
 
 
 @dataclasses.dataclass(frozen=True)
 class Joint:
-    """Properties of a joint for all its life.
+    """Constant properties of a joint.
 
-    The encoder's errors (rad: cosine and sine of orders 1 to 4), by how much its torque's scale is wrong, and friction
-    at the output without load, as a share of the rated torque.
+    Errors of the encoder (rad: cosine and sine of orders 1 to 4), relative error of the torque's scale, and friction at
+    the output without load relative to the rated torque.
     """
 
     encoder: np.ndarray
@@ -114,15 +114,15 @@ class Joint:
 
     @classmethod
     def drawn(cls, generator):
-        """One as they are."""
+        """A joint with usual errors."""
         return cls(generator.normal(0.0, [[1.5e-4]] + [[5e-5]] * 3, (4, 2)), generator.normal(1.0, 0.04),
                    0.01 * abs(generator.normal()))  # fmt: skip
 
 
 def recorded(pair, body, joint, load, generator, *, each=73.37, turns=1.0, bits=BITS, noise=0.3 * ARCSEC, stage=None):
-    """A run of a turn of the output at a torque that the joint states as `load`, N·m; of the sun with a first stage."""
+    """A run over an output turn at a torque that the joint reports as `load`, N·m; of the sun with a first stage."""
     count = round(turns * pair.gear_teeth * each)
-    # Samples come when they come: their quantisation errors are not those of an even lattice.
+    # Samples at irregular times, so that quantisation errors are not those of a regular grid.
     place = np.arange(count) + generator.uniform(-0.5, 0.5, count)
     angle = generator.uniform(0.0, 2.0 * np.pi) + place * 2.0 * np.pi / each
     angle *= -np.sign(load) * np.sign(pair.ratio)
@@ -144,14 +144,14 @@ def recorded(pair, body, joint, load, generator, *, each=73.37, turns=1.0, bits=
 
 
 def visit(pair, body, joint, generator, loads=LOADS, **more):
-    """The recordings of a date: a turn each way at every load."""
+    """The recordings of a date: a turn in each direction at every load."""
     return [recorded(pair, body, joint, way * share * pair.rated_torque, generator, **more)
             for share in loads for way in (1.0, -1.0)]  # fmt: skip
 
 
 def backlash(pair, body, torque=1e-2, stage=None):
-    """The mean play over a turn of the output, rad; of a torque above zero the mean lost motion."""
-    # Steps that no order of pins or teeth is in step with: 24 in a crank turn err by 0.8″ with 12 pins.
+    """The mean play over an output turn, rad, or for a torque above zero the mean lost motion."""
+    # Steps that do not alias any order of pins or teeth: 24 per crank turn have an error of 0.8″ with 12 pins.
     count = 24 * pair.gear_teeth + 1
     angle = np.arange(count) * 2.0 * np.pi * pair.gear_teeth / count
     turned = [
@@ -164,8 +164,7 @@ def backlash(pair, body, torque=1e-2, stage=None):
 def life(pair, seed, dates, *, form=0.0, drift=DRIFT, monotone=False, **more):
     """A life: the recalibrations at its dates, and the true backlash and lost motion at each, shape (dates, 2).
 
-    `form` is what wear makes of the flanks beside taking the same everywhere: each of four orders walks by this share
-    of the uniform wear.
+    `form` is the drift of each of four orders of the flank form relative to the uniform wear.
     """
     generator = np.random.default_rng([28, seed])
     drive, values, scatter = fitted(pair, generator)
@@ -182,7 +181,7 @@ def life(pair, seed, dates, *, form=0.0, drift=DRIFT, monotone=False, **more):
 
 
 def off(found, true):
-    """Distances of figures from the truth in standard errors, shape (dates, 2)."""
+    """Errors of the figures in standard errors, shape (dates, 2)."""
     names = ("backlash", "lost_motion")
     value = np.array([[f.figures[n].value for n in names] for f in found])
     error = np.array([[f.figures[n].standard_error for n in names] for f in found])
@@ -190,7 +189,7 @@ def off(found, true):
 
 
 def table(drives, pair, dates=5, **more):
-    """Lines of results of drives over their lives."""
+    """Result lines of drives over their lives."""
     every, alarms, widths = [], 0, []
     for seed in range(drives):
         found, true = life(pair, seed, dates, **more)

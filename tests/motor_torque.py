@@ -1,53 +1,57 @@
 """Information of the motor's torque about a drive in place, beyond a coarse output encoder: the table of a page.
 
-`python tests/motor_torque.py` prints figures of docs/recalibrate.md. Work is kept: with a load T on the output the
-motor carries -T (1/ratio + dx/dθ) beside its friction, where x is the transmission error over the crank angle θ. A
-transmission error of amplitude A and crank order k makes a ripple of T A k in it, and what hides it is cogging, which
-has whole crank orders too where the motor drives the crank, gain errors of the current's measurement (orders 1 and 2 of
-the electrical turn, in proportion to the load) and noise.
+`python tests/motor_torque.py` prints figures of docs/recalibrate.md. Energy is conserved: with a load T on the output
+the motor carries -T (1/ratio + dx/dθ) in addition to its friction, where x is the transmission error over the crank
+angle θ. A transmission error of amplitude A and crank order k causes a ripple of T A k in it. The ripple is masked by
+cogging, which also has whole crank orders if the motor drives the crank, by gain errors of the current's measurement
+(orders 1 and 2 of the electrical turn, in proportion to the load) and noise.
 """
 
 import numpy as np
 from lived_drives import ARCSEC
 
 LOAD, TEETH = 181.0, 39  # N·m at the output, teeth
-RATED = LOAD / TEETH  # of the motor, N·m, without losses
-NOISE, COGGING, GAIN = 0.01, 0.015, 0.01  # of the rated torque: of a sample; amplitude; of the current, times the load
-SAMPLES, BITS = 100 * TEETH, 17  # of an output turn; of the encoder
+RATED = LOAD / TEETH  # torque of the motor, N·m, without losses
+NOISE, COGGING, GAIN = (
+    0.01,
+    0.015,
+    0.01,
+)  # over the rated torque; gain: of the current
+SAMPLES, BITS = 100 * TEETH, 17  # samples per output turn; bits of the encoder
 
 
 def ripple(amplitude, order):
-    """Amplitude of the motor's torque by a transmission error, N·m; the amplitude in rad, the order of the crank."""
+    """Amplitude of the motor's torque from a transmission error of an amplitude (rad) and a crank order, N·m."""
     return LOAD * amplitude * order
 
 
 def told_by_torque(order, turns=1.0, systematic=True):
-    """Standard deviation of a transmission error's amplitude by the motor's torque, rad."""
+    """Standard deviation of a transmission error's amplitude from the motor's torque, rad."""
     white = NOISE * RATED * np.sqrt(2.0 / (turns * SAMPLES))
     hidden = np.hypot(COGGING, GAIN) * RATED if systematic else 0.0
     return np.hypot(white, hidden) / (LOAD * order)
 
 
 def told_by_encoder(turns=1.0):
-    """Standard deviation of the same by a coarse encoder, rad."""
+    """Standard deviation of the same amplitude from a coarse encoder, rad."""
     return 2.0 * np.pi / 2**BITS / np.sqrt(12.0) * np.sqrt(2.0 / (turns * SAMPLES))
 
 
 def play_by_torque(play, seed, friction=0.02, own=0.03, compliance=2e-6, reversals=20, presliding=0.0):
     """Widths of the torque's dead band at reversals of an unloaded joint, rad at the output, shape (reversals,).
 
-    The motor turns slowly over the play and on; friction at the output (a share of the rated torque) holds it there
-    until the flanks carry it. The shape that a play makes is fitted to each reversal, cogging unknown. `presliding` is
-    over which turn of the crank the motor's own friction turns round after the reversal, rad.
+    The motor turns slowly through the play and beyond; friction at the output (relative to the rated torque) holds the
+    output until a flank drives it. The shape of a play is fitted to each reversal, with unknown cogging. `presliding`
+    is the crank angle over which the motor's own friction reverses, rad.
     """
     generator = np.random.default_rng(seed)
-    angle = np.arange(-0.5 * play, 2.5 * play, 2.0 * np.pi / 2**20 / TEETH * 8)  # of the crank, at the output
+    angle = np.arange(-0.5 * play, 2.5 * play, 2.0 * np.pi / 2**20 / TEETH * 8)  # crank angle, at the output
     orders = np.array([6, 12, 18, 24])
     cosine, sine = generator.normal(0.0, COGGING * RATED / 2.0, (2, orders.size))
     step = friction * RATED
 
     def shape(width, begin=0.0):
-        # One flank leaves, nothing for the play's width, then the other is wound up to the friction.
+        # One flank loses contact, zero torque over the play, then the other flank is loaded up to the friction.
         wound = np.clip((angle - begin - width) / (compliance * friction * LOAD), 0.0, 1.0)
         return step * wound
 

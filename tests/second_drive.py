@@ -1,9 +1,9 @@
 """A second drive: loaded transmission error by a solver that shares nothing with the product's kernels.
 
 A pin's gap is the signed distance of its centre from the closed trochoid c(s) = (R - e exp(is)) exp(is/z_c), tooth by
-tooth; Hertz' approach is inverted by Lambert's function; all crank angles at once in plain NumPy. Unknown are the
-output's rotation and, where the discs float on springs, the place of each: Newton's method on their balance, gaps and
-contact stiffness new at every step. SI units, signs as the product has them.
+tooth; the Hertz approach is inverted by Lambert's function; all crank angles at once in plain NumPy. Unknowns are the
+rotation of the output and, if the discs float on springs, the position of each disc: Newton's method on their
+equilibrium, with gaps and contact stiffness computed again at every step. SI units, and the signs of the product.
 """
 
 import dataclasses
@@ -14,8 +14,12 @@ from scipy.special import lambertw
 
 YOUNG, POISSON = 206e9, 0.3  # steel on steel
 GIVE = 2.0 * (1.0 - POISSON**2) / YOUNG  # m²/N
-_FAR, _STEP, _SHIFT = 40e-6, 10e-6, 5e-6  # m at the flank: where a solution begins, and most that a step turns, shifts
-_LEFT, _STEPS, _HALVED = 1e-7, 200, 1e-3  # of the torque: the allowed residual; steps, and the halvings of one
+_FAR, _STEP, _SHIFT = (
+    40e-6,
+    10e-6,
+    5e-6,
+)  # m at the flank: start; largest rotation and shift of a step
+_LEFT, _STEPS, _HALVED = 1e-7, 200, 1e-3  # allowed residual over the torque; most steps; smallest share of a step
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,19 +33,19 @@ class Body:
     cut
         Generating circle, generating pin's radius and eccentricity, m.
     longest
-        Radius of curvature up to which Hertz' logarithm counts a flank's, m.
+        Largest radius of curvature of a flank in the logarithm of Hertz's approach, m.
     pins, pin_radius
-        Shape (pins,): places of the pins' centres in the plane, complex, and their radii, m.
+        Shape (pins,): centres of the pins in the plane, complex, and their radii, m.
     throw, axis
         Throw of the crank, and the position of its axis (complex), m.
     turned
-        Shape (discs, teeth): by how much each tooth is turned about its disc's centre, rad.
+        Shape (discs, teeth): rotation of each tooth about its disc's centre, rad.
     form
         Amplitudes of cos(kπu), k = 1, 2, …, u = 0 … 1 along a flank's arc from root to root, on all flanks alike:
-        material added, m, to second order of its slope; a disc's shift does not see the slope.
+        material added, m, to second order in its slope; shifts of a disc neglect the slope.
     bearing, windup
-        Springs that hold a disc's centre, N/m in every direction, none where it is rigid; and what more the output
-        turns under its torque, rad/(N·m).
+        Stiffness of the springs at a disc's centre, N/m in every direction, None if rigid; and further compliance of
+        the output, rad/(N·m).
     """
 
     teeth: int
@@ -58,7 +62,7 @@ class Body:
     windup: float = 0.0
 
     def moved(self, **by):
-        """The same with these added."""
+        """The body with these errors added."""
         return dataclasses.replace(self, **{name: getattr(self, name) + value for name, value in by.items()})
 
 
@@ -77,10 +81,10 @@ def body(sizes, values=None, scatter=None, *, isometric=0.0, offset=0.0, discs=1
     Parameters
     ----------
     values
-        Structured errors as an identification names them, m. Orders of teeth are all discs'.
+        Structured errors by their names in an identification, m. Orders of teeth hold for all discs.
     scatter
-        What single pins and teeth do beyond: {pin_radial, pin_tangential, pin_radius, tooth_cumulative_pitch: shape
-        (pins,) or (discs, teeth)}, m.
+        Additional errors of single pins and teeth: {pin_radial, pin_tangential, pin_radius, tooth_cumulative_pitch:
+        shape (pins,) or (discs, teeth)}, m.
     """
     values, scatter = values or {}, scatter or {}
     teeth, big = sizes["gear_teeth"], sizes["pin_circle_radius"]
@@ -123,7 +127,7 @@ def _along(s, made):
 
 
 def _form(s, made):
-    """Thickness of the form there, its slope and its second derivative along the arc: m, 1, 1/m."""
+    """Thickness of the form, its slope and its second derivative along the arc: m, 1, 1/m."""
     share, length = _along(s, made)
     waves = np.pi * np.arange(1, len(made.form) + 1)
     phase, each = share[:, None] * waves, np.array(made.form)
@@ -147,7 +151,7 @@ def _hertz(depth, curvature, radius, made):
 
 
 def _pushed(made, theta, state, shift, told=None):
-    """What the pins push on the discs: moments and forces against, shape (points, 1 + 2 discs), and their derivative.
+    """Moments and reaction forces of the pins on the discs, shape (points, 1 + 2 discs), and their derivative.
 
     `state` has the rotation beyond the ideal one, and two shifts of every disc. A list `told` gets a tuple for each
     disc and side: (point, pin, tooth, parameter on it, force, curvature of the flank, place against the disc's centre).
@@ -168,7 +172,7 @@ def _pushed(made, theta, state, shift, told=None):
         near = np.floor(ideal / (2.0 * np.pi)).astype(int)
         beside = np.where(ideal / (2.0 * np.pi) - near < 0.5, near - 1, near + 1)
         for tooth in (near, beside):
-            # The neighbour is touched only near the root.
+            # The neighbouring tooth can only be in contact near the root.
             there = np.ones(tooth.shape, bool) if tooth is near else np.abs(
                 ideal - 2.0 * np.pi * np.round(ideal / (2.0 * np.pi))) < 0.3  # fmt: skip
             row, pin = np.nonzero(there)
@@ -188,7 +192,7 @@ def _pushed(made, theta, state, shift, told=None):
             bend, lever = path / (1.0 - path * made.cut[1]), np.imag(np.conj(curve) * outward)
             if made.form:
                 thick, slope_of, bent = _form(within, made)
-                # Where the flank slopes, the contact is displaced as far as the curvatures of the two bodies allow.
+                # A slope of the flank displaces the contact, in proportion to the curvatures of both bodies.
                 gap = gap - thick - 0.5 * slope_of**2 / (1.0 / radius + bend)
                 aside = np.real(-1j * place * np.conj(first)) / np.abs(first) * (1.0 - path * made.cut[1])
                 bend, lever = bend - bent, lever + slope_of * aside
@@ -213,7 +217,7 @@ def _pushed(made, theta, state, shift, told=None):
 
 
 def transmission_error(made, theta, torque, shift=0.0):
-    """Rotation (rad) of the output beyond the ideal one.
+    """Deviation (rad) of the output from the ideal rotation.
 
     Parameters
     ----------
@@ -243,7 +247,7 @@ def transmission_error(made, theta, torque, shift=0.0):
             slope[:, range(1, size), range(1, size)] += made.bearing
         rest = torque[now, None] * outside - total
         away = (np.abs(rest) * scale).max(axis=1) / np.abs(torque[now])
-        # A step that leaves more is halved, but where nothing touches yet.
+        # A step that increases the residual is halved, except without contact.
         worse = (away > before[now]) & (slope[:, 0, 0] > 0.0) & (least[now] > _HALVED)
         back, on = now[worse], ~worse
         least[back] *= 0.5

@@ -260,6 +260,49 @@ def test_each_measured_number_of_the_readme_is_one_of_the_measured_figures():
             assert any(round(float(n), digits) == float(number) for n, of in measured if of == unit), (number, unit)
 
 
+GLOSSARY = ROOT / "docs" / "reference" / "glossary.md"
+# Pages that use the terms of drives and measurements; the other pages are about the package itself.
+WITH_TERMS = sorted(
+    page
+    for folder in ("docs", "docs/tutorials", "docs/theory")
+    for page in (ROOT / folder).glob("*.md")
+    if page.stem not in ("index", "install", "howto", "encoder", "licences", "measured", "mutants")
+)
+TO_GLOSSARY = re.compile(r"\[([^][]+)\]\((?:\.\./)?(?:reference/)?glossary\.md(?:#([\w-]+))?\)")
+NOT_PROSE = re.compile(r"^```.*?^```$|^#.*?$|^\(.*?\)=$|!\[[^]]*\]\([^)]*\)|`[^`\n]*`", re.MULTILINE | re.DOTALL)
+
+
+def linked_late(page, glossary):
+    """Links of a page to the glossary that are not at the term's first use, or whose section does not have the term."""
+    sections = {part.split("\n")[0].lower().replace(" ", "-"): part.lower() for part in glossary.split("\n## ")}
+    prose, late = NOT_PROSE.sub("", page), []
+    for link in TO_GLOSSARY.finditer(prose):
+        term, section = link[1].lower(), link[2]
+        if term == "glossary":
+            assert section is None or section in sections
+        else:
+            names = " ".join(re.findall(r"\*\*([^*]+)\*\*", sections[section]))
+            known = all(word.rstrip("s") in names for word in term.split() if word != "and")
+            if not known or re.search(rf"\b{re.escape(link[1])}\b", prose[: link.start()]):
+                late.append(link[1])
+    return late
+
+
+@pytest.mark.parametrize("page", WITH_TERMS, ids=lambda p: p.stem)
+def test_terms_are_linked_to_the_glossary_at_their_first_use(page):
+    text = page.read_text(encoding="utf-8")
+    assert TO_GLOSSARY.search(NOT_PROSE.sub("", text))
+    assert linked_late(text, GLOSSARY.read_text(encoding="utf-8")) == []
+
+
+def test_a_late_link_to_the_glossary_is_found():
+    glossary = "# Glossary\n## Figures\n- **Backlash**: the free rotation.\n"
+    link = "[{}](reference/glossary.md#figures)"
+    assert linked_late("`backlash` " + link.format("backlash"), glossary) == []
+    assert linked_late("The backlash. " + link.format("backlash"), glossary) == ["backlash"]
+    assert linked_late(link.format("play"), glossary) == ["play"]
+
+
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 900
 

@@ -129,6 +129,8 @@ def analyze(
             _print_bearings(drive, found, shares)
         if judged is not None:
             print_judged(judged, f"Limits of {limits_file.name if limits_file else ''}")
+            if "bearing_life" in judged.not_judged:
+                typer.echo("Bearing life needs a bearing of [supports] with its dynamic_capacity.")
     for note in notes(drive.pair, found):
         typer.echo(f"Note: {note}", err=True)
     if finished < angles:

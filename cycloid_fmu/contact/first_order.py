@@ -1,4 +1,4 @@
-"""Many drives to first order in their errors: what screens a tolerance study before the exact kernel confirms it.
+"""Many drives to first order in their errors: what screens a tolerance study before the exact model confirms it.
 
 At each crank angle and load one drive, the error-free pair for a study, is solved exactly, once. Other drives' errors
 then change the gaps linearly, by the displacement of pin and flank along the common normal; arms and gaps follow the

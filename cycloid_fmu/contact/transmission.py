@@ -563,7 +563,7 @@ def labelled(pair: Pair, surface: ErrorSurface, result: Transmission, slices: in
     if pair.temperature is not None:
         data.attrs["temperature"] = str(pair.temperature)
     if pair.supports is None:
-        data["torsional_stiffness"].attrs["long_name"] += ", mesh alone, rigid bodies"
+        data["torsional_stiffness"].attrs["long_name"] += ", mesh only, rigid bodies"
     return data
 
 

@@ -1,8 +1,8 @@
-"""Tables of an ageing drive: at several states of its life, on the same nodes, so that an FMU can interpolate.
+"""Tables of an ageing drive: at several states of its life, on the same nodes, for interpolation in an FMU.
 
 Between two states everything is linear in the crank turns worn, and in the clearance of a bearing that wears. A linear
 combination of energies is an energy: the torques of both flanges stay its derivatives. Splines over the crank angle and
-Hermite's cubics over the load are refined without an error, so that tables with different nodes get common ones.
+Hermite's cubics over the load are refined without an error, which gives tables with different nodes common ones.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from cycloid_fmu.native.tables import Side, States, Tables
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_after
 
 Array = NDArray[np.float64]
-ACCURACY = 0.5 / 3600 * math.pi / 180  # rad: what the deviation between two states may err
+ACCURACY = 0.5 / 3600 * math.pi / 180  # rad: largest error of the deviation between two states
 _PROBES = 2000  # random crank angles and torques in the middle between two states
 _MOST_WORDS = 65535  # of a stored compliance, in 16 bits
 _MIDDLES = 8  # random states at which the finished tables are compared with the model
@@ -39,9 +39,9 @@ class Ages:
     crank_turns, clearance
         Crank turns worn, and growth of the wearing bearing's diametral clearance (m): the nodes, ascending from 0.
     crank_turns_per_second, clearance_per_second
-        How fast both grow with the age; the first also in proportion to the wear factor.
+        Growth rates of both with the age; the first is also proportional to the wear factor.
     tables
-        At each of both, those of one number of crank turns side by side; all on the same nodes.
+        Tables at each combination of both, the clearance varying fastest; all on the same nodes.
     largest_error
         Largest error of the deviation between them at random states, crank angles and torques, rad.
     """
@@ -62,7 +62,8 @@ def ages_of(pair: Pair, surface: ErrorSurface, tables_at: Callable[[Pair, ErrorS
     pair, surface
         The nominal pair and its errors with their life.
     tables_at
-        Makes the tables of a drive at one state; given are the drive and how many were made before.
+        Function that makes the tables of a drive at one state; arguments are the drive and the number of tables made
+        before.
     """
     life = surface.life
     assert life is not None
@@ -79,7 +80,7 @@ def ages_of(pair: Pair, surface: ErrorSurface, tables_at: Callable[[Pair, ErrorS
         return tables_at(*drive_at(pair, surface, turns, clearance), made.cache_info().currsize)
 
     def middle(axis: int, low: float, high: float) -> tuple[float, int, float, float]:
-        """How much the middle between two nodes of an axis errs, below zero for the heap; and the two."""
+        """Return the error in the middle between two nodes of an axis, negative for the heap, and the cell."""
         at, worst = 0.5 * (low + high), 0.0
         for other in {ends[1 - axis][0], ends[1 - axis][-1]}:
             state, before, after = ((v, other) if axis == 0 else (other, v) for v in (at, low, high))

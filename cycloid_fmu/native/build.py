@@ -49,7 +49,7 @@ SOURCES = (
 )  # fmt: skip
 SOURCE_FOLDER = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
-MOST_BYTES = 1_000_000_000  # of the tables of an FMU with draws or ages
+MOST_BYTES = 1_000_000_000  # of all tables of an FMU with draws or ages
 _UCRT = Path(__file__).with_name("windows") / "ucrt.c"
 
 
@@ -64,7 +64,7 @@ class Platform:
     target
         Argument of `zig cc -target`: Linux no newer than GLIBC 2.17, macOS from 11.
     suffix
-        Of a shared library.
+        File suffix of a shared library.
     """
 
     folders: tuple[str, str]
@@ -192,7 +192,7 @@ def library(name: str, files: Mapping[str, bytes], sources: Sequence[str]) -> by
     command = [*_compiler(name), *_FLAGS]
     zig = "ziglang" in command
     runtime = ["-Wl,--no-entry", *windows_runtime()] if zig and name.endswith("windows") else ["-lm"]
-    # The folder of zig and its headers is left out: another environment with the same ones finds the library here.
+    # Without the folder of zig, so that another environment with the same version finds the library.
     compiler = f"ziglang {importlib.metadata.version('ziglang')}" if zig else command[0]
     words = [compiler, *(word for word in (*command[1:], *runtime) if not Path(word).is_absolute())]
     origin = repr((words, _UCRT.read_bytes(), sorted(files.items())))
@@ -308,7 +308,7 @@ def build_description(identifier: str, sources: Sequence[str]) -> Element:
 
 
 def _check_size(draws: int, size: int) -> None:
-    """Refuse draws whose tables, each of the given size in bytes, take more than `MOST_BYTES`."""
+    """Refuse draws whose tables, each of `size` bytes, take more than `MOST_BYTES`."""
     if (1 + draws) * size > MOST_BYTES:
         text = f"tables of {size / 1e6:.3g} MB each would take more than {MOST_BYTES / 1e6:.0f} MB"
         raise ArgumentError("draws", f"{text}; this drive's FMU has room for {MOST_BYTES // size - 1}", draws)
@@ -319,7 +319,7 @@ def _larger(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, floa
 
 
 def _erring_as_both(made: tables.Tables, other: tables.Tables) -> tables.Tables:
-    """Return tables with the larger errors of them and others."""
+    """Return tables that state the larger errors of both."""
     errors, others = made.errors, other.errors
     if errors is not None and others is not None:
         errors = tables.Errors(
@@ -352,7 +352,7 @@ def build_native(
     Parameters
     ----------
     drive, path, surface, interface, fmi_version, draws, seed
-        As of `cycloid_fmu.fmu.build.build_fmu`.
+        As in `cycloid_fmu.fmu.build.build_fmu`.
     platforms
         Keys of `PLATFORMS`; if empty, all of the FMI version.
     largest_torque
@@ -360,7 +360,7 @@ def build_native(
     made
         Tables of this drive; None for those in the cache (`table_cache`), or computed ones.
     workers, total, progress
-        As of `tables.compute`.
+        As in `tables.compute`.
     compiled
         Called with each platform whose library is ready.
     drawing
@@ -376,7 +376,7 @@ def build_native(
     life = surface.life if surface.life is not None and surface.life.ageing is not None else None
     aged, new = draws == 0 and life is not None, pair
     if life is not None and life.ageing is not None:
-        # Everything but the tables of several ages is that of the surface's own age.
+        # Everything except the tables of several ages belongs to the surface's own age.
         pair, _ = drive_at(pair, surface, 0.0, life.ageing.clearance_per_second * life.ageing.age)
     interface = completed(interface, pair, surface, first_stage)
     if len(interface.losses) > MOST_LOSS_ROWS:

@@ -1,8 +1,8 @@
 """Cache of tables in the user's cache folder: all FMUs of one drive share them.
 
 A file's name is the hash of the drive, the settings of its tables and the code that made them; its first bytes are the
-hash of the rest. A file that does not match or can't be read is made again; the oldest are removed when all take too
-much space.
+hash of the rest. A file that does not match or cannot be read is made again. If all files together take too much space,
+the least recently used ones are removed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _PACKAGE = Path(__file__).parents[1]
 _MAKERS = ("contact", "errors", "geometry", "supports", "surfaces", "native/tables.py")
-_MOST_BYTES = 400_000_000  # of all tables that are kept
+_MOST_BYTES = 400_000_000  # of all tables in the cache
 _DIGEST = hashlib.sha256().digest_size
 _SIDE = ("load", "deviation", "compliance", "told_load", "contact_count", "pressure")
 _SCALARS = ("ratio", "period", "allowed", "largest_error")
@@ -47,7 +47,7 @@ def tables_of(pair: Pair, surface: ErrorSurface, *, largest_load: float | None =
         os.utime(path)
         return found
     made = tables.compute(pair, surface, largest_load=largest_load, **making)
-    with contextlib.suppress(OSError, edge.InputError):  # where no file can be kept, nothing is
+    with contextlib.suppress(OSError, edge.InputError):  # without a writable cache, tables are not stored
         kept.mkdir(parents=True, exist_ok=True)
         with edge.written_whole(path) as temporary:
             temporary.write_bytes(_written(made))

@@ -2,8 +2,8 @@
 
 The file, little endian: magic, version, size of the rest and two sums of its words; then the FMU's token, interface and
 variables; ratio, period, first stage, torques, states of a life; and for each direction, crank angle and load the
-deviation, its derivative by the load, the square of the largest pressure (each in whole steps of 16 bits) and the
-contact count. C uses them in place, once the deviation's differences from angle to angle are summed.
+deviation, its derivative with respect to the load, the square of the largest pressure (each in whole steps of 16 bits)
+and the contact count. The C code uses them in place, after summing the deviation's differences from angle to angle.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cycloid_fmu.native.ages import Ages
 from cycloid_fmu.native.tables import Tables
 from cycloid_fmu.reducer.first_stage import FirstStage
 
-TABLE = "drive.table"  # in an FMU's resources; behind it, of a draw or of a state of the life, its number
+TABLE = "drive.table"  # in an FMU's resources; followed by the number of a draw or of a state of the life
 HEAD = struct.Struct("<8sIIQQ")
 _MAGIC = "cycltab\n"
 _KINDS = ("real", "integer", "boolean")
@@ -46,7 +46,7 @@ _FIELDS = (
 
 
 def numbered(number: int) -> str:
-    """Return the name of a file in the resources: of a draw, or of a state of the life; 0 for the first."""
+    """Return the name of the file of a draw or of a state of the life in the resources; 0 for the first."""
     return f"{TABLE}{number or ''}"
 
 
@@ -94,7 +94,7 @@ def write(
     first_stage
         The first stage of an RV reducer.
     ages
-        Of an ageing drive, in its first file: the states of its life that all files belong to.
+        For the first file of an ageing drive: the states of its life that all its files belong to.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def write(
 
 
 def named(file: bytes, token: str) -> bytes:
-    """Return a file written without a token with one."""
+    """Return a file that was written without a token with its token."""
     return sealed(file[HEAD.size : -len(_last(""))] + _last(token))
 
 
@@ -176,7 +176,7 @@ def _field(variable: Variable) -> int:
 
 
 def _words(whole: NDArray[np.float64]) -> bytes:
-    """Return whole numbers, shape (loads, angles), as 16 bits without a sign, the loads of an angle side by side."""
+    """Return whole numbers, shape (loads, angles), as unsigned 16 bits, the loads of an angle side by side."""
     if whole.min() < 0.0 or whole.max() >= 65536.0:
         raise ValueError("the accuracy is finer than a file of tables can store")
     return np.ascontiguousarray(whole.T).astype("<u2").tobytes()

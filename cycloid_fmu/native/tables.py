@@ -80,20 +80,20 @@ class Side:
     load
         |T| at the nodes, ascending from 0, shape (loads,), N·m.
     deviation, compliance
-        Spline coefficients over the crank angle of the deviation times the direction (rad) and of its derivative by
-        the load (rad/(N·m)), shape (loads, angles).
+        Spline coefficients over the crank angle of the deviation times the direction (rad) and of its derivative
+        with respect to the load (rad/(N·m)), shape (loads, angles).
     told_load
         Some of the loads, from the first to the last, shape (told loads,), N·m.
     contact_count
-        Pins in contact at those and at some of the nodes, shape (told loads, told angles).
+        Pins in contact at these loads and at some of the crank angles, shape (told loads, told angles).
     pressure
-        Spline coefficients of the largest contact pressure's square there, shape (told loads, told angles), Pa²:
-        force, so nearly linear in the load.
+        Spline coefficients of the square of the largest contact pressure, at the same points and of the same shape,
+        Pa²; the square is nearly linear in the load.
     steps
         Quantisation steps of deviation, compliance and pressure of each load.
     far
-        Load beyond the last, N·m, and coefficients of the deviation and of the compliance there, each of shape
-        (angles,): in between is a last cell, of no stated accuracy, and beyond it the tangent continues.
+        A load beyond the last one, N·m, and coefficients of the deviation and of the compliance at it, each of shape
+        (angles,). The cell up to it has no stated accuracy; beyond it the tangent continues.
     """
 
     load: Array
@@ -112,15 +112,15 @@ class States(NamedTuple):
     Attributes
     ----------
     deviation
-        Of the output from its ideal angle, rad.
+        Deviation of the output from its ideal angle, rad.
     stiffness
         N·m/rad.
     rate
-        The deviation's change with the crank angle at constant torque, dφ_b/dθ - 1/ratio.
+        Derivative of the deviation with respect to the crank angle at constant torque, dφ_b/dθ - 1/ratio.
     crank_torque
         N·m.
     pressure
-        The largest, Pa.
+        Largest contact pressure, Pa.
     """
 
     deviation: Array
@@ -136,11 +136,11 @@ class Errors(NamedTuple):
     Attributes
     ----------
     stiffness, pressure
-        Relative errors: the largest of `MOST_STATES`, and the largest.
+        Relative errors: the largest over the share `MOST_STATES` of the states, and over all of them.
     speed
         Rms error of the output's speed at constant crank speed and torque, relative to the rms of its ripple.
     crank_torque
-        Errors relative to torque over ratio: rms, and the largest.
+        Errors relative to torque over ratio: rms and largest.
     """
 
     stiffness: tuple[float, float]
@@ -169,7 +169,7 @@ class Tables:
         Largest error of the deviation at random crank angles and torques, and increasingly close to the largest errors,
         rad.
     errors
-        Errors of the other quantities, at places not used for refinement.
+        Errors of the other quantities, at points that were not used for refinement.
     """
 
     ratio: float
@@ -239,7 +239,7 @@ class _Rest(NamedTuple):
     pressed
         Whether there is no play.
     deviation, stiffness, pressure, contact_count, crank_torque
-        Where there is none; 0 elsewhere.
+        Values where there is no play; 0 elsewhere.
     """
 
     low: Array
@@ -290,7 +290,7 @@ def _solved(
     for k, load in enumerate(loads):
         at = load
         if load == 0.0:
-            # On bearings the play is where the tangent at the first load ends.
+            # On bearings the tangent at the first load ends at the play.
             at = (_FIRST_SLOPE if pair.supports is None else 1.0) * (following or loads[k + 1])
         one = solve(
             pair, surface, [direction * float(at)], angles, slices, with_play=False, workers=workers, progress=progress
@@ -311,7 +311,7 @@ def _hermite(
     share: float | Array, width: float | Array, deviation: Sequence[Array] | Array | Array32,
     compliance: Sequence[Array] | Array | Array32,
 ) -> Array:  # fmt: skip
-    """Hermite's interpolation between the values and slopes at both ends of a cell, at a share (0 to 1) of it."""
+    """Cubic Hermite interpolation between values and slopes at the ends of a cell, at a share (0 to 1) of its width."""
     s, h = share, width
     value = (1.0 + 2.0 * s) * (1.0 - s) ** 2 * deviation[0] + (3.0 - 2.0 * s) * s * s * deviation[1]
     return np.asarray(value + h * s * (1.0 - s) ** 2 * compliance[0] + h * s * s * (s - 1.0) * compliance[1])
@@ -320,7 +320,7 @@ def _hermite(
 def _slope(
     share: float | Array, width: float | Array, deviation: Array | Array32, compliance: Array | Array32
 ) -> Array:
-    """Derivative of Hermite's interpolation by the load."""
+    """Derivative of the Hermite interpolation with respect to the load."""
     u, v = share, 1.0 - share
     slopes = v * (1.0 - 3.0 * u) * compliance[0] + u * (3.0 * u - 2.0) * compliance[1]
     return np.asarray(6.0 * u * v * (deviation[1] - deviation[0]) / width + slopes)
@@ -329,7 +329,7 @@ def _slope(
 def _integral(
     share: float | Array, width: float | Array, deviation: Sequence[Array] | Array, compliance: Sequence[Array] | Array
 ) -> Array:
-    """Hermite's interpolation integrated over the load, from a cell's beginning to a share of it."""
+    """Integral of the Hermite interpolation over the load, from the start of a cell to a share of its width."""
     s, h = share, width
     value = (s - s**3 + 0.5 * s**4) * deviation[0] + (s**3 - 0.5 * s**4) * deviation[1]
     slopes = (0.5 * s**2 - 2.0 / 3.0 * s**3 + 0.25 * s**4) * compliance[0] + (0.25 * s**4 - s**3 / 3.0) * compliance[1]
@@ -343,14 +343,14 @@ def _middle(low: float, high: float) -> float:
 def _chosen_loads(
     pair: Pair, surface: ErrorSurface, direction: float, largest: float, angles: Array, rest: _Rest, allowed: float
 ) -> Array:
-    """Return loads between which Hermite's interpolation is within the allowed error: cells are halved until then."""
+    """Return loads between which Hermite interpolation is within the allowed error, by bisection of cells."""
 
     def at(load: float, following: float) -> tuple[Array, Array]:
         one = _solved(pair, surface, direction, np.array([load]), angles, rest, following=following)
         return one.deviation[0], one.compliance[0]
 
     def halved(low: float, high: float) -> tuple[float, float, float, float]:
-        """How much a cell's middle errs, below zero for the heap; and the cell."""
+        """Return the error in the middle of a cell, negative for the heap, and the cell."""
         middle = _middle(low, high)
         known[middle] = at(middle, high)
         ends = zip(known[low], known[high], strict=True)
@@ -364,7 +364,7 @@ def _chosen_loads(
     # On bearings the first cell is a tangent, which is exact.
     cells = [halved(low, high) for low, high in itertools.pairwise(loads) if low > 0.0 or pair.supports is None]
     heapq.heapify(cells)
-    while -cells[0][0] > allowed and len(loads) < MOST_LOADS - 1:  # and one beyond
+    while -cells[0][0] > allowed and len(loads) < MOST_LOADS - 1:  # one more is beyond the last
         _, low, middle, high = heapq.heappop(cells)
         loads.append(middle)
         if low == 0.0:
@@ -381,13 +381,13 @@ def _joined(parts: Sequence[_Solved], order: NDArray[np.int64], axis: int) -> _S
 
 
 def _apart(values: Array32) -> Array32:
-    """Differences of values from those interpolated by `_midway` between their neighbours."""
+    """Differences between values and the interpolation of their neighbours by `_midway`."""
     near, far = (np.roll(values, k, -1) + np.roll(values, -k, -1) for k in (1, 3))
     return np.asarray(np.abs(values - (9.0 * near - far) / 16.0), dtype=np.float32)
 
 
 def _midway(values: Array32) -> Array32:
-    """Values midway between equidistant ones of a period along the last axis, by the cubic through four."""
+    """Values midway between equidistant values of a period along the last axis, from the cubic through four values."""
     near, far = values + np.roll(values, -1, -1), np.roll(values, 1, -1) + np.roll(values, -2, -1)
     return np.asarray((9.0 * near - far) / 16.0, dtype=np.float32)
 
@@ -422,7 +422,7 @@ def _side(loads: Array, exact: _Solved, far: tuple[float, _Solved], step: float,
         np.full(loads.size, step),
         np.maximum(
             np.minimum(4.0 * step / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)),
-            2.0 * exact.compliance.max(axis=1) / _MOST_STEPS,  # a spline swings beyond its values
+            2.0 * exact.compliance.max(axis=1) / _MOST_STEPS,  # a spline overshoots its values
         ),
         _PRESSURE_STEP * np.maximum(square.max(axis=1), 1.0),
     )

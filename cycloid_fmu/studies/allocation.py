@@ -2,7 +2,7 @@
 
 A tolerance's cost is taken as inversely proportional to its width, the usual reciprocal law: at a width s times the
 stated one it costs c/s, c its relative cost as stated. The same drives are scaled throughout (common random numbers),
-to first order in their errors; the exact kernel confirms the result on other drives. On rigid bearings the expansion is
+to first order in their errors; the exact model confirms the result on other drives. On rigid bearings the expansion is
 about the error-free drive; where errors open and close bearings' clearances it is about each drive, solved at every
 step.
 """
@@ -53,7 +53,7 @@ class Allocation:
     cost, stated_cost
         Sum of the tolerances' relative costs, found and as stated.
     exact_yield
-        Share of new drives that keep all limits, by the exact kernel; at least the required yield.
+        Share of new drives that keep all limits, by the exact model; at least the required yield.
     stated_yield
         Share of the study's own drives that keep them with the tolerances as stated, to first order.
     """
@@ -188,9 +188,9 @@ def allocate(
     source
         The tolerances' file, for messages.
     workers, scheduler
-        Of the exact kernel, as in `tolerance.solved`.
+        Of the exact model, as in `tolerance.solved`.
     progress
-        Called with 1 after each step, at least `steps` times.
+        Called with 1 after each of `steps` steps, and with 0 after a confirmation that fails.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def allocate(
     while True:
         confirmed = run(scaled(others, narrower * scale), workers=workers, scheduler=scheduler)
         exact = yields(confirmed)["all"]["share"]
-        progress(1)
+        progress(int(exact >= target))
         if exact >= target:
             break
         narrower *= 0.99
@@ -283,7 +283,7 @@ def allocate(
 
 
 def steps() -> int:
-    """Return the least number of steps that `allocate` reports."""
+    """Return the number of steps that `allocate` reports."""
     return _ROUNDS + 1
 
 

@@ -2,8 +2,8 @@
 
 The search is sequential quadratic programming in a trust region, on quadratic models of goal and limits that need no
 derivatives (SciPy's COBYQA; Ragonneau, thesis, Hong Kong 2022), from several starts. Largest and smallest values over
-loads, crank angles and pins are replaced by the Kreisselmeier-Steinhauser envelope (IFAC Proc. 12 (1979) 113), which is
-never below the largest one: a design that keeps a limit by it keeps it exactly. Where a yield is required, limits are
+loads, crank angles and pins are replaced by the Kreisselmeier-Steinhauser envelope (IFAC Proc. 12 (1979) 113). It is
+never below the largest value: a design whose envelope keeps a limit keeps it. Where a yield is required, limits are
 tightened by the difference between sampled drives and the drawn one, and the search is repeated from there until this
 converges (sequential optimisation and reliability assessment; Du and Chen, J. Mech. Design 126 (2004) 225).
 
@@ -57,25 +57,25 @@ MODIFICATIONS = ("isometric", "offset")
 ROTATION = "profile_rotation"
 FORMS = tuple(profile_names((1, 2, 3, 4)))
 VARIABLES = {**dict.fromkeys((*SIZES, *MODIFICATIONS), "m"), ROTATION: "rad", **dict.fromkeys(FORMS, "m")}
-"""What can be searched, and its unit: sizes and modification of a pair file; both flanks of each tooth turned about the
-gear's centre towards each other (> 0 removes material); orders of a profile that all teeth share."""
+"""Variables of a search with their units: sizes and modification of a pair file; rotation of both flanks of each tooth
+towards each other about the gear's centre (> 0 removes material); orders of a profile that all teeth share."""
 GOALS = tuple(name for name in Limits.model_fields if name != "wear_depth")
-"""Figures that can be a goal or a limit of a design; sizes can be a goal too, the smaller the better."""
+"""Figures that can be a goal or a limit of a design; a size can be a goal too and is minimised."""
 
 _SHOWN = {
     **dict.fromkeys(SIZES, ("mm", 1e3)), **dict.fromkeys((*MODIFICATIONS, *FORMS), ("µm", 1e6)), ROTATION: ("mrad", 1e3)
 }  # fmt: skip
-_ELEMENTS = 50  # along the profile of a form: its orders are low
-_NOTICED = {"m": 1e-6, "rad": 5e-6}  # of a figure whose limit is 0
+_ELEMENTS = 50  # elements along the profile of a form, which has low orders only
+_NOTICED = {"m": 1e-6, "rad": 5e-6}  # unit of the margin of a figure whose limit is 0
 _ANGLES = 90  # crank angles of a sampled drive
-_PITCH_ANGLES = 24  # crank angles over one pitch of the pins, which is all that a drive without errors shows
-_SHARPNESS = 2500.0  # of the envelope, times its values' size
-_FIRST_STEP, _LAST_STEP = 0.2, 1e-5  # of a range: steps of a search
-_EVALUATIONS = 200  # at most in a search, for each value that varies
-_STEP = 1e-3  # of a range, for differences
-_SPARE = 1e-4  # of a limit: margin of the search, which ends slightly off a limit
-_BINDS = 5e-3  # of a limit: with a smaller margin it is binding
-_ROUNDS, _SETTLED = 6, 0.02  # of tightening, and the share of a limit by which it may still change
+_PITCH_ANGLES = 24  # crank angles over one pin pitch, the period of a drive without errors
+_SHARPNESS = 2500.0  # of the envelope, multiplied by the size of its values
+_FIRST_STEP, _LAST_STEP = 0.2, 1e-5  # steps of a search relative to the range
+_EVALUATIONS = 200  # largest number in a search, per variable
+_STEP = 1e-3  # of differences, relative to the range
+_SPARE = 1e-4  # margin of the search relative to a limit, because it ends slightly off
+_BINDS = 5e-3  # a limit with a smaller relative margin is binding
+_ROUNDS, _SETTLED = 6, 0.02  # rounds of tightening, and the relative change of a limit that ends them
 _GIVEN_WAY = 1e-3
 
 
@@ -412,7 +412,7 @@ class Search:
         self.limits = {n: v for n, v in task.limits.stated().items() if n in GOALS}
         self.angles = np.linspace(0.0, 2.0 * np.pi / pair.pins, _PITCH_ANGLES, endpoint=False)
         self.evaluations = 0
-        self.refused = ""  # why the first drive that can't be was none
+        self.refused = ""  # reason of the first invalid drive
         self._kept: dict[tuple[bytes, float], dict[str, float] | None] = {}
 
     def values_at(self, place: Array) -> dict[str, float]:
@@ -708,7 +708,7 @@ def search(
     for second in others:
         progress(f"searching the best {_words(second)}")
         other = one.best([best, *places], second, {})
-        # Of the drives that are best by one goal the one that is best by the other too.
+        # Among drives equally good in one goal, the best in the other.
         best = one.best([best], second, {first: _eased(first, one.exact(best)[first])})
         level = _eased(second, one.exact(other)[second])
         other = one.best([other], first, {second: level})
@@ -746,8 +746,16 @@ def _check(pair: Pair, task: DesignTask) -> None:
             refuse(f"{name} needs speeds; state [[duty]] with an output_speed above 0")
     if "friction_power_density" in asked and task.friction_coefficient is None:
         refuse("friction_power_density needs friction_coefficient")
-    if "bearing_life" in asked and pair.supports is None:
-        refuse("bearing_life needs the pair's [supports]")
+    supports = pair.supports
+    bearings = () if supports is None else (supports.turning_arm, supports.crank_shaft, supports.main)
+    if all(one.dynamic_capacity is None for one in bearings):
+        if "bearing_life" in asked:
+            refuse("bearing_life needs the pair's [supports] with a dynamic_capacity")
+        if task.limits.bearing_life is not None:
+            raise edge.InputError(
+                "[limits] bearing_life: no bearing of the pair's [supports] states its dynamic_capacity; state it, or "
+                "remove the limit."
+            )
 
 
 def _tightened_best(

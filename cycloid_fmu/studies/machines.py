@@ -19,13 +19,13 @@ from cycloid_fmu import edge
 from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory
 
 Array = NDArray[np.float64]
-# Packages whose versions decide the last digits.
+# Packages whose versions determine the last digits.
 _DECISIVE = ("cycloid-fmu", "numba", "numpy", "scipy")
 _TASK = 7e-3  # s: cost of a task in dask's scheduler, 2 to 7 ms were measured
-_OVERHEAD = 0.02  # of a task's time that this may be
-_BUSY = 0.5  # of its time that the scheduler may be busy with all workers' tasks
-_LONGEST = 8  # times the usual task, where workers wait for a slower scheduler; a kill loses the tasks at work
-_FIRST = 16  # drives of a task before any was measured
+_OVERHEAD = 0.02  # largest share of this cost in the time of a task
+_BUSY = 0.5  # largest share of its time that the scheduler is busy with the tasks of all workers
+_LONGEST = 8  # most usual tasks in one, if workers wait for a slow scheduler; a kill loses running tasks
+_FIRST = 16  # drives of a task before a time is measured
 _REMEMBERED = 400  # tasks, at most four per worker, over which the times of drives and tasks are averaged
 _LOOK = 1.0  # s: how often the workers of a cluster are counted
 
@@ -116,7 +116,7 @@ class Shares(Iterator[tuple[int, int]]):
         waited = float((ends[-1] - ends[0]) * self.workers - seconds[1:].sum())
         usual = max(_TASK / _OVERHEAD, _TASK / _BUSY * self.workers)
         wanted = min(max(waited / len(ends) / _OVERHEAD, usual), _LONGEST * usual)
-        # No shorter than the scheduler needs to hand one to each worker.
+        # At least the time that the scheduler needs to give each worker a task.
         shortest = max(_TASK / _OVERHEAD, _TASK * self.workers)
         return math.ceil(min(wanted / each, max(shortest / each, even)))
 

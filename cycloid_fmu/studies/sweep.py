@@ -171,7 +171,7 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
 
 
 def _task(sweep: Sweep, first: int, points: Array) -> Solved:
-    """Solve some drives wherever this runs."""
+    """Solve some drives in any process."""
     values, reasons = zip(*(figures_of(sweep, first + k) for k in range(len(points))), strict=True)
     return Solved(first, np.array(values), reasons)
 

@@ -169,9 +169,9 @@ def points(study: Study) -> Array:
 
 
 def points_of(study: Study) -> Points:
-    """Return a function that gives the points of some samples, from a first one to that before a last.
+    """Return a function of (first sample, last sample + 1) that returns their points.
 
-    Sobol's are made when asked for; of other designs the last point needs all.
+    Sobol points are computed on request; the other designs compute all points at once.
     """
     from scipy.stats import qmc
 
@@ -186,7 +186,7 @@ def points_of(study: Study) -> Points:
         if first > engine.num_generated:
             engine.fast_forward(first - engine.num_generated)
         with warnings.catch_warnings():
-            # A number of points that is no power of two loses the sequence's balance, not its evenness.
+            # Without a power of two of points the sequence is no longer balanced, but still even.
             warnings.filterwarnings("ignore", message="The balance properties")
             return np.asarray(engine.random(last - first))
 
@@ -243,7 +243,7 @@ def free_figures(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | No
 
 
 def figures_of(study: Study, surface: ErrorSurface) -> Array:
-    """Return the figures of one drive in the order of `Study.columns`, by the exact kernel."""
+    """Return the figures of one drive in the order of `Study.columns`, by the exact model."""
     angles, first = crank_angles(study), study.first_stage
     loaded = solve(
         study.pair, surface, first, study.torque, angles, slices_needed(surface), with_play=False, with_stiffness=False
@@ -259,7 +259,7 @@ def check_first_order(study: Study, tolerances_source: str) -> None:
     for name in study.factors:
         if name.endswith("_profile"):
             raise edge.InputError(
-                f"{tolerances_source}: [{name}]: form deviations need the exact kernel; remove the table."
+                f"{tolerances_source}: [{name}]: form deviations need the exact model; remove the table."
             )
 
 
@@ -280,7 +280,7 @@ def screen_of(study: Study, largest: float = 1.0) -> Screen:
         width = stated.cumulative if hasattr(stated, "cumulative") else stated.tolerance
         reach += width * (study.pair.face_width if isinstance(stated, AngleError) else 1.0)
     tilted = any(isinstance(getattr(study.tolerances, name), AngleError) for name in study.factors)
-    # Errors close a gap by their sum and once more by the rotation that they allow, here with room to spare.
+    # Errors close a gap by their sum, and again by the rotation that they allow; here with a margin.
     return Screen(study.pair, loads, SLICES_MISALIGNED if tilted else 1, 20e-6 + 3.0 * largest * reach)
 
 
@@ -311,7 +311,7 @@ def figures_to_first_order(study: Study, screen: NearDrives, errors: Array) -> A
     return np.column_stack([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 
-_screens: dict[str, Screen] = {}  # the last one of this process
+_screens: dict[str, Screen] = {}  # the last screen of this process
 
 
 def _screening_task(study: Study, first: int, rows: Array) -> Solved:
@@ -326,7 +326,7 @@ def _screening_task(study: Study, first: int, rows: Array) -> Solved:
 
 
 def _task(study: Study, first: int, rows: Array) -> Solved:
-    """Solve some samples wherever this runs."""
+    """Solve some samples in any process."""
     return Solved(first, np.array([figures_of(study, surface_of(study, row)) for row in rows]))
 
 
@@ -411,7 +411,7 @@ class Screened:
     Attributes
     ----------
     result
-        All samples, the confirmed ones by the exact kernel.
+        All samples, the confirmed ones by the exact model.
     confirmed
         Numbers of the samples solved exactly.
     difference
@@ -434,7 +434,7 @@ def screened(
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda samples: None,
 ) -> Screened:
-    """Solve a study to first order and confirm a share of it by the exact kernel.
+    """Solve a study to first order and confirm a share of it by the exact model.
 
     The samples nearest to the limits are confirmed, where a difference would change the verdict; without limits the
     first ones.
@@ -539,7 +539,9 @@ def shares_kept(kept: Mapping[str, NDArray[np.bool_]]) -> dict[str, dict[str, fl
 
 
 def sobol_indices(result: Result) -> dict[str, dict[str, Array]]:
-    """Return Sobol's indices of each figure that varies, from Saltelli's design (SALib), shape (factors,).
+    """Return Sobol's indices of each figure that varies over the base points of Saltelli's design, shape (factors,).
+
+    SALib estimates them, with the variance over these points; interference may differ from zero at other points only.
 
     Returns
     -------
@@ -560,11 +562,12 @@ def sobol_indices(result: Result) -> dict[str, dict[str, Array]]:
     found = {}
     for column, (name, k) in enumerate(study.columns):
         values = result.values[:, column]
-        if np.ptp(values) == 0.0:
+        if np.ptp(values[result.independent]) == 0.0:
             continue
         indices = sobol.analyze(
-            _problem(study), (values - values.mean()) / values.std(), calc_second_order=False, seed=study.seed
-        )
+            _problem(study), (values - values.mean()) / values.std(), calc_second_order=False,
+            seed=np.random.default_rng(study.seed),  # SALib ignores a seed of 0
+        )  # fmt: skip
         label = name if k is None or len(study.torque) == 1 else f"{name} {study.torque[k]:g} N*m"
         found[label] = {
             "first_order": np.asarray(indices["S1"]), "first_order_confidence": np.asarray(indices["S1_conf"]),

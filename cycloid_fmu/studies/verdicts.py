@@ -120,14 +120,6 @@ def check(requirements: Requirements, pair: Pair, source: str, pair_source: str)
             f"{pair_source}: [pair] rated_torque is missing; state it: [limits] lost_motion of {source} is taken at a "
             "share of it."
         )
-    if limits.bearing_life is not None:
-        supports = pair.supports
-        bearings = () if supports is None else (supports.turning_arm, supports.crank_shaft, supports.main)
-        if all(one.dynamic_capacity is None for one in bearings):
-            raise edge.InputError(
-                f"{pair_source}: no bearing of [supports] states its dynamic_capacity, from which [limits] "
-                f"bearing_life of {source} is taken; state it, or remove the limit."
-            )
 
 
 def judge_sweep(

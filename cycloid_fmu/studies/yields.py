@@ -49,7 +49,7 @@ class Findings:
     statistics, yields, indices
         As `tolerance.statistics`, `yields` and `sobol_indices` return them; no indices but with Saltelli's design.
     screened
-        The samples confirmed by the exact kernel, if the study was solved to first order.
+        The samples confirmed by the exact model, if the study was solved to first order.
     """
 
     result: Result
@@ -171,9 +171,9 @@ def conduct(
     Parameters
     ----------
     screen
-        Solve to first order, and confirm this share of the samples by the exact kernel.
+        Solve to first order, and confirm this share of the samples by the exact model.
     output
-        A netCDF file, format `cycloid-tolerance-study/1`. Until it is written, samples solved by the exact kernel are
+        A netCDF file, format `cycloid-tolerance-study/1`. Until it is written, samples solved by the exact model are
         kept in `output` with `.checkpoint` appended; the same study continues from there.
     workers, scheduler, progress
         As of `tolerance.run`.

@@ -19,7 +19,7 @@ class Sliding(NamedTuple):
     Attributes
     ----------
     sliding_speed
-        Between flank and pin, m/s.
+        Speed between flank and pin, m/s.
     friction_power
         μ F v of each pin, W; empty without a friction coefficient.
     friction_power_density
@@ -57,7 +57,7 @@ def sliding_of(
     Notes
     -----
     Velocities are those of the unmodified pair in closed form (`sliding.ideal_velocities`); modifications of some 50 µm
-    change them by 0.7 %. Pins are taken as fixed in the ring: one that turns in its seat slides there instead. Flash
+    change them by 0.7 %. Pins are assumed fixed in the ring; one that turns in its seat slides there instead. Flash
     temperatures are left out: at 600 rpm of the crank the Péclet numbers of the wear paper's pair are below 1, and
     Blok's formula is for those above 5.
     """
@@ -66,7 +66,7 @@ def sliding_of(
     ring = angle / pair.pins if pair.output == "ring" else 0.0
     crank = angle + 2.0 * np.pi * np.arange(discs)[:, None] / discs
     phase = 2.0 * np.pi * np.arange(pins) / pins + ring - crank
-    # The velocities are for each radian that the ring turns against the crank.
+    # The velocities are per radian of the ring's rotation relative to the crank.
     against = crank_speed * (pair.gear_teeth / pair.pins if pair.output == "ring" else 1.0)
     speed = np.where(pin_force > 0.0, np.abs(ideal_velocities(pair, phase).sliding * against), 0.0)
     if friction_coefficient is None:

@@ -53,7 +53,7 @@ class WearLaw(edge.Config):
     limit
         Depth at which the drive is worn out, m; None for 5 % of the tooth's thickness.
     friction_coefficient
-        Of the sliding surfaces, for friction work and loss; None if not needed.
+        Coefficient of the sliding surfaces, for friction work and loss; None if not needed.
     duty
         The duty cycle, if the wear file states it.
     """
@@ -99,7 +99,7 @@ def duty_cycle(
 ) -> tuple[tuple[Load, ...], float]:
     """Return the loads of a run and its crank turns, from one torque, from a file, or from the wear file.
 
-    A duty cycle is repeated so often that its loads wear together, each by its share of the turns.
+    A duty cycle is repeated so many times that its loads wear together, each by its share of the turns.
 
     Raises
     ------

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 ANGLES = (5120, 1280, 240)
 # Half length, in half widths, of the arc over which a contact feels the loss. The pressure's ellipse, centred on a
 # crest, wears ripples shorter than 1.64 a in their valleys (its transform, 2 J_1(ka)/ka, is negative there); a mean
-# over this length no longer shows them, so they can't grow. Over a shorter one the depth depends on the elements.
+# over this length no longer shows them, so they cannot grow. Over a shorter length the depth depends on the elements.
 _FELT = 1.5
 SENSIBLE_COEFFICIENTS = (1e-22, 1e-14)  # m²/N
 
@@ -264,7 +264,7 @@ def worn_surface(model: WearModel, depth: Depth, half_width: float) -> ErrorSurf
     """
     assert model.surface.gear_deviation is not None
     assert model.surface.pin_deviation is not None
-    # The flanks of neighbouring teeth go on in each other at the roots.
+    # The flanks of neighbouring teeth are continuous at the roots.
     flanks = np.moveaxis(depth.gear, 3, 1).reshape(depth.gear.shape[0], depth.gear.shape[3], -1)
     gear, gear_bend = (
         np.moveaxis(felt.reshape(np.moveaxis(depth.gear, 3, 1).shape), 1, 3)
@@ -322,12 +322,12 @@ def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> Wear
     gear, pin = depth.gear, depth.pin
     if model.sweep.teeth_alike:
         gear = np.broadcast_to(gear.mean(axis=(0, 1)), gear.shape).copy()
-    # Every disc runs on its own part of the pins' length; a surface knows only one, so the discs' mean.
+    # Every disc runs on its own part of the pins' length; a surface has one part only: the mean of the discs.
     pin = pin / drive.crank_phase.size
     if model.sweep.pins_alike:
         pin = np.broadcast_to(pin.mean(axis=0), pin.shape).copy()
     if model.law.pins == "free":
-        # A pin that turns in its hole loses evenly over its whole circumference, twice the span of an element row.
+        # A pin that turns in its hole wears evenly over its circumference, twice the span of an element row.
         pin = np.broadcast_to(0.5 * pin.mean(axis=1, keepdims=True), pin.shape).copy()
     return WearRate(
         Depth(gear, pin),
@@ -349,7 +349,7 @@ def _part_of_rate(model: WearModel, drive: contact.Problem, load: Load, crank_an
     area = coefficient * work / drive.slice_width
     cells = depth.gear.shape[2]
     ends = np.concatenate([[0.0], np.arange(cells) + 0.5, [cells]])
-    assert drive.deviations is not None  # a surface that wears has elements
+    assert drive.deviations is not None  # a wearing surface has elements
     place = np.interp(contacts.place, drive.deviations.flank_alpha, ends)
     # Elements of a disc's teeth in a row for each slice: a contact at a root is on both of its teeth.
     rows = np.zeros((depth.gear.shape[0] * depth.gear.shape[3], drive.teeth * cells))
@@ -458,13 +458,13 @@ def wear_states(model: WearModel, crank_turns: float, workers: int = 1) -> Itera
             depth = after(loaded, half, rate_at(loaded, half), 0.5 * turns)
             whole = after(loaded, state.whole, whole_rate, turns)
             parted = (depth + state.depth * -1.0 + (whole + state.whole * -1.0) * -1.0).largest
-            # The two part by the cube of the step.
+            # Both results differ in proportion to the cube of the step.
             longer = 0.9 * (0.1 * largest / max(parted, 1e-6 * largest)) ** (1.0 / 3.0)
             if parted <= 0.1 * largest:
                 break
             turns *= max(longer, 0.2)
         reached = min(end, crank_turns) if turns == left else state.crank_turns + turns
-        # A step that ended with its load is no reason for a shorter next one.
+        # A step that ended with its load does not shorten the next one.
         following = max(min(longer, 3.0) * fastest * turns, state.reach if turns == left else 0.0)
         state = WearState(reached, depth, whole, following)
         yield state

@@ -1,6 +1,6 @@
 """Rolling and sliding of gear and pins where they touch: velocities, slip coefficients, sliding distance.
 
-All velocities are per radian of the pin ring's rotation against the crank: the paper holds the crank, turns the ring at
+All velocities are per radian of the pin ring relative to the crank: the paper holds the crank, turns the ring at
 ω_1 and the gear at ω_1 z_p/z_c. They are along the flank, > 0 towards decreasing profile parameter, the direction of
 the contact's motion on the gear.
 """
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class Velocities(NamedTuple):
-    """Velocities at contacts, m for each radian of the ring against the crank.
+    """Velocities at contacts, m per radian of the ring relative to the crank.
 
     `pin` and `gear` are the velocities of the contact along the pin and along the flank (the paper's v_1r and v_2r),
     and `sliding` is their difference v_12 = v_2r - v_1r, the sliding velocity of the surfaces.
@@ -88,7 +88,7 @@ def velocities(drive: contact.Problem, contacts: LoadedContacts) -> Velocities:
     gear = np.zeros(rate.size) if drive.ring else rate - 1.0 / teeth
     crank = contacts.crank_angle[contacts.angle] + drive.crank_phase[contacts.disc]
     centre = 1j * drive.eccentricity * np.exp(1j * crank)
-    # The pins go round with the ring, about its own centre; everything seen from the gear's centre, which moves.
+    # The pins move with the ring about its centre; all positions are relative to the gear's centre, which moves.
     held = (drive.eccentricity * np.exp(1j * crank)) + (drive.centre_x + 1j * drive.centre_y)[contacts.slice_]
     axis = 1j * ring * (contacts.pin_axis + held) - centre - 1j * gear * contacts.pin_axis
     along = -(axis * np.conj(1j * contacts.normal)).real

@@ -21,7 +21,7 @@ def repair(
 ) -> None:
     """Report the intact content of a truncated or damaged recording, and with -o write it to a new file.
 
-    Example: [cyan]cycloid-bench repair torn.arrows -o whole.arrows[/]
+    Example: [cyan]cycloid-bench repair truncated.arrows -o whole.arrows[/]
 
     The file itself is not changed. Exit status 1 if it is damaged.
     """

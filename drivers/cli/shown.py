@@ -127,9 +127,12 @@ def recording() -> Iterator[None]:
 
 def _print(done: Recorded) -> None:
     """Print the summary of a recording."""
-    typer.echo(f"{done.path}: {', '.join(f'{n} {name}' for name, n in done.samples.items())}; {done.events} events")
+    from drivers.counts import counted
+
+    samples = ", ".join(f"{n} {name}" for name, n in done.samples.items())
+    typer.echo(f"{done.path}: {samples}; {counted(done.events, 'event')}")
     for name, marks in done.marks.items():
-        said = [f"{n} {mark}" for mark, n in marks.items()]
+        said = [f"{n} {mark.removesuffix('s') if n == 1 else mark}" for mark, n in marks.items()]
         said += [f"{done.lost[name]} lost"] if done.lost[name] else []
         if said:
             typer.echo(f"{name}: {', '.join(said)}")

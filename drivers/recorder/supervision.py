@@ -58,7 +58,7 @@ class Supervised:
         except EncoderError as problem:
             self.failure = problem
             if str(problem) != self._said:  # one that opens but never delivers is reported once, not twice a second
-                self._say(f"failed and will be opened again: {problem}")
+                self._say(f"failed and will be reopened: {problem}")
             self._said = str(problem)
             self._events += self.encoder.events()
             self._thread = threading.Thread(target=self._reopen, name=f"reopen {self.channel.name}", daemon=True)

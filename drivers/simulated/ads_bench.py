@@ -159,8 +159,8 @@ class SimulatedAdsBench(SimulatedBench):
         self._samples["values"][places] = self._values[taken] - zero
         for fault in self._faults:
             if fault.kind == "corrupt":
-                torn = (taken >= fault.sample) & (taken < fault.sample + fault.count)
-                self._samples["check"][places[torn]] = 0
+                broken = (taken >= fault.sample) & (taken < fault.sample + fault.count)
+                self._samples["check"][places[broken]] = 0
         self._written = due
         started = 800_000_000_000_000_000 + round(self._times[self._restarted_at] * (1 + self._drift) * 1e9)
         self._head = Head(_COLUMNS, self._head.length, started, due - self._restarted_at)

@@ -1,4 +1,4 @@
-"""Unknowns of the stated bearings in a fit: the stiffness and clearance of each."""
+"""Unknowns of the stated bearings in a fit: stiffness and clearance of each."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from cycloid_fmu.reducer.first_stage import FirstStage
 Array = NDArray[np.float64]
 
 STIFFNESS, CLEARANCE = 0.5, 5e-6
-"""Standard deviations before anything is measured: of a stiffness' logarithm, which a bearing's seat and housing make
-this uncertain, and of a clearance, m."""
+"""Prior standard deviations: of the logarithm of a stiffness, uncertain because of seat and housing, and of a
+clearance, m."""
 CRANK_PLAY = 1e-3
 """Standard deviation of a first stage's play beside half the stated one, rad of the cranks."""
 _BEARINGS = ("turning_arm", "crank_shaft", "main", "output_roller")
-_OF_LENGTH = 9.0 / 8.0  # rollers' stiffness grows with their length to the 8/9 (Palmgren)
+_OF_LENGTH = 9.0 / 8.0  # the stiffness of rollers is proportional to their length to the power 8/9 (Palmgren)
 
 
 PLAY = "first_stage_play"
@@ -51,7 +51,7 @@ def sizes_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
 
 
 def unit_of_bearing(name: str) -> str:
-    """SI unit of the stated value: "1" of a stiffness' share of the stated one, "m" of a clearance, "rad" of a play."""
+    """Return the SI unit of an unknown: "1" for a relative stiffness, "m" for a clearance, "rad" for a play."""
     return {"stiffness": "1", "clearance": "m", "play": "rad"}[name.rpartition("_")[2]]
 
 
@@ -84,9 +84,9 @@ def pair_with(pair: Pair, changes: Array) -> Pair:
     pair
         The pair.
     changes
-        In the order of `unknown_bearings`: logarithm of a stiffness' share of the stated one, and what a clearance is
-        larger, m; a first stage's play may follow; none at all leaves the pair. A clearance stays within what a pair
-        file may state.
+        In the order of `unknown_bearings`: logarithm of a stiffness over the stated one, increase of a clearance (m);
+        the play of a first stage may follow. If empty, the pair is unchanged. A clearance stays within the limits of a
+        pair file.
     """
     names = unknown_bearings(pair)
     if not names or changes.size == 0:

@@ -1,7 +1,7 @@
 """Effects of real drives and benches outside the model of rigid supports and ideal encoders, by cause.
 
 A discrepancy in the sense of Kennedy and O'Hagan (J. R. Stat. Soc. B 63 (2001) 425): a function of crank angle, output
-angle and torque beside the model, here of low rank, each cause with a few columns whose size is estimated.
+angle and torque in addition to the model, here of low rank: a few columns of estimated size for each cause.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from fitting.transmission_error.curve import Curve
 Array = NDArray[np.float64]
 
 GIVE, LAG, FORM = "support_give", "clock_lag", "flank_form"
-RUN_OUT = (1, 2, 3)  # orders of a shaft that its encoder and couplings make
-_FORM_STEP = 1e-6  # m: over which differences by a form are taken, where it has no derivatives
-_SLOW = 6  # degree of what a zero drifts over a recording
-_CRANK = 100.0  # rad of the crank for one of the transmission error
-_STEADY = 1e-3  # of the speed: what changes less shows no lag
+RUN_OUT = (1, 2, 3)  # orders of a shaft from its encoder and couplings
+_FORM_STEP = 1e-6  # m: step of the differences with respect to a form
+_SLOW = 6  # degree of the drift of a zero over a recording
+_CRANK = 100.0  # rad of the crank per rad of the transmission error
+_STEADY = 1e-3  # relative change of the speed below which a lag has no effect
 BESIDE_THE_GEAR = ("compliance", "run_out", "drift")  # causes that act outside the contacts
 SENTENCES = {
     GIVE: "supports that are compliant or have play under load",
@@ -44,14 +44,14 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
     pair, observed, linear
         The nominal pair, the observations, and the model at the state.
     formed
-        The state, where a form that all flanks share is not known and so among the causes: to first order, enough to
-        suspect it.
+        The state, if an unknown form common to all flanks is one of the causes; its effect is to first order, which is
+        sufficient to detect it.
 
     Returns
     -------
     columns
-        {cause as in `SENTENCES`: shape (points, columns)}, each near 1, so that its coefficient is rad; of a form, m. A
-        cause without effect on these recordings is left out.
+        {cause as in `SENTENCES`: shape (points, columns)}, of size near 1, so coefficients are in rad, of a form in m.
+        Causes without effect on these recordings are left out.
     """
     curves = observed.curves
     sizes = [c.input_angle.size for c in curves]
@@ -94,8 +94,8 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
 def by_lag(observed: Observations, linear: Linear) -> Array:
     """Return the effect of a delayed output angle per second of delay, shape (points,), rad/s.
 
-    A late output angle is that of the crank a moment before. At constant speed that is an offset, as play is: it is
-    zero there, and without a known speed.
+    A delayed output angle belongs to an earlier crank angle. At constant speed this is an offset, like play, so the
+    effect is set to zero there, and where the speed is unknown.
     """
     lags = [np.zeros(c.input_angle.size) if c.speed is None else _changing(c.speed) for c in observed.curves]
     found: Array = -np.concatenate(lags) * (1.0 / observed.curves[0].ratio + np.nan_to_num(linear.by_crank))
@@ -105,7 +105,7 @@ def by_lag(observed: Observations, linear: Linear) -> Array:
 def _give(pair: Pair, observed: Observations, linear: Linear) -> list[Array]:
     """Shifts of ring and disc proportional to the load or to its sign, each in turn for each kind of `_growth`."""
     shifts = [linear.structured[:, observed.errors.index(n)] for n in GIVES]
-    # A disc on a crank that gives way leads or lags it, as if the crank stood elsewhere.
+    # A disc on a compliant crank leads or lags it, as if the crank had another angle.
     growth = _growth(observed, np.concatenate([c.torque_at_points for c in observed.curves]))
     # At a corner a curve has no slope.
     each = zip((*shifts, np.nan_to_num(linear.by_crank)), _units(pair), strict=True)
@@ -130,12 +130,12 @@ def given_way(pair: Pair, observed: Observations, coefficients: Array) -> Array:
     pair, observed
         The nominal pair and the observations.
     coefficients
-        Of the columns of `GIVE`, rad.
+        Coefficients of the columns of `GIVE`, rad.
 
     Returns
     -------
     shifts
-        Shape (curves, 4), as `Observations.give`; none of loops, whose torque varies.
+        Shape (curves, 4), as `Observations.give`; 0 for loops, whose torque varies.
     """
     growth = np.array(_growth(observed, np.array([c.torque for c in observed.curves])))
     shifts: Array = (coefficients.reshape(-1, len(growth)) @ growth).T * _units(pair)
@@ -163,8 +163,8 @@ def waves(observed: Observations, order: float) -> Array:
     observed
         The observations.
     order
-        Of the output: one that repeats with it is of one size or grows with the torque, alike in both directions or
-        not; any other stands elsewhere in each curve.
+        Order of the output. If it repeats with the output turns, its size is constant or grows with the torque, equally
+        in both directions or not. Otherwise its phase differs from curve to curve.
 
     Returns
     -------
@@ -192,13 +192,13 @@ def _unit(column: Array) -> Array:
 
 
 def _drifts(turned: Array) -> list[Array]:
-    """Legendre polynomials over a recording, beyond the straight line: anything slow."""
+    """Legendre polynomials over a recording, beyond the straight line: any slow change."""
     share = 2.0 * (turned - turned.min()) / max(float(np.ptp(turned)), 1e-12) - 1.0
     return list(np.polynomial.legendre.legvander(share, _SLOW)[:, 2:].T)
 
 
 def _of_curves(observed: Observations, each: Sequence[Sequence[Array]]) -> list[Array]:
-    """Columns that are those of one curve there and zero elsewhere; none of loops."""
+    """Columns of single curves, zero outside their curve; none for loops."""
     found = []
     ends = [0, *observed.ends.tolist(), observed.measured.size]
     for number in observed.running:

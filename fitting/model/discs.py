@@ -1,4 +1,4 @@
-"""A drive of several discs has as many descriptions as discs: each of them may be the first."""
+"""A drive of several discs has as many equivalent descriptions as discs: any disc can be the first."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _VECTORS = (("centre_distance_x", "centre_distance_y"), ("misalignment_xz", "mis
 
 
 def other_descriptions(pair: Pair, surface: ErrorSurface) -> tuple[ErrorSurface, ...]:
-    """Return the surfaces with the same curves at the same crank angles, each with another disc as the first.
+    """Return the surfaces with the same curves at the same crank angles and another disc as the first.
 
-    Seen from a frame turned by k pitches of the cranks, β = 2πk/discs, disc k stands where the first one did: the
-    same crank angle and the same output. The pins' numbers move by z_p k/discs, which must be whole; the teeth's of
+    In a frame turned by k pitches of the cranks, β = 2πk/discs, disc k has the position of the first one, at the same
+    crank angle and output. The pins' numbers move by z_p k/discs, which must be whole; the teeth's of
     disc d by as many, and by one less where d + k passes the last disc. Form of single elements stays: no fit has it.
 
     Parameters
     ----------
     pair, surface
-        The nominal pair and its errors. With supports, whose own errors stay, the curves are only nearly the same.
+        The nominal pair and its errors. With supports, whose errors do not change, the curves are only nearly the same.
     """
     count = pair.discs
     found = []

@@ -1,10 +1,10 @@
 """Recordings behind a first stage: the sun's angle is recorded, the model is that of the cycloid stage.
 
-The cranks stand at θ = θ_ideal + a d + w with θ_ideal where ideal gears have them at the sun's angle, and the output
-deviates by d = s (x(θ, sT) + ½ u sgn T - w/z_c): w is what the first stage lets the cranks turn, half its play against
-the load and its wind-up, u the play of the carrier's bearings (`cycloid_fmu.reducer.transmission`,
-docs/theory/reducer.md). What d itself turns the cranks by, some 1e-3 rad, is taken to first order, and of the cranks'
-torque its mean.
+The angle of the cranks is θ = θ_ideal + a d + w, with θ_ideal that of ideal gears at the sun's angle. The output
+deviates by d = s (x(θ, sT) + ½ u sgn T - w/z_c): w is the rotation of the cranks from the first stage, half its play
+against the load plus its wind-up, and u the play of the carrier's bearings (`cycloid_fmu.reducer.transmission`,
+docs/theory/reducer.md). The rotation of the cranks by d itself, some 1e-3 rad, is to first order, and the torque
+of the cranks is its mean.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 def of_cranks(curve: Curve, drive: Drive) -> Curve:
-    """Return a curve over the sun's angle as one over that of ideal cranks; its transmission error stays."""
+    """Return a curve over the sun's angle as one over that of ideal cranks; the transmission error is unchanged."""
     if drive.first_stage is None or abs(curve.ratio / drive.ratio - 1.0) > 1e-9:
         return curve
     share = drive.pair.ratio / drive.ratio
@@ -52,5 +52,5 @@ def turned(first_stage: FirstStage, pair: Pair, torque: Array, more_play: float)
 
 
 def with_play(first_stage: FirstStage, more_play: float) -> FirstStage:
-    """Return the stage whose cranks have more play, rad."""
+    """Return the stage with additional play of its cranks, rad."""
     return dataclasses.replace(first_stage, sun_play=first_stage.sun_play + more_play / first_stage.sun_share)

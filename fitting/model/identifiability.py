@@ -1,4 +1,4 @@
-"""Errors that measurements resolve, and the others with the reason."""
+"""Errors that measurements resolve, and the reason for each other error."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from fitting.model.prior import tolerances_of
 
 Array = NDArray[np.float64]
 
-# Of each set of errors that move the transmission error alike the first is fitted (docs/theory/errors.md); errors that
-# are not named here come last.
+# Of each set of errors with the same effect on the transmission error the first is fitted (docs/theory/errors.md);
+# errors that are not listed come last.
 PREFERENCE = (
     "centre_distance_x", "centre_distance_y", "pin_radius", "pin_circle_radius", "eccentricity",
     *(f"{p}_{k}_{w}" for k in (2, 3) for p in ("pin_radial", "pin_tangential") for w in ("cos", "sin")),
@@ -22,9 +22,9 @@ PREFERENCE = (
     *(f"{p}_1_{w}" for p in ("pin_tangential", "pin_radial") for w in ("cos", "sin")),
     "isometric", "offset", "misalignment_xz", "misalignment_yz",
 )  # fmt: skip
-UNKNOWN = 1e-6  # precision of what has no prior, so that what these curves do not see at all can stay where it is
-_STOOD_FOR = 2e-3  # of what an error moves: where others leave less, they stand for it wholly
-KNOWN = 0.2  # an error counts as known where the data leave less than this share of its tolerance
+UNKNOWN = 1e-6  # precision of unknowns without a prior, so that those without effect on these curves stay unchanged
+_STOOD_FOR = 2e-3  # relative remainder of an effect below which the other errors reproduce it completely
+KNOWN = 0.2  # an error is known if its uncertainty is below this share of its tolerance
 
 
 def choose(information: Array, names: Sequence[str]) -> list[str]:
@@ -40,7 +40,7 @@ def choose(information: Array, names: Sequence[str]) -> list[str]:
     Returns
     -------
     names
-        In the order of `PREFERENCE`, then of `names`: each was added where all errors chosen stay known to `KNOWN` of
+        In the order of `PREFERENCE`, then of `names`: an error is added if all chosen errors remain known to `KNOWN` of
         their tolerance.
     """
     chosen: list[int] = []
@@ -61,7 +61,7 @@ def choose(information: Array, names: Sequence[str]) -> list[str]:
 def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> list[str]:
     """Choose the errors that observations resolve, in the order of `names`; orders of the profile are always included.
 
-    Like the scatter they have a prior size and add uncertainty to the others.
+    Like the scatter, these orders have a prior size and add uncertainty to the other errors.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], 
     free = [n not in observed.profile for n in names]
     own = np.flatnonzero([*free, *np.zeros(len(information) - len(names), bool)])
     other = np.setdiff1d(np.arange(len(information)), own)
-    # What scatter, form and nuisances leave of the information about the errors.
+    # Information about the errors that remains with unknown scatter, form and nuisances.
     size = np.sqrt(np.diag(information)[other])
     among = information[np.ix_(other, other)] / np.outer(size, size)
     blurred = linalg.solve(among, information[np.ix_(other, own)] / size[:, None], assume_a="pos") / size[:, None]
@@ -86,14 +86,13 @@ def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], 
 def _information(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
     """Information matrix of errors, scatter and nuisances, each in units of its prior.
 
-    Scatter, the profile's orders and the nuisances that have a prior are known by it; the errors and the other
-    nuisances by the data alone.
+    Scatter, the orders of the profile and some nuisances have a prior; the errors and the other nuisances do not.
     """
     return information_of_points(observed, linear, names, spread) + known_before(observed, linear, names, spread)
 
 
 def information_of_points(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
-    """Return the information of the points on errors, scatter and nuisances; those of curves add up.
+    """Return the information of the points on errors, scatter and nuisances; information of curves is additive.
 
     Returns
     -------
@@ -111,7 +110,7 @@ def information_of_points(observed: Observations, linear: Linear, names: Sequenc
 
 
 def known_before(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
-    """Return the prior information on the same, shape (unknowns, unknowns)."""
+    """Return the prior information on errors, scatter and nuisances, shape (unknowns, unknowns)."""
     _, priors = nuisance_columns(observed, linear)
     stated = np.array([float(n in observed.profile) for n in names])
     return np.diag(np.concatenate([stated, np.ones(spread.size), np.where(np.isfinite(priors), 1.0, UNKNOWN)]))
@@ -125,19 +124,19 @@ def weakness(
     Returns
     -------
     singular_values
-        Of the Jacobian scaled by tolerance and noise, the nuisances projected out.
+        Singular values of the Jacobian scaled by tolerance and noise, with the nuisances projected out.
     weak_combinations
-        Combinations of errors that stay less known than `KNOWN` of their tolerance, in words: one for each error that
-        is not chosen.
+        Combinations of errors with an uncertainty above `KNOWN` of their tolerance, as text: one for each error that is
+        not chosen.
     reasons
         {name: reason} for every error that is not chosen.
     beside
-        Those of them whose effect on the curves differs from the chosen ones, if only a little: being held, they may
-        bias these. Of a set with equal effect the first represents all.
+        Errors not chosen whose effect on the curves differs at least a little from that of the chosen ones: held errors
+        may bias these. Of a set with equal effects it has the first.
     """
     weight = observed.weight[:, None]
     nuisances, priors = nuisance_columns(observed, linear)
-    # A nuisance with a prior is one more measurement of itself.
+    # A nuisance with a prior is an additional measurement of itself.
     known = np.isfinite(priors)
     rows = np.vstack([weight * nuisances, np.diag(1.0 / priors)[known]])
     scale = np.linalg.norm(rows, axis=0)
@@ -183,7 +182,7 @@ def posterior_covariance(
     Parameters
     ----------
     chosen
-        The errors fitted; they have no prior.
+        The fitted errors; they have no prior.
     spread
         Prior standard deviation of each scattered displacement, m.
 
@@ -212,5 +211,5 @@ def _in_words(name: str, alike: Sequence[tuple[float, str]]) -> str:
         (share, other), *_ = alike
         way, left = ("alike", "sum") if share > 0 else ("oppositely", "difference")
         return f"{name} and {other} move the transmission error {way}; only their {left} is known"
-    # Moving the error by one and the others against what it does changes nothing.
+    # The error changed by one, and the others changed so that they cancel its effect.
     return f"+1.00 {name} {' '.join(f'{-share:+.2f} {other}' for share, other in alike)} is not known from these data"

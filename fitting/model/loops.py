@@ -2,7 +2,7 @@
 
 With the input locked at a crank angle a loop is the drive's windup there at every torque, whereas a transmission error
 curve is at one torque and every angle. Beyond friction and play each of its four branches is loaded contact, predicted
-by the exact model at that angle; friction is the distance between loading and unloading, the play that between the
+by the exact model at that angle. Friction is the distance between loading and unloading, play the distance between the
 sides.
 """
 
@@ -35,11 +35,11 @@ from fitting.transmission_error.folding import LOCKED, curves
 
 Array = NDArray[np.float64]
 
-BINS = 24  # of the torque on a branch
-_LEAST = 4  # samples in each
-_FRICTIONS = 2.5  # friction torques from zero and from the peak: there friction turns round, and a branch is left
-_REACH = 0.97  # of the peak
-_NO_TORQUE = 1e-2  # N·m: one flank touches at each end, and hardly gives way
+BINS = 24  # steps of the torque on a branch
+_LEAST = 4  # samples in each step
+_FRICTIONS = 2.5  # excluded range at zero and at the peak, in friction torques: friction reverses there
+_REACH = 0.97  # largest torque of a branch over the peak
+_NO_TORQUE = 1e-2  # N·m: one flank touches at each end, with hardly any deflection
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,11 @@ class LoopFit:
     Attributes
     ----------
     source, crank_angle
-        The recording, and where the input was locked, rad.
+        The recording, and the angle of the locked input, rad.
     torque, measured, fitted
-        Of each branch's points: torque (N·m) and windup with the bench's part (rad), lists of arrays by branch.
+        Torque (N·m) and windup including the bench (rad) at the points of each branch, lists of arrays.
     play, standard_error
-        The free rotation there by the identified errors, rad, without friction.
+        Free rotation at this angle from the identified errors, rad, without friction.
     """
 
     source: str
@@ -194,7 +194,7 @@ def _branch(
         return np.asarray(np.bincount(place[inside], values[inside], BINS) / count)
 
     at, windup = mean(torque), mean(error)
-    # Within a step the windup is a straight line, whose slope is that between the steps' means.
+    # Within a step the windup is linear, with the slope between the means of the steps.
     left = error - windup[np.clip(place, 0, BINS - 1)]
     left -= np.gradient(windup, at)[np.clip(place, 0, BINS - 1)] * (torque - at[np.clip(place, 0, BINS - 1)])
     scatter = np.sqrt(np.bincount(place[inside], left[inside] ** 2, BINS) / (count - 1.0))
@@ -231,14 +231,14 @@ def on_the_curves_zero(branches: Sequence[Curve], curves: Sequence[Curve]) -> li
 
 
 def play_of(pair: Pair, surface: ErrorSurface, crank_angle: float, names: Sequence[str]) -> tuple[float, Array, Array]:
-    """Play at a crank angle with its derivatives: those of the two flanks that touch at its ends.
+    """Return the play at a crank angle and its derivatives, from the two flanks in contact at its ends.
 
     Parameters
     ----------
     pair, surface
         The pair and its errors.
     crank_angle
-        Where the input is locked, rad.
+        Angle of the locked input, rad.
     names
         Structured errors.
 

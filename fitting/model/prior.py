@@ -16,9 +16,9 @@ from cycloid_fmu.surfaces.surface import Elements
 from fitting.model.observations import ORDERS, PROFILE_ORDERS, estimated_parts
 
 Array = NDArray[np.float64]
-TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # standard deviation that an error has before anything is measured
-_DRAWN = 100  # drives from which tolerances' scatter is taken
-_PROFILE_DRAWN = 50  # elements along the profile of each
+TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # prior standard deviation of an error
+_DRAWN = 100  # sampled drives for the scatter of tolerances
+_PROFILE_DRAWN = 50  # elements along the profile of each drive
 
 
 def tolerances_of(names: Sequence[str], stated: Mapping[str, float] | None = None) -> Array:
@@ -33,9 +33,9 @@ class Prior:
     Attributes
     ----------
     scatter
-        Of a pattern such as `pin_radial`; others are estimated from the data.
+        Standard deviation of a pattern such as `pin_radial`; others are estimated from the data.
     profile
-        Of the orders of the profile deviation that all teeth share; only those named are fitted.
+        Standard deviations of the orders of the profile deviation common to all teeth; only the named ones are fitted.
     first_stage
         First stage before the pair, as drawn.
     """
@@ -53,7 +53,7 @@ def prior_of(pair: Pair, tolerances: Tolerances) -> Prior:
 def scatter_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
     """Return the scatter of single pins and teeth within tolerances beyond structured orders: standard deviations, m.
 
-    They are those of drives within the tolerances (`cycloid_fmu.surfaces.sampling.sample_surface`). A pattern without
+    Computed from drives within the tolerances (`cycloid_fmu.surfaces.sampling.sample_surface`). A pattern without
     tolerance is left out.
     """
     drawn = [sample_surface(pair, tolerances, seed, Elements(2, 2, 1)) for seed in range(_DRAWN)]
@@ -71,8 +71,8 @@ def scatter_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
 def profile_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
     """Return the sizes within tolerances of the low orders of the profile deviation that all teeth share, m.
 
-    Cutter and grinding wheel make one form on every tooth, so it may be as large as one tooth's: standard deviation
-    over the teeth of drives within the tolerances. Empty without a tolerance of the flanks' form.
+    Cutter and grinding wheel make the same form on every tooth, so it may be as large as that of one tooth: standard
+    deviation over the teeth of drives within the tolerances. Empty without a tolerance of the flanks' form.
     """
     if tolerances.gear_profile is None:
         return {}

@@ -19,7 +19,7 @@ from fitting.transmission_error.curve import Curve
 Array = NDArray[np.float64]
 
 _NO_TORQUE = 1e-2  # N·m: one flank touches on either side, with hardly any deflection
-_EACH = 12  # angles in a crank turn at which the transmission error is evaluated
+_EACH = 12  # angles per crank turn at which the transmission error is evaluated
 _DRAWS = 200
 
 
@@ -33,17 +33,16 @@ class FigureOfDrive:
 
 
 class Gradient:
-    """Play, lost motion and transmission error of a drive, and their derivatives by errors, bearings and scatter.
+    """Play, lost motion and transmission error, and their derivatives with respect to errors, bearings and scatter.
 
     Attributes
     ----------
     values
-        {figure: rad}: `backlash`, the mean play over the output's turn, and with a rated torque `lost_motion` at ± 3 %
-        of it, a mean too.
+        {figure: rad}, means over an output turn: `backlash`, and with a rated torque `lost_motion` at ± 3 % of it.
     gradients
-        {figure: by everything in the order of `Known.covariance`}; 0 by the bench.
+        {figure: derivatives in the order of `Known.covariance`}; those with respect to the bench are 0.
     error, by_error
-        With a rated torque the transmission error there over a turn of the output, rad, shape (angles,), and its
+        With a rated torque, the transmission error at this torque over an output turn, rad, shape (angles,), and its
         derivatives.
     """
 
@@ -71,13 +70,13 @@ class Gradient:
 
 
 def _plain(field: Field, points: Array) -> Array:
-    """Rows in rad, not in units of a noise."""
+    """Return rows in rad instead of units of the noise."""
     ones = tuple(dataclasses.replace(one, standard_error=1.0) for one in field.lost_motions)
     return Field(field.observed, ones).reduced(points)
 
 
 def _turn(drive: Drive) -> list[Curve]:
-    """One turn of the output at rated torque."""
+    """Return one output turn at the rated torque."""
     pair = drive.pair
     assert pair.rated_torque is not None
     angle = np.arange(_EACH * pair.gear_teeth) * 2.0 * np.pi / _EACH
@@ -91,9 +90,9 @@ def _turn(drive: Drive) -> list[Curve]:
 def figures_of(drive: Drive, known: Known, gradient: Gradient | None = None) -> dict[str, FigureOfDrive]:
     """Return a drive's figures with their intervals.
 
-    `backlash` and, of a pair with a rated torque, `lost_motion` at ± 3 % of it, means over the output's turn, and
-    `transmission_error`, peak to peak at rated torque over a turn of the output: median and interval of drives drawn
-    from the distribution. All rad.
+    `backlash` is the mean over an output turn. With a rated torque there are also `lost_motion`, the mean at ± 3 % of
+    it, and `transmission_error`, peak to peak over an output turn at this torque: median and interval of drives drawn
+    from the distribution. All are in rad.
     """
     gradient = gradient or Gradient(drive, known)
     covariance = known.covariance
@@ -106,7 +105,7 @@ def figures_of(drive: Drive, known: Known, gradient: Gradient | None = None) -> 
         normal = np.random.default_rng(0).standard_normal((_DRAWS, len(covariance)))
         drawn = gradient.error + normal @ (gradient.by_error @ factor_of(covariance)).T
         sizes = np.ptp(drawn, axis=1)
-        # Deviations of single pins make the peak of each drawn drive higher than that of the most likely one.
+        # Deviations of single pins increase the peak of every drawn drive above that of the most likely drive.
         low, middle, high = (float(q) for q in np.quantile(sizes, (0.025, 0.5, 0.975)))
         found["transmission_error"] = FigureOfDrive(middle, (low, high), float(sizes.std()))
     return found

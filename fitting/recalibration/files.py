@@ -1,4 +1,4 @@
-"""File of a recalibration: figures of all dates, and the distribution of the joint's own errors for the next date."""
+"""Files of recalibrations: the figures at all dates, and the distribution of the errors for the next date."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def as_json(result: Recalibration) -> dict[str, Any]:
 def write_recalibration(result: Recalibration, path: str | os.PathLike[str]) -> None:
     """Write a recalibration, `cycloid-recalibration/1`, whole or not at all.
 
-    The drive itself is its surface's file, `result.drive.write("now.nc")`.
+    The drive is written separately, with `result.drive.write("now.nc")`.
     """
     with edge.written_whole(path) as temporary:
         temporary.write_text(edge.json_text(as_json(result)), encoding="utf-8")
@@ -65,12 +65,12 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
     path
         The file.
     drive
-        The drive that was written with it.
+        The drive that was written together with it.
 
     Raises
     ------
     edge.InputError
-        If it can't be read, is of another format or another drive, or its content is not consistent.
+        If it cannot be read, has another format, belongs to another drive, or is not consistent.
     """
     data = edge.json_table(path, FORMAT, "recalibration")
     if data.get("drive") != drive.hash:

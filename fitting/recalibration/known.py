@@ -1,4 +1,4 @@
-"""State between two dates: a normal distribution of the errors of a drive, which wear widens."""
+"""The state between two dates: a normal distribution of the errors of a drive, widened by wear."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ WEAR = "pin_radius"
 REFERENCE_TURNS = 1e7
 """Crank turns for which a drift is stated: 280 h at 600 rpm."""
 DRIFT = 1e-6
-"""Standard deviation of the uniform wear in so many crank turns, m."""
-_OTHERS = 0.3  # of the uniform wear: drift of each other structured error and order of the flanks' form
-_SINGLE = 0.2  # of it: additional drift of each single pin and tooth
+"""Standard deviation of the uniform wear over `REFERENCE_TURNS`, m."""
+_OTHERS = 0.3  # drift of every other structured error and order of the flank form, relative to the uniform wear
+_SINGLE = 0.2  # additional drift of each single pin and tooth, relative to the uniform wear
 _WORN = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch", PIN_RADIUS)
-_ARM = 0.1  # m: an error in m at this arm makes an error that is an angle
-_FLANK = 0.02  # m: radius of an involute stage's pinion, whose wear makes play
+_ARM = 0.1  # m: lever arm that converts an error in m into an angle
+_FLANK = 0.02  # m: radius of the pinion of an involute stage, whose wear causes play
 _STIFFNESS = 1e4  # 1/m: relative change of a bearing's stiffness for each m of uniform wear, 1 % for 1 µm
 
 
@@ -39,15 +39,15 @@ class Known:
     Attributes
     ----------
     errors
-        Structured errors, as a surface's `covariance_of` has them before the scatter.
+        Structured errors: the names of a surface's `covariance_of` before those of the scatter.
     bench
-        The other lasting unknowns: stiffness, clearance and play of the drive's bearings and first stage as
-        `fitting.model.bearings` names them; of the bench the reference's own errors and the chain's compliance.
+        The other lasting unknowns: stiffness, clearance and play of bearings and first stage, with the names of
+        `fitting.model.bearings`; errors of the output reference; compliance of the chain.
     bench_mean
-        Its mean, SI, shape (bench,); 0 of bearings, whose mean is the drive's pair and first stage. The mean of errors
-        and scatter is the drive's surface.
+        Mean of `bench`, SI, shape (bench,); 0 for bearings, because their mean is in the drive's pair and first stage.
+        The mean of errors and scatter is the drive's surface.
     covariance
-        Of errors, bench and scatter in this order, SI.
+        Covariance of errors, bench and scatter in this order, SI.
     """
 
     errors: tuple[str, ...]
@@ -60,7 +60,7 @@ class Known:
         return [*self.errors, *self.bench, *scatter_names(pair)]
 
     def of_surface(self) -> Array:
-        """Return the covariance of errors and scatter alone."""
+        """Return the covariance of errors and scatter, without the bench."""
         count = len(self.errors)
         own = np.r_[:count, count + len(self.bench) : len(self.covariance)]
         found: Array = self.covariance[np.ix_(own, own)]
@@ -70,7 +70,7 @@ class Known:
 def known_of(drive: Drive) -> Known:
     """Return the state of a drive whose surface has the covariance of a fit.
 
-    Bearings and first stage have the prior uncertainty of a fit; nothing is known of the bench.
+    Bearings and first stage have the prior uncertainty of a fit; the bench is unknown.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def known_of(drive: Drive) -> Known:
     single = scatter_names(pair)
     names = surface.covariance_of
     errors = [n for n in names if n not in set(single)]
-    # Flanks do not wear evenly.
+    # Flanks do not wear evenly, so their form is unknown too.
     errors += [n for n in (WEAR, *profile_names(PROFILE_ORDERS)) if n not in errors]
     bearings = unknown_bearings(pair, drive.first_stage)
     found = Known(tuple(errors), bearings, np.zeros(len(bearings)), np.zeros((0, 0)))
@@ -97,7 +97,7 @@ def known_of(drive: Drive) -> Known:
 
 
 def drift_of(pair: Pair, errors: Sequence[str], crank_turns: float, drift: float) -> Array:
-    """Return the drift of errors and scatter in a number of crank turns, standard deviations, m or rad.
+    """Return the drift of errors and scatter over a number of crank turns, standard deviations, m or rad.
 
     A random walk: the variance grows with the turns, so one long interval is equivalent to many short ones.
     The uniform wear drifts by `drift` (m) in `REFERENCE_TURNS`, other errors by a fraction of it, and single pins and
@@ -110,9 +110,9 @@ def drift_of(pair: Pair, errors: Sequence[str], crank_turns: float, drift: float
 
 
 def bearing_drift(names: Sequence[str], crank_turns: float, drift: float) -> Array:
-    """Return the drift of bearings in a number of crank turns, as `drift_of` for errors; 0 for all other names.
+    """Return the drift of bearings over a number of crank turns, standard deviations, SI; 0 for all other names.
 
-    A clearance drifts as the uniform wear; a first stage's play by that over a pinion's radius, rad.
+    A clearance drifts like the uniform wear, the play of a first stage by this wear over a pinion's radius, rad.
     """
     walked = drift * np.sqrt(crank_turns / REFERENCE_TURNS)
     sizes = {"clearance": 1.0, "stiffness": _STIFFNESS, PLAY.rpartition("_")[2]: 1.0 / _FLANK}
@@ -133,6 +133,6 @@ def factor_of(covariance: Array) -> Array:
     size = np.sqrt(np.diag(covariance))
     scale = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    # Values without any variance stay exactly constant.
+    # Unknowns without variance stay exactly constant.
     found: Array = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return found

@@ -1,4 +1,4 @@
-"""Measurements of a joint in the field: curves against a coarse output reference, and values of the lost motion."""
+"""Measurements of a joint in the field: curves with a coarse output reference, and values of the lost motion."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
 
-# Means over steps that are wider than a pin pitch hide single pins: at 4000 points of a 39/40 drive that moved the
-# backlash by up to three standard errors.
-POINTS = 10000  # most of an update: beyond them samples are averaged
-_COARSE = 2500  # of them with which an update begins
-_LEAST = 12  # points in a crank turn
-_AVERAGED = 1.3  # times as many points as steps at least are averaged
+# Means over steps wider than a pin pitch hide single pins: with 4000 points of a 39/40 drive the backlash changed by up
+# to three standard errors.
+POINTS = 10000  # largest number in an update: more samples are averaged
+_COARSE = 2500  # number of points in the first steps of an update
+_LEAST = 12  # smallest number of points per crank turn
+_AVERAGED = 1.3  # points per step from which on they are averaged
 TORQUE_SHARE = 0.05
 """Standard deviation of the scale of a torque from the motor's current or the load's weight."""
-FRICTION_SHARE = 0.01  # of the rated torque, or the largest measured: friction at the output, not measured
-_OWN_FRICTION = 0.5  # of it: standard deviation of a single run's friction
-_REFERENCE_ORDERS = (2, 3, 4)  # of the output turn: an encoder's own errors beside its eccentricity, which is order 1
-_REFERENCE = 1e-4  # rad: standard deviation of each
-_FORM = 1e-6  # m: scale of the profile deviation's orders
-_ANGLES = 10  # in a crank turn, over a turn of the output: where a mean lost motion is computed
+FRICTION_SHARE = 0.01  # unknown friction at the output over the rated torque, or over the largest measured one
+_OWN_FRICTION = 0.5  # standard deviation of a single run's friction over this friction
+_REFERENCE_ORDERS = (2, 3, 4)  # per output turn: errors of the encoder; order 1 is its eccentricity
+_REFERENCE = 1e-4  # rad: standard deviation of each order
+_FORM = 1e-6  # m: scale of the orders of the profile deviation
+_ANGLES = 10  # angles per crank turn, over an output turn, for a mean lost motion
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,10 @@ class LostMotion:
     Attributes
     ----------
     value, standard_error
-        rad at the output, ≥ 0 and > 0; the standard error includes the hysteresis of the reference.
+        Value (≥ 0) and standard error (> 0), rad at the output; the standard error includes the hysteresis of the
+        reference.
     torque
-        On either flank, N·m, > 0, by friction or load.
+        Torque on either flank from friction or load, N·m, > 0.
     crank_angle
         Crank angle of the measurement, rad; None for a mean over many angles.
 
@@ -75,7 +76,7 @@ class LostMotion:
 
 
 def averaged(curve: Curve, each: int) -> Curve:
-    """Average a curve's points in equal steps of the crank angle; one with few points, or of a loop, stays as is."""
+    """Average the points of a curve in equal steps of the crank angle; few points, and loops, stay unchanged."""
     if not _is_dense(curve, each):
         return curve
     of, count = _steps(curve, each)
@@ -95,23 +96,23 @@ def averaged(curve: Curve, each: int) -> Curve:
 
 
 def _is_dense(curve: Curve, each: int) -> bool:
-    """Whether a curve has more points than so many in a crank turn; a branch of a loop never has."""
+    """Return whether a curve has clearly more than `each` points per crank turn; False for a branch of a loop."""
     turns = float(np.ptp(curve.input_angle)) / (2.0 * np.pi)
     return not curve.branch and curve.input_angle.size > _AVERAGED * each * turns
 
 
 def _steps(curve: Curve, each: int) -> tuple[NDArray[np.int64], Array]:
-    """Return in which step of the crank angle each point lies, those with points counted, and samples in each."""
+    """Return the step of the crank angle of each point, numbered without empty steps, and the samples of each step."""
     place = np.floor(curve.input_angle / (2.0 * np.pi) * each).astype(np.int64)
     _, of = np.unique(place, return_inverse=True)
     return of.astype(np.int64), np.bincount(of, curve.sample_count).astype(float)
 
 
 def quantised(curve: Curve, bits: int) -> float:
-    """Return the quantisation noise in a point of a curve, for a reference with a number of bits a turn, rad.
+    """Return the quantisation noise of a point of a curve for a reference of `bits` bits per turn, rad.
 
-    The uniform error of a step is averaged over the samples of a point, but over no more samples than steps: samples
-    within one step have the same error.
+    The uniform error of a step is averaged over the samples of a point, at most over as many as there are steps:
+    samples within one step have the same error.
     """
     step = 2.0 * np.pi / 2**bits
     samples = float(np.median(curve.sample_count))
@@ -121,14 +122,14 @@ def quantised(curve: Curve, bits: int) -> float:
 
 @dataclass(frozen=True)
 class Field:
-    """Measurements as observations of a pair: curves first, then the points of lost motions, used as differences.
+    """Measurements as observations of a pair: points of the curves, then those of lost motions, used as differences.
 
     Attributes
     ----------
     observed
         All points; the weights of lost motions are 1.
     lost_motions
-        The values in the order of their curves, the last ones of `observed.curves`.
+        The measured values, in the order of their curves, which are the last ones of `observed.curves`.
     own_friction
         Standard deviation of the friction of a single run at the output, N·m.
     """
@@ -139,12 +140,12 @@ class Field:
 
     @property
     def running(self) -> int:
-        """How many points are rows by themselves."""
+        """Number of points that are rows of their own: those of the curves."""
         count = len(self.observed.curves) - len(self.lost_motions)
         return int(sum(c.input_angle.size for c in self.observed.curves[:count]))
 
     def thinned(self) -> Field:
-        """Return the field with fewer points, for the first steps of an update; itself if it has few."""
+        """Return the field with fewer points, for the first steps of an update, or the same field if it has few."""
         pairs = self.observed.measured.size - self.running
         if self.running <= _COARSE:
             return self
@@ -152,7 +153,7 @@ class Field:
         return dataclasses.replace(self, observed=few)
 
     def reduced(self, points: Array) -> Array:
-        """Return rows from points: those of a lost motion become one, in units of its standard error."""
+        """Return rows from points: the points of a lost motion become one row in units of its standard error."""
         rows = [points[: self.running]]
         at = self.running
         for one, curve in zip(self.lost_motions, self.observed.curves[-len(self.lost_motions) or None :], strict=False):
@@ -164,8 +165,8 @@ class Field:
 
 
 def sides(pair: Pair, torque: float, crank_angle: float | None, number: int, ratio: float) -> Curve:
-    """Return the points of a lost motion: the output loaded one way, then the other, N·m, at the same crank angles."""
-    # One angle more than whole crank turns have: no order of pins or teeth is in step with them.
+    """Return the points of a lost motion: the output loaded in either direction (N·m) at the same crank angles."""
+    # One angle more than a whole number per crank turn, so that no order of pins or teeth is aliased.
     count = _ANGLES * pair.gear_teeth + 1
     every = np.arange(count) * 2.0 * np.pi * pair.gear_teeth / count
     angle = every if crank_angle is None else np.array([crank_angle])
@@ -180,13 +181,13 @@ def sides(pair: Pair, torque: float, crank_angle: float | None, number: int, rat
 
 
 def linearised(pair: Pair, observed: Observations, state: State, form: Array | None = None) -> tuple[Linear, Array]:
-    """Evaluate the model and its derivatives, those by the orders of the flanks' form among them.
+    """Evaluate the model and its derivatives, including those with respect to the orders of the flank form.
 
     Returns
     -------
     linear, form
-        The model, and its derivatives by `observed.profile`, shape (points, orders): those that are given, or where
-        they are None those at the state. On bearings they are differences of the model and take longer than all else.
+        The model, and its derivatives with respect to `observed.profile`, shape (points, orders): the given ones, or
+        those at the state if they are None. For drives on bearings they are finite differences, the slowest part.
     """
     plain = dataclasses.replace(observed, errors=tuple(n for n in observed.errors if n not in observed.profile))
     linear = linearise(pair, plain, state)
@@ -216,11 +217,11 @@ def field_of(
     drive, errors
         The drive at its last state, and the structured errors with a known distribution.
     bits
-        Resolution of the output reference, bits a turn; None if the noise of the curves includes it.
+        Resolution of the output reference, bits per turn; None if the noise of the curves includes it.
     torque_share
         Standard deviation of the torque's scale.
     noise
-        Of a sample of each curve, rad, for a plan.
+        Noise of a sample of each curve, rad, for a plan.
     """
     pair = drive.pair
     means, shown = list(curves), []
@@ -247,7 +248,7 @@ def field_of(
 
 
 def _in_place(observed: Observations, running: int, torque_share: float, friction: float) -> Observations:
-    """Return observations with the errors of a coarse reference and torque; the first curves are running ones."""
+    """Return observations with the errors of a coarse reference and of the torque; the first curves are the runs."""
     count = sum(c.input_angle.size for c in observed.curves[:running])
     weight = observed.weight.copy()
     weight[count:] = 1.0
@@ -257,7 +258,7 @@ def _in_place(observed: Observations, running: int, torque_share: float, frictio
         names += [f"output_encoder_order_{order}_{part}" for part in ("cos", "sin")]
         columns += [np.cos(order * angle), np.sin(order * angle)]
     extra = np.array(columns).T if columns else np.zeros((angle.size, 0))
-    # A lost motion is measured at one place of the reference, whose errors are the same on either side.
+    # A lost motion is measured at one position of the reference, so its errors cancel.
     bench = np.hstack([observed.bench, extra])
     at_chain = observed.bench_names.index("chain_compliance")
     others = [i for i in range(bench.shape[1]) if i != at_chain]

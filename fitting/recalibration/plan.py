@@ -1,4 +1,4 @@
-"""Plan of the measurements for a required interval of the backlash: runs and index marks, from the last state."""
+"""Plan of measurements, runs or index marks, that give a required interval of the backlash from the last state."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from fitting.recalibration.update import Rows
 Array = NDArray[np.float64]
 
 TURNS = (1, 2, 5, 10, 20, 50, 100)
-"""Output turns, or passings of an index mark in each direction, that are compared."""
-_EACH = 12  # points in a crank turn at which a planned run is evaluated
-_SAMPLES = 100  # of a crank turn: 1 kHz at 600 rpm
+"""Compared numbers of output turns, or of passings of an index mark in each direction."""
+_EACH = 12  # points per crank turn at which a planned run is evaluated
+_SAMPLES = 100  # samples per crank turn: 1 kHz at 600 rpm
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,10 @@ class PlannedVisit:
     runs
         The runs in words.
     half_width
-        {output turns of each run, or passings of the mark each way: half of the backlash's 95 % interval, rad}.
+        {output turns of each run, or passings of the mark in each direction: half of the backlash's 95 % interval,
+        rad}.
     turns
-        Smallest number that gives the wanted half width; None if none of `TURNS` does or no width is given.
+        Smallest number of `TURNS` that gives the wanted half width; None if none does, or if no width is given.
     """
 
     runs: str
@@ -61,21 +62,21 @@ def plan_visit(
     drift: float | str = DRIFT,
     torque_share: float = TORQUE_SHARE,
 ) -> list[PlannedVisit]:
-    """Return the intervals of the backlash that sets of runs would give, before the measurement, from the last date.
+    """Predict the intervals of the backlash after sets of runs.
 
-    The sets are each load in one and in both directions, all loads in both directions, and the lost motion at the
-    smallest load at an index mark.
+    The sets are: each load in one direction and in both, all loads in both directions, and the lost motion at an index
+    mark at the smallest load.
 
     Parameters
     ----------
     before, crank_turns, bits, drift, torque_share
-        As `fitting.recalibration.recalibrate.recalibrate` has them.
+        As in `fitting.recalibration.recalibrate.recalibrate`.
     torque
-        Possible loads, N·m; the smallest one keeps the flanks in contact, for example by friction.
+        Possible loads, N·m; the smallest must keep the flanks in contact, and may be friction.
     wanted
         Required half width of the backlash's 95 % interval, rad.
     mark
-        Standard deviation of one passing of an index mark, rad at the output; without it none is planned.
+        Standard deviation of one passing of an index mark, rad at the output; None plans no mark.
 
     Returns
     -------
@@ -85,7 +86,7 @@ def plan_visit(
     Raises
     ------
     edge.InputError
-        If an argument is wrong, or the drive has no covariance.
+        If an argument is invalid, or the drive has no covariance.
 
     Examples
     --------
@@ -140,12 +141,12 @@ def _visit(
     share: float,
     goal: float | None,
 ) -> PlannedVisit:
-    """Return the interval of the backlash over the number of turns, for one set of runs."""
+    """Return the intervals of the backlash for one set of runs."""
     ratio = drive.pair.ratio
     thick = round(_SAMPLES / _EACH)
     curves = [planned_curve(ratio, way * load, way, 1.0, _EACH) for load, way in runs]
     curves = [dataclasses.replace(c, sample_count=np.full_like(c.sample_count, thick)) for c in curves]
-    # The place of the mark has hardly any effect on the information about the mean.
+    # The position of the mark has hardly any effect on the information about the mean.
     marks = [] if mark is None else [LostMotion(0.0, mark * np.sqrt(2.0), least, 0.0)]
     noise = [quantised(c, bits) * np.sqrt(thick) for c in curves]
     field = field_of(curves, marks, drive, known.errors, torque_share=share, noise=noise)

@@ -29,15 +29,15 @@ from fitting.transmission_error.curve import Curve
 Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-3
-"""Probability of a false alarm of each of the two tests, of the drift and of the residual."""
-_HARMONICS = 8  # of the pins' and the teeth's order in the output at which the residual is tested
-_NAMED = 3  # errors and orders that a sentence names
-_WEAK = 1.0  # information below which a combination is determined by the prior more than by the measurements
+"""Probability of a false alarm of each of the two tests, one of the drift and one of the residual."""
+_HARMONICS = 8  # of the orders of pins and teeth in the output, at which the residual is tested
+_NAMED = 3  # most errors or orders in a message
+_WEAK = 1.0  # information below which the prior determines a combination more than the measurements do
 
 
 @dataclass(frozen=True)
 class Dated:
-    """A drive's figures at one date: crank turns since the fit, {figure: value and interval}, and the alarm or ""."""
+    """Figures of a drive at one date: crank turns since the fit, {figure: value and interval}, and the alarm or ""."""
 
     crank_turns: float
     figures: Mapping[str, FigureOfDrive]
@@ -58,21 +58,21 @@ class Recalibration:
     history
         Figures of all dates, this one last; the first entry is the drive as given.
     moved
-        {name: (by how much, m, rad or share, and that in standard deviations of what its drift allows)} of every error,
-        bearing, single pin and tooth. With an alarm, the changes that would follow from the measurements.
+        {name: (change in m, rad or as a share; the same in standard deviations of the drift)} of every error, bearing,
+        single pin and tooth. With an alarm, the changes that would follow from the measurements.
     told
-        Information about each combination of errors in units of the prior's, largest first: above 1 the measurements
-        have more information than the prior.
+        Information about each combination of errors relative to the prior's, largest first: above 1 the measurements
+        contain more information than the prior.
     better_known
         Errors, bearings, pins and teeth whose standard deviation is now below 0.7 of the prior's, as text.
     remaining
         Number of combinations with an information below 1, which keep their prior uncertainty.
     drift_chance, left_chance
-        Probabilities of a change as large by wear alone, and of a residual as large by noise alone.
+        Probability that wear causes a change as large, and that noise causes a residual as large.
     known
         The prior of the next date, before drift.
     notes
-        What a reader should know.
+        Notes for the reader.
     """
 
     drive: Drive
@@ -113,11 +113,11 @@ def recalibrate(
         As for `fitting.identify`: runs under load in both directions, and loops. The torque may be estimated from the
         motor's current or the load's weight.
     lost_motions
-        Measured values of the lost motion, as from an index mark passed both ways.
+        Measured values of the lost motion, for example from an index mark passed in both directions.
     crank_turns
-        Made since the last date, ≥ 0.
+        Number of crank turns since the last date, ≥ 0.
     bits
-        Resolution of the output reference, bits a turn; None if the noise of the curves includes it.
+        Resolution of the output reference, bits per turn; None if the noise of the curves includes it.
     drift
         Standard deviation of the uniform wear in 10^7 crank turns, m.
     torque_share
@@ -126,12 +126,12 @@ def recalibrate(
     Raises
     ------
     edge.InputError
-        If a recording can't be read or is of another drive, an argument is wrong, the drive has no covariance, or
-        nothing was measured.
+        If a recording cannot be read or belongs to another drive, an argument is invalid, the drive has no covariance,
+        or there is no measurement.
 
     Examples
     --------
-    A drive whose backlash has grown by 20″ since it was identified, as an index mark shows:
+    A drive whose backlash has grown by 20″ since its identification, measured at an index mark:
 
     >>> import cycloid_fmu as cy, fitting, numpy as np
     >>> from fitting.recalibration.measured import LostMotion
@@ -164,8 +164,8 @@ def recalibrate(
                 )
             if not curve.known_index:
                 raise edge.InputError(
-                    f"{curve.source}: where the crank stands at an input angle of zero is not known, so its errors "
-                    "can't be held against those known; of a motor encoder that keeps its zero state zero_reference = "
+                    f"{curve.source}: the crank position at an input angle of zero is unknown, so its errors cannot be "
+                    "compared with the known ones; for a motor encoder that keeps its zero, state zero_reference = "
                     '"absolute" of [input_angle] in the mapping, or known_index of a Run.'
                 )
         field = field_of(curves, lost_motions, drive, known.errors, bits=bits, torque_share=share)
@@ -201,7 +201,7 @@ def _names(drive: Drive) -> tuple[str, ...]:
 
 
 def _white(field: Field, found: Updated) -> Field:
-    """Return the field with the noise increased for a residual that is not white; itself if it is white."""
+    """Return the field with increased noise if the residual is not white, else the same field."""
     observed = field.observed
     if not observed.running:
         return field
@@ -215,7 +215,7 @@ def _white(field: Field, found: Updated) -> Field:
 
 
 def left_over(field: Field, found: Updated) -> tuple[float, list[str]]:
-    """Return the probability of the residual by noise alone, at the gear's own orders, and the outlying orders as text.
+    """Return the probability that noise causes the residual at the gear's orders, and the significant orders as text.
 
     Residuals at other orders of the output are errors of the coarse reference and are not tested.
     """
@@ -223,7 +223,7 @@ def left_over(field: Field, found: Updated) -> tuple[float, list[str]]:
     sizes = [c.input_angle.size for c in observed.curves[: len(observed.curves) - len(field.lost_motions)]]
     parts = np.split(found.left[: field.running], np.cumsum(sizes)[:-1]) if sizes else []
     teeth = round(abs(observed.curves[0].ratio))
-    # Pins repeat every turn of the crank, teeth once more or once less in a turn of the output.
+    # Pins repeat with every crank turn; teeth repeat once more or once less per output turn.
     cogs = {abs(teeth + 1), teeth} if observed.curves[0].ratio < 0 else {teeth, abs(teeth - 1)}
     orders = sorted({k * one for one in cogs for k in range(1, _HARMONICS + 1)})
     chances: dict[str, float] = {}
@@ -257,12 +257,12 @@ def alarm_of(found: Updated, standing: Sequence[str]) -> str:
             "deviation of what can be expected)"
         )
     if standing:
-        parts.append(f"what is left is more than noise: {', '.join(standing)}")
+        parts.append(f"the residual is more than noise: {', '.join(standing)}")
     if not parts:
         return ""
     return (
         f"The model no longer holds: {'; '.join(parts)}. Was a part exchanged or broken, or is a torque or an angle "
-        "wrong? The drive is kept as it was; record again, and identify it where it stays so."
+        "wrong? The drive is not updated; record again, and identify it again if the alarm remains."
     )
 
 
@@ -275,7 +275,7 @@ def _sized(name: str, value: float) -> str:
 
 
 def _better_known(known: Known, found: Updated) -> tuple[str, ...]:
-    """Return the errors that are more accurately known than before, the largest gain first."""
+    """Return the errors that are known more accurately than before, the largest gain first."""
     names = list(found.moved)
     scale, after = (
         np.array([size[n] for n in names])
@@ -296,15 +296,15 @@ def _better_known(known: Known, found: Updated) -> tuple[str, ...]:
 def _notes(curves: Sequence[Curve], found: Updated, field: Field) -> tuple[str, ...]:
     notes = [note for one in curves for note in one.notes]
     if found.left_out:
-        notes.append(f"{found.left_out} of {field.running} points lie far off and were left out.")
+        notes.append(f"{found.left_out} of {field.running} points are far off and were left out.")
     running = [c for c in curves if not c.branch]
     if len(running) > 1 and not all(c.common_zero for c in running):
         notes.append(
-            "The recordings have no zero in common, so how far apart the output stands in both directions is not seen: "
-            'where its encoder is absolute, state zero_reference = "absolute" of [output_angle] in the mapping.'
+            "The recordings have no common zero, so the offset of the output between the directions is unknown: "
+            'if its encoder is absolute, state zero_reference = "absolute" of [output_angle] in the mapping.'
         )
     if not field.lost_motions and len({np.sign(c.torque) for c in running}) == 1 and len(running) == len(curves):
         notes.append(
-            "All torques have one sign, so the play was not crossed: backlash is known by what flanks of one side tell."
+            "All torques have one sign, so the play was not crossed: the backlash follows from one side of the flanks."
         )
     return tuple(dict.fromkeys(notes))

@@ -1,8 +1,8 @@
 """The update: the most likely drive from prior and measurements, and how well the two agree.
 
-Gauss-Newton steps on the exact contact model with the fit's own derivatives, as the iterated extended Kalman filter
-takes them (Bell and Cathey, IEEE Trans. Autom. Control 38 (1993) 294). Unknowns are scaled by a factor of their prior
-covariance, so that unknowns with zero variance stay exactly constant.
+Gauss-Newton steps on the exact contact model with the derivatives of the fit; this is the iterated extended Kalman
+filter (Bell and Cathey, IEEE Trans. Autom. Control 38 (1993) 294). Unknowns are scaled by a factor of their prior
+covariance, so unknowns with zero variance stay exactly constant.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from fitting.recalibration.measured import Field, linearised
 
 Array = NDArray[np.float64]
 
-_STEPS, _HALVED = 8, 4  # evaluations on the way to the most likely drive, and how often a step is halved
-# A step that gains less than this for each unknown (or row, if there are fewer), in the sum of squares in units of the
-# noise, is the last one and is taken in the linear model: the mean step is then below 0.22 standard deviations.
+_STEPS, _HALVED = 8, 4  # most evaluations of an update, and most halvings of a step
+# A step that reduces the sum of squares (in units of the noise) by less than this per unknown, or per row if there are
+# fewer rows, is the last one. It is taken in the linear model: the mean step is then below 0.22 standard deviations.
 _SETTLED = 0.05
-# The same while an update begins with few of the points, and then with all of them.
+# The same for the first steps, with few points, and for the first steps with all points.
 _BEGUN, _TO_ALL = 0.5, 0.1
-_FLAT = 1e-9  # of the largest singular value: zeros that others stand for
-_OUTLYING_SHARE = 0.01  # of the points: when more lie far off they are no outliers
-_TOLD = 0.1  # information in units of the prior's: combinations with less are not tested
+_FLAT = 1e-9  # relative to the largest singular value: combinations of zeros that others already explain
+_OUTLYING_SHARE = 0.01  # of the points: if more are far off, they are not outliers
+_TOLD = 0.1  # information relative to the prior's: combinations with less are not tested
 _LOCAL = (
     "output_angle_offset",
     "loop_angle_offset",
@@ -57,10 +57,10 @@ class Updated:
     known
         Its distribution.
     moved
-        {name: (by how much, m, rad or share, and that in standard deviations of what could be expected)} of every
-        error, bearing, single pin and tooth.
+        {name: (change in m, rad or as a share; the same in expected standard deviations)} of every error, bearing,
+        single pin and tooth.
     told
-        Information about each combination in units of the prior's, largest first: 1 halves a variance.
+        Information about each combination relative to the prior's, largest first: 1 halves a variance.
     drift_square, drift_chance
         χ² of the change of the determined combinations, and its probability by wear alone.
     left, row_variance
@@ -68,7 +68,7 @@ class Updated:
     left_out
         Number of outliers, which were left out.
     evaluations
-        How often the model was evaluated.
+        Number of evaluations of the model.
     end
         The last linear model.
     """
@@ -93,12 +93,12 @@ class Linearised:
     Attributes
     ----------
     at
-        The unknowns there, in units of what was known, shape (unknowns,).
+        The unknowns at the state, in units of the prior, shape (unknowns,).
     weight
-        Of the points, as in `Observations`, shape (points,).
+        Weights of the points, as in `Observations`, shape (points,).
     left, columns
-        Residual of each row in units of its noise, shape (rows,), and its derivatives by the unknowns in SI, shape
-        (rows, unknowns).
+        Residual of each row in units of its noise, shape (rows,), and its derivatives with respect to the unknowns in
+        SI, shape (rows, unknowns).
     """
 
     at: Array
@@ -108,12 +108,12 @@ class Linearised:
 
 
 class Rows:
-    """Rows of measurements and their derivatives by all unknowns, with a factor of the covariance of these before.
+    """Rows of measurements, their derivatives with respect to all unknowns, and a factor of the prior covariance.
 
     Parameters
     ----------
     drive, known, field
-        The drive at the last date, its distribution before the measurements, and these.
+        The drive at the last date, its distribution before the measurements, and the measurements.
     """
 
     def __init__(self, drive: Drive, known: Known, field: Field) -> None:
@@ -125,7 +125,7 @@ class Rows:
         own = [n for n in names[len(known.errors) : len(names) - len(single)] if not n.startswith(_LOCAL)]
         self.bench = [*known.bench, *(n for n in own if n not in known.bench)]
         lasting = [*known.errors, *self.bench, *single]
-        # Lasting unknowns of the bench take part even if these measurements do not depend on them.
+        # Lasting unknowns of the bench are included even if these measurements do not depend on them.
         self.lasting = lasting
         own = [f"torque_of_{i}" for i in observed.running]
         flat = [n for n, one in zip(observed.bench_names, observed.bench_prior, strict=True) if np.isinf(one)]
@@ -165,10 +165,10 @@ class Rows:
         field = field or self.field
         problem, observed, running, state = self.problem, field.observed, field.running, self.state(z)
         if self.form is not None and len(self.form) != observed.measured.size:
-            self.form = None  # of other points
+            self.form = None  # it belongs to other points
         linear, self.form = linearised(self.drive.pair, observed, state, self.form)
         columns = problem.columns(observed, linear) / problem.scale
-        # The torques of a lost motion are those between the flanks: friction is in them already.
+        # The torques of a lost motion are those at the flanks: they already include friction.
         first = len(problem.chosen) + len(observed.bench_names)
         columns[running:, first : first + len(observed.friction_names)] = 0.0
         by_all = np.zeros((columns.shape[0], len(self.names)))
@@ -189,14 +189,14 @@ class Rows:
         columns, factor = linear.columns, self.factor
         information = factor.T @ (columns.T @ columns) @ factor + np.eye(len(factor))
         moment = factor.T @ (columns.T @ (linear.left + columns @ (factor @ linear.at)))
-        # The information of the unknowns differs by a factor of up to a million.
+        # The information about the unknowns differs by a factor of up to a million.
         equations = Factor(information)
         inverse = equations.inverse()
         inverse = 0.5 * (inverse + inverse.T)
         return self._within(equations.solve(moment), inverse), inverse
 
     def _within(self, z: Array, covariance: Array) -> Array:
-        """Return the most likely unknowns among those whose clearances and plays are not below zero."""
+        """Return the most likely unknowns with no clearance or play below zero."""
         free = set(self.lowest)
         while free:
             below = {n: float(self.factor[self.names.index(n)] @ z) - self.lowest[n] for n in free}
@@ -204,7 +204,7 @@ class Rows:
             if below[name] >= 0.0:
                 break
             free.remove(name)
-            # Given that this one is zero, the others are another normal distribution.
+            # The distribution of the others on the condition that this one is zero.
             row = self.factor[self.names.index(name)]
             gain = covariance @ row / (row @ covariance @ row)
             z = z - gain * below[name]
@@ -213,18 +213,18 @@ class Rows:
 
 
 def _zeros_of(field: Field) -> Array:
-    """Return the columns of the angles' zeros, which are unknown: they are taken out of all rows, not estimated."""
+    """Return the columns of the unknown zeros of the angles: they are removed from all rows instead of estimated."""
     observed = field.observed
     return field.reduced(observed.weight[:, None] * observed.bench[:, np.isinf(observed.bench_prior)])
 
 
 def _without(base: Array, rows: Array) -> Array:
-    """Return rows without the part that the base explains."""
+    """Return rows without their projection onto the base."""
     return np.asarray(rows - base @ (base.T @ rows))
 
 
 def _base(zeros: Array) -> Array:
-    """Return an orthonormal base of what the zeros of the angles can explain."""
+    """Return an orthonormal base of the columns of the zeros."""
     base, size, _ = np.linalg.svd(zeros, full_matrices=False)
     return np.asarray(base[:, size > _FLAT * size.max(initial=0.0)])
 
@@ -234,7 +234,7 @@ def _plain(surface: ErrorSurface) -> ErrorSurface:
 
 
 def updated(drive: Drive, known: Known, field: Field, before: Updated | None = None) -> Updated:
-    """Update a drive by measurements.
+    """Update a drive with measurements.
 
     Parameters
     ----------
@@ -243,12 +243,12 @@ def updated(drive: Drive, known: Known, field: Field, before: Updated | None = N
     field
         The measurements.
     before
-        The update by the same measurements with another noise: its last linear model is the first one.
+        An update with the same measurements and another noise; its last linear model is the first one here.
 
     Raises
     ------
     edge.InputError
-        If no errors near those known carry the measured loads.
+        If the drive cannot carry the measured loads with errors near the known ones.
     """
     rows, coarse = Rows(drive, known, field), field.thinned()
     if before is not None:
@@ -258,13 +258,13 @@ def updated(drive: Drive, known: Known, field: Field, before: Updated | None = N
             now = rows.evaluated(np.zeros(len(rows.names)), coarse)
         except edge.InputError:
             raise edge.InputError(
-                "the drive as it is known carries these loads at no position of its contacts; check torques and signs."
+                "the drive cannot carry these loads with errors near the known ones; check torques and signs."
             ) from None
         now, done = _nearer(rows, now, coarse, 1, _SETTLED if coarse is field else _BEGUN)
         if coarse is not field:
-            # Nearer by now, so that one set of derivatives by the form serves all evaluations that follow.
+            # Near enough that one set of derivatives with respect to the form serves all later evaluations.
             now, done = _nearer(rows, rows.evaluated(now.at), field, done + 1, _TO_ALL)
-    # The last step is so small that the model there is its linear one.
+    # The last step is so small that the linear model is sufficient.
     keep = _near(now.left, field.running)
     end = now
     if not keep.all():
@@ -277,7 +277,7 @@ def updated(drive: Drive, known: Known, field: Field, before: Updated | None = N
 
 
 def _nearer(rows: Rows, now: Linearised, field: Field, done: int, settled: float = _SETTLED) -> tuple[Linearised, int]:
-    """Return linear rows so near to the most likely drive that a step in them leads there, and the evaluations."""
+    """Step until one more linear step reaches the most likely drive; return the rows, and the evaluations so far."""
     settled *= min(len(rows.names), now.left.size)
     while done < _STEPS:
         step = rows.solved(now)[0] - now.at
@@ -290,7 +290,7 @@ def _nearer(rows: Rows, now: Linearised, field: Field, done: int, settled: float
                 then = rows.evaluated(now.at + step, field)
                 done += 1
             except edge.InputError:
-                # So far away no contacts balance the load.
+                # No contacts balance the load this far away.
                 step = 0.5 * step
                 continue
             if _square(then) <= square:
@@ -308,7 +308,7 @@ def _square(linear: Linearised) -> float:
 
 
 def _reweighted(linear: Linearised, rows: Rows) -> Linearised:
-    """Return linear rows with the noise of others; zeros of the angles are taken out again."""
+    """Return linear rows with the noise of other rows; the zeros of the angles are removed again."""
     running, weight = rows.field.running, rows.field.observed.weight
     share = np.ones(linear.left.size)
     share[:running] = weight[:running] / linear.weight[:running]
@@ -318,7 +318,7 @@ def _reweighted(linear: Linearised, rows: Rows) -> Linearised:
 
 
 def _near(left: Array, running: int) -> NDArray[np.bool_]:
-    """Return which rows are used: outliers are not, unless there are too many of them."""
+    """Return a mask of the rows that are used: all except outliers, or all if there are too many outliers."""
     far = np.abs(left) > OUTLYING * max(1.0, 1.4826 * float(np.median(np.abs(left))))
     far[running:] = False
     return ~far if np.count_nonzero(far) <= _OUTLYING_SHARE * left.size else np.ones(left.size, bool)
@@ -343,7 +343,7 @@ def _result(
     count, single = len(known.errors), len(scatter_names(drive.pair))
     shift = (rows.factor @ z)[:lasting]
     bench_mean = rows.before + shift[count : lasting - single]
-    # Bearings and first stage are where they are from now on.
+    # The means of bearings and first stage are in the returned drive.
     bench_mean[[rows.bench.index(n) for n in rows.lowest]] = 0.0
     found = Known(known.errors, tuple(rows.bench), bench_mean, covariance)
     pair, stage = pair_with(drive.pair, state.bearings), drive.first_stage

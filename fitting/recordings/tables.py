@@ -148,11 +148,11 @@ class CsvFile(BenchFile):
         from pyarrow import csv as arrow_csv
 
         columns = [c.name for c in self.channels]
-        torn: list[str] = []
+        truncated: list[str] = []
 
         def short_row(row: Any) -> str:
-            torn.append(row.text)
-            return "skip" if len(torn) == 1 else "error"
+            truncated.append(row.text)
+            return "skip" if len(truncated) == 1 else "error"
 
         d = self.dialect
         plain = d.encoding in ("utf-8", "utf-8-sig")
@@ -175,12 +175,12 @@ class CsvFile(BenchFile):
             if "Empty CSV file" in str(problem):
                 return
             raise edge.InputError(f"{self.source}: {self._first_bad_cell(names, problem)}") from None
-        if torn:
+        if truncated:
             with Path(self.source).open("rb") as file:
                 file.seek(-1, os.SEEK_END)
                 whole = file.read(1) in b"\r\n"
             if whole:
-                raise edge.InputError(f"{self.source}: {self._first_bad_cell(names, ValueError(torn[0]))}")
+                raise edge.InputError(f"{self.source}: {self._first_bad_cell(names, ValueError(truncated[0]))}")
             self.problems.append(f"{self.source}: its last line is incomplete; it was left out.")
 
     def _first_bad_cell(self, names: Sequence[str], problem: Exception) -> str:

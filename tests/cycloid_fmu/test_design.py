@@ -182,6 +182,9 @@ def test_the_command_writes_drives_that_are_ready(tmp_path):
     assert (tmp_path / "found.png").stat().st_size > 10000
 
 
+ROW = '[[duty]]\ntorque = "1 N*m"\noutput_speed = "1 rpm"\nshare = 1.0'
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -194,16 +197,22 @@ def test_the_command_writes_drives_that_are_ready(tmp_path):
         ({"vary": {}}, "vary must have at least 1 entry, not 0"),
         ({"goals": "backlash"}, 'goals = "backlash": it should be a list in square brackets'),
         ({"goals": ["backlash", "pin_radius", "offset"]}, "goals must have at most 2 entries, not 3"),
-        ({"goals": ["bearing_life"]}, "goals = ['bearing_life']: bearing_life needs the pair's [supports]"),
+        (
+            {"goals": ["bearing_life"]},
+            "goals = ['bearing_life']: bearing_life needs the pair's [supports] with a dynamic_capacity",
+        ),
+        (
+            {"row": f'[limits]\nbearing_life = "9 h"\n{ROW}'},
+            "[limits] bearing_life: no bearing of the pair's [supports] states its dynamic_capacity",
+        ),
         ({"drive": "nowhere.toml"}, 'drive = "nowhere.toml": there is no '),
         ({"row": ""}, "duty is missing"),
         ({"row": '[[duty]]\ntorque = "1 N"\noutput_speed = "1 rpm"\nshare = 1.0'}, 'duty[0].torque = "1 N": the unit'),
     ],
 )
 def test_a_task_that_cannot_be_is_refused_in_a_sentence(tmp_path, change, said):
-    row = '[[duty]]\ntorque = "1 N*m"\noutput_speed = "1 rpm"\nshare = 1.0'
     drive = f"{EXAMPLES.as_posix()}/drive-39-40.toml"
-    table = {"drive": drive, "goals": ["backlash"], "vary": {"offset": ["-60 um", "0 um"]}, "row": row, **change}
+    table = {"drive": drive, "goals": ["backlash"], "vary": {"offset": ["-60 um", "0 um"]}, "row": ROW, **change}
     lines = ['format = "cycloid-design/1"', f'drive = "{table["drive"]}"']
     lines += [f"goals = {json.dumps(table['goals'])}", "[vary]"]
     lines += [f"{name} = {json.dumps(ends)}" for name, ends in table["vary"].items()]

@@ -11,7 +11,7 @@ from cycloid_fmu.contact.first_order import Screen, contacts_of, sensitivities
 from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.studies import tolerance
-from cycloid_fmu.studies.allocation import Nearby, allocate, errors_of_factors, scaled
+from cycloid_fmu.studies.allocation import Nearby, allocate, errors_of_factors, scaled, steps
 from cycloid_fmu.studies.tolerance import Study, figures_to_first_order, points, screened, surface_of
 from cycloid_fmu.supports.transmission import sensitivity
 from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances
@@ -143,7 +143,9 @@ def test_allocation_is_the_optimum_of_two_linear_errors():
     study = Study(
         DRIVE, parse_tolerances(HEAD + text.format(nominal.max() / ARCSEC + 8.0), "t.toml"), 400, 1, (181.0,), angles=20
     )
-    found = allocate(study, 0.9, "t.toml")
+    reported = []
+    found = allocate(study, 0.9, "t.toml", progress=reported.append)
+    assert sum(reported) == steps()
     assert 0.9 <= found.exact_yield < 0.92
     slope = []
     for name, width in (("pin_radius", 2e-6), ("pin_circle_radius", 2e-6)):
@@ -222,7 +224,7 @@ def test_yields_that_can_t_be_met_are_one_sentence(limits, target, said):
     assert str(caught.value).count("\n") == 0
 
 
-def test_form_deviations_are_left_to_the_exact_kernel():
+def test_form_deviations_are_left_to_the_exact_model():
     study = Study(DRIVE, read_tolerances(EXAMPLES / "tolerances.toml"), 4, 1, (181.0,))
-    with pytest.raises(edge.InputError, match=r"gear_profile.*exact kernel"):
+    with pytest.raises(edge.InputError, match=r"gear_profile.*exact model"):
         tolerance.check_first_order(study, "t.toml")

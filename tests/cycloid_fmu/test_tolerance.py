@@ -159,6 +159,23 @@ def test_sobol_indices_of_a_linear_figure_are_the_shares_of_variance():
         assert (np.abs(found[kind][order] - share) <= found[f"{kind}_confidence"][order] + 0.01).all()
 
 
+def test_a_figure_that_is_constant_over_the_base_points_has_no_indices(recwarn):
+    """Interference of one drive between them has a variance that they do not show; and seed 0 is a seed too."""
+    study = make_study(SINGLE, 80, design="saltelli", seed=0)
+    base = tolerance.saltelli_base(study)
+    values = np.random.default_rng(1).normal(size=(base * 5, len(study.columns)))
+    rare = [n for n, _ in study.columns].index("interference")
+    values[:, rare] = 0.0
+    values[2, rare] = 1e-6
+    result = tolerance.Result(study, values, np.arange(base * 5))
+    assert not result.independent[2]
+    found, again = tolerance.sobol_indices(result), tolerance.sobol_indices(result)
+    assert "interference" not in found
+    assert "backlash" in found
+    assert all(np.array_equal(found[f][k], again[f][k]) for f in found for k in found[f])
+    assert not recwarn.list
+
+
 # Checkpoints and kills
 
 

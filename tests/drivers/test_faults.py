@@ -90,7 +90,7 @@ def test_cable_unplugged_and_plugged_in(tmp_path):
     assert done.failures == ()
     for name in ("input_angle", "output_angle"):
         said = texts(recording, name)
-        assert any("failed and will be opened again: The serial port" in t for t in said), said
+        assert any("failed and will be reopened: The serial port" in t for t in said), said
         assert "samples arrive again" in said
         samples = recording.samples[name]
         gap = np.argmax(np.diff(samples.time_host)) + 1

@@ -211,7 +211,7 @@ def test_a_failed_channel_is_named_and_the_others_continue(tmp_path, monkeypatch
     with pytest.raises(EncoderTimeout, match="does not answer"):
         record_encoders([alone], tmp_path / "b.arrows", stop=exhausted(alone))
     assert not [t for t in threading.enumerate() if t.name.startswith("reopen")], "nothing is tried any more"
-    assert any("failed and will be opened again" in e.text for e in read_recording(tmp_path / "b.arrows").events)
+    assert any("failed and will be reopened" in e.text for e in read_recording(tmp_path / "b.arrows").events)
 
 
 def test_a_full_disk_leaves_the_written_samples(tmp_path, monkeypatch):

@@ -529,7 +529,7 @@ def test_the_command_writes_what_the_library_does(command, tmp_path, fit):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["-o", "1st.c"], '--output = "1st.c": its name also names what is in it: it must begin with a letter'),
+        (["-o", "1st.c"], '--output = "1st.c": its name is also that of its content: it must begin with a letter'),
         (["-o", "joint.m"], "the name must end in"),
         (["-o", "joint.c", "--temperatures", "20 degC"], "give two values separated by a comma"),
         (["-o", "joint.c", "--temperatures", "20 degC, 5 mm"], "use one such as degC"),

@@ -1,4 +1,4 @@
-"""C99 source of a compensator: the step that all have, and the tables of one drive."""
+"""C99 source of a compensator: the step, common to all, and the tables of one drive."""
 
 from __future__ import annotations
 
@@ -63,5 +63,5 @@ def _number(value: float) -> str:
 
 
 def _list(words: Iterable[str]) -> str:
-    text = ", ".join(word.strip("()") for word in words) or "0"  # C has no arrays without a number
+    text = ", ".join(word.strip("()") for word in words) or "0"  # C has no empty arrays
     return "{" + textwrap.fill(text, 118, initial_indent="\n    ", subsequent_indent="    ") + "\n}"

@@ -1,4 +1,4 @@
-"""FMUs of a compensator: its C99 source in FMI 2.0 or 3.0, for Co-Simulation, a step each communication step."""
+"""FMUs of a compensator: its C99 source in FMI 2.0 or 3.0, for Co-Simulation, one step per communication step."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _OUTPUTS = (
 
 
 def variables(version: Version) -> tuple[Variable, ...]:
-    """Return the FMU's variables, in the order of `sources/instance.h`; the place is the value reference."""
+    """Return the FMU's variables, in the order of `sources/instance.h`; the index is the value reference."""
     time = () if version == "2.0" else (Variable("time", "time", "independent", unit="s"),)
     known = {"depends": tuple(v.name for v in _INPUTS), "initially": tuple(v.name for v in _INDEX)}
     outputs = [Variable(name, text, "output", unit=unit, display=display, **known)  # type: ignore[arg-type]

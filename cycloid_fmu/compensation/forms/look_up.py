@@ -16,8 +16,8 @@ from cycloid_fmu.edge import ArgumentError, InputError
 
 Array = NDArray[np.float64]
 _MOST_ANGLES = 100_000
-_SHARE = 0.5  # of the table's own residual that straight lines between crank angles may add
-_BETWEEN = 8  # places between two crank angles or torques at which that is found
+_SHARE = 0.5  # largest error of linear interpolation over the crank angle, relative to the table's residual
+_BETWEEN = 8  # points between two crank angles or torques at which this error is found
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class LookUp:
 
 
 def look_up(c: Compensator, temperature: float | None = None) -> LookUp:
-    """Return the look-up table of a compensator at one temperature: that in the middle of its own where None (K).
+    """Return the look-up table of a compensator at one temperature (K), by default the middle of its range.
 
     Raises
     ------
@@ -74,11 +74,11 @@ def look_up(c: Compensator, temperature: float | None = None) -> LookUp:
         more = float(np.abs(straight - _deviation(c, fine, torque, temperature)).max())
         if more <= allowed_more:
             return LookUp(crank, torque, -c.ratio * found, period, temperature, c.inverse.residual + more)
-        # What straight lines err by falls with the square of their length.
+        # The error of linear interpolation is proportional to the square of the step.
         count = math.ceil(count * max(1.2, 1.05 * math.sqrt(more / allowed_more)))
     raise InputError(
         f"a look-up table of this residual takes more than {_MOST_ANGLES} crank angles; state a larger residual, or "
-        "take another form."
+        "use another form."
     )  # fmt: skip
 
 
@@ -90,7 +90,7 @@ def _deviation(c: Compensator, crank: Array, torque: Array, temperature: float) 
 
 
 def csv_text(c: Compensator, table: LookUp) -> str:
-    """Return the table as CSV, a line for each torque and crank angle; lines that explain it begin with #."""
+    """Return the table as CSV, a line for each torque and crank angle; comment lines begin with #."""
     arcsec = 648000.0 / math.pi
     at = f"at {table.temperature:g} K; " if len(c.inverse.temperature) > 1 else ""
     lines = [

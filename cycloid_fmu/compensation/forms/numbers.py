@@ -73,7 +73,7 @@ def name_of(path: Path, argument: str = "path") -> str:
     name = re.sub(r"[\s.-]+", "_", path.stem)
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", name) or keyword.iskeyword(name.lower()):
         raise ArgumentError(
-            argument, "its name also names what is in it: it must begin with a letter; letters, digits, single _",
+            argument, "its name is also that of its content: it must begin with a letter; letters, digits, single _",
             path.name,
         )  # fmt: skip
     return name

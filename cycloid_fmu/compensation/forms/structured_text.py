@@ -23,7 +23,7 @@ _PLACES = {
 
 
 def structured_text(c: Compensator, name: str) -> str:
-    """Return a compensator in Structured Text (IEC 61131-3, also its second edition): a function block of a name.
+    """Return a compensator in Structured Text (IEC 61131-3, also its second edition): a named function block.
 
     Constants begin with ``C_``, tables with ``T_``; blocks that it calls have the same name with a suffix.
     """
@@ -79,13 +79,13 @@ def _real(name: str, value: float) -> str:
 
 
 def _table(name: str, kind: str, words: Iterable[str], none: str = "") -> str:
-    """Return an array; the language has none without a number."""
+    """Return an array; the language has no empty ones."""
     values = list(words) or [none or ("0.0" if kind == "LREAL" else "0")]
     text = textwrap.fill(", ".join(values), 118, initial_indent="    ", subsequent_indent="    ")
     return f"  T_{name} : ARRAY [0..{len(values) - 1}] OF {kind} := [\n{text}];"
 
 
 def _number(value: float) -> str:
-    """Return a number with the fewest digits that read back to the same bits; the language wants a point in it."""
+    """Return a number with the fewest digits that read back to the same bits; the language requires a decimal point."""
     mantissa, _, exponent = repr(float(value)).partition("e")
     return f"{mantissa if '.' in mantissa else mantissa + '.0'}{f'E{int(exponent)}' if exponent else ''}"

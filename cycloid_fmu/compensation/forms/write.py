@@ -32,19 +32,19 @@ def write_compensator(
     Parameters
     ----------
     compensator
-        The drive's.
+        The compensator.
     path
         Its ending selects the form: `.c` or `.h` both C99 files, `.st` IEC 61131-3 Structured Text, `.csv` a
-        look-up table, `.fmu` an FMU. The name of source also names what is in it.
+        look-up table, `.fmu` an FMU. The name of C and Structured Text files is also that of their content.
     temperature
-        Of the look-up table, K; the middle of the compensator's temperatures where None.
+        Temperature of the look-up table, K; None for the middle of the compensator's range.
     fmi_version, platforms, compiled
-        Of an FMU, as of `cycloid_fmu.native.build.build_native`.
+        For an FMU, as in `cycloid_fmu.native.build.build_native`.
 
     Raises
     ------
     edge.InputError
-        If the folder does not exist, the ending or the name is none that is allowed, the table is too large, or an
+        If the folder does not exist, the ending or the name is not allowed, the table is too large, or an
         FMU's platform can't be built for.
 
     Examples

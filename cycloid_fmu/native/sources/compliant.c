@@ -32,7 +32,7 @@ double compliant_load(const struct drive *drive, int flange) {
     return flange == OUTPUT ? drive->pressed.by_rotation : drive->pressed.by_angle - drive->damping / drive->ratio;
 }
 
-/* Friction at the present place and speed, which may have been set since the last step. */
+/* Friction at the present angle and speed, which may have been set since the last step. */
 struct rubbing compliant_rubbing(const struct drive *drive, int flange) {
     const struct state *s = &drive->state;
     double way = flange == OUTPUT ? s->output_angle - s->seen
@@ -48,7 +48,7 @@ static void move_on(struct drive *drive, int flange, double way, double time, do
     drive->state.dissipated_energy += slid.lost;
 }
 
-/* Both flanges move on at their speeds; what they dissipate is summed in parts. */
+/* Move both flanges at constant speed; the dissipation is summed over parts of the step. */
 int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     double crank = s->crank_angle, output = s->output_angle, before = 0.0, load[2] = {0.0, 0.0};
@@ -68,7 +68,7 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
             return 1;
         }
         before = compliant_power(drive);
-        for (flange = INPUT; flange <= OUTPUT; flange++) { /* friction follows to where the flanges were put */
+        for (flange = INPUT; flange <= OUTPUT; flange++) { /* friction follows the angles that were set */
             load[flange] = compliant_load(drive, flange);
             if (drive->rubs[flange]) {
                 move_on(drive, flange, flange == INPUT ? crank - s->crank_seen : output - s->seen, 0.0, load[flange]);
@@ -99,8 +99,8 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
     return 0;
 }
 
-/* What changes over a way, by its difference: the mean of its derivative over the way, and how that mean changes with the
-   way's end. Over a way too short for a difference it is the mean of both ends. */
+/* Mean of a derivative over a displacement, from the difference of the function, and the change of this mean with the end
+   of the displacement. If the displacement is too short for a difference, it is the mean of both ends. */
 struct mean {
     double value, slope;
 };
@@ -121,20 +121,20 @@ static double by_phase(const struct drive *drive, const struct pressed *at) {
     return at->by_angle + at->by_rotation / drive->ratio;
 }
 
-/* Where a sub-step is: ways of crank and output, what is stored in the middle of the crank's way before and after the
-   deviation changed and at the end, and what acts on the way. */
+/* A sub-step: displacements of crank and output; stored energy at half the crank's displacement, before and after the
+   change of the deviation, and at the end; mean torques. */
 struct swing {
     double turn, way, damping, crank_torque;
-    struct slid rubbed[2]; /* friction at crank and output, which leaves `strain` */
+    struct slid rubbed[2]; /* friction at crank and output, with its strains at the end in `strain` */
     double strain[2][FRICTION_ELEMENTS];
     struct pressed before, after, end;
 };
 
 enum { SWUNG, FAILED, TOO_LONG };
 
-/* One sub-step by the implicit midpoint rule with means in place of derivatives: the crank goes half its way at the same
-   deviation, the deviation changes, the crank goes the other half. What is done is what is stored and lost, so nothing is
-   gained. Without an inertia the crank's way is given. */
+/* One sub-step by the implicit midpoint rule with mean derivatives: the crank moves by half its displacement at constant
+   deviation, then the deviation changes, then the crank moves by the other half. The work done is the energy stored and
+   dissipated, so no energy is gained. Without an inertia the crank's displacement is given. */
 static int swing(struct drive *drive, double part, struct pressed *at, struct swing *w, char message[MESSAGE_SIZE]) {
     const struct state *s = &drive->state;
     const double ratio = drive->ratio, start = s->turned;
@@ -202,7 +202,7 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
     return TOO_LONG;
 }
 
-/* The longest sub-step: a share of the fastest swing and of the mesh's passing. */
+/* The longest sub-step: a share of the shortest period of oscillation and of the mesh period. */
 static double longest(const struct drive *drive, double crank_speed) {
     const struct state *s = &drive->state;
     const struct side *side = &drive->table->side[0];
@@ -214,12 +214,12 @@ static double longest(const struct drive *drive, double crank_speed) {
     if (s->crank_inertia > 0.0) {
         swing += (stiffness / (ratio * ratio) + FRICTION_ELEMENTS * drive->element[INPUT]) / s->crank_inertia;
     }
-    crank_speed *= drive->table->ratio / drive->ratio; /* of the teeth's crank */
+    crank_speed *= drive->table->ratio / drive->ratio; /* of the cycloid stage's crank */
     return fmin(s->largest_step, fmin(SUB_STEP / sqrt(swing), MESH_STEP / fmax(fabs(crank_speed), 1e-30)));
 }
 
-/* Inertias inside: they move under the torques on them and the contacts between; without an inertia the crank goes from
-   where it stood to where its angle and speed lead. */
+/* Step with inertias inside, which move under their torques and the contacts between them. Without an inertia the crank
+   moves from its last angle to that of its angle and speed inputs. */
 int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     const double ratio = drive->ratio;

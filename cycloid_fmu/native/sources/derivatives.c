@@ -1,17 +1,17 @@
-/* Directional derivatives: of what the contacts do from the tables' own derivatives, of the other outputs by differences
-   of what is given out. */
+/* Directional derivatives: of the contacts from the derivatives of the tables, of the other outputs by differences of the
+   outputs. */
 #include "drive.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
-/* How the contacts answer: how fast their load, the crank's torque and the mean rate over all loads change. */
+/* Response of the contacts: derivatives of their load, of the crank's torque, and of the mean rate over all loads. */
 struct answer {
     double load, crank_torque, rate;
 };
 
-/* By the crank's angle at a load that goes by itself, or (`stiffness` above 0) at a given way of the output. */
+/* For a change of the crank angle: at a given change of the load, or (`stiffness` above 0) of the output's angle. */
 static struct answer answer_of(struct drive *drive, double load, double side, double stiffness, double angle, double way) {
     const struct side *table = teeth_side(drive, side);
     const struct place *place = drive_place(drive);
@@ -35,7 +35,7 @@ static struct answer answer_of(struct drive *drive, double load, double side, do
     return found;
 }
 
-/* Torque of a flange's friction, by a difference: `way`, `speed` and `load` are how fast these go. */
+/* Derivative of a flange's friction torque, by a difference; `way`, `speed` and `load` are the rates of these. */
 static double rubbing_going(const struct drive *drive, int flange, const struct state *go, double way, double speed,
                             double load) {
     const struct state *s = &drive->state;
@@ -64,7 +64,7 @@ static double rubbing_going(const struct drive *drive, int flange, const struct 
     return size > 0.0 ? 0.5 * (torque[1] - torque[0]) * size / DIFFERENCE_SHARE : 0.0;
 }
 
-/* 1 where the output is not one of these. */
+/* Returns 1 if the output is not one of these. */
 static int of_kinematic(struct drive *drive, int field, const struct state *go, double *value) {
     const struct state *s = &drive->state;
     const double ratio = drive->ratio, side = s->side < 0.0 ? -1.0 : 1.0;
@@ -107,7 +107,7 @@ static int of_compliant(struct drive *drive, int field, const struct state *go, 
     const struct pressed *p = &drive->pressed;
     const double ratio = drive->ratio, slip = s->output_speed - s->crank_speed / ratio;
     const int inside = drive->table->offers == INTERFACE_INERTIA;
-    /* With inertias inside, what goes is the deviation. */
+    /* With inertias inside, the state is the deviation. */
     const double output = inside ? go->deviation + go->crank_angle / ratio : go->output_angle;
     const double turn = drive->exchange ? 0.0 : go->crank_angle, way = drive->exchange ? 0.0 : output;
     double side = p->load > 0.0 ? p->side : 0.0, damping, friction, torque, loss, stiffness;
@@ -148,7 +148,7 @@ static int of_compliant(struct drive *drive, int field, const struct state *go, 
     }
 }
 
-/* By a central difference of what is given out. */
+/* By a central difference of the outputs. */
 static int by_difference(const struct drive *drive, const struct variable *unknown, const struct state *go, double size,
                          double *value, char message[MESSAGE_SIZE]) {
     double found[2];
@@ -173,7 +173,7 @@ static int by_difference(const struct drive *drive, const struct variable *unkno
     return 0;
 }
 
-/* How far a known is moved for a difference. */
+/* Step of a known for a difference. */
 static double reach_of(const struct variable *known) {
     switch (known->field) {
     case OUTPUT_ANGLE:
@@ -182,7 +182,7 @@ static double reach_of(const struct variable *known) {
     }
 }
 
-/* Whether something may be moved: an input, a parameter, or a state of Model Exchange. */
+/* Whether a variable may be a known: an input, a parameter, or a state of Model Exchange. */
 static int movable(const struct drive *drive, const struct variable *known) {
     int fields[MOST_STATES], count = drive->exchange ? exchange_states(drive, fields) : 0, i;
     for (i = 0; i < count; i++) {
@@ -223,7 +223,7 @@ int derivative_of(struct drive *drive, const struct direction *direction, const 
             return 1;
         }
         if (!drive->exchange && drive->table->offers == INTERFACE_INERTIA) {
-            return 0; /* what comes out is of the last step */
+            return 0; /* outputs belong to the last step */
         }
         failed = drive_kinematic(drive) ? of_kinematic(drive, unknown->field, &direction->along, value)
                                         : of_compliant(drive, unknown->field, &direction->along, value);

@@ -44,7 +44,7 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
 static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state kept;
     int failed;
-    /* A step leaves the parameters, and of the kinematic interface all that it has not. */
+    /* A step does not change parameters, nor the fields that the kinematic interface does not have. */
     size_t size = drive_kinematic(drive) ? offsetof(struct state, seen) : offsetof(struct state, crank_torque);
     memcpy(&kept, &drive->state, size);
     failed = move(drive, step, message);
@@ -73,7 +73,7 @@ int drive_step(struct drive *drive, double time, double step, char message[MESSA
     return 0;
 }
 
-/* With an inertia the drive starts at rest on its load, without friction's history. */
+/* With an inertia the drive starts at rest under its load, without a history of friction. */
 static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     const int rubs[2] = {drive->rubs[INPUT], drive->rubs[OUTPUT]};
@@ -87,7 +87,7 @@ static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
     speed = failed ? 0.0 : kinematic_speed(drive);
     drive->resting = drive->placed = 0;
     for (i = 0; !failed && drive->b > 0.0 && s->torque != 0.0 && i < 5; i++) {
-        /* A compliance in series turns the crank a little otherwise at rest (docs/theory/fmu.md). */
+        /* A compliance in series changes the crank's angle at rest slightly (docs/theory/fmu.md). */
         failed = teeth_press(drive, s->turned, s->output_angle - s->turned / drive->ratio, &drive->pressed, message);
         if (!failed && drive->pressed.stiffness > 0.0) {
             s->output_angle += (s->torque - drive->pressed.by_rotation)
@@ -173,7 +173,7 @@ double *drive_stored(struct state *s, const struct variable *variable) {
     return variable->field >= LOSS_TABLE ? &s->loss[variable->field - LOSS_TABLE] : NULL;
 }
 
-/* What the housing adds to a variable. */
+/* Contribution of the housing to a variable. */
 static double of_housing(const struct drive *drive, int field) {
     switch (field) {
     case CRANK_ANGLE:
@@ -186,7 +186,7 @@ static double of_housing(const struct drive *drive, int field) {
     }
 }
 
-/* See from a housing that stands and turns otherwise what does not move with it. */
+/* Convert everything that does not move with the housing to another angle and speed of the housing. */
 static void turn_housing(struct drive *drive, double angle, double speed) {
     struct state *s = &drive->state;
     s->crank_angle -= angle;
@@ -276,7 +276,7 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
     return 0;
 }
 
-/* How much the teeth carry, and on which side; 0 where nothing touches. */
+/* Load of the teeth, and its side; returns 0 without contact. */
 static int load_of(struct drive *drive, double *load, double *side) {
     const struct state *s = &drive->state;
     *load = drive_kinematic(drive) ? s->load : drive->pressed.load;
@@ -297,7 +297,7 @@ double drive_stiffness(struct drive *drive) {
 
 int drive_outside(const struct drive *drive) {
     const struct state *s = &drive->state;
-    const struct side *side = drive->table->side; /* asked at each step: no calls */
+    const struct side *side = drive->table->side; /* needed at each step: no calls */
     if (drive->table->offers == INTERFACE_KINEMATIC) {
         return s->load > side[s->side > 0.0 ? 0 : 1].reach;
     }
@@ -381,7 +381,7 @@ int drive_get(struct drive *drive, const struct variable *variable, double *valu
         return 0;
     }
     if (drive->initializing) {
-        /* Outputs of initialization follow what is set: they are found without keeping anything. */
+        /* During initialization outputs follow the values that were set: computed without a change of the state. */
         struct state before = drive->state;
         int failed = drive_start(drive, message);
         *value = failed ? 0.0 : output(drive, variable->field);

@@ -4,50 +4,50 @@
 
 #include "table.h"
 
-enum { INPUT, OUTPUT }; /* flange_a and flange_b, where both have the same */
+enum { INPUT, OUTPUT }; /* flange_a and flange_b, in arrays over both */
 
-/* Friction at a flange, as `Law` of cycloid_fmu/fmu/friction.py has it. */
+/* Friction at a flange: `Law` of cycloid_fmu/fmu/friction.py. */
 struct friction {
     double coulomb, load_share, stribeck, stribeck_speed, viscous, temperature_coefficient, reference_temperature,
         presliding_angle;
 };
 
-/* What later steps and outputs depend on: doubles alone, so that it can be written down as it is. */
+/* Everything that later steps and outputs depend on: only doubles, so that it can be stored as it is. */
 struct state {
     double time;
-    double crank_angle, crank_speed, torque; /* torque: the input, the load on the inertia; else unused */
-    double output_angle, output_speed;       /* of the kinematic interface the speed is found when asked for */
+    double crank_angle, crank_speed, torque; /* torque: the input, or the load on the inertia; else unused */
+    double output_angle, output_speed;       /* in the kinematic interface the speed is computed on request */
     double temperature, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
     double settled, placed, deviation, load, side, pushed; /* kinematic: at the last step */
-    double strain[2][FRICTION_ELEMENTS], crank_seen; /* of friction: of its elements; crank angle that it followed to */
-    double gear, loose; /* of a reducer: the gear's own deviation, and whether the plays around it leave it unloaded */
-    /* What the kinematic interface has not. */
-    double seen, dissipated_energy; /* seen: output angle that friction has followed to */
-    /* With an inertia inside: where the crank stands, as its angle may be set to where it goes next; and of the last step
-       its mean torque and what was lost, and whether a torque was beyond the tables. */
+    double strain[2][FRICTION_ELEMENTS], crank_seen; /* friction: its strains; the crank angle that it has followed */
+    double gear, loose; /* reducer: the gear's own deviation, and whether it is unloaded within its plays */
+    /* Not in the kinematic interface. */
+    double seen, dissipated_energy; /* seen: output angle up to which friction has followed */
+    /* With an inertia inside: angle of the crank, because the input may already be the next angle; and of the last step the
+       mean torque, the dissipated energy, and whether a torque was beyond the tables. */
     double turned, mean_torque, mean_output, mean_loss, outside;
-    /* Of the housing, whose axes all other angles and speeds are in; those of the variables are absolute. */
+    /* Of the housing. All other angles and speeds are relative to it; those of the variables are absolute. */
     double support_angle, support_speed;
-    double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with one */
-    /* Of Model Exchange, where the kinematic interface's last step ended: output and crank angle, friction's strains. */
+    double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with an inertia */
+    /* Model Exchange: output angle, crank angle and strains at the end of the kinematic interface's last step. */
     double held, held_crank, held_strain[2][FRICTION_ELEMENTS];
     double event_mode; /* whether the instance is in it */
-    double draw;       /* which drive of a fit's distribution it is; 0: the most likely one */
-    double age, wear_factor; /* of an ageing drive: running time (s), and wear coefficient over the forecast's median */
+    double draw;       /* number of the draw from a fit's distribution; 0: the most likely drive */
+    double age, wear_factor; /* ageing drive: running time (s), and wear coefficient over the forecast's median */
     struct friction friction[2];
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
 
-/* The ends of the play, mirrored, and what `backlash_on` takes from both. */
+/* The ends of the play, mirrored, and the part that `backlash_on` = false removes from both. */
 struct play {
     struct loaded end[2];
     double width, offset, offset_rate;
 };
 
-/* Contacts and series compliance pressed by a deviation: energy, its derivatives, and how the teeth stand. */
+/* Contacts and series compliance at a deviation: energy, its derivatives, and the state of the teeth. */
 struct pressed {
     double energy, by_angle, by_rotation, stiffness, load, side;
-    double crank, deviation; /* where the teeth's crank stands, and how far the gear alone is off */
+    double crank, deviation; /* of the cycloid stage's crank; of the gear without series compliance */
 };
 
 /* Torques at which friction slides towards negative and towards positive angles. */
@@ -55,34 +55,34 @@ struct yields {
     double low, high;
 };
 
-/* What friction does over a way: mean torque, its change with the way's end, energy lost. */
+/* Friction over a displacement: mean torque, its derivative with respect to the end, dissipated energy. */
 struct slid {
     double torque, slope, lost;
 };
 
-/* And at a place: torque, power lost, energy stored. */
+/* Friction at an angle: torque, dissipated power, stored energy. */
 struct rubbing {
     double torque, power, stored;
 };
 
 struct drive {
     const struct table *table; /* of the draw, or of the age */
-    uint32_t checksum;         /* of the most likely drive's table: whose states these are */
+    uint32_t checksum;         /* identity of the most likely drive's table, stored with the states */
     double ratio;     /* of the flanges */
     double a, b, s;   /* of an RV reducer (reducer_model.py); b = 0 without its first stage */
     struct state state;
     double rated;     /* torque */
     int rows;         /* of the loss table */
-    int lossy, rubs[2]; /* whether that takes anything, and whether there is friction at each flange */
+    int lossy, rubs[2]; /* whether there are losses, and friction at each flange */
     double element[2];  /* stiffness of each of its elements */
     int initializing; /* outputs follow the inputs without a step */
     int resting;      /* at rest under load, as the kinematic interface is, before an inertia moves */
     int exchange;     /* Model Exchange: the solver is the host's; an inertia's deviation is a state */
     int early, impact; /* whether a step ends where contact begins, and whether the last one did */
-    double left;       /* what it then left of it, s */
+    double left;       /* rest of the step after that, s */
     int placed;       /* whether `place` is that of the state; of no effect on results */
     struct place place;
-    struct loaded at; /* what the contacts do there under `at_load`, where that is not 0 */
+    struct loaded at; /* state of the contacts there under `at_load`, if that is not 0 */
     double at_load;
     int driven; /* whether the kinematic interface's `crank_torque` is that of the state; likewise */
     double crank_torque;
@@ -91,7 +91,7 @@ struct drive {
     double damping;
 };
 
-/* Every function that can fail returns 0, or 1 with one sentence in `message` and everything left as it was. */
+/* Every function that can fail returns 0, or 1 with one sentence in `message` and nothing changed. */
 void drive_open(struct drive *drive, struct table *table);
 void drive_reset(struct drive *drive);
 int drive_start(struct drive *drive, char message[MESSAGE_SIZE]);
@@ -107,11 +107,11 @@ int drive_state_check(const struct drive *drive, const unsigned char *blob, size
                       char message[MESSAGE_SIZE]);
 void drive_state_read(struct drive *drive, const unsigned char *blob);
 
-/* Of the drive's own files alone. */
+/* Only for the drive's own files. */
 int drive_refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit);
 int drive_kinematic(const struct drive *drive);
 double drive_angle(const struct drive *drive);         /* of the crank */
-double *drive_stored(struct state *s, const struct variable *variable); /* or NULL, where it is found when asked for */
+double *drive_stored(struct state *s, const struct variable *variable); /* or NULL if it is computed on request */
 const struct place *drive_place(struct drive *drive); /* of the state */
 double drive_stiffness(struct drive *drive);           /* at the flange, the compliance in series included; 0 without contact */
 
@@ -126,24 +126,24 @@ struct slid friction_slide(const double strain[FRICTION_ELEMENTS], double follow
                            double stiffness, struct yields yields);
 struct slid friction_rub(const struct drive *drive, int flange, double way, double time, double load,
                          double following[FRICTION_ELEMENTS]);
-/* Torque of the elements after a way, however long it takes, and the stiffness of those that hold. */
+/* Torque of the elements after a displacement, at any speed, and the stiffness of those that hold. */
 double friction_held(const struct drive *drive, int flange, double way, double load, double speed,
                      double following[FRICTION_ELEMENTS], double *slope);
 struct rubbing friction_press(const struct drive *drive, int flange, double way, double speed, double load, double time);
-/* How fast elements are strained where a solver integrates them: one that slides is strained a little more than it can
-   be, by YIELDING_SHARE of the presliding angle at most. Returned is the power that they store. */
+/* Strain rates of the elements for a solver that integrates them: a sliding element exceeds its yield strain by at most
+   YIELDING_SHARE of the presliding angle. Returns the power that they store. */
 double friction_flow(const struct drive *drive, int flange, double speed, double load, double rate[FRICTION_ELEMENTS]);
 double friction_strained(const struct drive *drive, int flange); /* torque of the elements */
 
 const struct side *teeth_side(const struct drive *drive, double direction);
-int teeth_outside(const struct drive *drive, double load, double side); /* whether the tables don't reach there */
+int teeth_outside(const struct drive *drive, double load, double side); /* whether it is beyond the tables */
 struct play teeth_play(const struct drive *drive, const struct place *place);
 /* Torque of the crank from the contacts: the energy's derivative at fixed output. */
 double teeth_crank_torque(const struct drive *drive, const struct place *place, double load, double side,
                           double offset_rate, double *energy);
 double teeth_stiffness(const struct drive *drive, const struct place *place, double load, double side, double play);
 int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *found,
-                char message[MESSAGE_SIZE]); /* of a reducer by its flanges */
+                char message[MESSAGE_SIZE]); /* of a reducer, at given angles of its flanges */
 void teeth_press_gear(const struct drive *drive, double crank_angle, double deviation, double series,
                       struct pressed *found);
 
@@ -158,7 +158,7 @@ double kinematic_yielding(struct drive *drive, double speed, double stiffness);
 
 int reducer_elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]);
 void reducer_hold(struct drive *drive, double deviation);
-/* Contacts and series compliance behind the first stage, by the sun's and the output's angle. */
+/* Contacts and series compliance behind the first stage, at given angles of sun and output. */
 void reducer_press(const struct drive *drive, double sun_angle, double deviation, struct pressed *found);
 double reducer_pressed_stiffness(const struct drive *drive);
 double reducer_speed(struct drive *drive);
@@ -169,7 +169,7 @@ int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]);
 int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE]);
 int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]);
 double compliant_power(const struct drive *drive); /* of the contacts' damping */
-double compliant_load(const struct drive *drive, int flange); /* what the teeth ask for */
+double compliant_load(const struct drive *drive, int flange); /* torque of the teeth */
 struct rubbing compliant_rubbing(const struct drive *drive, int flange);
 
 enum { MOST_STATES = 5 + 2 * FRICTION_ELEMENTS };
@@ -179,10 +179,10 @@ double exchange_rate(const struct drive *drive, int field);
 void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]);
 void exchange_keep(struct drive *drive);
 
-/* A direction in which inputs, parameters or states go: seeds in the place of what they belong to. */
+/* A direction of inputs, parameters or states: the seeds are in the fields of their variables. */
 struct direction {
     struct state along;
-    double size; /* its longest seed, in ways that a difference takes */
+    double size; /* its largest seed, in steps of a difference */
     int parameters;
 };
 

@@ -1,11 +1,11 @@
-/* Model Exchange: the drive as a differential equation whose solver is the host's. */
+/* Model Exchange: the drive as a differential equation for the host's solver. */
 #include "drive.h"
 
 #include <math.h>
 #include <string.h>
 
-/* The states in the model description's order. The deviation is one in place of the output's angle: what presses the
-   contacts is millionths of that. */
+/* The states in the order of the model description. The deviation is a state instead of the output's angle, because the
+   deflection of the contacts is millionths of that angle. */
 int exchange_states(const struct drive *drive, int fields[MOST_STATES]) {
     int count = 0, i;
     if (drive_kinematic(drive)) {
@@ -26,7 +26,7 @@ int exchange_states(const struct drive *drive, int fields[MOST_STATES]) {
     return count;
 }
 
-/* Everything that follows from inputs and states; kept until one of them is set. */
+/* Everything that follows from inputs and states; valid until one of them is set. */
 int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     if (drive->solved) {
@@ -60,7 +60,7 @@ static double speed_at(const struct drive *drive, int flange) {
     return flange == INPUT ? drive->state.crank_speed : drive->state.output_speed;
 }
 
-/* Derivative of a state by time. */
+/* Time derivative of a state. */
 double exchange_rate(const struct drive *drive, int field) {
     const struct state *s = &drive->state;
     double rate[FRICTION_ELEMENTS], found;
@@ -88,8 +88,8 @@ double exchange_rate(const struct drive *drive, int field) {
     }
 }
 
-/* Where an indicator goes through zero: a flank begins or ends to touch, a torque leaves the tables, a flange that rubs
-   turns round. Of the kinematic interface, whose output jumps from flank to flank: the torque turns round. */
+/* An indicator passes zero when a flank comes into or out of contact, a torque leaves the tables, or a flange with friction
+   reverses. In the kinematic interface, whose output jumps from flank to flank: when the torque reverses. */
 void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
     const struct state *s = &drive->state;
     const int still = drive_kinematic(drive);
@@ -100,7 +100,7 @@ void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
         found[0] = s->torque;
         found[1] = found[4] = 1.0;
     } else if (drive->b > 0.0) {
-        found[0] = found[1] = 1.0; /* behind a first stage contacts begin where its plays end too: no event of their own */
+        found[0] = found[1] = 1.0; /* contacts behind a first stage also begin at the ends of its plays: no own event */
         found[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
     } else {
         struct play play = teeth_play(drive, drive_place(drive));
@@ -111,7 +111,7 @@ void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
     }
 }
 
-/* At the end of a step of the host's solver, and at an event: what happened until here stays. */
+/* At the end of a step of the host's solver, and at an event: accept what happened so far. */
 void exchange_keep(struct drive *drive) {
     struct state *s = &drive->state;
     if (drive_kinematic(drive)) {

@@ -25,7 +25,7 @@ const char *fmi2GetVersion(void) {
 }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
-    (void)c, (void)on, (void)n, (void)categories; /* what is refused and the one warning are logged always */
+    (void)c, (void)on, (void)n, (void)categories; /* refusals and the one warning are always logged */
     return fmi2OK;
 }
 

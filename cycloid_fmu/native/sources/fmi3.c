@@ -21,7 +21,7 @@ const char *fmi3GetVersion(void) {
 }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
-    (void)c, (void)on, (void)n, (void)categories; /* what is refused and the one warning are logged always */
+    (void)c, (void)on, (void)n, (void)categories; /* refusals and the one warning are always logged */
     return fmi3OK;
 }
 

@@ -3,8 +3,8 @@
 
 #include <stddef.h>
 
-/* A message as the format that FMI 2.0's logger takes, cut at the size. Not "%s" and the message: hosts in Python see the
-   format alone. */
+/* A message as a format string for FMI 2.0's logger, truncated at the size. It is not an argument of "%s", because hosts
+   in Python receive only the format. */
 static void format_of(const char *message, char *format, size_t size) {
     size_t used = 0;
     for (; *message != '\0' && used + 3 <= size; message++) {

@@ -1,11 +1,11 @@
-/* Friction of a flange, with the formulas of cycloid_fmu/fmu/friction.py: what sliding takes, and the elements that hold
-   before it slides. */
+/* Friction of a flange, with the formulas of cycloid_fmu/fmu/friction.py: the sliding torque, and the elements that hold
+   before sliding. */
 #include "drive.h"
 
 #include <math.h>
 #include <string.h>
 
-/* Share of the first element in what slides; of the others twice, three times, ... that. */
+/* Share of the first element in the sliding torque; the others have two, three, ... times this share. */
 static const double SHARE = 2.0 / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0));
 
 static double clipped(double value, double least, double most) {
@@ -47,7 +47,7 @@ struct yields friction_yields(const struct drive *drive, int flange, double load
     return found;
 }
 
-/* What follows from the laws; elements that get another stiffness begin unstrained, what they stored is lost. */
+/* Values that follow from the laws; elements with a new stiffness start unstrained, their stored energy is dissipated. */
 void friction_settle(struct drive *drive) {
     int flange, i;
     drive->lossy = losses_take(drive);
@@ -68,7 +68,7 @@ void friction_settle(struct drive *drive) {
     }
 }
 
-/* Elements moved on by a way in a time; strains at its end in `following`. */
+/* Move the elements by a displacement in a time; their strains at the end are in `following`. */
 struct slid friction_slide(const double strain[FRICTION_ELEMENTS], double following[FRICTION_ELEMENTS], double way, double time,
                            double stiffness, struct yields yields) {
     struct slid found = {0.0, 0.0, 0.0};
@@ -107,7 +107,7 @@ struct slid friction_slide(const double strain[FRICTION_ELEMENTS], double follow
     return found;
 }
 
-/* What friction does over a way in a time, under a load of the teeth; nothing is moved but `following`. */
+/* Friction over a displacement in a time, under a load of the teeth; only `following` is written. */
 struct slid friction_rub(const struct drive *drive, int flange, double way, double time, double load,
                          double following[FRICTION_ELEMENTS]) {
     double speed = time > 0.0 ? way / time : 0.0, stiffness = drive->element[flange], drag = friction_viscous(drive, flange);
@@ -165,7 +165,7 @@ struct rubbing friction_press(const struct drive *drive, int flange, double way,
         int slides = speed > 0.0 ? reached >= most - near : reached <= least + near;
         found.torque += torque;
         found.power += speed * (slides ? torque : damped);
-        held = way == 0.0 ? drive->state.strain[flange][i] : elastic / stiffness; /* what yields less now is not lost yet */
+        held = way == 0.0 ? drive->state.strain[flange][i] : elastic / stiffness; /* not dissipated yet if it yields less */
         found.stored += 0.5 * stiffness * held * held;
     }
     return found;

@@ -55,7 +55,7 @@ static struct table *numbered_table(struct instance *instance, unsigned number) 
     return table;
 }
 
-/* The node before a place, and the share of the way to the next one. */
+/* The node before a value, and its relative position to the next node. */
 static uint32_t node_before(const double *node, uint32_t nodes, double at, double *share) {
     uint32_t i = 0;
     while (i + 2 < nodes && node[i + 1] <= at) {
@@ -65,7 +65,7 @@ static uint32_t node_before(const double *node, uint32_t nodes, double at, doubl
     return i;
 }
 
-/* The table of an ageing drive, between those of its life that surround it; 1 with a message if there is none. */
+/* The table of an ageing drive, interpolated between the states of its life; returns 1 with a message on failure. */
 static int table_of_age(struct instance *instance, struct table **found) {
     const struct table *first = instance->table, *of[4];
     const struct state *s = &instance->drive.state;
@@ -104,7 +104,7 @@ static const struct variable *of_field(const struct instance *instance, int fiel
     return NULL;
 }
 
-/* Whether a value is within the limits of its variable, if the drive has that. */
+/* Whether a value is within the limits of its variable, if the drive has this variable. */
 static int within(struct instance *instance, int field, double value) {
     const struct variable *v = of_field(instance, field);
     if (v != NULL && !(value >= v->least && value <= v->most)) {
@@ -115,7 +115,7 @@ static int within(struct instance *instance, int field, double value) {
     return 1;
 }
 
-/* Take the tables of the draw or age that the state names; where that fails the present ones stay. */
+/* Use the tables of the state's draw or age; if this fails, the present ones are kept. */
 static int take_tables(struct instance *instance) {
     const struct state *s = &instance->drive.state;
     struct table *table = NULL;
@@ -309,7 +309,7 @@ static int exchanging(struct instance *instance) {
     return STATUS_OK;
 }
 
-/* The fields of the states, if they are as many as the host thinks. */
+/* The fields of the states, if the host expects their number. */
 static int states_of(struct instance *instance, size_t count, int fields[MOST_STATES]) {
     int status = exchanging(instance);
     size_t own = (size_t)exchange_states(&instance->drive, fields);

@@ -1,4 +1,4 @@
-/* What FMI 2.0 and 3.0 share: an instance with its resources, its log and its phase. */
+/* Shared by FMI 2.0 and 3.0: an instance with its resources, its log and its phase. */
 #ifndef CYCLOID_INSTANCE_H
 #define CYCLOID_INSTANCE_H
 
@@ -8,15 +8,15 @@
 struct instance {
     char *name;
     char *path;                  /* of the table, with room for a number behind it */
-    struct table *table, *taken; /* of the most likely or of the new drive, and of the draw or age, or NULL */
+    struct table *table, *taken; /* tables of the most likely or new drive, and of the draw or age, or NULL */
     struct drive drive;
     enum phase phase;
-    /* Hands a message on; `status` is FMI's own number, the same in both versions. */
+    /* Logs a message; `status` is FMI's number, the same in both versions. */
     void (*log)(struct instance *instance, int status, const char *message);
     void *environment, *callback; /* callback: FMI 2.0's callback functions */
     void (*callback3)(void);      /* FMI 3.0's logMessage */
-    int warned; /* that the tables were left */
-    int events; /* whether event mode is used: in Model Exchange, and where the host asked for it */
+    int warned; /* whether the tables were left */
+    int events; /* whether event mode is used: in Model Exchange, and if the host requested it */
     char message[MESSAGE_SIZE];
 };
 

@@ -16,7 +16,7 @@ const struct place *drive_place(struct drive *drive) {
     return &drive->place;
 }
 
-/* The gear's deviation at a torque, less the play that does not act; at torque 0 the given end of the play. */
+/* The gear's deviation at a torque, minus the play if it is off; at zero torque the given end of the play. */
 int kinematic_gear(struct drive *drive, const struct play *play, double torque, double end, double *deviation,
                    char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
@@ -39,7 +39,7 @@ int kinematic_gear(struct drive *drive, const struct play *play, double torque, 
     return 0;
 }
 
-/* What the output turns with the crank: the flank under load, or the one that is pushed, carries it. */
+/* Rate of the output's angle with the crank's: that of the flank under load, or of the flank that pushes the output. */
 double kinematic_rate(struct drive *drive, const struct place *place, const struct play *play) {
     const struct state *s = &drive->state;
     double side = s->side < 0.0 ? -1.0 : 1.0, rate;
@@ -53,7 +53,7 @@ double kinematic_rate(struct drive *drive, const struct place *place, const stru
     return rate + 1.0 / drive->table->ratio;
 }
 
-/* The flange's deviation at a torque; at torque 0 the given end of the play. */
+/* The flange's deviation at a torque; at zero torque the given end of the play. */
 static int elastic(struct drive *drive, const struct play *play, double torque, double end, double *deviation,
                    char message[MESSAGE_SIZE]) {
     int failed = drive->b > 0.0 ? reducer_elastic(drive, torque, end, deviation, message)
@@ -72,7 +72,7 @@ static void hold(struct drive *drive, const struct play *play, double deviation)
     s->load = table_load(teeth_side(drive, s->side), &drive->place, s->side * deviation, play->offset, s->series_compliance);
 }
 
-/* Where the output is at no torque and without friction: where it was, but within the ends of the play. */
+/* The output at zero torque without friction: it stays at its position, limited to the ends of the play. */
 static int floating(struct drive *drive, const struct play *play, double before, double *deviation,
                     char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
@@ -97,13 +97,13 @@ static int floating(struct drive *drive, const struct play *play, double before,
     return failed;
 }
 
-/* The ideal speed of the output, which its friction is told. */
+/* The ideal speed of the output, for its friction. */
 static double pace(const struct drive *drive) {
     return drive->state.crank_speed / drive->ratio;
 }
 
-/* Friction of the output while all of it slides, with its share of what the teeth bear, |towards - friction|; `towards`
-   is the torque on the output, signed as it moves. */
+/* Friction of the output while all elements slide, with the share of the load of the teeth, |towards - friction|;
+   `towards` is the torque on the output, positive in the direction of motion. */
 static double sliding(const struct drive *drive, double towards) {
     double bare = friction_yields(drive, OUTPUT, 0.0, pace(drive)).high, found;
     double share = friction_yields(drive, OUTPUT, 1.0, pace(drive)).high - bare;
@@ -111,8 +111,8 @@ static double sliding(const struct drive *drive, double towards) {
     return found <= towards ? found : (bare - share * towards) / (1.0 - fmin(share, MOST_LOAD_SHARE));
 }
 
-/* A search for where a function that grows is 0, as `balanced` of cycloid_fmu/fmu/friction.py: Newton's method within
-   bounds, with steps that halve. */
+/* The root of an increasing function, as `balanced` of cycloid_fmu/fmu/friction.py: Newton's method within bounds, with
+   bisection. */
 struct search {
     double at, low, high, before, step;
 };
@@ -122,7 +122,7 @@ static struct search search_between(double low, double high, double start) {
     return search;
 }
 
-/* Go on from the function's value and slope; whether the last step was short enough. */
+/* Continue with the function's value and slope; returns whether the last step was short enough. */
 static int search_on(struct search *search, double value, double slope, double accuracy) {
     double following = slope > 0.0 ? search->at - value / slope : HUGE_VAL;
     if (value > 0.0) {
@@ -142,7 +142,7 @@ static int search_on(struct search *search, double value, double slope, double a
     return 0;
 }
 
-/* Where the output is with friction that held it before: as `_carried` of cycloid_fmu/fmu/model.py. */
+/* The output's deviation with friction that held it before, as `_carried` of cycloid_fmu/fmu/model.py. */
 static int carried(struct drive *drive, const struct play *play, double before, double *deviation,
                    char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
@@ -221,7 +221,7 @@ int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]) {
         return drive_refuse(message, "flange_a.w = %g rad/s: viscous friction is beyond the range of numbers.", s->crank_speed, 0.0);
     }
     memset(&play, 0, sizeof play);
-    if (drive->b == 0.0) { /* a reducer's crank is turned where its place is found */
+    if (drive->b == 0.0) { /* a reducer's crank is set where its position is solved */
         s->placed = s->crank_angle;
         drive->placed = 0;
         drive_place(drive);
@@ -253,7 +253,7 @@ int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]) {
     return failed;
 }
 
-/* Friction of a flange at the present speeds; `torque` is what the teeth ask for at the crank. */
+/* Friction of a flange at the present speeds; `torque` is the torque of the teeth at the crank. */
 struct rubbing kinematic_rubbing(struct drive *drive, int flange, double torque) {
     if (flange == INPUT) {
         return friction_press(drive, INPUT, 0.0, drive->state.crank_speed, torque, PRESLIDING_TIME);
@@ -262,7 +262,7 @@ struct rubbing kinematic_rubbing(struct drive *drive, int flange, double torque)
                           0.0);
 }
 
-/* Share of its pace that friction leaves the output while elements of it hold; `speed` has its sign. */
+/* Share of its ideal speed that the output keeps while friction elements hold; `speed` has the sign of the motion. */
 double kinematic_yielding(struct drive *drive, double speed, double stiffness) {
     double following[FRICTION_ELEMENTS], slope;
     if (drive->element[OUTPUT] == 0.0 || !drive->rubs[OUTPUT] || stiffness <= 0.0) {

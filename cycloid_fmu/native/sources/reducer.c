@@ -9,13 +9,13 @@ static double sun_play(const struct drive *drive) {
     return drive->state.backlash_on != 0.0 ? drive->table->sun_play : 0.0;
 }
 
-/* Half of what the sun's and the bearings' play are at the output. */
+/* Half the play of sun and bearings, at the output. */
 static double outer_play(const struct drive *drive) {
     return drive->state.backlash_on == 0.0 ? 0.0
         : 0.5 * (sun_play(drive) / drive->ratio + drive->s * drive->table->bearing_play);
 }
 
-/* Where the sun and an output that deviates so have the crank, the sun's play on the given side. */
+/* The crank angle for an angle of the sun and a deviation of the output, with the sun's play on the given side. */
 static double crank_at(const struct drive *drive, double sun_angle, double deviation, double side) {
     double turns = sun_angle / (TWO_PI * drive->ratio), reduced = TWO_PI * drive->ratio * (turns - floor(turns));
     return reduced * drive->table->ratio / drive->ratio + drive->a * deviation
@@ -86,7 +86,7 @@ void reducer_hold(struct drive *drive, double deviation) {
     s->gear = side * (s->load < HUGE_VAL ? table_at(teeth_side(drive, side), &drive->place, s->load).deviation : 0.0);
 }
 
-/* What the gear's deviation changes with the crank, less the play that does not act; and how stiff the teeth are. */
+/* Rate of the gear's deviation with the crank, without the play if it is off; and the stiffness of the teeth. */
 static double gear_rate(struct drive *drive, double *stiffness) {
     const struct state *s = &drive->state;
     const struct place *place = drive_place(drive);
@@ -96,7 +96,7 @@ static double gear_rate(struct drive *drive, double *stiffness) {
     return kinematic_rate(drive, place, &play);
 }
 
-/* Change of the crank's torque with its angle at constant torque on the gear. */
+/* Derivative of the crank's torque with respect to its angle, at constant torque on the gear. */
 static double crank_torque_rate(struct drive *drive) {
     const struct state *s = &drive->state;
     double found[2], energy;
@@ -156,7 +156,8 @@ double reducer_backlash(const struct drive *drive, double crank, double gear) {
     return 2.0 * outer + drive->s * (ends[1] - ends[0]);
 }
 
-/* By the flanges with the plays around the gears at a share of their way (-1 to 1), and the derivative by that. */
+/* Contacts at given flange angles with the plays of the gears at a relative position (-1 to 1); returns the derivative of
+   the energy with respect to this position. */
 static double within_plays(const struct drive *drive, double sun_angle, double deviation, double side,
                            struct pressed *found) {
     double outer = outer_play(drive), by_crank, gear;
@@ -170,7 +171,7 @@ static double within_plays(const struct drive *drive, double sun_angle, double d
     return -0.5 * drive->b * sun_play(drive) * by_crank - outer / drive->s * gear;
 }
 
-/* The crank, without mass, stands where the energy is least: at an end of the plays, or where nothing is pressed. */
+/* The crank has no mass, so it is at the minimum of the energy: at an end of the plays, or without contact. */
 void reducer_press(const struct drive *drive, double sun_angle, double deviation, struct pressed *found) {
     double first = deviation >= 0.0 ? 1.0 : -1.0, a = -first, b = first, rate, rate_a, rate_b, start;
     struct pressed other;
@@ -191,7 +192,7 @@ void reducer_press(const struct drive *drive, double sun_angle, double deviation
     if (found->load == 0.0) {
         return;
     }
-    /* Pressed gears between free plays: where the energy is least. */
+    /* Interference between free plays: the minimum of the energy. */
     start = fabs(rate_b);
     for (i = 0; i < STAGE_ITERATIONS; i++) {
         double at = (a * rate_b - b * rate_a) / (rate_b - rate_a);

@@ -51,7 +51,7 @@ struct place table_turning(const struct table *table, const struct place *place)
     return found;
 }
 
-/* Sum of weights: 1, or 0 of those of a derivative, which has nothing of the base. */
+/* Sum of the weights: 1, or 0 for those of a derivative, in which the base value cancels. */
 static double whole(const double weight[4]) {
     return (weight[0] + weight[3]) + (weight[1] + weight[2]);
 }
@@ -94,7 +94,7 @@ static uint32_t cell_of(const double *loads, uint32_t count, double load) {
     return low;
 }
 
-/* Hermite's cubic between two values and slopes. */
+/* Cubic Hermite interpolation between two values and slopes. */
 static double hermite(double u, double h, double a, double b, double ca, double cb) {
     double v = 1.0 - u;
     return (1.0 + 2.0 * u) * v * v * a + (3.0 - 2.0 * u) * u * u * b + h * u * v * (v * ca - u * cb);
@@ -180,7 +180,7 @@ double table_load(const struct side *side, const struct place *place, double dev
     u = b > a ? (goal - a) / (b - a) : 0.0;
     for (step = 0; step < 60; step++) {
         double short_ = goal - hermite(u, h, a, b, ca, cb), slope = h * hermite_slope(u, h, a, b, ca, cb), next;
-        if (fabs(short_) < LAST_CELL_SHARE * slope) { /* Newton's next error is the square of this step: below rounding */
+        if (fabs(short_) < LAST_CELL_SHARE * slope) { /* Newton's next error is its square: below rounding */
             u += short_ / slope;
             return side->load[low] + (u < 0.0 ? 0.0 : u > 1.0 ? 1.0 : u) * h;
         }

@@ -1,4 +1,4 @@
-/* Tables of a drive: how they are read and interpolated. What they hold: cycloid_fmu/native/tables.py. */
+/* Tables of a drive, read and interpolated. Their contents: cycloid_fmu/native/tables.py. */
 #ifndef CYCLOID_TABLE_H
 #define CYCLOID_TABLE_H
 
@@ -12,37 +12,37 @@ enum { MESSAGE_SIZE = 512 };
 struct variable {
     char *name;
     int kind, causality, baked, fixed;
-    int field; /* what it is in the model, of the loss table further by rows and columns; -1 of what is in the tables */
+    int field; /* its field in the model, for the loss table plus row and column; -1 if it is fixed in the tables */
     double least, most, start, nominal;
 };
 
-/* One direction of torque; spline coefficients, the loads of one crank angle side by side, in steps of each load. */
+/* One direction of torque: spline coefficients in steps of each load, the loads of a crank angle side by side. */
 struct side {
-    uint32_t loads, told_loads; /* told: of contact count and pressure, from which nothing follows */
+    uint32_t loads, told_loads; /* told: of contact count and pressure, which are outputs only */
     double reach; /* the last load but one, up to which the accuracy is stated */
     double load[MOST_LOADS], told_load[MOST_LOADS];
-    double base[MOST_LOADS], step[MOST_LOADS]; /* of the deviation: where it begins, and a step of it */
+    double base[MOST_LOADS], step[MOST_LOADS]; /* of the deviation: its smallest value, and its step */
     double compliance_step[MOST_LOADS], pressure_step[MOST_LOADS];
     const int16_t *deviation;
     const uint16_t *compliance, *pressure;
     const uint8_t *contact_count;
 };
 
-/* Read only once it is there: the instances of a process share it. */
+/* Constant once it is complete: the instances of a process share it. */
 struct table {
     struct table *next;
     size_t users;
-    int between; /* whether it was made of others (table_between) */
-    unsigned char *file, head[TABLE_HEAD]; /* the file, whose steps stay where they are; and how it begins */
+    int between; /* whether it is interpolated from others (table_between) */
+    unsigned char *file, head[TABLE_HEAD]; /* the file, whose steps are used in place; and its head */
     uint32_t checksum;
     char *token;
-    uint32_t offers, variables; /* offers: which interface, not the word that Windows' headers take */
+    uint32_t offers, variables; /* the interface; `interface` is a macro in Windows' headers */
     uint32_t angles, told_angles; /* of deviation and compliance; of contact count and pressure */
     struct variable *variable;
     double ratio, period, allowed;
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
-    /* Of an ageing drive: crank turns worn and a bearing's growth of clearance (m) at the states of its files, the latter
-       of one number of turns one after the other; and how fast both grow, 1/s and m/s. */
+    /* Ageing drive: crank turns worn and growth of a bearing's clearance (m) at the states of its files, the clearance
+       varying fastest; and the growth rates of both, 1/s and m/s. */
     uint32_t nodes[2];
     double node[2][MOST_AGES], pace[2];
     struct side side[2]; /* positive and negative torque */
@@ -55,29 +55,29 @@ struct place {
     double weight[4], rate[4], share;
 };
 
-/* What a load at a place gives: mirrored as the sides are, so all of it grows with the load. */
+/* Results for a load at a crank angle, mirrored like the sides, so that all increase with the load. */
 struct loaded {
     double deviation, rate; /* and its change with the crank angle, rad and rad/rad */
     double compliance;      /* rad/(N.m) */
 };
 
-/* The table of a file, which is read unless an instance has one with the same head; NULL with a message. */
+/* Return the table of a file, shared with other instances if the head is the same, or NULL with a message. */
 struct table *table_open(const char *path, char message[MESSAGE_SIZE]);
 void table_close(struct table *table);
-/* The weighted mean of tables on the same nodes, with the first one's variables, which it lasts no longer than; NULL with a
-   message. */
+/* Return the weighted mean of tables on the same nodes, or NULL with a message. Its variables are those of the first table,
+   which must exist as long. */
 struct table *table_between(const struct table *first, const struct table *const *of, const double *weight, int count,
                             char message[MESSAGE_SIZE]);
 uint32_t table_checksum(const unsigned char *data, size_t size); /* CRC-32 */
 
 struct place table_place(const struct table *table, double crank_angle);
 struct place table_told_place(const struct table *table, double crank_angle); /* of contact count and pressure */
-/* A place whose values are the derivatives there by the crank angle, and whose rates are the second ones. */
+/* A crank angle whose values are the first derivatives with respect to the crank angle, and whose rates are the second. */
 struct place table_turning(const struct table *table, const struct place *place);
 struct loaded table_at(const struct side *side, const struct place *place, double load);
 struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node);
-/* Beyond the very last load all goes on along the tangent there: the compliance stays. */
-/* Load at which the deviation, with a further compliance in series and less an offset, is the given one; 0 below the
+/* Beyond the very last load the tangent continues with constant compliance. */
+/* Load at which the deviation, with a further compliance in series and minus an offset, has a given value; 0 below the
    first. */
 double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series);
 /* Integral of the deviation over the load, and of its rate. */

@@ -81,7 +81,7 @@ uint32_t table_checksum(const unsigned char *data, size_t size) {
     return ~found;
 }
 
-/* Numbers that are all finite. */
+/* Read numbers, all of which must be finite. */
 static double *numbers(struct reader *reader, size_t count) {
     double *values;
     size_t i;
@@ -101,7 +101,7 @@ static int is_little_endian(void) {
     return *(const unsigned char *)&one == 1;
 }
 
-/* Numbers of 16 bits, which stay where the file has them. */
+/* Numbers of 16 bits, used in place in the file. */
 static uint16_t *steps(struct reader *reader, size_t count) {
     unsigned char *at = take(reader, 2 * count);
     size_t i;
@@ -113,7 +113,7 @@ static uint16_t *steps(struct reader *reader, size_t count) {
     return (uint16_t *)(void *)at;
 }
 
-/* What of each load a step is. */
+/* The size of a step at each load. */
 static void read_steps(struct reader *reader, uint32_t count, double *step) {
     uint32_t j;
     for (j = 0; j < count; j++) {
@@ -137,7 +137,7 @@ static const int16_t *read_deviation(struct reader *reader, uint32_t angles, uin
     return (const int16_t *)first;
 }
 
-/* What follows begins at a whole multiple of 8 bytes in the file. */
+/* The next item begins at a multiple of 8 bytes in the file. */
 static void align(struct reader *reader, const struct table *table) {
     take(reader, (size_t)(-(intptr_t)(reader->at - table->file) & 7));
 }
@@ -156,7 +156,7 @@ static void read_side(struct reader *reader, const struct table *table, struct s
     uint32_t j;
     read_loads(reader, side->loads, side->load);
     read_loads(reader, side->told_loads, side->told_load);
-    side->reach = side->told_load[side->told_loads - 1]; /* one cell goes further */
+    side->reach = side->told_load[side->told_loads - 1]; /* one cell beyond the last load */
     reader->failed |= side->reach != side->load[side->loads - 2];
     for (j = 0; j < side->loads; j++) {
         side->base[j] = number(reader);
@@ -172,7 +172,7 @@ static void read_side(struct reader *reader, const struct table *table, struct s
     align(reader, table);
 }
 
-/* The torque's mean is taken off: a crank turned round gives no energy. Its integral is the energy at the nodes. */
+/* The mean of the torque is removed: a whole crank turn does no work. Its integral is the energy at the nodes. */
 static void integrate_rest(struct table *table) {
     double mean = 0.0, least = 0.0, width = table->period / table->angles, *c = table->rest_torque;
     uint32_t i, n = table->angles;
@@ -306,8 +306,8 @@ static uint32_t word(const unsigned char *data) {
     return (uint32_t)data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24;
 }
 
-/* Sum of the file's words, and sum of that after each (Fletcher, IEEE Trans. Comm. 30 (1982) 247): no two damaged words
-   leave both as they are. Four words at a time, each with sums of its own: one sum waits for the one before. */
+/* Sum of the file's words, and sum of the partial sums (Fletcher, IEEE Trans. Comm. 30 (1982) 247): no two damaged words
+   leave both unchanged. Four words at a time with separate sums, because each addition waits for the one before. */
 static void sums(const unsigned char *data, size_t size, uint64_t found[2]) {
     uint64_t first[4] = {0, 0, 0, 0}, second[4] = {0, 0, 0, 0};
     size_t i;
@@ -326,7 +326,7 @@ static void sums(const unsigned char *data, size_t size, uint64_t found[2]) {
     }
 }
 
-/* Read the file behind its head, which the table has, or say what is wrong. */
+/* Read the file after its head, which is in the table already, or write a message. */
 static const char *read_rest_of_file(struct table *table, FILE *file) {
     struct reader head = {table->head + 8, table->head + TABLE_HEAD, 0}, reader;
     uint32_t version = (uint32_t)whole(&head, 4);
@@ -476,7 +476,7 @@ static double rounded(double value) {
     return value < 0.0 ? -floor(0.5 - value) : floor(value + 0.5);
 }
 
-/* What a side's coefficients are at a place, in its steps: rounded as a whole they stay monotone in the load. */
+/* Coefficients of a side at a node, in its steps: rounded as a whole they remain monotone in the load. */
 static double mean_deviation(const struct table *const *of, const double *weight, int count, int k, uint32_t j, size_t at) {
     double sum = 0.0;
     int i;
@@ -487,7 +487,7 @@ static double mean_deviation(const struct table *const *of, const double *weight
     return rounded(sum);
 }
 
-/* Deviation and compliance of a crank angle; the latter no larger than a monotone curve may have it. */
+/* Deviation and compliance at a crank angle; the compliance is limited so that the curve is monotone. */
 static int mix_angle(struct side *side, int16_t *deviation, uint16_t *compliance, const struct table *const *of,
                      const double *weight, int count, int k, size_t row) {
     double whole[MOST_LOADS], slope[MOST_LOADS];
@@ -513,7 +513,7 @@ static int mix_angle(struct side *side, int16_t *deviation, uint16_t *compliance
     return fits;
 }
 
-/* One side; `room` is for its numbers. Returns the room behind them, or NULL. */
+/* One side, with its numbers in `room`. Returns the remaining room, or NULL. */
 static unsigned char *mix_side(struct table *made, const struct table *const *of, const double *weight, int count, int k,
                                unsigned char *room) {
     struct side *side = &made->side[k];

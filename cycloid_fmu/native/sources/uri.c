@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-/* Not those of <ctype.h>, which depend on the locale. */
+/* The functions of <ctype.h> depend on the locale. */
 static int letter(char c) {
     return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
 }
@@ -24,7 +24,7 @@ int path_from_uri(const char *uri, char *path, size_t size) {
     if (uri == NULL || uri[0] == '\0') {
         return 1;
     }
-    /* file:/path, file:///path, file://localhost/path and, of a share on Windows, file://server/path */
+    /* file:/path, file:///path, file://localhost/path and, for a share on Windows, file://server/path */
     if (strncmp(from, "file:", 5) == 0) {
         encoded = 1;
         from += 5;
