@@ -32,12 +32,13 @@ from fitting.estimation.validation import (
     Likely,
     Residual,
     Verdict,
+    causes_of,
     likely_causes,
     mispredicted,
     verdict_of,
     yardsticks,
 )
-from fitting.model.discrepancy import GIVE, causes, given_way
+from fitting.model.discrepancy import GIVE, beside_the_gear, causes, given_way
 from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors
 from fitting.model.loops import observed_curves, on_the_curves_zero
@@ -364,29 +365,36 @@ def _validated(
         columns = causes(pair, found.observed, found.linear, state)
         return likely_causes(Residual(pair, found), columns, likely)
 
-    found = _fitted(curves, pair, start, known, progress)
+    # The scatter of the whole fit would absorb run-out, drift and wind-up as far as it can, and the errors with it.
+    observed = _observed(curves, pair, known)
+    rough = _starting_estimate(pair, observed, None, False, progress)[0] if start is None else start
+    suspected = causes_of(Residual(pair, rough), beside_the_gear(rough.observed)).columns
+    beside = Likely({n: one for n, one in beside_the_gear(observed).items() if n in suspected}, {}, ())
+    found = _fitted(curves, pair, rough, known, progress, (beside.columns, None, 0.0))
     progress("testing the residual")
-    likely = looks_like(found)
+    likely = looks_like(found, beside)
     if likely.formed:
         known, formed = _with_form(known, form), True
         progress("fitting the form of the flanks")
-        found = _fitted(curves, pair, _without_scatter(pair, found), known, progress)
-        likely = looks_like(found)
+        found = _fitted(curves, pair, _without_scatter(pair, found), known, progress, (beside.columns, None, 0.0))
+        likely = looks_like(found, beside)
     first = verdict_of(pair, found, likely, formed)
-    if (likely.columns or first.state == "not explained") and first.residual < _BESIDE * first.noise:
+    is_more = likely.columns.keys() > beside.columns.keys()
+    if (is_more or first.state == "not explained") and first.residual < _BESIDE * first.noise:
         # It may be that a better minimum leaves nothing.
-        other = _fitted(curves, pair, found, known, progress, searched=True)
+        other = _fitted(curves, pair, found, known, progress, (beside.columns, None, 0.0), searched=True)
         if other.unlikelihood < found.unlikelihood - _GAIN:
             found = other
             progress("testing the residual")
-            likely = looks_like(found)
+            likely = looks_like(found, beside)
             first = verdict_of(pair, found, likely, formed)
-    if likely.columns:
+            is_more = likely.columns.keys() > beside.columns.keys()
+    if is_more:
         # The scatter has absorbed as much of the causes as it could.
         found = _without_scatter(pair, found)
     give: Array | None = None
     coefficients, verdict = np.zeros(0), None
-    for _ in range(_MISFITS if likely.columns else 0):
+    for _ in range(_MISFITS if is_more else 0):
         taken = 0.0 if give is None else likely.columns[GIVE] @ coefficients
         misfit = likely.columns, give, taken
         found = _fitted(curves, pair, found, known, progress, misfit)

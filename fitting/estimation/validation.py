@@ -153,7 +153,7 @@ class Residual:
 
     def __init__(self, pair: Pair, estimate: Estimate) -> None:
         problem = Problem(pair, estimate.observed, estimate.chosen)
-        self.observed = estimate.observed
+        self.observed, self.scale = estimate.observed, problem.scale
         self.weight = self.observed.weight
         self.left = self.weight * left_of(self.observed, estimate.linear, estimate.state)
         self.columns = problem.columns(self.observed, estimate.linear)
@@ -341,6 +341,25 @@ class Likely:
 
 
 def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likely | None = None) -> Likely:
+    """Return causes that the residual resembles, and then its further orders, as `causes_of` does.
+
+    The arguments are those of `causes_of`.
+    """
+    likely = causes_of(residual, columns, known)
+    orders = list(likely.orders)
+    for _ in range(_ORDERS):
+        order = peak(residual.observed, residual.left)
+        if order is None or order in orders:
+            break
+        orders.append(order)
+        residual.take(waves(residual.observed, order))
+    if not orders:
+        return likely
+    columns = {**likely.columns, "orders": np.hstack([waves(residual.observed, order) for order in orders])}
+    return dataclasses.replace(likely, columns=columns, orders=tuple(orders))
+
+
+def causes_of(residual: Residual, columns: Mapping[str, Array], known: Likely | None = None) -> Likely:
     """Return causes that the residual resembles, the most likely first, each given the previous ones.
 
     Parameters
@@ -373,16 +392,7 @@ def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likel
         alike[best] = tuple(n for n in told if n != best and gains[n] > _ALIKE * gains[best])
         found[best] = rest.pop(best)
         residual.take(found[best])
-    orders = list(known.orders) if known else []
-    for _ in range(_ORDERS):
-        order = peak(residual.observed, residual.left)
-        if order is None or order in orders:
-            break
-        orders.append(order)
-        residual.take(waves(residual.observed, order))
-    if orders:
-        found["orders"] = np.hstack([waves(residual.observed, order) for order in orders])
-    return Likely(found, alike, tuple(orders), formed)
+    return Likely(found, alike, known.orders if known else (), formed)
 
 
 def _form_of(pair: Pair, estimate: Estimate, residual: Residual) -> float:
@@ -415,6 +425,11 @@ def verdict_of(pair: Pair, estimate: Estimate, likely: Likely, formed: bool = Fa
     misfits = []
     for group, part in observed.estimated.items():
         cause = group.removeprefix(f"{MISFIT}_")
+        if cause in BESIDE_THE_GEAR:
+            # It may have been suspected before the errors were found.
+            numbers = range(len(estimate.chosen) + part.start, len(estimate.chosen) + part.stop)
+            if residual.is_zero(numbers, estimate.state.bench[part] / residual.scale[numbers.start : numbers.stop]):
+                continue
         if cause in likely.columns:
             size = float(np.sqrt(np.mean((observed.bench[used, part] @ estimate.state.bench[part]) ** 2)))
             misfits.append(Misfit(cause, size, likely.alike.get(cause, ()), likely.orders if cause == "orders" else ()))

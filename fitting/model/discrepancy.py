@@ -6,7 +6,7 @@ angle and torque in addition to the model, here of low rank: a few columns of es
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,31 +63,40 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
     against = np.repeat([-float(c.direction) * np.sign(c.ratio) for c in curves], sizes)
     found = {
         GIVE: _give(pair, observed, linear),
-        "compliance": [load, load * np.abs(load)],
-        "friction": [linear.by_friction * np.abs(load)],
+        "friction": [_unit(linear.by_friction * np.abs(load))],
         "torque_ripple": [
-            linear.by_friction * against * load * wave * running
+            _unit(linear.by_friction * against * load * wave * running)
             for angle in (crank, 2.0 * crank, crank / ratio)
             for wave in (np.cos(angle), np.sin(angle))
         ],
-        "run_out": [
-            wave * running
-            for order in RUN_OUT
-            for angle in (crank / ratio, crank)
-            for wave in (np.cos(order * angle), np.sin(order * angle))
-        ],
-        "drift": _of_curves(observed, [_drifts(way(c)) for c in curves]),
     }
     late = by_lag(observed, linear)
     if late.any():
-        found[LAG] = [late]
+        found[LAG] = [_unit(late)]
     if formed is not None:
         found[FORM] = list(form_columns(pair, observed, formed, linear, _FORM_STEP).T)
-    every = {
-        name: np.column_stack(columns if name in (GIVE, FORM) else [_unit(one) for one in columns])
-        for name, columns in found.items()
-        if columns
-    }
+    return _with_effect(found) | beside_the_gear(observed)
+
+
+def beside_the_gear(observed: Observations) -> dict[str, Array]:
+    """Return the possible contributions of `BESIDE_THE_GEAR`, which do not depend on the model, as `causes` does."""
+    load = np.concatenate([c.torque_at_points for c in observed.curves])
+    load = load / max(float(np.abs(load).max()), 1e-9)
+    crank = np.concatenate([c.input_angle for c in observed.curves])
+    run_out = [
+        wave * ~observed.of_loops
+        for order in RUN_OUT
+        for angle in (crank / abs(observed.curves[0].ratio), crank)
+        for wave in (np.cos(order * angle), np.sin(order * angle))
+    ]
+    drift = _of_curves(observed, [_drifts(way(c)) for c in observed.curves])
+    every = zip(BESIDE_THE_GEAR, ([load, load * np.abs(load)], run_out, drift), strict=True)
+    return _with_effect({name: [_unit(one) for one in columns] for name, columns in every})
+
+
+def _with_effect(found: Mapping[str, Sequence[Array]]) -> dict[str, Array]:
+    """The causes that have an effect, their columns side by side."""
+    every = {name: np.column_stack(columns) for name, columns in found.items() if columns}
     return {name: columns for name, columns in every.items() if columns.any()}
 
 
