@@ -136,16 +136,17 @@ def test_a_flipped_bit_loses_only_its_batch_and_is_reported(tmp_path):
 @given(
     sizes=st.lists(st.tuples(st.sampled_from(NAMES), st.integers(0, 4), st.booleans()), max_size=12),
     alike=st.booleans(),
+    events=st.booleans(),
     flips=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 7)), max_size=2),
 )
-def test_batches_decoded_together_equal_those_decoded_singly(tmp_path_factory, sizes, alike, flips):
+def test_batches_decoded_together_equal_those_decoded_singly(tmp_path_factory, sizes, alike, events, flips):
     path = tmp_path_factory.mktemp("r") / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
         for number, (name, rows, counted) in enumerate(sizes):
             samples = block(name, 10 * number, rows + alike)
             if not (counted or alike):
                 samples = dataclasses.replace(samples, counts=None)
-            writer.write(samples, [Event(float(number), name, "said")] * (number % 2))
+            writer.write(samples, [Event(float(number), name, "said")] * (events and number % 2))
     begin, data = len(write(path.with_name("empty.arrows"), []).read_bytes()) - 8, bytearray(path.read_bytes())
     for share, bit in flips:
         data[begin + int(share * (len(data) - begin - 1))] ^= 1 << bit
