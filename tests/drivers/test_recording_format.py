@@ -161,6 +161,25 @@ def test_batches_decoded_together_equal_those_decoded_singly(tmp_path_factory, s
     assert found[0] == found[1]
 
 
+def test_a_flipped_bit_in_a_batch_like_earlier_ones_is_handled_as_in_one_that_is_decoded_singly(tmp_path):
+    all_batches = [dataclasses.replace(block(NAMES[i % 2], 10 * i, 3), time_device=None) for i in range(8)]
+    begin, end = (len(write(tmp_path / f"{n}.arrows", all_batches[:n]).read_bytes()) - 8 for n in (4, 5))
+    data = write(tmp_path / "all.arrows", all_batches).read_bytes()
+    path = tmp_path / "flipped.arrows"
+    for place in range(begin, end, 17):
+        flipped = bytearray(data)
+        flipped[place] ^= 1 << place % 8
+        path.write_bytes(flipped)
+        found = []
+        for together in (False, True):
+            with RecordingReader(path) as reader:
+                taken = [samples for samples, _ in reader.batches(together=together) if len(samples)]
+            times = {n: [t for s in taken if s.channel == n for t in s.time_host.tolist()] for n in NAMES}
+            marks = {n: [b for s in taken if s.channel == n for b in s.status.tolist()] for n in NAMES}
+            found.append((times, marks, reader.problems, reader.complete))
+        assert found[0] == found[1], place
+
+
 def test_a_missing_batch_is_reported(tmp_path):
     path = tmp_path / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
