@@ -81,7 +81,7 @@ class Layouts:
 
     A recorder writes few kinds of batches: those of a channel with equally many samples have their columns in the same
     places. Arrow reads the first of each kind; the others are compared with it, which for batches of 50 ms takes a
-    seventh of the time.
+    fifth of the time.
 
     Parameters
     ----------
