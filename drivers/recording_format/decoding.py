@@ -69,8 +69,8 @@ class _Layout:
 
     channel: str
     size: int
-    crc32: int
-    sequence: int
+    crc32: _Part
+    sequence: _Part
     fixed: Sequence[tuple[int, bytes]]
     columns: Mapping[str, _Part]
     checked: Sequence[_Part]
@@ -103,9 +103,8 @@ class Layouts:
         indices, rows = table.column(0).indices, table.num_rows
         whole = data[begin:end]
         body = 8 + int.from_bytes(whole[4:8], "little")
-        said = [stated.get(key, b"") for key in (b"crc32", b"sequence")]
-        crc32, sequence = (_place(whole[:body], text) for text in said)
-        if not rows or indices.null_count or stated.get(b"events") != b"[]" or not 0 < crc32 < sequence:
+        crc32, sequence = (_place(whole[:body], stated.get(key, b"")) for key in (b"crc32", b"sequence"))
+        if not rows or indices.null_count or stated.get(b"events") != b"[]" or not 0 < crc32[0] < sequence[0]:
             return
         try:
             table.validate()
@@ -130,13 +129,13 @@ class Layouts:
         alike = all(whole[first:last] == content for (first, last), content in equal)
         if not (inside and alike and 0 <= number < len(self._names)):
             return
-        head = (0, crc32), (crc32 + len(said[0]), sequence), (sequence + len(said[1]), body)
+        head = (0, crc32[0]), (crc32[1], sequence[0]), (sequence[1], body)
         checked: list[_Part] = []
         for first, last in columns.values():
             joins = checked and checked[-1][1] == first
             checked.append((checked.pop()[0] if joins else first, last))
-        self._heads[whole[:8]] = crc32, body
-        self._layouts[whole[8:crc32], whole[body : body + 2]] = _Layout(
+        self._heads[whole[:8]] = crc32[0], body
+        self._layouts[whole[8 : crc32[0]], whole[body : body + 2]] = _Layout(
             self._names[number], len(whole), crc32, sequence,
             [(first, whole[first:last]) for first, last in (*head, *(span for span, _ in equal))], columns, checked,
         )  # fmt: skip
@@ -173,10 +172,11 @@ class Layouts:
             crc32 = zlib.crc32(f"{number}[]{layout.channel}".encode())
             for begin, end in layout.checked:
                 crc32 = zlib.crc32(view[at + begin : at + end], crc32)
-            intact = data.startswith(b"%08x" % crc32, at + layout.crc32)
+            intact = data[at + layout.crc32[0] : at + layout.crc32[1]] == b"%08x" % crc32
+            next_one = data[at + layout.sequence[0] : at + layout.sequence[1]] == b"%d" % number
             batches = found.get(layout.channel, [])
             alike = not batches or batches[0][1].columns.keys() == layout.columns.keys()
-            if not (intact and alike and data.startswith(b"%d" % number, at + layout.sequence)):
+            if not (intact and next_one and alike):
                 break
             found.setdefault(layout.channel, batches).append((at, layout))
             at, number = at + layout.size, number + 1
@@ -191,10 +191,13 @@ class Layouts:
         return samples, number - sequence, at
 
 
-def _place(head: bytes, text: bytes) -> int:
-    """Return where the head of a batch has this text, after its length; 0 if it is not in exactly one place."""
+def _place(head: bytes, text: bytes) -> _Part:
+    """Return where the head of a batch has this text, after its length; (0, 0) if it is not in exactly one place."""
     stored = len(text).to_bytes(4, "little") + text + b"\0"
-    return head.index(stored) + 4 if head.count(stored) == 1 else 0
+    if head.count(stored) != 1:
+        return 0, 0
+    begin = head.index(stored) + 4
+    return begin, begin + len(text)
 
 
 def decoded(
