@@ -14,7 +14,7 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers.recording_format.clocks import Alignment, Clock, clocks_of
-from drivers.recording_format.decoding import Batch, decoded, decoded_together
+from drivers.recording_format.decoding import Batch, Layouts, decoded
 from drivers.recording_format.schema import (
     COLUMNS,
     FORMAT,
@@ -154,6 +154,7 @@ class RecordingReader:
         self._lost: set[str] = set()
         self._names = [c.name for c in self.header.channels]
         self._preamble = _preamble(expected, self._names)
+        self._layouts = Layouts(self._names)
 
     def __enter__(self) -> Self:
         return self
@@ -172,20 +173,21 @@ class RecordingReader:
             Whether a recorder may still be writing the file: its end is then no problem, and a later call continues
             there.
         together
-            Whether to join the batches of a channel in a few megabytes of the file if all are intact: a recording of
-            11.5 million samples is then read in 0.7 of the processor time.
+            Whether to join the batches of a channel in a few megabytes of the file, as far as they are intact: two
+            hours of four channels at 4 kHz, in batches of 50 ms, are then read in a fifth of the processor time.
         """
         while True:
-            batches, ends = self._sound()
-            alike = decoded_together(batches, self._names, self._next_sequence) if together and batches else None
-            if alike is not None:
-                self._number += len(batches)
-                self.complete += len(batches)
-                self._next_sequence += len(batches)
-                self._offset = self._good_end = ends[-1]
-                for samples, said in alike:
-                    yield self._marked(samples), said
-                continue
+            if together:
+                piece = self._bytes(self._offset, _PIECE_BYTES)
+                alike, number, size = self._layouts.joined(piece, self._next_sequence)
+                self._number += number
+                self.complete += number
+                self._next_sequence += number
+                if number:
+                    self._offset = self._good_end = self._offset + size
+                    yield from ((self._marked(samples), ()) for samples in alike)
+                    continue
+            batches, ends = self._sound(together=together)
             for one, end in zip(decoded(batches, self._names), ends, strict=True):
                 self._offset = end
                 if (taken := self._judged(one)) is not None:
@@ -249,20 +251,29 @@ class RecordingReader:
         self._number += 1
         self._next_sequence += 1
 
-    def _sound(self) -> tuple[list[Batch], list[int]]:
-        """Return the next batches that one piece of the file holds, and the byte at which each ends."""
+    def _sound(self, *, together: bool) -> tuple[list[Batch], list[int]]:
+        """Return the next batches that one piece of the file holds, and the byte at which each ends.
+
+        With `together` they end before a batch with a known layout.
+        """
         begin = self._offset - len(self._preamble)
-        source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
+        piece = self._preamble + self._bytes(self._offset, _PIECE_BYTES)
+        source = pa.BufferReader(piece)
         batches: list[Batch] = []
         ends: list[int] = []
         with pa.ipc.open_stream(source) as reader:
             reader.read_next_batch()
-            while True:
+            at = len(self._preamble)
+            while not (together and self._layouts.known(piece, at)):
                 try:
                     batches.append(reader.read_next_batch_with_custom_metadata())
                 except (StopIteration, ValueError, OSError, EOFError, pa.ArrowException):
-                    return batches, ends
-                ends.append(begin + source.tell())
+                    break
+                if together:
+                    self._layouts.learn(piece, at, source.tell(), batches[-1])
+                at = source.tell()
+                ends.append(begin + at)
+        return batches, ends
 
     @property
     def size(self) -> int:

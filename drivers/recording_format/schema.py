@@ -246,6 +246,8 @@ def record_batch(samples: Samples, schema: pa.Schema, names: Sequence[str]) -> p
 
 def joined(name: str, blocks: Sequence[Samples], *, fill: bool = False) -> Samples:
     """Return a channel's blocks as one; a column that a block lacks is None or, with `fill`, NaN or 0 in that block."""
+    if len(blocks) == 1 and not fill:
+        return blocks[0]
     columns: dict[str, npt.NDArray[Any] | None] = {}
     for column, (_, kind, optional) in COLUMNS.items():
         parts = [getattr(block, column) for block in blocks]

@@ -107,8 +107,8 @@ class _Fold:
         # Sums over turns: mean error, its square, mean angle, mean squared angle, mean torque, speed, travel. For the
         # present turn, at its points: samples, error, angle, squared angle, torque, speed, travel.
         self._sums = np.zeros((7, self.whole))
-        self._open_points, self._open = np.zeros(0, np.int64), np.zeros((7, 0))
-        self._open_turn = 0
+        self._open = [(np.zeros(0, np.int64), np.zeros((7, 0)))]
+        self._open_points = self._open_turn = 0
         waiting, self._first = self._first, []
         for part in waiting:
             self._take(*part)
@@ -137,26 +137,37 @@ class _Fold:
         place = np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9
         point = np.minimum(place.astype(np.int64), self._whole - 1)
         inside = (place - (point + 0.5)) * self._spacing
-        point += self._whole * ((turn + self._turns) % self._apart)
         last = int(turn.max()) - self._open_turn
+        if self._apart > 1:
+            point += self._whole * ((turn + self._turns) % self._apart)
         if last or self._open_turn:
             point += (turn - self._open_turn) * self.whole
         # Add up neighbours at one point first, so that fewer are sorted: twice as fast with five samples per point.
-        begins = np.concatenate([[True], point[1:] != point[:-1]])
-        run = np.cumsum(begins) - 1
+        begins = np.flatnonzero(np.diff(point, prepend=point[0] - 1))
+        count = np.diff(begins, append=point.size)
+        run = np.repeat(np.arange(begins.size), count)
         values = (error, inside, inside * inside, t, beside[1], travel)
+        sums = np.array([count, *(np.bincount(run, v) for v in values)])
+        sums[-1] += self._travelled * count
         self._furthest = float(travel[-1]) + self._travelled
-        sums = [np.bincount(run).astype(float), *(np.bincount(run, v) for v in values)]
-        sums[-1] += self._travelled * sums[0]
-        key, at = np.unique(np.concatenate([self._open_points, point[begins]]), return_inverse=True)
-        found = np.array([
-            np.bincount(at, np.concatenate([before, now]), key.size)
-            for before, now in zip(self._open, sums, strict=True)
-        ])  # fmt: skip
-        closed = int(np.searchsorted(key, last * self.whole))
+        self._open.append((point[begins], sums))
+        self._open_points += begins.size
+        if last or self._open_points > _FIRST:
+            self._settle(last)
+
+    def _settle(self, turns: int) -> None:
+        """Add up the points of the present turn and the next ones, and close this number of turns.
+
+        To do this once a turn is 1.4 times as fast as once for each block of 27,000 samples.
+        """
+        points, sums = zip(*self._open, strict=True)
+        key, at = np.unique(np.concatenate(points), return_inverse=True)
+        found = np.array([np.bincount(at, each, key.size) for each in np.concatenate(sums, axis=1)])
+        closed = int(np.searchsorted(key, turns * self.whole))
         self._close(key[:closed], found[:, :closed])
-        self._open_points, self._open = key[closed:] - last * self.whole, found[:, closed:]
-        self._open_turn += last
+        self._open = [(key[closed:] - turns * self.whole, found[:, closed:])]
+        self._open_turn += turns
+        self._open_points = key.size - closed
 
     def _close(self, key: NDArray[np.int64], found: Array) -> None:
         """Add completed turns to the sums.
@@ -190,9 +201,8 @@ class _Fold:
         if not self.points:
             self._begin()
         if self.points:
-            self._close(self._open_points, self._open)
-            self._open_points, self._open = np.zeros(0, np.int64), np.zeros((7, 0))
             self._turns = (self._turns + self._open_turn) % self._apart
+            self._settle(1)
             self._open_turn = 0
 
     def curve(

@@ -136,16 +136,17 @@ def test_a_flipped_bit_loses_only_its_batch_and_is_reported(tmp_path):
 @given(
     sizes=st.lists(st.tuples(st.sampled_from(NAMES), st.integers(0, 4), st.booleans()), max_size=12),
     alike=st.booleans(),
+    events=st.booleans(),
     flips=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 7)), max_size=2),
 )
-def test_batches_decoded_together_equal_those_decoded_singly(tmp_path_factory, sizes, alike, flips):
+def test_batches_decoded_together_equal_those_decoded_singly(tmp_path_factory, sizes, alike, events, flips):
     path = tmp_path_factory.mktemp("r") / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
         for number, (name, rows, counted) in enumerate(sizes):
             samples = block(name, 10 * number, rows + alike)
             if not (counted or alike):
                 samples = dataclasses.replace(samples, counts=None)
-            writer.write(samples, [Event(float(number), name, "said")] * (number % 2))
+            writer.write(samples, [Event(float(number), name, "said")] * (events and number % 2))
     begin, data = len(write(path.with_name("empty.arrows"), []).read_bytes()) - 8, bytearray(path.read_bytes())
     for share, bit in flips:
         data[begin + int(share * (len(data) - begin - 1))] ^= 1 << bit
@@ -158,6 +159,25 @@ def test_batches_decoded_together_equal_those_decoded_singly(tmp_path_factory, s
         columns = [[None if c is None else c.tolist() for c in list(vars(one).values())[1:]] for one in whole]
         found.append((str(columns), [e for _, said in taken for e in said], reader.problems, reader.complete))
     assert found[0] == found[1]
+
+
+def test_a_flipped_bit_in_a_batch_like_earlier_ones_is_handled_as_in_one_that_is_decoded_singly(tmp_path):
+    all_batches = [dataclasses.replace(block(NAMES[i % 2], 10 * i, 3), time_device=None) for i in range(8)]
+    begin, end = (len(write(tmp_path / f"{n}.arrows", all_batches[:n]).read_bytes()) - 8 for n in (4, 5))
+    data = write(tmp_path / "all.arrows", all_batches).read_bytes()
+    path = tmp_path / "flipped.arrows"
+    for place in range(begin, end, 17):
+        flipped = bytearray(data)
+        flipped[place] ^= 1 << place % 8
+        path.write_bytes(flipped)
+        found = []
+        for together in (False, True):
+            with RecordingReader(path) as reader:
+                taken = [samples for samples, _ in reader.batches(together=together) if len(samples)]
+            times = {n: [t for s in taken if s.channel == n for t in s.time_host.tolist()] for n in NAMES}
+            marks = {n: [b for s in taken if s.channel == n for b in s.status.tolist()] for n in NAMES}
+            found.append((times, marks, reader.problems, reader.complete))
+        assert found[0] == found[1], place
 
 
 def test_a_missing_batch_is_reported(tmp_path):
