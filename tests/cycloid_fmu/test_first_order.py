@@ -94,6 +94,16 @@ def test_errors_half_as_large_differ_a_quarter(pair, slices):
     assert pressure[1] < 0.75 * pressure[0]
 
 
+def test_a_drive_among_others_is_the_same_drive():
+    study = Study(DRIVE, EVERY, 11, 7, (181.0,))
+    errors = np.array([displacement_vector(DRIVE, surface_of(study, p)) for p in points(study)])
+    screen = Screen(DRIVE, [(-60.0, ANGLES), (0.0, ANGLES)], 4, 120e-6)
+    together = (*screen.loaded(0, errors), *screen.play(1, errors))
+    for k in range(11):
+        alone = (*screen.loaded(0, errors[k : k + 1]), *screen.play(1, errors[k : k + 1]))
+        assert all((one[0] == all_[k]).all() for one, all_ in zip(alone, together, strict=True))
+
+
 def test_interference_is_found_with_its_depth():
     tight = dataclasses.replace(nominal_surface(DRIVE), pin_radius=12e-6, centre_distance_x=3e-6)
     screen = Screen(DRIVE, [(0.0, ANGLES)], 1, 120e-6)
