@@ -9,9 +9,13 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numba import config, njit, types
+from numba import _dynfunc, config, njit, types
 from numba.core import event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler, CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import register_pass
 from numba.core.runtime import rtsys
+from numba.core.typed_passes import NativeLowering
 from numba.extending import models, register_model
 from numpy.typing import NDArray
 
@@ -59,12 +63,91 @@ class _Part(types.Dispatcher):  # type: ignore[misc]
 register_model(_Part)(models.OpaqueModel)
 
 
+class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Code of a part: neither optimised nor made machine code alone, both of which its kernel does with all its parts.
+
+    Otherwise each of a chain of parts repeats it for all that it calls: a first analysis took 1.3 times as long.
+    """
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _TwiceLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Code of a kernel and all its parts, optimised twice."""
+
+    def _optimize_final_module(self) -> None:
+        super()._optimize_final_module()
+        passes, builder = self._codegen._module_pass_manager()
+        passes.run(self._final_module, builder)
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _TwiceLowering(NativeLowering):  # type: ignore[misc]
+    _name = "twice_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _TwiceLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return bool(super().run_pass(state))
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _PartLowering(NativeLowering):  # type: ignore[misc]
+    _name = "part_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        super().run_pass(state)
+        made = state["cr"]
+        # There is no machine code, so no address: other kernels find the part by this object.
+        name = made.fndesc.qualname.split(".")[-1]
+        entry = _dynfunc.make_function(made.fndesc.lookup_module(), name, "", 0, made.env, (state.library,))
+        state.targetctx.insert_user_function(entry, made.fndesc, [state.library])
+        state["cr"] = made._replace(cfunc=entry)
+        return True
+
+
+def _compiler(lowering: type[NativeLowering]) -> type[CompilerBase]:
+    """Make numba's own compiler with another lowering."""
+
+    class Changed(CompilerBase):  # type: ignore[misc]
+        def define_pipelines(self) -> list[Any]:
+            pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state)
+            pipeline.passes = [(lowering if one is NativeLowering else one, why) for one, why in pipeline.passes]
+            pipeline.finalize()
+            return [pipeline]
+
+    return Changed
+
+
+_TwiceCompiler, _PartCompiler = _compiler(_TwiceLowering), _compiler(_PartLowering)
+
+
 def compiled(function: _Function) -> _Function:
     """Compile a kernel that Python calls, its type kept; other kernels may call it as well.
 
     Inside another kernel it is a `part` of that one. What numba compiled for Python's calls is its `dispatcher`.
     """
-    entry = njit(cache=True, error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
+    return _entry(function, Compiler)
+
+
+def compiled_twice(function: _Function) -> _Function:
+    """Make a `compiled` kernel that is optimised twice: sweeps on bearings are 1.05 times as fast so.
+
+    Others are not faster, and take 1.4 times as long to compile.
+    """
+    return _entry(function, _TwiceCompiler)
+
+
+def _entry(function: _Function, compiler: type[CompilerBase]) -> _Function:
+    options = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    entry = njit(pipeline_class=compiler, **options)(function)
     _without_collection.kernels.add(entry)
     cache = getattr(entry, "_cache", None)  # none where numba only interprets
     if cache is not None:
@@ -119,7 +202,7 @@ def _within(name: _Function, function: _Function, forceinline: bool = False) -> 
     Such entries took most of the time: each holds all that the kernel calls, compiled once more.
     """
     if not config.DISABLE_JIT:
-        options = {"error_model": "numpy", "forceinline": forceinline}
+        options = {"error_model": "numpy", "forceinline": forceinline, "pipeline_class": _PartCompiler}
         kernel = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
         name._numba_type_ = _Part(kernel)  # type: ignore[attr-defined]
         name._kernel = kernel  # type: ignore[attr-defined]  # the type holds no reference

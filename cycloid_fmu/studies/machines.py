@@ -64,7 +64,8 @@ def _connected(scheduler: str) -> Any:
     with edge.needs_extra("distributed", lambda said: edge.ArgumentError("scheduler", said, scheduler)):
         from distributed import Client
     try:
-        client = Client(scheduler, timeout=5, set_as_default=False)
+        # For as long as dask is configured to wait, 30 s by default: a busy scheduler takes more than 5 s to answer.
+        client = Client(scheduler, set_as_default=False)
     except (OSError, ValueError) as failure:
         problem = f"no scheduler answers there ({type(failure).__name__})"
         raise edge.ArgumentError("scheduler", problem, scheduler) from None

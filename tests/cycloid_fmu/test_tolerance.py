@@ -333,9 +333,11 @@ def test_bad_studies_are_one_sentence(text, changes, said):
     assert str(caught.value).count("\n") == 0
 
 
-@pytest.mark.slow(5)
+@pytest.mark.slow(2)
 def test_a_scheduler_that_does_not_answer(command, files, tmp_path):
-    failed = command(*files, "--scheduler", "tcp://127.0.0.1:9", "-o", "s.nc")
+    dask = pytest.importorskip("dask")
+    with dask.config.set({"distributed.comm.timeouts.connect": "1 s"}):
+        failed = command(*files, "--scheduler", "tcp://127.0.0.1:9", "-o", "s.nc")
     assert (failed.returncode, failed.stdout) == (2, "")
     assert failed.stderr.strip() == '--scheduler = "tcp://127.0.0.1:9": no scheduler answers there (OSError).'
 
