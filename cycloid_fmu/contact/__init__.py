@@ -13,7 +13,7 @@ once (`placement`) with deviations of form (`deviations`), their force (`hertz`)
 or none (`play`), and what follows: `load_sharing`, `energy`, `sensitivity`. `sweeps` go through crank angles.
 """
 
-from cycloid_fmu.contact.compiling import Array, compiled, compiled_twice, inlined, part, spliced
+from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
 from cycloid_fmu.contact.energy import crank_side, elastic_energy, press
 from cycloid_fmu.contact.equilibrium import behind_compliance, equilibrium
 from cycloid_fmu.contact.hertz import half_width, hertz
@@ -36,7 +36,7 @@ from cycloid_fmu.contact.sweeps import (
 
 __all__ = [
     "ROW", "TOUCHING", "Array", "ContactLines", "Deviations", "LoadedSweep", "LocalFrame", "Problem",
-    "Rows", "behind_compliance", "compiled", "compiled_twice", "contact_rows", "crank_side", "disc_slice_pin",
+    "Rows", "behind_compliance", "compiled", "contact_rows", "crank_side", "disc_slice_pin",
     "elastic_energy", "equilibrium", "half_width", "hertz", "inlined", "is_solved_at", "load_sharing", "local_frame",
     "part", "place", "play", "poses", "press", "sensitivities", "spliced", "sweep", "sweep_contacts",
     "sweep_crank_torque", "sweep_flank_sensitivities", "sweep_play", "sweep_sensitivities", "touch_rate",

@@ -12,7 +12,7 @@ import numpy as np
 from numba import _dynfunc, config, njit, types
 from numba.core import event
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, CompilerBase, DefaultPassBuilder
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.runtime import rtsys
 from numba.core.typed_passes import NativeLowering
@@ -77,25 +77,6 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
         self._finalized = True
 
 
-class _TwiceLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Code of a kernel and all its parts, optimised twice."""
-
-    def _optimize_final_module(self) -> None:
-        super()._optimize_final_module()
-        passes, builder = self._codegen._module_pass_manager()
-        passes.run(self._final_module, builder)
-
-
-@register_pass(mutates_CFG=True, analysis_only=False)
-class _TwiceLowering(NativeLowering):  # type: ignore[misc]
-    _name = "twice_lowering"
-
-    def run_pass(self, state: Any) -> bool:
-        state.library = _TwiceLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.library.enable_object_caching()
-        return bool(super().run_pass(state))
-
-
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _PartLowering(NativeLowering):  # type: ignore[misc]
     _name = "part_lowering"
@@ -113,20 +94,14 @@ class _PartLowering(NativeLowering):  # type: ignore[misc]
         return True
 
 
-def _compiler(lowering: type[NativeLowering]) -> type[CompilerBase]:
-    """Make numba's own compiler with another lowering."""
+class _PartCompiler(CompilerBase):  # type: ignore[misc]
+    """numba's own compiler with the lowering of a part."""
 
-    class Changed(CompilerBase):  # type: ignore[misc]
-        def define_pipelines(self) -> list[Any]:
-            pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state)
-            pipeline.passes = [(lowering if one is NativeLowering else one, why) for one, why in pipeline.passes]
-            pipeline.finalize()
-            return [pipeline]
-
-    return Changed
-
-
-_TwiceCompiler, _PartCompiler = _compiler(_TwiceLowering), _compiler(_PartLowering)
+    def define_pipelines(self) -> list[Any]:
+        pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        pipeline.passes = [(_PartLowering if one is NativeLowering else one, why) for one, why in pipeline.passes]
+        pipeline.finalize()
+        return [pipeline]
 
 
 def compiled(function: _Function) -> _Function:
@@ -134,20 +109,8 @@ def compiled(function: _Function) -> _Function:
 
     Inside another kernel it is a `part` of that one. What numba compiled for Python's calls is its `dispatcher`.
     """
-    return _entry(function, Compiler)
-
-
-def compiled_twice(function: _Function) -> _Function:
-    """Make a `compiled` kernel that is optimised twice: sweeps on bearings are 1.05 times as fast so.
-
-    Others are not faster, and take 1.4 times as long to compile.
-    """
-    return _entry(function, _TwiceCompiler)
-
-
-def _entry(function: _Function, compiler: type[CompilerBase]) -> _Function:
     options = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    entry = njit(pipeline_class=compiler, **options)(function)
+    entry = njit(**options)(function)
     _without_collection.kernels.add(entry)
     cache = getattr(entry, "_cache", None)  # none where numba only interprets
     if cache is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, compiled_twice, spliced
+from cycloid_fmu.contact import Array, Problem, compiled, spliced
 from cycloid_fmu.contact.load_sharing import write_contact_lines
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import (
@@ -79,7 +79,7 @@ def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found:
     return crank_torque
 
 
-@compiled_twice
+@compiled
 def sweep_supported(
     problem: Problem, assembly: Assembly, thetas: Array, torques: Array, with_forces: bool, found: Found, work: Work,
     lines: contact.ContactLines,
