@@ -599,7 +599,9 @@ def _starting_estimate(
         part = high if number == 1 else all_of_them
         progress(f"finding a start ({len(found) + 1})")
         one = ended(fewer.some(part), state, unknown, None if nominal is None else nominal.some(part))
-        on = None if one is None else ended(few, one.state, one.scatter, around(one.state.surface))
+        # At one load creep, wind-up and play are the same: their sizes there say nothing.
+        bench = {n: unknown[n] for n in few.estimated}
+        on = None if one is None else ended(few, one.state, {**one.scatter, **bench}, around(one.state.surface))
         take(on or ended(few, state, unknown, None))
         alike = agree() and not is_uneven(found[0])
         if alike:
