@@ -177,19 +177,26 @@ def _equilibrium(
     one = lanes[0]
     x, low, high, listed_at = start, -math.inf, math.inf, math.inf
     listed = touching = 0
+    farther = math.inf
     for k in range(count):
         forces[k] = 0.0
     for _ in range(60):
         if abs(x - listed_at) > _NEAR:
             listed_at = x
             listed = 0
+            farther = math.inf
             for k in range(count):
                 arm, rate = rows[k, _ARM], rows[k, _RATE]
-                if gaps[k, drive] - x * (arm + 0.5 * x * rate) < _NEAR * (abs(arm + x * rate) + _NEAR * abs(rate)):
+                gap, now = gaps[k, drive] - x * (arm + 0.5 * x * rate), arm + x * rate
+                if gap < _NEAR * (abs(now) + _NEAR * abs(rate)):
                     near[listed] = k
                     listed += 1
+                    continue
+                forces[k] = 0.0
+                if now * torque > 0.0:
+                    farther = min(farther, gap / abs(now))
         moment = stiffness = 0.0
-        touch = _NEAR
+        touch = farther if farther < math.inf else 0.0
         touching = 0
         for at in range(listed):
             k = near[at]

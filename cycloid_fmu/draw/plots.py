@@ -364,7 +364,7 @@ SHOWN = {"rad": ("arcsec", ARCSEC), "Pa": ("MPa", 1e-6), "m": ("µm", 1e6)}
 def plot_tolerance(result: object) -> Figure:
     """Distribution of every figure of a tolerance study, with its limit and the share of drives that meet it.
 
-    Figures without a limit that are the same in all drives are not drawn.
+    Figures without a limit that are the same in all drives are not drawn; with a limit they are a point.
     """
     from cycloid_fmu.studies.tolerance import FIGURES, PER_TORQUE, Result, yields
 
@@ -383,7 +383,10 @@ def plot_tolerance(result: object) -> Figure:
         for k, column in enumerate(values.reshape(len(values), -1).T):
             label = f"{study.torque[k]:g} N·m" if name in PER_TORQUE else None
             column = column * np.sign(study.torque[k] or 1.0) if signed else column
-            axis.hist(column, bins="auto", histtype="stepfilled", alpha=0.5, label=label)
+            if np.ptp(column) > 0.0:
+                axis.hist(column, bins="auto", histtype="stepfilled", alpha=0.5, label=label)
+            else:
+                axis.plot(column[0], column.size, "o", label=label or "all drives")
         axis.set(xlabel=f"{name.replace('_', ' ')}{', along the load' if signed else ''} [{unit}]", ylabel="drives")
         if name in limits:
             _show_limit(

@@ -34,7 +34,7 @@ def plot_sweep(data: xr.Dataset) -> Figure:
     labels = [label_of(name, shown_values(data, name)[1]) for name in several]
     for axis, name in zip(axes, shown, strict=False):
         unit, factor = SHOWN[one[name].attrs["units"]]
-        label = label_of(name, unit).replace(" [", "\n[")
+        label = label_of("share_of_loaded_pins" if name == "loaded_pins" else name, unit).replace(" [", "\n[")
         places = [shown_values(data, each)[0] for each in several]
         if len(several) == 1:
             loads = data["torque"].values if name in LOADED else [None]

@@ -78,7 +78,8 @@ class Estimate:
     chosen
         The fitted errors.
     state, scatter
-        The errors and the bench; standard deviation of each scattered pattern, m, and of the zeros' creep, rad.
+        The errors and the bench; standard deviation of each scattered pattern, m; of the bench's groups, rad,
+        of the chain rad/(N·m).
     linear
         The model at that state.
     misfit
@@ -278,7 +279,8 @@ def fit(
     chosen
         The errors to fit; the others keep the values of the pair file.
     state, scatter
-        Initial state, and the standard deviation of each scattered pattern, m, and of the zeros' creep, rad.
+        Initial state, and the standard deviation of each scattered pattern, m; of the bench's groups, rad,
+        of the chain rad/(N·m).
     gain
         The fit ends when the predicted gain of a step in the sum of squares, in units of the noise, is smaller, or
         after several steps without gain.

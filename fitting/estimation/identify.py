@@ -43,6 +43,7 @@ from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors
 from fitting.model.loops import observed_curves, on_the_curves_zero
 from fitting.model.observations import (
+    CHAIN,
     CREEP,
     MISFIT,
     NO_CREEP,
@@ -75,6 +76,7 @@ _BESIDE = 1.5  # times the noise: more than a minimum beside the best one leaves
 _SUSPECTS, _REACHES = 3, (1, 2, 4)  # pins that are put back, and with how many neighbours on either side
 _AGREE = 0.01  # of the points: two starts agree where -2 log likelihood differs by less, the noise by 0.5 %
 _CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
+_STILL, _AS_WELL = 0.1, 1.05  # times the creep and the noise without a soft chain
 _MISFIT = 2e-6  # rad: from where the size of a cause of misfit is estimated
 _MISFITS = 5  # fits with causes of misfit at most
 _SETTLED = 1e-7, 1e-7, 1e-7, 1e-4  # m and rad: supports that give way by no more have been found
@@ -200,7 +202,7 @@ def identify(
             if kept:
                 progress("fitting without the held-out curves")
                 # One to first order is enough, a third of the work: where it predicts badly the whole fit has the say.
-                start, _ = _starting_estimate(pair, _observed(rest, pair, prior), None, False, progress)
+                start, prior = _started(rest, pair, prior, progress)
                 predicted = _predicted(pair, start, [running[i] for i in kept])
                 if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):
                     start = None
@@ -338,6 +340,11 @@ def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
     return HeldOut(loads, float(np.sqrt(np.mean(left**2))), float(np.sqrt(np.mean(yardstick**2))))
 
 
+def _first_sizes(observed: Observations) -> dict[str, float]:
+    """Sizes from which those of the bench's groups are estimated: rad, of the chain rad/(N·m)."""
+    return {group: observed.chain_prior if group == CHAIN else _MISFIT for group in observed.estimated}
+
+
 def _no_scatter(pair: Pair) -> dict[str, float]:
     return {**dict.fromkeys(estimated_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
 
@@ -365,24 +372,25 @@ def _validated(
         columns = causes(pair, found.observed, found.linear, state)
         return likely_causes(Residual(pair, found), columns, likely)
 
-    # The scatter of the whole fit would absorb run-out, drift and wind-up as far as it can, and the errors with it.
+    rough, known = _started(curves, pair, known, progress) if start is None else (start, known)
     observed = _observed(curves, pair, known)
-    rough = _starting_estimate(pair, observed, None, False, progress)[0] if start is None else start
-    suspected = causes_of(Residual(pair, rough), beside_the_gear(rough.observed)).columns
+    # Where the chain is soft, the scatter of the whole fit would absorb run-out, drift and wind-up as far as it can.
+    suspected = causes_of(Residual(pair, rough), beside_the_gear(rough.observed)).columns if known.soft_chain else {}
     beside = Likely({n: one for n, one in beside_the_gear(observed).items() if n in suspected}, {}, ())
-    found = _fitted(curves, pair, rough, known, progress, (beside.columns, None, 0.0))
+    misfit: tuple[Mapping[str, Array], Array | None, Array | float] = beside.columns, None, 0.0
+    found = _fitted(curves, pair, rough, known, progress, misfit)
     progress("testing the residual")
     likely = looks_like(found, beside)
     if likely.formed:
         known, formed = _with_form(known, form), True
         progress("fitting the form of the flanks")
-        found = _fitted(curves, pair, _without_scatter(pair, found), known, progress, (beside.columns, None, 0.0))
+        found = _fitted(curves, pair, _without_scatter(pair, found), known, progress, misfit)
         likely = looks_like(found, beside)
     first = verdict_of(pair, found, likely, formed)
     is_more = likely.columns.keys() > beside.columns.keys()
     if (is_more or first.state == "not explained") and first.residual < _BESIDE * first.noise:
         # It may be that a better minimum leaves nothing.
-        other = _fitted(curves, pair, found, known, progress, (beside.columns, None, 0.0), searched=True)
+        other = _fitted(curves, pair, found, known, progress, misfit, searched=True)
         if other.unlikelihood < found.unlikelihood - _GAIN:
             found = other
             progress("testing the residual")
@@ -415,7 +423,7 @@ def _validated(
             moved = dataclasses.replace(found.observed, give=give)
             there = causes(pair, moved, linearise(pair, moved, found.state))
             likely = dataclasses.replace(likely, columns={n: there.get(n, one) for n, one in likely.columns.items()})
-    if found.disagreeing and verdict is not None and verdict.state != "not explained":
+    if found.disagreeing and (beside.columns or verdict) and (verdict or first).state != "not explained":
         # The starts were made without the cause; two of them must agree with it.
         again = _fitted(curves, pair, None, known, progress, misfit)
         better = again.unlikelihood < found.unlikelihood + _GAIN
@@ -425,7 +433,24 @@ def _validated(
 
 
 def _observed(curves: Sequence[Curve], pair: Pair, known: Prior) -> Observations:
-    return observations(curves, pair, profile=known.profile, first_stage=known.first_stage)
+    return observations(curves, pair, profile=known.profile, first_stage=known.first_stage, soft_chain=known.soft_chain)
+
+
+def _started(
+    curves: Sequence[Curve], pair: Pair, known: Prior, progress: Callable[[str], None]
+) -> tuple[Estimate, Prior]:
+    """A fit near the best one from the prior, and the prior with a soft chain if zeros creep that do not creep with it.
+
+    Not at once: a chain that may be soft can take the part of errors and of friction that are not found yet.
+    """
+    rough, _ = _starting_estimate(pair, _observed(curves, pair, known), None, False, progress)
+    if known.soft_chain or not rough.scatter.get(CREEP, 0.0) > _MISFIT:
+        return rough, known
+    soft = dataclasses.replace(known, soft_chain=True)
+    other, _ = _starting_estimate(pair, _observed(curves, pair, soft), None, False, progress)
+    # Two unknowns in place of one for each recording are likelier even where this start fits a little worse.
+    is_still = other.scatter[CREEP] < _STILL * rough.scatter[CREEP] and other.noise < _AS_WELL * rough.noise
+    return (other, soft) if is_still or other.unlikelihood < rough.unlikelihood else (rough, known)
 
 
 def _with_form(known: Prior, form: float) -> Prior:
@@ -447,7 +472,7 @@ def _fitted(
     if misfit is not None:
         observed = observed.with_misfit(*misfit)
     rough, linear = _starting_estimate(pair, observed, start, searched, progress)
-    state, scatter = rough.state, {**dict.fromkeys(observed.estimated, _MISFIT), **rough.scatter}
+    state, scatter = rough.state, {**_first_sizes(observed), **rough.scatter}
     weight = observed.weight * np.median(rough.observed.weight) / np.median(observed.weight)
     observed = dataclasses.replace(observed, weight=weight).with_sizes(scatter)
     rough = dataclasses.replace(rough, state=state, scatter=scatter)
@@ -554,7 +579,7 @@ def _starting_estimate(
     loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
     high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
-    unknown = {**dict.fromkeys(observed.estimated, _MISFIT), **_no_scatter(pair)}
+    unknown = {**_first_sizes(observed), **_no_scatter(pair)}
     # Radii of single pins could absorb errors that are not found yet: in starts from the prior they scatter later.
     same_radius = {PIN_RADIUS: 1e-2 * NO_SCATTER} if start is None else {}
     pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
@@ -568,8 +593,8 @@ def _starting_estimate(
             one = fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, linear=linear,
                       evaluations=_START_EVALUATIONS, known=same_radius)  # fmt: skip
             return dataclasses.replace(one, scatter={**one.scatter, **dict.fromkeys(same_radius, NO_SCATTER)})
-        except edge.InputError:
-            # To first order a fit may end where no contacts balance the load.
+        except (edge.InputError, np.linalg.LinAlgError):
+            # To first order a fit may end where no contacts balance the load; creep may grow into what wind-up does.
             return None
 
     def take(one: Estimate | None) -> None:

@@ -20,7 +20,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
 from fitting.estimation.fit import Estimate, Problem
 from fitting.model.discrepancy import BESIDE_THE_GEAR, FORM, SENTENCES, is_whole, waves, way
-from fitting.model.observations import CHAIN, MISFIT, Observations, left_of, with_scatter
+from fitting.model.observations import CHAIN, CREEP, MISFIT, Observations, left_of, with_scatter
 
 Array = NDArray[np.float64]
 
@@ -164,7 +164,7 @@ class Residual:
         slope = self.columns.T @ self.left - precision * problem.unknowns(estimate.state)
         step = linalg.cho_solve(self._factor, slope)
         self.left = self.left - self.columns @ step
-        self.pulls: dict[str, tuple[float, float]] = {}
+        self.pulls = _creeps_with_load(estimate)
         for name, cause in _PULLED.items():
             at = problem.names.index(name)
             unit = np.zeros(step.size)
@@ -175,7 +175,8 @@ class Residual:
             spread = usual + left if name in self.observed.estimated else usual - left
             if spread > (1.0 - _FREE) * usual:
                 square = float(problem.unknowns(estimate.state)[at] + step[at]) ** 2 / spread
-                self.pulls[cause] = float(special.chdtrc(1, square)), square
+                pull = float(special.chdtrc(1, square)), square
+                self.pulls[cause] = min(pull, self.pulls.get(cause, pull))
 
     def beyond(self, columns: Array) -> Array:
         """Part of columns outside the span of the fit's unknowns, in units of the noise, shape (points, columns)."""
@@ -230,6 +231,27 @@ class Residual:
         told = values > _TOLD
         slopes = (vectors.T @ (score / size))[told]
         return float(special.chdtrc(max(np.count_nonzero(told), 1), float(slopes**2 @ (1.0 / values[told]))))
+
+
+def _creeps_with_load(estimate: Estimate) -> dict[str, tuple[float, float]]:
+    """Whether recordings' zeros are on a line over the torque, which is compliance and not creep.
+
+    The line may have a step where the torque changes sign: by play that held errors do not account for.
+    """
+    part = estimate.observed.estimated.get(CREEP)
+    if part is None or part.stop - part.start < 5:
+        return {}
+    zero, torque = estimate.state.bench[part], np.array([
+        np.mean(np.concatenate([c.torque_at_points for c in estimate.observed.curves])[column > 0.0])
+        for column in estimate.observed.bench[:, part].T
+    ])  # fmt: skip
+    line = np.column_stack([np.ones_like(torque), torque, np.sign(torque)])
+    left = float(np.sum((zero - line @ np.linalg.lstsq(line, zero, rcond=None)[0]) ** 2))
+    every, free = float(np.sum((zero - zero.mean()) ** 2)), zero.size - 3
+    if not every > left > 0.0:
+        return {}
+    chance = float(special.fdtrc(2, free, 0.5 * free * (every / left - 1.0)))
+    return {"compliance": (chance, zero.size * float(np.log(every / left)))}
 
 
 def order_powers(observed: Observations, left: Array) -> tuple[int, list[Array]]:
@@ -381,14 +403,11 @@ def causes_of(residual: Residual, columns: Mapping[str, Array], known: Likely | 
         told = [n for n, chance in chances.items() if chance * len(columns) < _FALSE]
         gains = {n: max(float(residual.left @ scores[n][1]) - rest[n].shape[1], pulls.get(n, (1.0, 0.0))[1])
                  for n in told}  # fmt: skip
-        told.sort(key=lambda n: -gains[n])
-        # A form moves the contacts: other columns of the contact resemble it to first order and may gain more. What the
-        # bench adds is exact, and leaves a form only if there is one.
-        formed = formed or (FORM in told and told[0] not in BESIDE_THE_GEAR)
+        formed = formed or FORM in told
         told = [n for n in told if n != FORM]
         if not told:
             break
-        best = told[0]
+        best = max(told, key=lambda n: gains[n])
         alike[best] = tuple(n for n in told if n != best and gains[n] > _ALIKE * gains[best])
         found[best] = rest.pop(best)
         residual.take(found[best])

@@ -57,7 +57,7 @@ _REACH = 80e-6  # m: gaps that errors and the rotation may close where contacts 
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
 _OTHER_LOAD = 1.2  # times the smallest load: one at which wind-up differs from play
-FRICTION_SHARE = 0.002  # of the largest torque
+FRICTION_SHARE, SOFT_FRICTION_SHARE = 0.002, 0.02  # of the largest torque; where hysteresis is unknown too
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance; a softer chain is a cause of misfit, whose size is found
 KNOWN_SIZES = {
     DISC_PHASE: 10e-6, "hole_x": 5e-6, "hole_y": 5e-6, "crank_x": 5e-6, "crank_y": 5e-6, "roller_x": 5e-6,
@@ -96,6 +96,8 @@ class Observations:
         First stage, for curves of a whole reducer.
     chain_prior
         Usual size of the chain's compliance, rad/(N·m): a small share of the gear pair's own.
+    soft_chain
+        Whether the sizes of the chain's compliance and hysteresis are estimated, as far as the curves separate them.
     """
 
     curves: tuple[Curve, ...]
@@ -115,6 +117,7 @@ class Observations:
     bearing_lowest: Array = field(default_factory=lambda: np.zeros(0))
     first_stage: FirstStage | None = None
     chain_prior: float = 0.0
+    soft_chain: bool = False
 
     @property
     def running(self) -> list[int]:
@@ -138,11 +141,12 @@ class Observations:
         Creeping zeros, causes of misfit, and compliance and hysteresis of the chain between the encoders.
         """
         groups: dict[str, slice] = {}
+        of_chain = self._of_chain if self.soft_chain else set()
         for i, name in enumerate(self.bench_names):
             if name.startswith((CREEP, MISFIT)):
                 group = name.rpartition("_")[0]
                 groups[group] = slice(groups[group].start if group in groups else i, i + 1)
-            elif name in self._of_chain:
+            elif name in of_chain:
                 groups[name] = slice(i, i + 1)
         return groups
 
@@ -163,7 +167,7 @@ class Observations:
         return self.chain_prior if group == CHAIN else NO_CREEP
 
     def with_sizes(self, sizes: Mapping[str, float]) -> Observations:
-        """The same with the sizes of these groups, rad, as prior of their nuisances."""
+        """The same with the sizes of these groups, rad, of the chain rad/(N·m), as prior of their nuisances."""
         prior = self.bench_prior.copy()
         for group, part in self.estimated.items():
             prior[part] = max(sizes.get(group, 0.0), self.least(group))
@@ -230,6 +234,7 @@ def observations(
     noise: Sequence[float] | None = None,
     profile: Mapping[str, float] | None = None,
     first_stage: FirstStage | None = None,
+    soft_chain: bool = False,
 ) -> Observations:
     """Return curves as observations of a pair.
 
@@ -245,6 +250,8 @@ def observations(
         Orders of the profile deviation to consider too, with their prior sizes, m.
     first_stage
         First stage of the curves, which are over the angle of ideal cranks (`fitting.model.first_stage.of_cranks`).
+    soft_chain
+        As in `Observations`.
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
     floor = max(float(np.median(shown)), 1e-9)
@@ -308,7 +315,7 @@ def observations(
         bench=np.array(columns).T,
         bench_prior=np.array(priors),
         fit_crank=not all(c.known_index for c in curves),
-        friction_prior=FRICTION_SHARE * largest,
+        friction_prior=(SOFT_FRICTION_SHARE if soft_chain else FRICTION_SHARE) * largest,
         with_loops=any(c.branch for c in curves),
         errors=(*errors_of(pair), *(profile or {})),
         profile=profile or {},
@@ -317,6 +324,7 @@ def observations(
         bearing_lowest=lowest_of(pair, first_stage),
         first_stage=first_stage,
         chain_prior=priors[-1],
+        soft_chain=soft_chain,
     )
 
 

@@ -104,6 +104,39 @@ def test_a_drive_among_others_is_the_same_drive():
         assert all((one[0] == all_[k]).all() for one, all_ in zip(alone, together, strict=True))
 
 
+def test_the_derivative_by_torque_is_the_slope_of_the_rotation_through_zero():
+    """Contacts that were pressed at the crank angle before leave no force behind."""
+    angles, torque = (
+        np.linspace(0.0, 2.0 * np.pi, 60),
+        np.concatenate([np.linspace(100.0, 3.0, 30), np.linspace(-3.0, -100.0, 30)]),
+    )
+    contacts = contacts_of(DRIVE, nominal_surface(DRIVE), 100.0, angles, 1, 120e-6)
+    errors = np.random.default_rng(0).normal(0.0, 2e-6, displacement_vector(DRIVE, nominal_surface(DRIVE)).size)
+    up, down = (sensitivities(DRIVE, contacts, 1, errors, torque + step)[0] for step in (1e-3, -1e-3))
+    by_torque = sensitivities(DRIVE, contacts, 1, errors, torque)[2]
+    assert by_torque == pytest.approx((up - down) / 2e-3, rel=1e-4)
+
+
+def test_a_small_drive_with_much_play_is_pressed():
+    """Its play is a hundred times the rotation within which contacts are looked at in each step."""
+    small = DRIVE.replace(
+        gear_teeth=9,
+        pins=10,
+        pin_circle_radius=0.01,
+        pin_radius=0.001,
+        eccentricity=0.0005,
+        face_width=0.01,
+        rated_torque=5.0,
+    )
+    loose = dataclasses.replace(nominal_surface(small), pin_radius=-40e-6)
+    screen = Screen(small, [(2.0, ANGLES)], 1, 140e-6)
+    rotation, pressure = screen.loaded(0, displacement_vector(small, loose)[None])
+    exact = solve(small, loose, 2.0, ANGLES, 1)
+    assert np.abs(exact.transmission_error).min() > 5e-3
+    assert rotation[0] == pytest.approx(exact.transmission_error[0], rel=0.02)
+    assert pressure.min() > 0.0
+
+
 def test_interference_is_found_with_its_depth():
     tight = dataclasses.replace(nominal_surface(DRIVE), pin_radius=12e-6, centre_distance_x=3e-6)
     screen = Screen(DRIVE, [(0.0, ANGLES)], 1, 120e-6)

@@ -1,6 +1,7 @@
 """Separation by measurements: the bench from the drive, plans, curves with faults, and drawn surfaces."""
 
 import dataclasses
+import itertools
 import re
 
 import numpy as np
@@ -272,3 +273,27 @@ def test_two_discs_without_tooth_errors_have_two_descriptions(nominal):
     near, far = sorted(off, key=np.max)
     assert np.max(near) < 4.0
     assert np.max(far) > 4.5
+
+
+@pytest.mark.parametrize(
+    ("friction", "wind_up", "hysteresis"), [(1.0, 0.0, 0.0), (4.0, 0.0, 0.0), (2.0, 3e-6, 3e-6)], ids=str
+)
+def test_friction_wind_up_and_hysteresis_of_a_bench_are_separated(friction, wind_up, hysteresis):
+    """Both directions at loads of both signs; N·m, rad/(N·m) and rad at up to 100 N·m."""
+    pair = Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    drive = Drive(pair)
+    made, angle = drive.replace(errors={"eccentricity": "3 um"}), np.linspace(0.0, 18.0 * np.pi, 120)
+    generator, runs = np.random.default_rng(0), []
+    for load, way in itertools.product((20.0, -20.0, 60.0, -60.0, 100.0, -100.0), (1, -1)):
+        error = made.analyze(load + friction * way, crank_angle=angle).transmission_error.values[0]
+        beside = wind_up * load + hysteresis * way + generator.normal(0.0, 1e-6, angle.size)
+        runs.append(fitting.Run(
+            input_angle=angle[::way], output_angle=angle[::way] / -9 + error[::way] + beside, torque=load,
+            common_zero=True, known_index=True,
+        ))  # fmt: skip
+    found = identify(runs, drive, held_out=False)
+    assert found.bench["friction_torque"] == pytest.approx(friction, rel=0.03)
+    assert found.bench["chain_compliance"] == pytest.approx(wind_up, rel=0.01, abs=3e-8)
+    assert found.bench["output_angle_hysteresis"] == pytest.approx(hysteresis, abs=2e-7)
+    eccentricity = next(p for p in found.parameters if p.name == "eccentricity")
+    assert eccentricity.value == pytest.approx(3e-6, abs=0.2e-6)
