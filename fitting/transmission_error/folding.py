@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 POINTS = 1 << 15  # most even points of a turn, which resolve orders up to a quarter of them
 _PITCH = 20  # points per crank rotation from one pin to the next, if turns are not sampled at the same angles
 _FINEST = 1 << 18  # most points of a turn in that case
+_EQUAL = 1e-9  # rad: samples of two turns are at one angle
 _SHARED = 1.1  # most distinct points, relative to those of one turn, of turns sampled at the same angles
 _FIRST = 1 << 20  # samples that determine the number of points
 _RAMP = np.pi / 648000.0  # rad: smaller drifts over a whole recording get no note
@@ -211,25 +212,33 @@ class _Fold:
     ) -> Curve:  # fmt: skip
         """Return the folded curve."""
         filled = np.flatnonzero(self.repeats)
-        n = self.repeats[filled]
-        error, squares, inside, inside2, each, speed, travel = self._sums[:, filled] / n
-        with np.errstate(invalid="ignore", divide="ignore"):
-            standard_error = np.sqrt(np.maximum(squares - error**2, 0.0) / (n - 1.0))
+        n, sums = self.repeats[filled], self._sums[:, filled]
+        inside = sums[2] / n
         angle = np.mod(self.shift + (filled + 0.5) * self._spacing + inside, self._turn)
+        # Turns that are not all in step may still meet, as every second one: samples at one angle are one point.
         sequence = np.argsort(angle)
+        is_new = np.diff(angle[sequence], prepend=-1.0) > _EQUAL
+        place = np.empty(sequence.size, np.int64)
+        place[sequence] = np.cumsum(is_new) - 1
+        count, turns, variance, *merged = (
+            np.bincount(place, one) for one in (self.count[filled], n, n * (sums[3] / n - inside**2), *sums)
+        )
+        error, squares, _, _, each, speed, travel = (one / turns for one in merged)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            standard_error = np.sqrt(np.maximum(squares - error**2, 0.0) / (turns - 1.0))
         torque, torque2 = self._torque / self.samples
         kept = None
         if self._kept is not None:
-            kept = np.full((len(self._kept), sequence.size), np.nan)
+            kept = np.full((len(self._kept), turns.size), np.nan)
             column = np.zeros(self.whole, np.int64)
-            column[filled[sequence]] = np.arange(sequence.size)
+            column[filled] = place
             for row, (points, values) in zip(kept, self._kept, strict=True):
                 row[column[points]] = values + self._reference
         return Curve(
-            input_angle=angle[sequence],
-            transmission_error=(error + self._reference)[sequence],
-            standard_error=np.where(n > 1, standard_error, np.nan)[sequence],
-            sample_count=self.count[filled][sequence],
+            input_angle=angle[sequence][is_new],
+            transmission_error=error + self._reference,
+            standard_error=np.where(turns > 1, standard_error, np.nan),
+            sample_count=count.astype(np.int64),
             torque=float(torque + self._torque_reference),
             torque_deviation=float(np.sqrt(max(torque2 - torque**2, 0.0))),
             direction=self.direction,
@@ -242,10 +251,10 @@ class _Fold:
             implausible=implausible,
             turns=self.way / self._turn,
             grid=self.grid,
-            angle_variance=np.maximum(inside2 - inside**2, 0.0)[sequence],
-            torque_each=(each + self._torque_reference)[sequence],
-            speed=speed[sequence],
-            travel=travel[sequence],
+            angle_variance=np.maximum(variance / turns, 0.0),
+            torque_each=each + self._torque_reference,
+            speed=speed,
+            travel=travel,
             each_turn=kept,
         )
 

@@ -28,6 +28,7 @@ def recorded(angle, error, ratio=-39.0, torque=50.0):
     )  # fmt: skip
 
 
+@example(turns=2.4, forwards=False, start=0.0, each=37)  # every second turn is in step
 @given(
     turns=st.floats(0.3, 3.5), forwards=st.booleans(), start=st.floats(-300, 300), each=st.integers(5, 60),
 )  # fmt: skip
