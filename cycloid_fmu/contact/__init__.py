@@ -36,8 +36,8 @@ from cycloid_fmu.contact.sweeps import (
 
 __all__ = [
     "ROW", "TOUCHING", "Array", "ContactLines", "Deviations", "LoadedSweep", "LocalFrame", "Problem",
-    "Rows", "behind_compliance", "compiled", "contact_rows", "crank_side", "disc_slice_pin",
-    "elastic_energy", "equilibrium", "half_width", "hertz", "inlined", "is_solved_at", "load_sharing", "local_frame",
-    "part", "place", "play", "poses", "press", "sensitivities", "spliced", "sweep", "sweep_contacts",
-    "sweep_crank_torque", "sweep_flank_sensitivities", "sweep_play", "sweep_sensitivities", "touch_rate",
+    "Rows", "behind_compliance", "compiled", "contact_rows", "crank_side", "disc_slice_pin", "elastic_energy",
+    "equilibrium", "half_width", "hertz", "inlined", "is_solved_at", "load_sharing", "local_frame", "part", "place",
+    "play", "poses", "press", "sensitivities", "spliced", "sweep", "sweep_contacts", "sweep_crank_torque",
+    "sweep_flank_sensitivities", "sweep_play", "sweep_sensitivities", "touch_rate",
 ]  # fmt: skip

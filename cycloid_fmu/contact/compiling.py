@@ -109,8 +109,7 @@ def compiled(function: _Function) -> _Function:
 
     Inside another kernel it is a `part` of that one. What numba compiled for Python's calls is its `dispatcher`.
     """
-    options = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    entry = njit(**options)(function)
+    entry = njit(cache=True, error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
     _without_collection.kernels.add(entry)
     cache = getattr(entry, "_cache", None)  # none where numba only interprets
     if cache is not None:

@@ -373,10 +373,12 @@ def _validated(
         return likely_causes(Residual(pair, found), columns, likely)
 
     rough, known = _started(curves, pair, known, progress) if start is None else (start, known)
-    observed = _observed(curves, pair, known)
     # Where the chain is soft, the scatter of the whole fit would absorb run-out, drift and wind-up as far as it can.
-    suspected = causes_of(Residual(pair, rough), beside_the_gear(rough.observed)).columns if known.soft_chain else {}
-    beside = Likely({n: one for n, one in beside_the_gear(observed).items() if n in suspected}, {}, ())
+    beside = Likely({}, {}, ())
+    if known.soft_chain:
+        suspected = causes_of(Residual(pair, rough), beside_the_gear(rough.observed)).columns
+        every = beside_the_gear(_observed(curves, pair, known))
+        beside = Likely({n: one for n, one in every.items() if n in suspected}, {}, ())
     misfit: tuple[Mapping[str, Array], Array | None, Array | float] = beside.columns, None, 0.0
     found = _fitted(curves, pair, rough, known, progress, misfit)
     progress("testing the residual")

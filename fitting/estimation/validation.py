@@ -401,12 +401,12 @@ def causes_of(residual: Residual, columns: Mapping[str, Array], known: Likely | 
         scores = {name: residual.score(one) for name, one in rest.items()}
         chances = {n: min(chance, pulls.get(n, (1.0, 0.0))[0]) for n, (chance, _) in scores.items()}
         told = [n for n, chance in chances.items() if chance * len(columns) < _FALSE]
-        gains = {n: max(float(residual.left @ scores[n][1]) - rest[n].shape[1], pulls.get(n, (1.0, 0.0))[1])
-                 for n in told}  # fmt: skip
         formed = formed or FORM in told
         told = [n for n in told if n != FORM]
         if not told:
             break
+        gains = {n: max(float(residual.left @ scores[n][1]) - rest[n].shape[1], pulls.get(n, (1.0, 0.0))[1])
+                 for n in told}  # fmt: skip
         best = max(told, key=lambda n: gains[n])
         alike[best] = tuple(n for n in told if n != best and gains[n] > _ALIKE * gains[best])
         found[best] = rest.pop(best)
