@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -18,6 +17,7 @@ from drivers.recording_format.schema import (
     Event,
     Samples,
     batch_checksum,
+    bytes_checksum,
 )
 
 # A batch and its own metadata: sequence number, events and CRC-32.
@@ -169,10 +169,9 @@ class Layouts:
         found: dict[str, list[tuple[int, _Layout]]] = {}
         at, number = 0, sequence
         while (layout := self.known(data, at)) is not None:
-            crc32 = zlib.crc32(f"{number}[]{layout.channel}".encode())
-            for begin, end in layout.checked:
-                crc32 = zlib.crc32(view[at + begin : at + end], crc32)
-            intact = data[at + layout.crc32[0] : at + layout.crc32[1]] == b"%08x" % crc32
+            checked = (view[at + begin : at + end] for begin, end in layout.checked)
+            crc32 = bytes_checksum(number, "[]", layout.channel, checked).encode()
+            intact = data[at + layout.crc32[0] : at + layout.crc32[1]] == crc32
             next_one = data[at + layout.sequence[0] : at + layout.sequence[1]] == b"%d" % number
             batches = found.get(layout.channel, [])
             alike = not batches or batches[0][1].columns.keys() == layout.columns.keys()
