@@ -235,7 +235,7 @@ TAKES = {
     "reports": [
         ({}, "plotly", ("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--ratio", "-39", "-o", "r.html"))
     ],
-    "sensitivity": [({}, "SALib", (*STUDY, "--design", "saltelli"))],
+    "sensitivity": [({}, "SALib", (*STUDY, "--samples", "256", "--design", "saltelli"))],
     "step": [({}, "OCP", ("cycloid-fmu", "profile", DRIVE, "-o", "disc.step"))],
 }
 
