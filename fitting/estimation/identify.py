@@ -404,11 +404,13 @@ def _validated(
         found = _without_scatter(pair, found)
     give: Array | None = None
     coefficients, verdict = np.zeros(0), None
+    ends: list[tuple[Estimate, Verdict]] = []
     for _ in range(_MISFITS if is_more else 0):
         taken = 0.0 if give is None else likely.columns[GIVE] @ coefficients
         misfit = likely.columns, give, taken
         found = _fitted(curves, pair, found, known, progress, misfit)
         verdict = verdict_of(pair, found, likely, formed)
+        ends.append((found, verdict))
         before = give
         part = found.observed.estimated.get(f"{MISFIT}_{GIVE}")
         if part is not None:
@@ -425,6 +427,11 @@ def _validated(
             moved = dataclasses.replace(found.observed, give=give)
             there = causes(pair, moved, linearise(pair, moved, found.state))
             likely = dataclasses.replace(likely, columns={n: there.get(n, one) for n, one in likely.columns.items()})
+    else:
+        # Where the model does not hold, each linearisation at supports that gave way may fit worse than the one before.
+        found, verdict = min(
+            ends, key=lambda e: (e[1].state == "not explained", e[0].unlikelihood), default=(found, None)
+        )
     if found.disagreeing and (beside.columns or verdict) and (verdict or first).state != "not explained":
         # The starts were made without the cause; two of them must agree with it.
         again = _fitted(curves, pair, None, known, progress, misfit)

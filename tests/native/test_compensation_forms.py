@@ -244,7 +244,8 @@ def test_structured_text_gives_the_bits_of_python_however_a_plc_rounds(drive, tm
 
 
 @pytest.mark.parametrize(
-    "made", [InterpretedText, pytest.param(CompiledText, marks=[needs_matiec, pytest.mark.slow(10)])]
+    "made",
+    [InterpretedText, pytest.param(CompiledText, marks=[needs_matiec, pytest.mark.own_build, pytest.mark.slow(10)])],
 )
 def test_structured_text_of_every_kind_of_drive(tmp_path, made):
     for number, kind in enumerate(EVERY):
