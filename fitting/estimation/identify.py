@@ -380,7 +380,18 @@ def _validated(
         every = beside_the_gear(_observed(curves, pair, known))
         beside = Likely({n: one for n, one in every.items() if n in suspected}, {}, ())
     misfit: tuple[Mapping[str, Array], Array | None, Array | float] = beside.columns, None, 0.0
-    found = _fitted(curves, pair, rough, known, progress, misfit)
+    try:
+        found = _fitted(curves, pair, rough, known, progress, misfit)
+        is_worse = found.noise > _BESIDE * rough.noise
+    except edge.InputError:
+        if not known.soft_chain:
+            raise
+        is_worse = True
+    if is_worse and known.soft_chain:
+        # A start to first order with a soft chain may be none for the exact model, as on bearings that no file states.
+        known = dataclasses.replace(known, soft_chain=False)
+        start, _ = _starting_estimate(pair, _observed(curves, pair, known), None, False, progress)
+        return _validated(curves, pair, start, known, form, progress)
     progress("testing the residual")
     likely = looks_like(found, beside)
     if likely.formed:
