@@ -16,6 +16,8 @@ from fitting.recordings.recording import Recording
 Array = NDArray[np.float64]
 
 _START = math.radians(1.0)  # of the crank: counts as started
+_REST = 0.2 * _START  # of the crank: most motion of one at rest
+_HALF = 100  # samples; twice as many show whether the crank is at rest
 _UNLOADED = 0.1  # most torque at the other shaft, reduced to the driving one, relative to the driving torque
 
 
@@ -58,9 +60,13 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
                 found.append(Start(still, peak, largest))
         begin = start
         # The motion ends when the crank is at rest for more than a few samples.
+        halves = crank[begin : crank.size - (crank.size - begin) % _HALF].reshape(-1, _HALF)
+        high, low = halves.max(axis=1), halves.min(axis=1)
+        turned = np.maximum(high[1:], high[:-1]) - np.minimum(low[1:], low[:-1])
+        begin += _HALF * int(np.argmax(np.append(turned, 0.0) <= _REST))
         while begin < crank.size:
-            ahead = crank[begin : begin + 200]
-            if np.ptp(ahead) <= 0.2 * _START and ahead.size > 10:
+            ahead = crank[begin : begin + 2 * _HALF]
+            if np.ptp(ahead) <= _REST and ahead.size > 10:
                 break
             begin += max(1, ahead.size // 2)
     return found

@@ -14,6 +14,7 @@ import math
 import os
 import threading
 from collections.abc import Iterator, Mapping
+from concurrent import futures
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -198,6 +199,9 @@ class RecordingStream:
             If a value of the file is not a number, or it ends before the first sample.
         """
         self._start_digest()
+        return _read_ahead(self._blocks())
+
+    def _blocks(self) -> Iterator[Block]:
         clocks = {n: (m.delay, m.drift) for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
         clocks = {n: clock for n, clock in clocks.items() if n in self._scales}
         merge = OneClock(self._scales, self._mapping.time if self.timed else TimeMapping(rate=1.0), clocks)
@@ -264,6 +268,15 @@ class RecordingStream:
             f"host's clock to ± {clock.uncertainty * 1e6:.2g} µs (95 %)."
             for role, clock in clocks.items()
         ]
+
+
+def _read_ahead(blocks: Iterator[Block]) -> Iterator[Block]:
+    """Yield blocks; a thread reads the next one meanwhile, as Arrow and NumPy use one processor each."""
+    with futures.ThreadPoolExecutor(1) as reader:
+        coming = reader.submit(next, blocks, None)
+        while (block := coming.result()) is not None:
+            coming = reader.submit(next, blocks, None)
+            yield block
 
 
 def _backwards(pieces: Iterator[Piece]) -> Iterator[Piece]:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 import tomllib
 from importlib import metadata
 
@@ -484,3 +485,17 @@ def test_another_package_adds_a_format_by_its_ending(tmp_path, monkeypatch):
     (tmp_path / "a.rug").write_bytes(b"")
     with pytest.raises(edge.InputError, match=r"must be one of \.arrows, .*\.rig, .*\.tdms"):
         open_bench_file(tmp_path / "a.rug")
+
+
+def test_a_recording_left_in_the_middle_leaves_no_thread_behind(tmp_path):
+    columns = {"time [s]": TIME, "input_angle [rad]": INPUT, "output_angle [rad]": OUTPUT, "torque [N*m]": TORQUE}
+    long = {name: np.tile(values, 2 * PIECE // SAMPLES + 1) for name, values in columns.items()}
+    long["time [s]"] = np.arange(long["time [s]"].size) * 1e-3
+    parquet.write_table(pa.table(long), tmp_path / "long.parquet")
+    stream = RecordingStream(tmp_path / "long.parquet")
+    before = set(threading.enumerate())
+    blocks = stream.blocks()
+    assert next(blocks).time[0] == 0.0
+    assert len(stream.checksum) == 64  # its thread has ended
+    blocks.close()
+    assert set(threading.enumerate()) <= before
