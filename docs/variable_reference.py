@@ -30,12 +30,12 @@ SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
     ),
     (
         "Errors of the drive",
-        "They start from the FMU's error surface; setting one replaces what the surface has of it.",
+        "They start from the FMU's error surface; setting one replaces the value of the surface.",
         lambda v: v.causality == "parameter" and v.baked and not v.dimensions,
     ),
     (
         "Other parameters",
-        "`loss_table[i,j]` has a row for each of `--losses`, the first of which is told here. `temperature`, its "
+        "`loss_table[i,j]` has a row for each of `--losses`, the first of which is listed here. `temperature`, its "
         "coefficients and references are there where `--friction` or `--losses` states a coefficient, here 0.01/K.",
         lambda v: v.causality == "parameter" and not v.baked and not v.dimensions,
     ),
