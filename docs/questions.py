@@ -81,7 +81,7 @@ QUESTIONS: dict[str, tuple[Figure, ...]] = {
     "How long does an analysis take?": (
         Figure("a crank angle of a 40-pin pair under load, without and with errors", "{} µs, {} µs", CONTACT,
                "test_sweep[loaded-", ("µs a crank angle",) * 2),
-        Figure("the same with its backlash", "{} to {} µs", CONTACT, "test_sweep[loaded and play-",
+        Figure("the same with its backlash", "{} µs, {} µs", CONTACT, "test_sweep[loaded and play-",
                ("µs a crank angle",) * 2),
         Figure("the same with all derivatives", "{} µs", CONTACT, "test_sweep_with_all_derivatives",
                ("µs a crank angle",)),
