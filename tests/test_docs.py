@@ -252,7 +252,7 @@ def run_page(page, folder, shell, monkeypatch):
 
 # A quantity that is measured: the number before its unit, or after a label that begins with it.
 MEASURED_UNIT = r"(?:ns|µs|ms|s|kB|MB|GB|″|%)(?![\w·])"
-CLAIM = re.compile(rf"(\d+(?:\.\d+)?)(?: to (\d+(?:\.\d+)?))?\s?({MEASURED_UNIT})")
+CLAIM = re.compile(rf"(\d+(?:\.\d+)?)(?:\sto\s(\d+(?:\.\d+)?))?\s?({MEASURED_UNIT})")
 LABELLED = re.compile(rf"(?<!\w)({MEASURED_UNIT})[^:;|]*: (\d+(?:\.\d+)?)")
 
 
