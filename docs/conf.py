@@ -41,7 +41,7 @@ html_theme_options = {
     "header_links_before_dropdown": 6,
     "secondary_sidebar_items": {"**": ["page-toc"], "generated/variables": [], "development/benchmarks": []},
 }
-html_sidebars = {"index": []}
+html_sidebars = {"index": [], "install": []}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_title = "cycloid-fmu"
