@@ -7,7 +7,9 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
-from numpydoc import docscrape_sphinx
+from jinja2 import PackageLoader
+from jinja2.sandbox import SandboxedEnvironment
+from numpydoc import docscrape, docscrape_sphinx, numpydoc
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
@@ -24,7 +26,6 @@ version = release = metadata.version("cycloid-fmu")
 templates_path = ["_templates"]
 extensions = [
     "myst_parser",
-    "numpydoc",
     "sphinx-mathjax-offline",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
@@ -40,7 +41,7 @@ html_theme_options = {
     "header_links_before_dropdown": 6,
     "secondary_sidebar_items": {"**": ["page-toc"], "generated/variables": [], "development/benchmarks": []},
 }
-html_sidebars = {"index": []}
+html_sidebars = {"index": [], "install": []}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_title = "cycloid-fmu"
@@ -60,17 +61,18 @@ autodoc_inherit_docstrings = False
 suppress_warnings = ["config.cache"]
 
 # numpydoc compiles its template again for every docstring, which takes a sixth of the time of a build.
-environment, made = docscrape_sphinx.SandboxedEnvironment, []
+TEMPLATE = SandboxedEnvironment(loader=PackageLoader("numpydoc")).get_template("numpydoc_docstring.rst")
 
 
-def one_environment(loader: object) -> object:
-    """Return one environment of templates for all docstrings: their loaders are alike."""
-    if not made:
-        made.append(environment(loader=loader))
-    return made[0]
+def documented(
+    obj: object, what: str | None = None, doc: str | None = None, config: dict | None = None, builder: object = None
+) -> docscrape.NumpyDocString:
+    """Return the docstring of an object as numpydoc does, with the one template."""
+    return docscrape.get_doc_object(
+        obj, what, doc, {**(config or {}), "template": TEMPLATE}, docscrape_sphinx.SphinxClassDoc,
+        docscrape_sphinx.SphinxFunctionDoc, docscrape_sphinx.SphinxObjDoc,
+    )  # fmt: skip
 
-
-docscrape_sphinx.SandboxedEnvironment = one_environment
 
 EXAMPLES = HERE / "generated" / "examples"
 
@@ -141,6 +143,7 @@ def without_network(app: Sphinx, problem: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> None:
-    """Connect what this site adds."""
+    """Set up numpydoc with `documented`, and the functions above."""
+    numpydoc.setup(app, documented)
     app.connect("autodoc-process-docstring", without_substitutions)
     app.connect("build-finished", without_network)

@@ -18,16 +18,19 @@ from cycloid_fmu.desk.server import DeskServer
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "docs" / "_static"
 BLOCK = re.compile(r"^```(?:{code-block} )?(?P<of>\w+)\n(?::caption: (?P<file>\S+)\n)?(?P<body>.*?)^```$", re.M | re.S)
-# In this order: the last one goes on in the folder of the one before.
-TUTORIALS = ("system_modeller", "gear_designer", "test_bench_engineer", "controller")
+# In this order: controller continues in the folder of test_bench_engineer.
+WALKS = (
+    "ageing",
+    *(f"tutorials/{n}" for n in ("system_modeller", "gear_designer", "test_bench_engineer", "controller")),
+)
 
 
-def tutorials() -> None:
-    """Run each tutorial as it is written, and keep the pictures that it shows."""
+def walks() -> None:
+    """Run these pages as written, and keep the pictures that they show."""
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     with tempfile.TemporaryDirectory() as folder:
-        for name in TUTORIALS:
-            text = (ROOT / "docs" / "tutorials" / f"{name}.md").read_text(encoding="utf-8")
+        for name in WALKS:
+            text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
             for block in BLOCK.finditer(text):
                 if block["file"]:
                     Path(folder, block["file"]).write_text(block["body"], encoding="utf-8")
@@ -38,6 +41,15 @@ def tutorials() -> None:
                 with Image.open(Path(folder, shown)) as picture:
                     picture.thumbnail((900, 900))
                     picture.convert("RGB").quantize(48).save(OUT / "tutorials" / shown, optimize=True)
+
+
+def examples() -> None:
+    """Run the examples of which pages show a picture."""
+    with tempfile.TemporaryDirectory() as folder:
+        for example, shown in (("bench_to_fmu", "comparison.png"), ("compensated_joint", "compensated_joint.png")):
+            subprocess.run([sys.executable, ROOT / "examples" / f"{example}.py"], cwd=folder, check=True)
+            with Image.open(Path(folder, f"{example}_out", shown)) as picture:
+                picture.convert("RGB").quantize(96).save(OUT / shown, optimize=True)
 
 
 def pages() -> None:
@@ -62,4 +74,5 @@ def pages() -> None:
 
 if __name__ == "__main__":
     pages()
-    tutorials()
+    examples()
+    walks()

@@ -41,9 +41,9 @@ CONTACT, FMU, NATIVE, START = "test_contact_speed", "test_fmu_speed", "test_nati
 TOLERANCE, SOLVER, CASES = "test_tolerance_speed", "from the independent solver", "test_reference_case"
 QUESTIONS: dict[str, tuple[Figure, ...]] = {
     "How exact is the contact model?": (
-        Figure("transmission error, against an independent slow solver, largest difference of six drives", "{} ″",
+        Figure("transmission error, against an independent slow solver, largest difference of six drives", "{}″",
                "test_reference_cases", CASES, (f"transmission error {SOLVER}",)),
-        Figure("backlash, the same", "{} ″", "test_reference_cases", CASES, (f"backlash {SOLVER}",)),
+        Figure("backlash, the same", "{}″", "test_reference_cases", CASES, (f"backlash {SOLVER}",)),
         Figure("largest contact pressure, the same", "{} %", "test_reference_cases", CASES, (f"pressure {SOLVER}",)),
     ),
     "How exact is an FMU?": (
@@ -81,7 +81,7 @@ QUESTIONS: dict[str, tuple[Figure, ...]] = {
     "How long does an analysis take?": (
         Figure("a crank angle of a 40-pin pair under load, without and with errors", "{} µs, {} µs", CONTACT,
                "test_sweep[loaded-", ("µs a crank angle",) * 2),
-        Figure("the same with its backlash", "{} to {} µs", CONTACT, "test_sweep[loaded and play-",
+        Figure("the same with its backlash", "{} µs, {} µs", CONTACT, "test_sweep[loaded and play-",
                ("µs a crank angle",) * 2),
         Figure("the same with all derivatives", "{} µs", CONTACT, "test_sweep_with_all_derivatives",
                ("µs a crank angle",)),

@@ -30,12 +30,12 @@ SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
     ),
     (
         "Errors of the drive",
-        "They start from the FMU's error surface; setting one replaces what the surface has of it.",
+        "They start from the FMU's error surface; setting one replaces the value of the surface.",
         lambda v: v.causality == "parameter" and v.baked and not v.dimensions,
     ),
     (
         "Other parameters",
-        "`loss_table[i,j]` has a row for each of `--losses`, the first of which is told here. `temperature`, its "
+        "`loss_table[i,j]` has a row for each of `--losses`, the first of which is listed here. `temperature`, its "
         "coefficients and references are there where `--friction` or `--losses` states a coefficient, here 0.01/K.",
         lambda v: v.causality == "parameter" and not v.baked and not v.dimensions,
     ),
@@ -52,13 +52,13 @@ SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
 )
 INTRODUCTION = f"""# FMU variables
 
-What an FMU of `cycloid-fmu build` has, in each [interface](../fmu.md): the causality of each variable, – where the
-interface lacks it. *Inertia inside* is the compliant interface with `--output-inertia`, *both inside* with
-`--crank-inertia` as well. `support` is there with `--support-flange` alone,
+The variables of an FMU of `cycloid-fmu build` and their causality in each [interface](../fmu.md), – where the
+interface lacks one. *Inertia inside* is the compliant interface with `--output-inertia`, *both inside* with
+`--crank-inertia` as well. `support` is there only with `--support-flange`,
 `draw` with `--draws` (here 20), `age` and `wear_factor` in the [twin of a forecast](../ageing.md) in place of
 `crank_turns_worn`. FMI 2.0 and 3.0 have the same names and value references. In the FMU of an RV reducer
-`flange_a` is the sun. What a [native FMU](../native.md) has in its tables is a
-*constant* there: it can be read but not set.
+`flange_a` is the sun. Parameters that a [native FMU](../native.md) has in its tables are
+*constants* there: they can be read but not set.
 
 Values are in the first unit, those in brackets are display units. Ranges and starts are those of `examples/{EXAMPLE}`,
 and of a drive worn for 10⁶ crank turns; the model description in every FMU has its own. Signs of angles, torques and
@@ -84,7 +84,7 @@ def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
 
 
 def in_native(variable: Variable) -> str:
-    """What a native FMU has of a variable."""
+    """Return the kind of a variable in a native FMU."""
     for kept in from_tables([variable]).values():
         return "the same" if kept == variable else kept.variability
     return "–"

@@ -127,10 +127,10 @@ def main() -> None:
     for color, (name, off) in zip(("0.6", "C0"), left.items(), strict=True):
         axes[1].plot(time, off, color=color, lw=1.0, label=name)
     axes[1].set(ylabel="output angle − desired [arcsec]")
-    axes[1].legend(fontsize="small", loc="lower left")
+    axes[1].legend(fontsize="small", loc="lower right")
     axes[2].plot(time, left["compensated"], color="C0", lw=0.8, label="compensated")
     axes[2].fill_between(time, -2.0 * band, 2.0 * band, color="C0", alpha=0.2, lw=0.0, label="twice its band")
-    axes[2].set(xlabel="time [s]", ylabel="the same, closer [arcsec]", ylim=(-5.0, 5.0))
+    axes[2].set(xlabel="time [s]", ylabel="the same, enlarged [arcsec]", ylim=(-5.0, 5.0))
     axes[2].legend(fontsize="small")
     for axis in axes:
         axis.grid(alpha=0.3)

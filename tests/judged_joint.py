@@ -1,8 +1,8 @@
-"""How exact a joint becomes whose compensator was made from recordings of its drive: joints of an independent drive.
+"""Accuracy of a joint with a compensator made from recordings of its drive, judged on independent drives.
 
 `python tests/judged_joint.py DRIVES` prints the table of docs/compensation.md. Drives are `second_drive`'s, joints
-those of `joint_plant`: neither shares anything with the product's kernels. A drive is recorded on a bench with encoders
-as they are, `fitting.identify` finds its errors, and what moves the joint knows these alone.
+those of `joint_plant`: neither shares anything with the product's kernels. A drive is recorded on a bench with real
+encoders' errors, `fitting.identify` finds its errors, and the controller of the joint has only these.
 """
 
 import dataclasses
@@ -43,7 +43,7 @@ RATED = 200.0  # N·m
 IRON, STEEL = 10.5e-6, 12.3e-6  # 1/K: ring and housing of grey iron; discs, pins and cranks of bearing steel
 RISE = 30.0  # K
 SIZES = {"11/12": SMALL, "39/40": {}}
-WINDUP = 20.0 * ARCSEC / RATED  # rad/(N·m), of all behind the teeth
+WINDUP = 20.0 * ARCSEC / RATED  # rad/(N·m), of all parts behind the teeth
 
 
 def _arm(points, step):
@@ -55,18 +55,18 @@ def _arm(points, step):
 def robot(step=1e-3):
     """Moves of an arm, of many lengths, a load picked up and put down; 1.6 rad/s and 6 rad/s² at most.
 
-    It goes over the upright (90°), where gravity turns its sign, and back once.
+    It passes the upright position (90°), where gravity changes its sign, twice.
     """
     return _arm([40.0, 65.0, 60.0, 125.0, 115.0, 130.0, 128.0, 55.0, 40.0, 42.0, 65.0, 40.0], step)
 
 
 def upright(step=1e-3):
-    """The same arm whose moves go over the upright eight times: as often as any work may ask."""
+    """The same arm, passing the upright position four times."""
     return _arm([60.0, 110.0, 105.0, 125.0, 75.0, 80.0, 60.0, 62.0, 100.0, 120.0, 118.0, 70.0, 60.0], step)
 
 
 def cyclic(step=4e-3, period=20.0, cycles=1.25):
-    """A slow sine of the arm over the upright."""
+    """A slow sine of the arm about the upright position."""
     at = 2.0 * np.pi / period
     time = np.arange(round(cycles * period / step)) * step
     way = np.radians(30.0)
@@ -74,21 +74,21 @@ def cyclic(step=4e-3, period=20.0, cycles=1.25):
     return Profile(step, angle, way * at * np.sin(at * time), way * at**2 * np.cos(at * time), -90.0 * np.cos(angle))
 
 
-PROFILES = {"robot": robot, "robot, often over the upright": upright, "slow sine": cyclic}
+PROFILES = {"robot": robot, "robot, often through upright": upright, "slow sine": cyclic}
 
 
 @dataclasses.dataclass(frozen=True)
 class Rig:
-    """A bench and its encoders, all of them absolute.
+    """A bench and its absolute encoders.
 
     Attributes
     ----------
     noise, bits
-        Of both encoders, rad, and their steps, 2π/2^bits.
+        Of both encoders: noise, rad, and resolution, 2π/2^bits.
     run_out
         Amplitudes of orders 1, 2, 3 of the output, rad.
     late
-        Of the output's clock, s.
+        Delay of the output's clock, s.
     rate
         Time of a crank turn, s.
     torque
@@ -170,31 +170,31 @@ def warm(made, rise, ring=None):
 
 
 def worn(made, flanks=10e-6, pins=5e-6):
-    """A drive that lost this from its flanks and its pins, m."""
+    """A drive whose flanks and pins have lost these depths, m."""
     big, small, throw = made.cut
     return dataclasses.replace(made, cut=(big, small + flanks, throw), pin_radius=made.pin_radius - pins)
 
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """How a joint differs from the one that was recorded.
+    """Difference of a joint from the recorded one.
 
     Attributes
     ----------
     change
-        Makes another body of the one that was recorded.
+        Returns the changed body of the recorded one.
     rise
-        How much warmer than 20 °C its friction is, K.
+        Temperature of its friction above 20 °C, K.
     told
-        How much warmer the sensor of temperature shows it, K.
+        Reading of the temperature sensor above 20 °C, K.
     index
         Crank angle minus that assumed by the controller, rad, from the pitch of the pins.
     other
-        Whether it is another drive of the same tolerances.
+        Whether it is another drive with the same tolerances.
     signals
         The load signal of the controller: its gain, offset and noise (N·m) and its delay in samples.
     made
-        Properties of the drive that no pair file states, as `as_made` has them: it is recorded with them.
+        Properties of the drive that no pair file states, arguments of `as_made`: it is recorded with them.
     """
 
     change: Callable[[second_drive.Body], second_drive.Body] = lambda made: made
@@ -214,9 +214,9 @@ CASES = {
     "disc on springs that no file states": Case(made=(("bearing", springs()["bearing"]),)),
     "index wrong by four crank turns": Case(index=lambda pitch: 8.0 * np.pi),
     "index wrong by five pins": Case(index=lambda pitch: 5.0 * pitch),
-    "warm by 30 K, told": Case(lambda made: warm(made, RISE), RISE, RISE),
-    "warm by 30 K, not told": Case(lambda made: warm(made, RISE), RISE),
-    "warm by 30 K, told, ring 5 K cooler": Case(lambda made: warm(made, RISE, RISE - 5.0), RISE, RISE),
+    "warm by 30 K, temperature known": Case(lambda made: warm(made, RISE), RISE, RISE),
+    "warm by 30 K, temperature not known": Case(lambda made: warm(made, RISE), RISE),
+    "warm by 30 K, temperature known, ring 5 K cooler": Case(lambda made: warm(made, RISE, RISE - 5.0), RISE, RISE),
     "worn by 15 µm": Case(worn),
     "another drive": Case(other=True),
 }
@@ -253,17 +253,17 @@ class Perfect:
 
 
 class Known:
-    """The exact model of a drive, inverted: what the signals leave of it is what no controller can mend without more.
+    """The exact model of a drive, inverted: its error is due to the signals and common to all controllers.
 
     Parameters
     ----------
     teeth
         At the temperature signal.
     friction
-        N·m at the output, and over which angle the bristles bend, rad.
+        N·m at the output, and the angle over which the bristles bend, rad.
     doubt
-        Standard uncertainty of the load, N·m: the rotation is its mean over it, so that no flank is believed where
-        either may touch.
+        Standard uncertainty of the load, N·m: the deviation is averaged over it, so that neither flank is assumed where
+        either may be in contact.
     outer
         Share of the deviation by an output encoder that is added at each sample.
     """
@@ -300,14 +300,14 @@ class Found:
     Attributes
     ----------
     drive
-        As identified, its materials' expansion stated beforehand.
+        As identified, with the stated expansion of its materials.
     windup
-        Compliance outside the drive, rad/(N·m), from the part of the curves that the drive leaves.
+        Compliance outside the drive, rad/(N·m), from the part of the curves that the drive does not explain.
     friction
         N·m at the output.
     zero
-        Of the output's encoder, rad: the common part of all pins and teeth can't be separated, so that a joint has
-        the bench's zero.
+        Of the output's encoder, rad: it can't be separated from the common part of all pins and teeth, so a joint has
+        the zero of the bench.
     """
 
     drive: Drive
@@ -318,7 +318,7 @@ class Found:
 
     @functools.cached_property
     def compensator(self):
-        """The product's, between 0 and 70 °C."""
+        """The compensator of the product, for 0 to 70 °C."""
         return self.drive.compensator(
             friction=cy.Friction(coulomb=self.friction), series_compliance=self.windup, temperatures=(273.15, 343.15),
             largest_torque=1.2 * RATED, torque_accuracy=0.01 * RATED, residual="2 arcsec",
@@ -361,10 +361,10 @@ class Judged:
     rms, peak
         Root mean square and largest over the profile.
     seated
-        Root mean square while one flank surely carries: more than 5 % of the rated torque 50 ms before and after.
+        Root mean square while one flank is loaded: more than 5 % of the rated torque for 50 ms before and after.
     band, gain, holds
-        Statements of a controller about itself, NaN where there are none: share of the error within two of its standard
-        deviations, its last gain, and how long it states that the model holds.
+        Reported by the controller, NaN if it reports none: share of the samples with an error within two of its
+        standard deviations, its last gain, and the share of the time with a report that the model holds.
     """
 
     rms: float
@@ -391,20 +391,20 @@ class Judged:
 
 
 def is_seated(profile, inertia, share=0.05, around=0.05):
-    """Samples of a profile at which one flank surely carries."""
+    """Samples of a profile at which one flank is loaded."""
     loose = np.abs(profile.whole_load(inertia)) < share * RATED
     return ~(np.convolve(loose, np.ones(2 * round(around / profile.step) + 1), "same") > 0.5)
 
 
 def judged(joint, profile, controller, sensors=Sensors(), told=0.0, **how):
-    """How far a joint misses a profile with a controller and without; the first 0.1 s are not counted.
+    """Errors of a joint on a profile with and without a controller; the first 0.1 s are not counted.
 
     Parameters
     ----------
     controller
-        As `joint_plant.moved` asks it.
+        As `joint_plant.moved` calls it.
     told
-        How much warmer than 20 °C the sensor shows the drive, K.
+        Reading of the temperature sensor above 20 °C, K.
     """
     counted = np.arange(profile.angle.size) * profile.step >= 0.1
     seated, every, own = counted & is_seated(profile, joint.inertia), [], ()
@@ -426,7 +426,7 @@ def exact_model(found, profiles, told):
 
 
 class Remembering:
-    """The product's compensator with a new memory; its statements about itself are kept."""
+    """The product's compensator with a new memory; its reported band, gain and verdict are kept."""
 
     def __init__(self, compensator, zero=0.0, probability=1.0):
         self.compensator, self.zero, self.memory, self.said = compensator, zero, Memory(0.0, probability), []
@@ -443,7 +443,7 @@ def compensator(found, profiles, told):
 
 
 def without_index(found, profiles, told):
-    """The same, with no probability of the index."""
+    """The same, with an index of probability 0."""
     return lambda: Remembering(found.compensator, found.zero, 0.0)
 
 
@@ -480,9 +480,9 @@ def outcomes(size, seed, cases=tuple(CASES), profiles=tuple(PROFILES), controlle
 
 
 def table(every):
-    """Lines of the table of docs/compensation.md: of all drives the root mean square, and the one that gains least."""
+    """Lines of the table of docs/compensation.md: root mean square of all drives, and the smallest gain."""
     yield (
-        "| profile | case | controller | output encoder | uncompensated, rms | compensated, rms | less | least "
+        "| profile | case | controller | output encoder | uncompensated, rms | compensated, rms | reduction | smallest "
         "| while one flank carries | largest error | within two bands | gain at the end | model holds |"
     )
     yield f"|{' --- |' * 13}"

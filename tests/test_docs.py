@@ -22,7 +22,7 @@ from cycloid_fmu.fmu.variables import from_tables
 from cycloid_fmu.geometry.pair import Pair
 
 ROOT = EXAMPLES.parent
-FOLDERS = (ROOT / "docs", ROOT / "docs" / "tutorials", ROOT / "docs" / "development")
+FOLDERS = tuple(ROOT / "docs" / name for name in ("", "tutorials", "theory", "development"))
 API = ROOT / "docs" / "reference" / "api.md"
 PAGES = sorted([ROOT / "README.md", API, *(page for folder in FOLDERS for page in folder.glob("*.md"))])
 BLOCK = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -56,6 +56,11 @@ write_csv(Path('cmm.csv'), measure(pair, surface_of_pair(pair), 2e-7, 1))
 CONTINUES = dict.fromkeys(("controller", "compensation", "fmu", "identify", "recalibrate"), "test_bench_engineer")
 # Given to a page: your files, and your bench.
 GIVEN = {
+    "bench": f"""
+        cycloid-fmu example drive-39-40-as-made.toml -o made.toml
+        cycloid-fmu build made.toml -o as-made.fmu
+        {SIMULATE} --torque '-20 N*m' --channel 239.74.163.79 --write-bench BENCH.toml &
+    """,
     "README": f"""{RUNS}{LOOP}
         {SIMULATE} --torque '-20 N*m' --channel 239.74.163.78 --write-bench bench.toml &
     """,
@@ -196,7 +201,11 @@ def install(folder):
 
 
 @pytest.mark.slow(60)
-@pytest.mark.parametrize("page", [p for p in PAGES if "```sh" in p.read_text(encoding="utf-8")], ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "page",
+    [p for p in PAGES if re.search("^```(sh|python)", p.read_text(encoding="utf-8"), re.M)],
+    ids=lambda p: p.stem,
+)
 def test_a_page_s_commands_do_what_it_says(page, tmp_path, tmp_path_factory, shell, monkeypatch):
     """From an empty folder, or from that of the page it continues: the commands in order."""
     if page.stem == "README":  # whose folder is the repository
@@ -243,7 +252,7 @@ def run_page(page, folder, shell, monkeypatch):
 
 # A quantity that is measured: the number before its unit, or after a label that begins with it.
 MEASURED_UNIT = r"(?:ns|µs|ms|s|kB|MB|GB|″|%)(?![\w·])"
-CLAIM = re.compile(rf"(\d+(?:\.\d+)?)(?: to (\d+(?:\.\d+)?))?\s?({MEASURED_UNIT})")
+CLAIM = re.compile(rf"(\d+(?:\.\d+)?)(?:\sto\s(\d+(?:\.\d+)?))?\s?({MEASURED_UNIT})")
 LABELLED = re.compile(rf"(?<!\w)({MEASURED_UNIT})[^:;|]*: (\d+(?:\.\d+)?)")
 
 

@@ -130,7 +130,7 @@ def test_arrays_to_errors(tmp_path, example):
     inside, all_of = (int(n) for n in re.search(r"(\d+) of (\d+) intervals contain the true value", said).groups())
     assert all_of >= 15
     assert inside >= all_of - 2
-    assert "isometric is held: it moves the transmission errors as -1.00 pin_radius" in said
+    assert "isometric is held: its effect on the transmission errors is that of -1.00 pin_radius" in said
 
 
 def test_what_each_error_does(tmp_path, example):

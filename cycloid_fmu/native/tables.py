@@ -40,12 +40,12 @@ Array32 = NDArray[np.float32]
 
 ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: allowed error of the deviation
 RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, where that is more
-# Where a pin begins to carry, stiffness and speed nearly jump, and no grid follows a jump: the stiffness has an allowed
-# error for most states, the speed for the mean square of all.
+# Where a pin comes into contact, stiffness and speed nearly jump, which no grid can follow: the allowed error of the
+# stiffness is for most states, that of the speed for the rms over all.
 STIFFNESS_SHARE = 0.02  # allowed relative error of the stiffness in `MOST_STATES`
 SPEED_SHARE = 0.2  # allowed rms error of the output speed's ripple, of its own rms
 MOST_STATES = 0.95
-TOLD_FROM = 0.01  # of the largest torque: from there on these hold and are stated
+TOLD_FROM = 0.01  # of the largest torque: above it these hold and are stated
 _MOST_VALUES = 7_000_000  # deviations and compliances up to which stiffness and speed are refined: 14 MB
 _SAMPLES = (16, 128, 1024)  # crank angles per mesh pitch: fewest, most of any drive, most of a drive of few pitches
 _MOST_ANGLES = 200_000  # in total, with more than 128 per mesh pitch
@@ -55,13 +55,13 @@ _BLAMED = 2 / 3  # of the errors of stiffness and speed: the cells that cause th
 _WORST = 200  # probes that decide whether loads or crank angles are too few
 _DIRECTIONS = (1.0, -1.0)
 # Interpolation is accurate enough where it gives both neighbours within these shares of the allowed error and of the
-# compliance. Where a pin begins to carry its error is up to 1.5 times theirs. With 2 µm on every pin half as many
+# compliance. Where a pin comes into contact its error is up to 1.5 times theirs. With 2 µm on every pin half as many
 # states are solved (0.66 of 1.38 million).
 _MIDWAY, _MIDWAY_COMPLIANCE = 0.1, 0.005
 _LIKE = 512  # probes of similar torque, solved in a row
 _SPREAD = 1000  # random crank angles at which the loads are chosen
-_FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
-# Contact count and pressure are outputs from which nothing follows: they keep the fewest crank angles per mesh pitch.
+_FIRST_SLOPE = 0.125  # of the first torque: place of the slope at zero load, which Hertz's logarithm makes infinite
+# No other output depends on contact count and pressure: they keep the fewest crank angles per mesh pitch.
 _TOLD_LOADS = 24  # at most
 _PRESSURE_STEP = 2.5e-3  # of the largest pressure's square
 _FAR = (4.0, 2.0, 1.2)  # times the last load: the first at which contacts can balance it ends the cell beyond
@@ -185,19 +185,19 @@ class Tables:
     def told(self) -> str:
         """Accuracy of the tables, for an FMU's description."""
         largest, reach = self.largest_error * 648000 / math.pi, self.positive.load[-1]
-        text = f"from tables up to {reach:.4g} N.m that err by at most {largest:.3f} arcsec"
+        text = f"from tables up to {reach:.4g} N.m with errors of at most {largest:.3f} arcsec"
         if self.errors is None:
             return text
         stiffness, pressure, crank = self.errors.stiffness, self.errors.pressure, self.errors.crank_torque
         text += (
-            f"; from {TOLD_FROM * reach:.2g} N.m on the stiffness by at most {100 * stiffness[0]:.2g} % in "
-            f"{100 * MOST_STATES:.0f} of 100 states and {100 * stiffness[1]:.2g} % in all, the pressure by "
+            f"; above {TOLD_FROM * reach:.2g} N.m errors of the stiffness of at most {100 * stiffness[0]:.2g} % in "
+            f"{100 * MOST_STATES:.0f} of 100 states and {100 * stiffness[1]:.2g} % in all, of the pressure of "
             f"{100 * pressure[0]:.2g} % and {100 * pressure[1]:.2g} %"
         )
         if math.isnan(self.errors.speed):
             return text
         return (
-            f"{text}, the ripple of the output's speed by {100 * self.errors.speed:.2g} % (rms), the crank's torque by "
+            f"{text}, of the speed ripple of {100 * self.errors.speed:.2g} % (rms), of the crank torque of "
             f"{100 * crank[0]:.2g} % (rms) and at most {100 * crank[1]:.2g} %"
         )
 
@@ -588,7 +588,7 @@ def compute(
         elif any(n.size for n in further) and not enough:
             with_more(further)
         else:
-            # Compared at places that chose nothing; where these find larger errors, they choose too.
+            # Compared at places that refined nothing; where these have larger errors, they are used for refinement too.
             drawn += 1
             fresh = random_places(drawn)
             near = _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn, workers)
@@ -625,7 +625,7 @@ def _assembled(
     spread = max(float(np.ptp(one.deviation, axis=1).max()) for one in exact)
     step = max(allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
     made = [_side(n, one, f, step, told) for n, one, f in zip(loads, exact, far, strict=True)]
-    # Its mean is no energy's.
+    # A mean crank torque at rest is not the derivative of a periodic energy.
     rest = _coefficients(rest - rest.mean())
     rest_step = _rest_step(rest)
     # Where there is hardly any play the splines of its two ends must not cross.
@@ -826,7 +826,7 @@ def _places(period: float, largest: float, probes: int, seed: int) -> tuple[Arra
 def _around_the_worst(
     tables: Tables, pair: Pair, surface: ErrorSurface, probed: _Probed, spacing: float, seed: int, workers: int
 ) -> _Probed:
-    """Add places ever closer around the largest errors, which are narrower than the distance between probes."""
+    """Add places increasingly close to the largest errors, which are narrower than the distance between probes."""
     random, found = np.random.default_rng(seed), probed
     largest = min(tables.positive.load[-1], tables.negative.load[-1])
     for reach in _REACHES:

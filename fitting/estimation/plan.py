@@ -84,7 +84,7 @@ class Plan:
     >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
     >>> *_, one = fitting.plan(cy.Drive(pair), torque=100.0, turns=1.0, samples=12)
     >>> one.runs, one.held["misalignment_xz"]
-    ('100 N·m both ways', 'it does not move these transmission errors')
+    ('100 N·m both ways', 'it has no effect on these transmission errors')
     >>> one.next_runs[0].realised["pin_radial"] < one.realised["pin_radial"]
     True
     """

@@ -155,7 +155,7 @@ def weakness(
             continue
         length = float(np.linalg.norm(columns[:, i]))
         if length < 1.0:
-            reasons[name] = "it does not move these transmission errors"
+            reasons[name] = "it has no effect on these transmission errors"
             weak.append(f"{name} is not known from these data")
             continue
         share, *_ = np.linalg.lstsq(columns[:, keep], columns[:, i], rcond=None)
@@ -163,9 +163,9 @@ def weakness(
         leading = [j for j in np.argsort(-np.abs(share)) if abs(share[j]) > 0.2 * np.abs(share).max()][:4]
         alike = " ".join(f"{share[j]:+.2f} {chosen[j]}" for j in leading)
         if left < 0.05:
-            reasons[name] = f"it moves the transmission errors as {alike}"
+            reasons[name] = f"its effect on the transmission errors is that of {alike}"
         else:
-            reasons[name] = f"the data leave it too uncertain beside {alike}"
+            reasons[name] = f"these data do not separate it from {alike}"
         weak.append(_in_words(name, [(float(share[j]), chosen[j]) for j in leading]))
         others = columns[:, [*keep, *(list(names).index(n) for n in beside)]]
         rest = columns[:, i] - others @ np.linalg.lstsq(others, columns[:, i], rcond=None)[0]
@@ -209,7 +209,7 @@ def _in_words(name: str, alike: Sequence[tuple[float, str]]) -> str:
     """Return the unresolved combination of an error with the same effect as others."""
     if len(alike) == 1 and abs(abs(alike[0][0]) - 1.0) < 0.05:
         (share, other), *_ = alike
-        way, left = ("alike", "sum") if share > 0 else ("oppositely", "difference")
-        return f"{name} and {other} move the transmission error {way}; only their {left} is known"
+        way, left = ("the same effect", "sum") if share > 0 else ("opposite effects", "difference")
+        return f"{name} and {other} have {way} on the transmission error; only their {left} is known"
     # The error changed by one, and the others changed so that they cancel its effect.
     return f"+1.00 {name} {' '.join(f'{-share:+.2f} {other}' for share, other in alike)} is not known from these data"
