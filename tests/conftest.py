@@ -18,6 +18,9 @@ settings.load_profile("default")
 
 # A worker has one core: where linear algebra takes one thread for each core of the machine, they wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Images of containers set this. Each process of the tests would compile every module that it imports.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 # Who begins the tests in the background has them ignore Ctrl-C, and all that they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
