@@ -18,6 +18,9 @@ settings.load_profile("default")
 
 # A worker has one core: where linear algebra takes one thread for each core of the machine, they wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# For the same reason: studies that take all cores start no processes, each of which loads the packages and kernels.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.cpu_count = lambda: 1
 # Images of containers set this. Each process of the tests would compile every module that it imports.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
