@@ -9,6 +9,7 @@ import zlib
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -28,6 +29,35 @@ sys.dont_write_bytecode = False
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 sys.path.insert(0, str(Path(__file__).parent))  # common.py and brute_force.py
+
+
+def _compare_at_once(kind):
+    """Let a kind of `pytest.approx` compare whole arrays: number by number it takes 10 µs for each.
+
+    Arrays that are not equal are left to pytest, and all other types.
+    """
+    one_by_one = kind.__eq__
+
+    def equal(self, actual):
+        expected = self.expected
+        if isinstance(actual, np.ndarray) and actual.dtype == float and np.asarray(expected).dtype == float:
+            if np.shape(expected) not in ((), actual.shape):
+                return False
+            size = np.abs(expected)
+            allowed = 1e-12 if self.abs is None else self.abs
+            if self.rel is not None or self.abs is None:
+                allowed = np.maximum(allowed, (1e-6 if self.rel is None else self.rel) * size)
+            with np.errstate(invalid="ignore"):
+                near = (actual == expected) | (np.isfinite(size) & (np.abs(expected - actual) <= allowed))
+            if np.all(near | (self.nan_ok & np.isnan(size) & np.isnan(actual))):
+                return True
+        return one_by_one(self, actual)
+
+    kind.__eq__ = equal
+
+
+for number in (0.0, np.zeros(1)):
+    _compare_at_once(type(pytest.approx(number)))
 
 
 @pytest.fixture
