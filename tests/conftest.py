@@ -1,4 +1,5 @@
 import contextlib
+import functools
 import io
 import logging
 import os
@@ -60,13 +61,19 @@ for number in (0.0, np.zeros(1)):
     _compare_at_once(type(pytest.approx(number)))
 
 
+@functools.cache
+def _entry(name):
+    (entry,) = metadata.entry_points(group="console_scripts", name=name)
+    return entry
+
+
 @pytest.fixture
 def command(tmp_path, monkeypatch):
     """Run a command in an empty folder, as a user does but in this process: a fresh one takes seconds to start."""
     import matplotlib.pyplot
 
     def run(*words, folder=tmp_path, input=None):
-        (entry,) = metadata.entry_points(group="console_scripts", name=words[0])
+        entry = _entry(words[0])
         out, error, code = io.StringIO(), io.StringIO(), 0
         termination = signal.getsignal(signal.SIGTERM)
         with monkeypatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
