@@ -22,7 +22,10 @@ from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, fmu_output_angle, simulate_motion
 
 ROOT = Path(__file__).parents[2]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+QUICK = Path(__file__).parent / "quick"
+ENVIRONMENT = {
+    **os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(QUICK), os.environ.get("PYTHONPATH", "")])
+}  # fmt: skip
 # One per process: benches of two workers must not receive each other's frames.
 GROUP = f"239.74.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
 
