@@ -10,7 +10,6 @@ import zlib
 from importlib import metadata
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -30,6 +29,8 @@ sys.dont_write_bytecode = False
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 sys.path.insert(0, str(Path(__file__).parent))  # common.py and brute_force.py
+
+import numpy as np  # noqa: E402  # only here: it takes its number of threads from the environment
 
 
 def _compare_at_once(kind):
