@@ -21,7 +21,7 @@ def cache(tmp_path_factory):
     return (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "cache"
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")
 def _cache(cache):
     with pytest.MonkeyPatch.context() as patch:
         # What zig keeps for its targets is the user's: it takes seconds to make.
