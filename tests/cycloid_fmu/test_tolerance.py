@@ -144,7 +144,7 @@ def test_sobol_indices_of_a_linear_figure_are_the_shares_of_variance():
     """The mean transmission error is nearly linear in the two radii: their indices are their shares of its variance."""
     text = '[pin_radius]\ntolerance = "1 um"\n[pin_circle_diameter]\ntolerance = "3 um"\n'
     study = make_study(text, 1024, torque=(181.0,), angles=20, design="saltelli")
-    result = run(study)
+    result = run(study, workers=2)
     found = tolerance.sobol_indices(result)["mean_transmission_error"]
     base = result.values[result.independent]
     place = result.point[result.independent]
