@@ -19,10 +19,10 @@ settings.load_profile("default")
 
 # A worker has one core: where linear algebra takes one thread for each core of the machine, they wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# For the same reason: studies that take all cores start no processes, each of which loads the packages and kernels.
+# For the same reason studies that take all cores start no processes, each of which would load packages and kernels.
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.cpu_count = lambda: 1
-# Images of containers set this. Each process of the tests would compile every module that it imports.
+# Container images set this. Each process of the tests would compile every module that it imports.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 # Who begins the tests in the background has them ignore Ctrl-C, and all that they start.
@@ -34,9 +34,9 @@ import numpy as np  # noqa: E402  # only here: it takes its number of threads fr
 
 
 def _compare_at_once(kind):
-    """Let a kind of `pytest.approx` compare whole arrays: number by number it takes 10 µs for each.
+    """Let a kind of `pytest.approx` compare whole arrays, with the same result: each number takes pytest 10 µs.
 
-    Arrays that are not equal are left to pytest, and all other types.
+    Arrays that are not equal, and all other types, are left to pytest, which describes the difference.
     """
     one_by_one = kind.__eq__
 
