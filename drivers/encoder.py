@@ -381,20 +381,34 @@ class ListeningTime:
         return self.seconds
 
 
+def registered() -> importlib.metadata.EntryPoints:
+    """Return the entry points of the group `cycloid.encoders` of all installed packages, whose files are read."""
+    return importlib.metadata.entry_points(group=ENTRY_POINTS)
+
+
 def protocols() -> dict[str, importlib.metadata.EntryPoint]:
-    """Return the registered protocols by name: the entry points of the group `cycloid.encoders`."""
-    return {e.name: e for e in importlib.metadata.entry_points(group=ENTRY_POINTS)}
+    """Return the registered protocols by name."""
+    return {e.name: e for e in registered()}
 
 
-def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
+def encoder_class(
+    protocol: object, channel: str, source: str, installed: importlib.metadata.EntryPoints
+) -> type[Encoder]:
     """Return the encoder class of a protocol, from this package or another installed one.
+
+    Parameters
+    ----------
+    protocol, channel, source
+        Protocol that a channel states in a bench file, and the names of both.
+    installed
+        What is `registered`.
 
     Raises
     ------
     edge.InputError
         If no installed package provides the protocol, two do, or its class does not load; names channel and file.
     """
-    known = protocols()
+    known = {e.name: e for e in installed}
     if protocol is None:
         raise edge.InputError(
             f"{source}: [channel.{channel}] protocol is missing; installed are {', '.join(sorted(known))}."
@@ -405,7 +419,7 @@ def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
             f"installed are {', '.join(sorted(known)) or 'none'}."
         )
     where = f'{source}: [channel.{channel}] protocol = "{protocol}"'
-    owners = {e.dist.name for e in importlib.metadata.entry_points(group=ENTRY_POINTS, name=protocol) if e.dist}
+    owners = {e.dist.name for e in installed.select(name=protocol) if e.dist}
     if len(owners) > 1:
         raise edge.InputError(f"{where}: the packages {' and '.join(sorted(owners))} both provide it; uninstall one.")
     owner = "".join(owners) or known[protocol].value

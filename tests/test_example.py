@@ -6,8 +6,6 @@ import json
 import re
 import runpy
 import shutil
-import subprocess
-import sys
 
 import pytest
 from common import EXAMPLES
@@ -32,11 +30,23 @@ def cells_of(printed):
     return [[c.strip() for c in line.split("│")] for line in printed.splitlines() if "│" in line]
 
 
-def test_from_the_bench_to_the_fmu_and_back(tmp_path):
-    run = subprocess.run(
-        [sys.executable, str(EXAMPLES / "bench_to_fmu.py")], cwd=tmp_path, capture_output=True, text=True, timeout=300
-    )
-    assert run.returncode == 0, run.stderr
+@pytest.fixture
+def example(tmp_path, monkeypatch, capsys):
+    """Run an example in an empty folder and in this process; return its output."""
+    import matplotlib.pyplot
+
+    def run(name):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setenv("COLUMNS", "200")
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        matplotlib.pyplot.close("all")
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_from_the_bench_to_the_fmu_and_back(tmp_path, example):
+    said = example("bench_to_fmu.py")
     out = tmp_path / "bench_to_fmu_out"
     fit = json.loads((out / "identification.json").read_text())
     truth = {"centre_distance_x": 4e-6, "centre_distance_y": -3e-6, "eccentricity": 2e-6, "pin_radius": -1e-6}
@@ -45,7 +55,7 @@ def test_from_the_bench_to_the_fmu_and_back(tmp_path):
         low, high = found["interval"]
         assert low <= value <= high or abs(found["value"] - value) < 0.3e-6, name
     assert {n for n, p in fit["parameters"].items() if p["held"]} >= {"isometric", "offset", "misalignment_xz"}
-    left = re.search(r"differ by ([\d.]+)″ rms", run.stdout)
+    left = re.search(r"differ by ([\d.]+)″ rms", said)
     assert left is not None
     assert float(left[1]) < 0.6  # the encoder's noise is 0.5″
     assert (out / "comparison.png").stat().st_size > 50000
@@ -89,21 +99,6 @@ def test_an_example_of_everyday_work_goes_through_the_front_doors(name):
     shown = {f"{door}.{one}" for door in DOORS for one in importlib.import_module(door).__all__}
     assert taken(name)
     assert taken(name) <= shown
-
-
-@pytest.fixture
-def example(tmp_path, monkeypatch, capsys):
-    """Run an example in an empty folder and in this process; return its output."""
-    import matplotlib.pyplot
-
-    def run(name):
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setenv("COLUMNS", "200")
-        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
-        matplotlib.pyplot.close("all")
-        return capsys.readouterr().out
-
-    return run
 
 
 def test_use_from_python(tmp_path, example):

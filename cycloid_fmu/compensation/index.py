@@ -80,7 +80,7 @@ def find_index(
     >>> drive = cy.Drive(pair).replace(offset="-15 um", errors={"eccentricity": "4 um", "pin_radial": {1: ("3 um", 0)}})
     >>> crank = np.linspace(1.0, 12.0, 300)
     >>> output = crank / drive.ratio + drive.analyze(30.0, crank_angle=crank).transmission_error.values[0]
-    >>> compensator = drive.compensator(residual="1 arcsec")
+    >>> compensator = drive.compensator(residual="4 arcsec")
     >>> found = find_index(compensator, crank - 2.5, output - 2.5 / drive.ratio, 30.0, 293.15)
     >>> round(found.angle, 2), found.probability > 0.99
     (2.5, True)

@@ -90,7 +90,7 @@ def terminals(interface: Interface) -> bytes:
 def icon(pair: Pair) -> bytes:
     """Return a picture of the gear in its pins (PNG, 256 x 256)."""
     from matplotlib.figure import Figure
-    from matplotlib.patches import Circle
+    from matplotlib.patches import Circle, Polygon
 
     g = pair
     figure = Figure(figsize=(2.56, 2.56))
@@ -98,14 +98,15 @@ def icon(pair: Pair) -> bytes:
     axes.set_axis_off()
     axes.set_aspect("equal")
     x, y = flank_points(pair, np.linspace(0.0, 2.0 * np.pi, 60 * g.gear_teeth))
-    axes.fill(x + g.eccentricity, y, color="#9fb4c7", ec="#33475b", lw=0.8)
+    # As artists, not patches: the limits are given, so none of them needs to be looked for.
+    axes.add_artist(Polygon(np.stack([x + g.eccentricity, y], axis=-1), color="#9fb4c7", ec="#33475b", lw=0.8))
     around = 2.0 * np.pi * np.arange(g.pins) / g.pins
     for angle in around:
         centre = g.pin_circle_radius * np.cos(angle), g.pin_circle_radius * np.sin(angle)
-        axes.add_patch(Circle(centre, g.pin_radius, color="#33475b"))
+        axes.add_artist(Circle(centre, g.pin_radius, color="#33475b"))
     outer = 1.04 * (g.pin_circle_radius + g.pin_radius)
-    axes.add_patch(Circle((0.0, 0.0), outer, fill=False, ec="#33475b", lw=2.0))
-    axes.add_patch(Circle((g.eccentricity, 0.0), 0.3 * g.pin_circle_radius, color="#33475b"))
+    axes.add_artist(Circle((0.0, 0.0), outer, fill=False, ec="#33475b", lw=2.0))
+    axes.add_artist(Circle((g.eccentricity, 0.0), 0.3 * g.pin_circle_radius, color="#33475b"))
     axes.set(xlim=(-1.03 * outer, 1.03 * outer), ylim=(-1.03 * outer, 1.03 * outer))
     with io.BytesIO() as file:
         figure.savefig(file, dpi=100, format="png", transparent=True)

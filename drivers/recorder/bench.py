@@ -21,6 +21,7 @@ from drivers.encoder import (
     PortConfig,
     Wiring,
     encoder_class,
+    registered,
 )
 from drivers.lines import check_lines
 
@@ -130,9 +131,9 @@ def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> 
     table = edge.toml_table(edge.read_text(path), BENCH_FORMAT, source)
     file = edge.validated(_BenchFile, table, source)
     check_lines(file.bus, file.port, allow, source)
-    channels = {}
+    channels, installed = {}, registered()
     for name, given in file.channel.items():
-        cls = encoder_class(given.get("protocol"), name, source)
+        cls = encoder_class(given.get("protocol"), name, source, installed)
         channels[name] = (cls, edge.validated(cls.configuration, given, f"{source}: [channel.{name}]"))
     wiring = Wiring(file.bus, file.port, Path(path).parent, source, file.plc)
     conditions = file.conditions.model_dump(exclude_none=True)

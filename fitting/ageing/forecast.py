@@ -196,20 +196,20 @@ def forecast(
     >>> from fitting.ageing.forecast import forecast
     >>> from fitting.ageing.history import History, measured
     >>> pair = cy.Pair(
-    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+    ...     gear_teeth=11, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
     ...     rated_torque="181 N*m", modification={"isometric": "-15 um", "offset": "-40 um"},
     ... )
     >>> history = History(
-    ...     crank_turns_per_hour=9e4, torque="-181 N*m", coefficient_factor=2.0, limits={"lost_motion": "95 arcsec"},
+    ...     crank_turns_per_hour=9e4, torque="-181 N*m", coefficient_factor=2.0, limits={"lost_motion": "800 arcsec"},
     ...     recorded=[
-    ...         {"age": "0 h", "lost_motion": ["71 arcsec", "1 arcsec"]},
-    ...         {"age": "500 h", "lost_motion": ["80 arcsec", "1 arcsec"]},
+    ...         {"age": "0 h", "lost_motion": ["734 arcsec", "1 arcsec"]},
+    ...         {"age": "500 h", "lost_motion": ["750 arcsec", "1 arcsec"]},
     ...     ],
     ... )
     >>> drive = cy.Drive(pair)
-    >>> law = WearLaw(pins="free", coefficient="5e-19 m^2/N", largest_step="4 um")
+    >>> law = WearLaw(pins="free", coefficient="2e-20 m^2/N", largest_step="4 um")
     >>> found = forecast(drive, law, history, measured(history, drive), until=3000 * 3600.0, workers=1)
-    >>> 1700 < found.remaining["lost_motion"].ages[0.5] / 3600.0 < 2100
+    >>> 1900 < found.remaining["lost_motion"].ages[0.5] / 3600.0 < 2300
     True
     """
     loads, _ = duty_cycle(law, history.torque, 1.0, None, source)

@@ -281,7 +281,7 @@ def files(tmp_path):
 
 def test_killed_in_mid_run_and_started_again(command, files, tmp_path):
     words = [str(Path(sys.executable).with_name(files[0])), *map(str, files[1:])]
-    samples = 320
+    samples = 160
     words += ["--samples", str(samples), "--workers", "1", "-o", "s.nc"]
     checkpoint = tmp_path / "s.nc.checkpoint"
     pair, tolerances = read_pair(tmp_path / "pair.toml"), read_tolerances(tmp_path / "t.toml")

@@ -22,7 +22,10 @@ from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, fmu_output_angle, simulate_motion
 
 ROOT = Path(__file__).parents[2]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+QUICK = Path(__file__).parent / "quick"
+ENVIRONMENT = {
+    **os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(QUICK), os.environ.get("PYTHONPATH", "")])
+}  # fmt: skip
 # One per process: benches of two workers must not receive each other's frames.
 GROUP = f"239.74.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
 
@@ -114,25 +117,19 @@ def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)]
 )
 def test_an_interrupted_recorder_keeps_its_samples(tmp_path, number, code):
-    simulation = start(
-        tmp_path, "simulate", "--ratio", "-39", "--torque", "20 N*m", "--turns", 4000, "--channel", GROUP,
-        "--speed-factor", 5,
-    )  # fmt: skip
-    try:
-        assert "BENCH.toml" in line_of(simulation.stderr, 60)
-        path = tmp_path / "run.arrows"
+    motion = simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=20.0, turns=2000))
+    path = tmp_path / "run.arrows"
+    with SimulatedCanBench(motion, interface="loopback", channel=GROUP, speed_factor=5) as bench:
+        bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         recorder = start(tmp_path, "record", "BENCH.toml", "-o", path)
         grown(path, 20_000, 60)
         recorder.send_signal(number)
         out, err = recorder.communicate(timeout=60)
-        assert recorder.returncode == code, err
-        if code > 0:
-            assert f"Interrupted by {number.name}; {path} has all data up to then." in err
-            told = {name: int(n) for n, name in re.findall(r"(\d+) (\w+)[,;]", out.splitlines()[0])}
-            assert told == {name: len(s) for name, s in read_recording(path).samples.items()}
-    finally:
-        simulation.kill()
-        simulation.communicate()
+    assert recorder.returncode == code, err
+    if code > 0:
+        assert f"Interrupted by {number.name}; {path} has all data up to then." in err
+        told = {name: int(n) for n, name in re.findall(r"(\d+) (\w+)[,;]", out.splitlines()[0])}
+        assert told == {name: len(s) for name, s in read_recording(path).samples.items()}
     recording = read_recording(path)
     assert "Traceback" not in err
     assert len(recording.problems) == (number == signal.SIGKILL)

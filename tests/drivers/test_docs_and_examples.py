@@ -8,6 +8,7 @@ import pytest
 from common import EXAMPLES
 
 from drivers import encoder
+from drivers.recorder import bench
 from drivers.recorder.session import record
 from drivers.recording_format import read_recording
 
@@ -18,7 +19,7 @@ def test_the_documented_encoder_records(tmp_path, monkeypatch):
     (tmp_path / "file_encoder.py").write_text(code)
     monkeypatch.syspath_prepend(str(tmp_path))
     point = importlib.metadata.EntryPoint("file", "file_encoder:FileEncoder", encoder.ENTRY_POINTS)
-    monkeypatch.setattr(encoder, "protocols", lambda: {"file": point})
+    monkeypatch.setattr(bench, "registered", lambda: importlib.metadata.EntryPoints([point]))
     (tmp_path / "BENCH.toml").write_text(
         'format = "cycloid-bench/1"\n[channel.input_angle]\nprotocol = "file"\npath = "angle.txt"\n'
     )

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 import types
-from pathlib import Path
 
 import can
 import numpy as np
@@ -28,9 +27,8 @@ from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import Fault, at_wrong_baud, read_faults
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench
-from tests.drivers.test_bench_cli import needs_multicast
+from tests.drivers.test_bench_cli import ENVIRONMENT, needs_multicast
 
-ROOT = Path(__file__).parents[2]
 INPUT, OUTPUT, TORQUE = 0x181, 0x182, 0x2A0
 KILLS = int(os.environ.get("CYCLOID_KILLS", "300"))
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
@@ -282,9 +280,8 @@ with SimulatedCanBench(motion, channel="full", speed_factor=1.0) as bench:
 
 def test_disk_full(tmp_path):
     """A limit on the file size replaces a full disk: write() fails in the same way."""
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     run = subprocess.run(
-        [sys.executable, "-c", DISK_FULL], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", DISK_FULL], cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=60
     )
     assert run.returncode == 0, run.stderr
     *counts, said = run.stdout.splitlines()
@@ -299,7 +296,6 @@ def test_disk_full(tmp_path):
 
 RECORDER = """
 import sys
-sys.modules["asammdf"] = None  # python-can would import it, which takes more than a second per kill
 from drivers.recorder.session import record
 record("BENCH.toml", sys.argv[1], progress=lambda live: print(*live.samples.values(), flush=True))
 """
@@ -307,10 +303,9 @@ record("BENCH.toml", sys.argv[1], progress=lambda live: print(*live.samples.valu
 
 def kill_once(folder, number, after, wait):
     """Kill a recorder `wait` s into one of its loops; return the samples acknowledged and those in the file."""
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     path = folder / f"run-{number}.arrows"
     process = subprocess.Popen(
-        [sys.executable, "-c", RECORDER, path], cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", RECORDER, path], cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True
     )
     said = ""
     for _ in range(after):

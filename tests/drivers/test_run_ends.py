@@ -20,7 +20,7 @@ from drivers.recorder.sequence import run_sequence
 from drivers.recorder.watchdog import watched
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
-from tests.drivers.test_bench_cli import needs_multicast
+from tests.drivers.test_bench_cli import ENVIRONMENT, needs_multicast
 from tests.drivers.test_sequence import SEQUENCE, drive
 
 ROOT = str(Path(__file__).parents[2])
@@ -182,7 +182,7 @@ with Claims() as claims:
     print("claimed", flush=True)
     time.sleep(600)
 """
-    other = subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, cwd=ROOT)
+    other = subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, cwd=ROOT, env=ENVIRONMENT)
     assert other.stdout.readline() == b"claimed\n"
     with Claims() as claims, pytest.raises(EncoderSetupError, match=f"in use by another run, process {other.pid}; "):
         claims.claim(wiring)
@@ -200,7 +200,7 @@ with Claims() as claims:
 @pytest.mark.slow(40)
 @pytest.mark.parametrize("end", ["SIGKILL", "SIGTERM", "SIGHUP", "terminal", "watchdog", "command"])
 def test_a_killed_run_leaves_nothing_moving_and_the_next_one_records(tmp_path, monkeypatch, end):
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([ROOT, os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
     group = f"239.75.{os.getpid() % 250}.{next(numbers)}"
     (tmp_path / "sequence.toml").write_text(SEQUENCE.replace("turns = 3", "turns = 8") + drive(group).replace(
         "--turns 4", "--turns 40"))  # fmt: skip

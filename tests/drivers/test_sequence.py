@@ -5,7 +5,6 @@ import itertools
 import math
 import os
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from drivers.recorder.sequence import read_sequence, shortfalls
 from drivers.recording_format import read_recording
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_hysteresis, simulate_motion
-from tests.drivers.test_bench_cli import needs_multicast
+from tests.drivers.test_bench_cli import ENVIRONMENT, needs_multicast
 
 numbers = itertools.count(10)
 
@@ -50,8 +49,7 @@ def wiring(tmp_path, bus_name):
 
 @needs_multicast
 def test_a_driven_sequence_records_every_step(command, tmp_path, monkeypatch):
-    root = str(Path(__file__).parents[2])
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([root, os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
     group = f"239.75.{os.getpid() % 250}.{next(numbers)}"
     path = tmp_path / "sequence.toml"
     path.write_text(SEQUENCE + drive(group))

@@ -12,6 +12,7 @@ from fmpy.fmi2 import FMU2Slave
 
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.native import build as native_build
+from cycloid_fmu.native import table_cache, tables
 
 HERE = Path(__file__).parent
 INTERFACES = {
@@ -78,6 +79,13 @@ class Slave:
 
     def get(self, *names):
         return self.fmi.getReal([self.references[name] for name in names])
+
+
+def coarse(pair, surface, accuracy):
+    """Tables that take little time: of a coarse accuracy, and compared with the model at few places."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tables, "PROBES", 1000)
+        return table_cache.tables_of(pair, surface, accuracy=accuracy)
 
 
 def native_of(folder, drive, surface, made, interface):

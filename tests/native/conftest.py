@@ -1,23 +1,43 @@
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
 import fmpy
+import platformdirs
 import pytest
 from c_host import BUILT, COMPILER, HERE, compiled, run_host
 from common import EXAMPLES
 
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.native import build as native_build
-from cycloid_fmu.native import tables
+from cycloid_fmu.native import table_cache
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 
 @pytest.fixture(scope="session")
-def drive():
+def cache(tmp_path_factory):
+    """Folder of libraries and tables that all processes of a run of the tests share: each is made once."""
+    folder = tmp_path_factory.getbasetemp()
+    return (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "cache"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _cache(cache):
+    with pytest.MonkeyPatch.context() as patch:
+        # What zig keeps for its targets is the user's: it takes seconds to make.
+        patch.setenv("ZIG_GLOBAL_CACHE_DIR", str(platformdirs.user_cache_path("zig")))
+        patch.setenv("XDG_CACHE_HOME", str(cache))
+        yield
+
+
+@pytest.fixture(scope="session")
+def drive(cache):
     """The error-free drive of the examples: everything repeats from pin to pin, so its tables are soon made."""
     pair = read_pair(EXAMPLES / "drive-39-40.toml")
     surface = surface_of_pair(pair)
-    return SimpleNamespace(pair=pair, surface=surface, tables=tables.compute(pair, surface))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(cache))
+        return SimpleNamespace(pair=pair, surface=surface, tables=table_cache.tables_of(pair, surface))
 
 
 @pytest.fixture(scope="session")
@@ -30,7 +50,6 @@ def built(drive, tmp_path_factory):
             path = folder / f"{kind} {version[0]}.fmu"
             with pytest.MonkeyPatch.context() as patch:
                 patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-                patch.setenv("XDG_CACHE_HOME", str(folder))
                 native_build.build_native(
                     drive.pair, path, drive.surface, interface=BUILT[kind], fmi_version=version, made=drive.tables,
                     platforms=[native_build.this_platform()],

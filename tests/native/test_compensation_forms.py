@@ -297,7 +297,6 @@ def fmus(drive, tmp_path_factory):
     folder = tmp_path_factory.mktemp("fmus")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-        patch.setenv("XDG_CACHE_HOME", str(folder))
         for version in ("2.0", "3.0"):
             write_compensator(drive, folder / f"{version[0]}.fmu", fmi_version=version,
                               platforms=[native_build.this_platform()])  # fmt: skip

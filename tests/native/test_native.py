@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import fmpy
 import numpy as np
 import pytest
-from c_host import BUILT, COMPILER, HERE, INTERFACES, WINE, Slave, compiled, native_of, needs, needs_wine, zig
+from c_host import BUILT, COMPILER, HERE, INTERFACES, WINE, Slave, coarse, compiled, native_of, needs, needs_wine, zig
 from common import ARCSEC, EXAMPLES, PAIR, make_pair
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
@@ -300,7 +300,7 @@ def stepped(native, model, i, angle, torque):
 def pressed(tmp_path_factory):
     """A native FMU of teeth that press the crank at zero torque, from coarse tables, which are soon made."""
     pair = parse_pair(PAIR + 'rated_torque = "180 N*m"\n[modification]\noffset = "3 um"\n', "pressed.toml")
-    return coarse(tmp_path_factory.mktemp("pressed"), pair, surface_of_pair(pair))
+    return built_coarse(tmp_path_factory.mktemp("pressed"), pair, surface_of_pair(pair))
 
 
 @pytest.fixture(scope="module")
@@ -308,11 +308,11 @@ def reducer(tmp_path_factory):
     """Likewise of an RV reducer: the sun turns the crank through planets with play, the carrier plays in bearings."""
     whole = read_reducer(EXAMPLES / "rv-20e.toml")
     folder = tmp_path_factory.mktemp("reducer")
-    return coarse(folder, whole.stage, nominal_surface(whole.stage), whole)
+    return built_coarse(folder, whole.stage, nominal_surface(whole.stage), whole)
 
 
-def coarse(folder, pair, surface, whole=None):
-    made = tables.compute(pair, surface, accuracy=0.3 * ARCSEC)
+def built_coarse(folder, pair, surface, whole=None):
+    made = coarse(pair, surface, 0.3 * ARCSEC)
     path = native_of(folder, whole or pair, surface, made, INTERFACES["kinematic"])
     stage = [rv.parts_of(whole)[2]] if whole else []
     return SimpleNamespace(path=path, tables=made, drive=(pair, surface, *stage))
@@ -1006,7 +1006,6 @@ def test_a_step_takes_no_memory(unpacked, host, tmp_path, kind, version):
 
 def test_a_drive_gives_the_same_bytes_again(built, drive, tmp_path, monkeypatch):
     monkeypatch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(built().parent))
     path = tmp_path / "again.fmu"
     native_build.build_native(
         drive.pair, path, drive.surface, interface=INTERFACES["kinematic"], made=drive.tables,

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from c_host import COMPILER, Slave
+from c_host import COMPILER, Slave, coarse
 from common import ARCSEC
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
@@ -42,8 +42,7 @@ def build(twin, tmp_path_factory):
     def one(name, **options):
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-            patch.setenv("XDG_CACHE_HOME", str(folder))
-            patch.setattr(tables, "PROBES", 2000)
+            patch.setattr(tables, "PROBES", 1000)
             patch.setattr(ages_module, "ACCURACY", BETWEEN)
             patch.setattr(native_build, "tables_of", functools.partial(native_build.tables_of, accuracy=ACCURACY))
             made = native_build.build_native(
@@ -163,8 +162,9 @@ def test_a_damaged_table_of_the_life_is_not_taken(built, tmp_path):
 
 @pytest.fixture(scope="module")
 def own(twin):
-    """Tables of two ages, each on nodes of its own."""
-    return [tables.compute(twin.pair, of_age(twin, age * HOUR).surface, accuracy=ACCURACY) for age in (0.0, 600.0)]
+    """Tables at both ends of the life, each on nodes of its own."""
+    ends = of_age(twin, 0.0), of_age(twin, 600.0 * HOUR, 4.0 / 3.0)
+    return [coarse(one.pair, one.surface, ACCURACY) for one in ends]
 
 
 def test_common_nodes_change_nothing_but_rounding(own):
@@ -203,7 +203,7 @@ def test_a_bearing_wears_beside_the_flanks(twin, drive, build, tmp_path, monkeyp
 
     def corner(offset, radius):
         surface = drive.surface.replace(offset=offset, pin_radius=radius)
-        return tables.compute(drive.pair, surface, accuracy=ACCURACY)
+        return coarse(drive.pair, surface, ACCURACY)
 
     corners = on_common_nodes([corner(a, b) for a, b in itertools.product((0.0, -3e-6), (0.0, -2e-6))])
     life = rate * 800.0 * HOUR

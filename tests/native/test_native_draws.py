@@ -34,7 +34,6 @@ def build(drive, identified, tmp_path_factory):
     def one(name, **options):
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-            patch.setenv("XDG_CACHE_HOME", str(folder))
             patch.setattr(tables, "PROBES", 1000)
             kept = functools.partial(native_build.tables_of, accuracy=ACCURACY)
             patch.setattr(native_build, "tables_of", kept)

@@ -7,13 +7,12 @@ from types import SimpleNamespace
 import fmpy
 import numpy as np
 import pytest
-from c_host import INTERFACES, Slave, native_of
+from c_host import INTERFACES, Slave, coarse, native_of
 from common import EXAMPLES, PAIR
 
 from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
 from cycloid_fmu.fmu.variables import LOSSLESS, Interface
 from cycloid_fmu.geometry.pair import parse_pair
-from cycloid_fmu.native import tables
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.reducer.first_stage import FirstStage
@@ -41,9 +40,7 @@ def reducers():
         ("play", Whole(whole.stage, loose, rv.parts_of(whole)[2])),
         ("pressed", Whole(pressed, surface_of_pair(pressed), PLAYFUL)),
     ):
-        found[name] = SimpleNamespace(
-            drive=drive, tables=tables.compute(drive.pair, drive.surface, accuracy=0.3 * ARCSEC)
-        )
+        found[name] = SimpleNamespace(drive=drive, tables=coarse(drive.pair, drive.surface, 0.3 * ARCSEC))
     return found
 
 
