@@ -254,7 +254,7 @@ class CompliantModel(SteppedModel, CompliantState):
                 raise StepError(
                     f"a step of {step:g} s is divided into more than {MOST_SUB_STEPS} parts: make it shorter"
                 )
-            loads = self._solve()[1:3]
+        loads = self._solve()[1:3] if rubbing else ()
         # Friction follows a flange whose position was set.
         for flange, way in ((0, self.crank_angle - self._crank_seen), (1, self.output_angle - self._seen)):
             if flange in rubbing:
