@@ -320,7 +320,8 @@ def within_tolerance(probability: Array, tolerance: float, distribution: Distrib
     from scipy.special import ndtr, ndtri  # imported here, because reading a drive does not need it
 
     tail = ndtr(-3.0)
-    return np.asarray(np.clip(ndtri(tail + probability * (1.0 - 2.0 * tail)) / 3.0, -1.0, 1.0) * tolerance)
+    share = ndtri(tail + probability * (1.0 - 2.0 * tail)) / 3.0
+    return np.asarray(np.minimum(np.maximum(share, -1.0), 1.0) * tolerance)
 
 
 _Function = TypeVar("_Function", bound=Callable[..., None])
@@ -472,7 +473,8 @@ def surface_at(
     each pin's radius) are drawn from a stream seeded by the coordinate: evenly spread points spread the former evenly,
     and the latter remain random.
     """
-    many = (name for name in tolerances.factors if (kind := _keys()[name]) is None or kind.of != "drive")
+    kinds = _keys()
+    many = (name for name in tolerances.factors if (kind := kinds[name]) is None or kind.of != "drive")
     streams = {name: error_stream(int(point[name] * 2.0**53), name) for name in many}
     return _drawn(pair, tolerances, streams, point, elements or Elements())
 
@@ -486,8 +488,9 @@ def _drawn(
 ) -> ErrorSurface:
     """Draw each error from its stream, or an error with one value at its probability in `point`."""
     changes: dict[str, Any] = {}
+    kinds = _keys()
     for name in tolerances.factors:
-        kind, error = _keys()[name], tolerances.of(name)
+        kind, error = kinds[name], tolerances.of(name)
         if isinstance(error, ProfileErrors):
             if name == "gear_profile":
                 flanks = sample_profile(streams[name], pair.discs * pair.gear_teeth, size.profile, size.width, error)
@@ -507,4 +510,4 @@ def _drawn(
             continue
         chance = np.array(point[name]) if name in point and not shape else streams[name].random(shape)
         changes[kind.name] = kind.tolerance.share * within_tolerance(chance, error.tolerance, error.distribution)
-    return ErrorSurface(pair, origin="sampled").replace(**changes)
+    return ErrorSurface(pair, origin="sampled", **changes)
