@@ -34,6 +34,11 @@ Array = NDArray[np.float64]
 # where it meets it many times, each time slightly shifted. Compared with ten times as many, the wear that a contact
 # sees has an error of a few thousandths at most.
 ANGLES = (5120, 1280, 240)
+# Where a tooth meets more pins than these, or a pin more teeth, the additional phases replace crank angles: 39/40 has
+# 120 a turn, so a rate is twice as fast; its largest error is 1.0 % instead of 0.7 % when worn by 10 µm.
+_SHIFTED = 20
+# A rate that only leads to the middle of a step uses one of so many crank angles: 1.5 times as fast.
+_LEADING = 3
 # Half length, in half widths, of the arc over which a contact feels the loss. The pressure's ellipse, centred on a
 # crest, wears ripples shorter than 1.64 a in their valleys (its transform, 2 J_1(ka)/ka, is negative there); a mean
 # over this length no longer shows them, so they cannot grow. Over a shorter length the depth depends on the elements.
@@ -93,7 +98,10 @@ def sweep_of(pair: Pair, surface: ErrorSurface) -> Sweep:
     fixed_alike, moving_alike = (pins, teeth) if g.output == "gear" else (teeth, pins)
     meshes = (1 if fixed_alike else fixed) * (1 if moving_alike else moving)
     both = fixed_alike + moving_alike
-    count = (both == 0) + meshes * math.ceil(ANGLES[2 - both] / fixed)
+    each = ANGLES[2 - both] / fixed
+    if both == 0:
+        each *= min(_SHIFTED / fixed, 1.0)
+    count = (both == 0) + meshes * math.ceil(each)
     angle = np.linspace(0.0, 2.0 * np.pi * meshes / fixed, count, endpoint=False)
     return Sweep(angle, teeth, pins)
 
@@ -440,6 +448,10 @@ def wear_states(model: WearModel, crank_turns: float, workers: int = 1) -> Itera
     def rate_at(loaded: WearModel, depth: Depth) -> Depth:
         return wear_rate(loaded, worn_surface(model, depth, new.half_width), workers).depth
 
+    def leading_rate(loaded: WearModel, depth: Depth) -> Depth:
+        sweep = dataclasses.replace(loaded.sweep, crank_angle=loaded.sweep.crank_angle[::_LEADING].copy())
+        return rate_at(dataclasses.replace(loaded, sweep=sweep), depth)
+
     def after(loaded: WearModel, depth: Depth, rate: Depth, turns: float) -> Depth:
         return depth + rate_at(loaded, depth + rate * (0.5 * turns)) * turns
 
@@ -448,14 +460,14 @@ def wear_states(model: WearModel, crank_turns: float, workers: int = 1) -> Itera
     while state.crank_turns < crank_turns and state.depth.largest < 0.999 * limit:
         loaded, end = _period_at(periods, state.crank_turns)
         left = min(end, crank_turns) - state.crank_turns
-        rate = rate_at(loaded, state.depth)
-        whole_rate = rate_at(loaded, state.whole)
+        rate = leading_rate(loaded, state.depth)
+        whole_rate = leading_rate(loaded, state.whole)
         fastest = rate.largest
         reach = min(2.0 * largest, limit - state.depth.largest, state.reach)
         turns = min(left, reach / fastest) if fastest > 0.0 else left
         while True:
             half = after(loaded, state.depth, rate, 0.5 * turns)
-            depth = after(loaded, half, rate_at(loaded, half), 0.5 * turns)
+            depth = after(loaded, half, leading_rate(loaded, half), 0.5 * turns)
             whole = after(loaded, state.whole, whole_rate, turns)
             parted = (depth + state.depth * -1.0 + (whole + state.whole * -1.0) * -1.0).largest
             # Both results differ in proportion to the cube of the step.

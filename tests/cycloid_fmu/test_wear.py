@@ -258,6 +258,15 @@ def test_halving_every_step_changes_what_the_history_says(run):
     assert last.difference < 0.5 * states[-1].difference
 
 
+def test_rates_that_lead_to_a_step_s_middle_need_few_crank_angles(run, monkeypatch):
+    """With those of all crank angles the depth changes by less than half of what halving the steps changes."""
+    worn, states, _ = run
+    monkeypatch.setattr(wear, "_LEADING", 1)
+    *_, all_angles = wear_states(worn, 4e5)
+    change = (all_angles.depth + states[-1].depth * -1.0).largest
+    assert 0.0 < change < 0.5 * states[-1].difference
+
+
 def updated_depths(elements, turns=4e5, angles=32, **changes):
     """Depths of the first tooth and pin, each element's width of the coarsest, at the end of a history."""
     one = model(text=CONSTANT, coefficient=5e-17, elements=(elements, elements // 2), **changes)
@@ -289,11 +298,14 @@ def test_the_updated_depth_converges_with_the_grid_far():
     assert error[-2] < 0.01
 
 
-def test_few_crank_angles_stand_for_all_where_nothing_is_alike(monkeypatch):
+@pytest.mark.parametrize(("teeth", "eccentricity"), [(14, "3.4 mm"), (39, "1.3 mm")])
+def test_few_crank_angles_stand_for_all_where_nothing_is_alike(monkeypatch, teeth, eccentricity):
     """The rates of a worn drive, felt over a contact's width, err by less than a hundredth of the deepest."""
-    pair = make_pair(PAIR, gear_teeth=14, pins=15, eccentricity="3.4 mm")
+    pair = make_pair(PAIR, gear_teeth=teeth, pins=teeth + 1, eccentricity=eccentricity)
     rng = np.random.default_rng(5)
-    errors = {"pin_radial": rng.normal(size=15) * 1e-6, "tooth_cumulative_pitch": rng.normal(size=(1, 14)) * 1e-6}
+    errors = {
+        "pin_radial": rng.normal(size=teeth + 1) * 1e-6, "tooth_cumulative_pitch": rng.normal(size=(1, teeth)) * 1e-6,
+    }  # fmt: skip
     for names in (["pin_radial"], list(errors)):
         surface = dataclasses.replace(nominal_surface(pair), **{name: errors[name] for name in names})
         few = model(pair, surface=surface)
