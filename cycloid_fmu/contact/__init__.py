@@ -26,20 +26,18 @@ from cycloid_fmu.contact.rows import ROW, Rows, contact_rows, disc_slice_pin, is
 from cycloid_fmu.contact.sensitivity import sensitivities
 from cycloid_fmu.contact.sweeps import (
     LoadedSweep,
-    LoadsAndPlay,
     sweep,
     sweep_contacts,
     sweep_crank_torque,
     sweep_flank_sensitivities,
-    sweep_loads_and_play,
     sweep_play,
     sweep_sensitivities,
 )
 
 __all__ = [
-    "ROW", "TOUCHING", "Array", "ContactLines", "Deviations", "LoadedSweep", "LoadsAndPlay", "LocalFrame", "Problem",
+    "ROW", "TOUCHING", "Array", "ContactLines", "Deviations", "LoadedSweep", "LocalFrame", "Problem",
     "Rows", "behind_compliance", "compiled", "contact_rows", "crank_side", "disc_slice_pin", "elastic_energy",
     "equilibrium", "half_width", "hertz", "inlined", "is_solved_at", "load_sharing", "local_frame", "part", "place",
     "play", "poses", "press", "sensitivities", "spliced", "sweep", "sweep_contacts", "sweep_crank_torque",
-    "sweep_flank_sensitivities", "sweep_loads_and_play", "sweep_play", "sweep_sensitivities", "touch_rate",
+    "sweep_flank_sensitivities", "sweep_play", "sweep_sensitivities", "touch_rate",
 ]  # fmt: skip

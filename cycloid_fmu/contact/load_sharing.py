@@ -66,7 +66,7 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
         if force <= 0.0:
             continue
         disc, _, pin = disc_slice_pin(problem, row)
-        pressure = _pressure(problem, contacts[row], pin)
+        pressure = 2.0 * force / (math.pi * _half_width(problem, contacts[row], pin) * problem.slice_width)
         pin_force[disc, pin] += force
         pin_pressure[disc, pin] = max(pin_pressure[disc, pin], pressure)
     largest_force = largest_pressure = 0.0
@@ -80,23 +80,6 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
             if pin_force[disc, pin] > _COUNTED * largest_force:
                 count += 1
     return count, largest_pressure
-
-
-@part
-def largest_pressure(problem: Problem, contacts: Rows) -> float:
-    """Largest contact pressure of solved contact rows, Pa."""
-    largest = 0.0
-    for i in range(touching_count(contacts)):
-        row = int(contacts[i].touching)
-        if contacts[row].force > 0.0:
-            _, _, pin = disc_slice_pin(problem, row)
-            largest = max(largest, _pressure(problem, contacts[row], pin))
-    return largest
-
-
-@inlined
-def _pressure(problem: Problem, contact: np.record, pin: int) -> float:
-    return 2.0 * contact.force / (math.pi * _half_width(problem, contact, pin) * problem.slice_width)
 
 
 @inlined

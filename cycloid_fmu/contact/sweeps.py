@@ -8,15 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
+from cycloid_fmu.contact.compiling import Array, compiled, inlined, spliced
 from cycloid_fmu.contact.energy import crank_side
 from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffness
-from cycloid_fmu.contact.load_sharing import ContactLines, largest_pressure, load_sharing, write_contact_lines
+from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.play import ROTATION_STEP, end_beside, play
 from cycloid_fmu.contact.problem import Problem
-from cycloid_fmu.contact.rows import Rows, contact_rows, disc_slice_pin, touching_count
+from cycloid_fmu.contact.rows import Rows, contact_rows, disc_slice_pin
 from cycloid_fmu.contact.sensitivity import derivatives
 
 
@@ -37,31 +37,6 @@ class LoadedSweep(NamedTuple):
     max_contact_pressure: Array
     pin_force: Array
     pin_pressure: Array
-
-
-class LoadsAndPlay(NamedTuple):
-    """Results of a sweep under load with play and light loads at some of its crank angles.
-
-    Attributes
-    ----------
-    deviation, stiffness
-        Shape (torques, angles): x (rad), N·m/rad.
-    max_contact_pressure
-        Largest over the crank angles, shape (torques,), Pa.
-    light_deviation, light_stiffness
-        Under + and - the light load, shape (2, places): x (rad), N·m/rad; left as they are without one.
-    low, high, gap
-        Shape (places,): ends of the play (rad) and interference (m), as `play`.
-    """
-
-    deviation: Array
-    stiffness: Array
-    max_contact_pressure: Array
-    light_deviation: Array
-    light_stiffness: Array
-    low: Array
-    high: Array
-    gap: Array
 
 
 @compiled
@@ -157,77 +132,6 @@ def _solve_play(problem: Problem, thetas: Array, first: int, last: int, low: Arr
                 continue
             cold = True
         low[i], high[i], gap[i] = play(problem, thetas[i], x, contacts, cold)
-
-
-@compiled
-def sweep_loads_and_play(
-    problem: Problem, thetas: Array, torques: Array, light: float, every: int, found: LoadsAndPlay
-) -> None:
-    """Solve loads on nominal flanks at every crank angle; at one of `every`, also ± a light load and the play.
-
-    The latter start from the first load's contacts at the same crank angle: their own crank angles are far apart, and
-    sweeps over these took 1.3 times as long in all.
-
-    Parameters
-    ----------
-    thetas, torques
-        Crank angles (rad), shape (angles,); torques (N·m), shape (torques,), not 0.
-    light
-        The light load, N·m; 0 where there is none.
-    every
-        The play is solved at the first of so many crank angles.
-    found
-        Overwritten; the pressures are raised.
-    """
-    beside = contact_rows(problem)
-    for k in range(torques.size):
-        contacts = contact_rows(problem)
-        deviation, stiffness = found.deviation[k], found.stiffness[k]
-        for i in range(thetas.size):
-            x = _ahead(thetas, deviation, 0, i)
-            deviation[i], stiffness[i] = equilibrium(problem, thetas[i], torques[k], x, contacts, i == 0)
-            pressure = largest_pressure(problem, contacts)
-            found.max_contact_pressure[k] = max(found.max_contact_pressure[k], pressure)
-            if k == 0 and i % every == 0:
-                beside[:] = contacts
-                _light_loads_and_play(
-                    problem, thetas[i], deviation[i], torques[k], light, i // every, beside, found
-                )  # fmt: skip
-
-
-@spliced
-def _light_loads_and_play(
-    problem: Problem, theta: float, x: float, torque: float, light: float, at: int, contacts: Rows, found: LoadsAndPlay
-) -> None:
-    """Solve ± a light load and the play in the order of their deviations, from contacts solved at x under a torque."""
-    side = math.copysign(1.0, torque)
-    if light > 0.0:
-        side = 1.0
-        x, found.light_stiffness[0, at] = equilibrium(problem, theta, light, x, contacts, False)
-        found.light_deviation[0, at] = x
-    near, far, free = x, x, False
-    if not _are_pressed(contacts, -side):
-        near = end_beside(problem, theta, x, contacts, False, side)
-        far = end_beside(problem, theta, near, contacts, False, -side)
-        free = (near - far) * side >= 0.0
-    if free:
-        found.low[at], found.high[at], found.gap[at] = min(near, far), max(near, far), 0.0
-    else:
-        low, high, gap = play(problem, theta, 0.5 * (near + far), contacts, False)
-        found.low[at], found.high[at], found.gap[at] = low, high, gap
-    if light > 0.0:
-        x, found.light_stiffness[1, at] = equilibrium(problem, theta, -light, far, contacts, False)
-        found.light_deviation[1, at] = x
-
-
-@part
-def _are_pressed(contacts: Rows, direction: float) -> bool:
-    """Whether a flank that stops a rotation in `direction` (±1) is pressed."""
-    for i in range(touching_count(contacts)):
-        contact = contacts[int(contacts[i].touching)]
-        if contact.force > 0.0 and contact.arm * direction > 0.0:
-            return True
-    return False
 
 
 @compiled

@@ -289,8 +289,8 @@ def check_balance(torque: ArrayLike, balance: ArrayLike) -> None:
 
 def _check_again(drive: contact.Problem, crank_angle: Array, torque: Array, falling: NDArray[np.bool_]) -> None:
     """Check the balance where the torque falls with the rotation, which it does on worn flanks or beyond any load."""
+    rows = contact.contact_rows(drive)
     for i in np.flatnonzero(falling & (torque != 0.0)):
-        rows = contact.contact_rows(drive)
         contact.equilibrium(drive, crank_angle[i], torque[i], 0.0, rows, True)
         check_balance(torque[i], carried(rows))
 
@@ -397,30 +397,6 @@ def solve(
     for k in range(loads[0]):
         _check_again(problem, angles, at_angles[k], stiffness[k] <= 0.0)
     return result(slice(None))
-
-
-def solve_loads_and_play(
-    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: Array, slices: int, light: float, every: int
-) -> contact.LoadsAndPlay:
-    """Solve loads at every crank angle, and ± a light load and the play at one of `every`.
-
-    Parameters and errors are those of `solve` and `contact.sweep_loads_and_play`; no torque is 0, and flanks and pins
-    are nominal.
-    """
-    problem = drive_of(pair, surface, slices)
-    torques, angles = _contiguous(torque), _contiguous(crank_angle)
-    loaded, some = (torques.size, angles.size), angles[::every]
-    light_loads = (2 if light > 0.0 else 0, some.size)
-    found = contact.LoadsAndPlay(
-        np.empty(loaded), np.empty(loaded), np.zeros(torques.size), np.empty(light_loads), np.empty(light_loads),
-        *np.empty((3, some.size)),
-    )  # fmt: skip
-    contact.sweep_loads_and_play(problem, angles, torques, light, every, found)
-    for load, stiffness in zip(torques, found.stiffness, strict=True):
-        _check_again(problem, angles, np.full(angles.size, load), stiffness <= 0.0)
-    for load, stiffness in zip((light, -light), found.light_stiffness, strict=False):
-        _check_again(problem, some, np.full(some.size, load), stiffness <= 0.0)
-    return found
 
 
 class Interrupted(KeyboardInterrupt):

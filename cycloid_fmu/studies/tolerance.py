@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.first_order import NearDrives, Screen
-from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, Transmission, slices_needed, solve_loads_and_play
+from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, Transmission, slices_needed
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
@@ -242,35 +242,13 @@ def free_figures(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | No
     return found
 
 
-def _figures_in_one_sweep(study: Study, surface: ErrorSurface, angles: Array) -> dict[str, Any]:
-    """Return the figures of a drive without bearings, first stage and form deviations, by their names in `FIGURES`."""
-    light, _ = study.pair.lost_motion_loads or (0.0, 0.0)
-    slices = slices_needed(surface)
-    found = solve_loads_and_play(study.pair, surface, study.torque, angles, slices, light, PLAY_STEP)
-    backlash = np.nan_to_num(found.high - found.low)
-    figures: dict[str, Any] = {
-        "angular_transmission_error": np.ptp(found.deviation, axis=1),
-        "mean_transmission_error": found.deviation.mean(axis=1),
-        "max_contact_pressure": found.max_contact_pressure,
-        "mean_backlash": backlash.mean(),
-        "backlash": backlash.max(),
-        "interference": found.gap.max(),
-    }
-    if light > 0.0:
-        figures["lost_motion"] = (found.light_deviation[0] - found.light_deviation[1]).max()
-    return figures
-
-
 def figures_of(study: Study, surface: ErrorSurface) -> Array:
     """Return the figures of one drive in the order of `Study.columns`, by the exact model."""
     angles, first = crank_angles(study), study.first_stage
-    nominal_form = surface.gear_deviation is None and surface.pin_deviation is None
-    if first is None and study.pair.supports is None and nominal_form:
-        found = _figures_in_one_sweep(study, surface, angles)
-    else:
-        slices = slices_needed(surface)
-        loaded = solve(study.pair, surface, first, study.torque, angles, slices, with_play=False, with_stiffness=False)
-        found = {**loaded_figures(loaded), **free_figures(study.pair, surface, first, angles)}
+    loaded = solve(
+        study.pair, surface, first, study.torque, angles, slices_needed(surface), with_play=False, with_stiffness=False
+    )
+    found: dict[str, Any] = {**loaded_figures(loaded), **free_figures(study.pair, surface, first, angles)}
     return np.array([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 

@@ -19,7 +19,7 @@ from common import EXAMPLES, make_pair
 from scipy import stats
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import slices_needed, solve
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.studies import tolerance
@@ -109,30 +109,6 @@ def test_figures_are_those_of_the_analysis():
     up, down = solve(PAIR, surface, [load, -load], angles[::10]).transmission_error
     assert values["lost_motion", None] == pytest.approx((up - down).max(), rel=1e-9)
     assert values["lost_motion", None] > values["backlash", None]
-
-
-@pytest.mark.parametrize("case", ["free", "interference", "misaligned", "no rated torque"])
-def test_figures_are_those_of_separate_sweeps(case):
-    """Play and lost motion start from the loaded contacts; sweeps of their own, from other angles, find the same."""
-    pair = PAIR.replace(rated_torque=None) if case == "no rated torque" else PAIR
-    tables = '[pin_radius_each]\ntolerance = "3 um"\n[pin_pitch]\nsingle = "5 um"\ncumulative = "15 um"\n'
-    if case == "misaligned":
-        tables += '[misalignment_xz]\ntolerance = "0.1 mrad"\n'
-    study = dataclasses.replace(make_study(tables, 4), pair=pair)
-    angles = np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
-    for point in points(study):
-        surface = surface_at(pair, study.tolerances, dict(zip(study.factors, point, strict=True)), tolerance.FORM)
-        if case == "interference":
-            surface = surface.replace(pin_radius=30e-6)
-        values = dict(zip(study.columns, figures_of(study, surface), strict=True))
-        slices = slices_needed(surface)
-        loaded = solve(pair, surface, study.torque, angles, slices, with_play=False)
-        apart = {**tolerance.loaded_figures(loaded), **tolerance.free_figures(pair, surface, None, angles)}
-        assert apart["interference"] > 0.0 or case != "interference"
-        for (name, k), value in values.items():
-            expected = apart[name] if k is None else apart[name][k]
-            # An equilibrium's last step, 1e-9 rad, leaves up to 1e-10 rad where a pin begins to touch in it.
-            assert value == pytest.approx(expected, rel=1e-9, abs=1e-10), name
 
 
 def test_workers_change_no_bit_and_neither_does_the_company_of_other_samples():
