@@ -111,16 +111,6 @@ def installed_command(tmp_path):
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers(config):
-    """One worker more than cores: while tests of recorders wait for a simulated bench, another one computes."""
-    from xdist.plugin import pytest_xdist_auto_num_workers
-
-    cores = pytest_xdist_auto_num_workers(config)
-    stated = "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ
-    return cores if stated or config.option.markexpr != "not slow" else cores + 1
-
-
-@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Each worker takes a stretch of the tests, so that modules' fixtures are made once, and then half of another's."""
     from xdist.scheduler import WorkStealingScheduling
