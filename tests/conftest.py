@@ -30,37 +30,6 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 sys.path.insert(0, str(Path(__file__).parent))  # common.py and brute_force.py
 
-import numpy as np  # noqa: E402  # only here: it takes its number of threads from the environment
-
-
-def _compare_at_once(kind):
-    """Let a kind of `pytest.approx` compare whole arrays, with the same result: each number takes pytest 10 µs.
-
-    Arrays that are not equal, and all other types, are left to pytest, which describes the difference.
-    """
-    one_by_one = kind.__eq__
-
-    def equal(self, actual):
-        expected = self.expected
-        if isinstance(actual, np.ndarray) and actual.dtype == float and np.asarray(expected).dtype == float:
-            if np.shape(expected) not in ((), actual.shape):
-                return False
-            size = np.abs(expected)
-            allowed = 1e-12 if self.abs is None else self.abs
-            if self.rel is not None or self.abs is None:
-                allowed = np.maximum(allowed, (1e-6 if self.rel is None else self.rel) * size)
-            with np.errstate(invalid="ignore"):
-                near = (actual == expected) | (np.isfinite(size) & (np.abs(expected - actual) <= allowed))
-            if np.all(near | (self.nan_ok & np.isnan(size) & np.isnan(actual))):
-                return True
-        return one_by_one(self, actual)
-
-    kind.__eq__ = equal
-
-
-for number in (0.0, np.zeros(1)):
-    _compare_at_once(type(pytest.approx(number)))
-
 
 @functools.cache
 def _entry(name):
