@@ -1,5 +1,6 @@
 """The command line end to end, across processes, and its messages on bad input."""
 
+import contextlib
 import os
 import re
 import select
@@ -54,14 +55,18 @@ def line_of(stream, seconds):
     return stream.readline()
 
 
-def grown(path, size, seconds):
-    """Wait until a file has more than `size` bytes."""
+def filled(path, samples, seconds):
+    """Wait until a recording that still grows has more than so many samples of each channel."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
-        if path.exists() and path.stat().st_size > size:
-            return
+        if path.exists():
+            # A header that is half written is refused until it is whole.
+            with contextlib.suppress(ValueError):
+                channels = read_recording(path).samples
+                if channels and min(map(len, channels.values())) > samples:
+                    return
         time.sleep(0.01)
-    pytest.fail(f"{path.name} did not grow beyond {size} bytes in {seconds} s")
+    pytest.fail(f"{path.name} did not have more than {samples} samples of each channel in {seconds} s")
 
 
 def multicast_works():
@@ -122,7 +127,7 @@ def test_an_interrupted_recorder_keeps_its_samples(tmp_path, number, code):
     with SimulatedCanBench(motion, interface="loopback", channel=GROUP, speed_factor=5) as bench:
         bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         recorder = start(tmp_path, "record", "BENCH.toml", "-o", path)
-        grown(path, 20_000, 60)
+        filled(path, 20, 60)
         recorder.send_signal(number)
         out, err = recorder.communicate(timeout=60)
     assert recorder.returncode == code, err

@@ -32,7 +32,7 @@ from drivers.serial.port import Exchange
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAmt21Bench
-from tests.drivers.test_bench_cli import ENVIRONMENT, grown, needs_multicast
+from tests.drivers.test_bench_cli import ENVIRONMENT, filled, needs_multicast
 
 SYNC, INPUT = 0x80, 0x181
 linux = pytest.mark.skipif(sys.platform != "linux", reason="Linux counts what it drops")
@@ -407,7 +407,7 @@ def test_a_closed_terminal_leaves_a_complete_recording(tmp_path):
             env=ENVIRONMENT, stdin=theirs, stdout=theirs, stderr=theirs, preexec_fn=become_the_terminal_s,
         )  # fmt: skip
         os.close(theirs)
-        grown(tmp_path / "run.arrows", 20_000, 60)
+        filled(tmp_path / "run.arrows", 20, 60)
         os.close(ours)
         assert recorder.wait(60) == 129
     recording = read_recording(tmp_path / "run.arrows")

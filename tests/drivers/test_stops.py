@@ -22,7 +22,7 @@ from drivers.recording_format import read_recording
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench, SimulatedModbusBench
-from tests.drivers.test_bench_cli import ENVIRONMENT, grown, needs_multicast
+from tests.drivers.test_bench_cli import ENVIRONMENT, filled, needs_multicast
 
 STOPS = int(os.environ.get("CYCLOID_STOPS", "100"))
 SHORTEST, LONGEST = 0.1, 5.0  # s
@@ -78,7 +78,7 @@ def recorded_over_stops(folder, bench, stops, seed, told="told"):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        grown(folder / "run.arrows", 30_000, 60)
+        filled(folder / "run.arrows", 20, 60)
         for _ in range(stops):
             time.sleep(random.uniform(0.2, 0.5))  # random moments are the purpose of the test
             process.send_signal(signal.SIGSTOP)
