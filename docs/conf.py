@@ -55,6 +55,7 @@ numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 autosummary_generate = True
 autodoc_typehints = "none"
+autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True, "member-order": "bysource", "exclude-members": "model_config"}
 autodoc_inherit_docstrings = False
 # The gallery's settings hold a function, so Sphinx reads them again each time.

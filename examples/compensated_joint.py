@@ -127,7 +127,7 @@ def main() -> None:
     for color, (name, off) in zip(("0.6", "C0"), left.items(), strict=True):
         axes[1].plot(time, off, color=color, lw=1.0, label=name)
     axes[1].set(ylabel="output angle − desired [arcsec]")
-    axes[1].legend(fontsize="small", loc="lower right")
+    axes[1].legend(fontsize="small", loc="lower right", bbox_to_anchor=(1.0, 1.0), ncol=2, frameon=False)
     axes[2].plot(time, left["compensated"], color="C0", lw=0.8, label="compensated")
     axes[2].fill_between(time, -2.0 * band, 2.0 * band, color="C0", alpha=0.2, lw=0.0, label="twice its band")
     axes[2].set(xlabel="time [s]", ylabel="the same, enlarged [arcsec]", ylim=(-5.0, 5.0))

@@ -166,7 +166,10 @@ def _turn(pair: Sizes, value: Array) -> Array:
 
 
 KINDS: dict[str, ErrorKind] = {}
-"""Every kind by its name, in the order of files and FMUs."""
+"""Every kind by its name, in the order of files and FMUs.
+
+:meta hide-value:
+"""
 
 
 def register_error_kind(kind: ErrorKind) -> ErrorKind:
