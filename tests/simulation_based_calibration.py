@@ -178,9 +178,7 @@ def draw(every, path):
         low.fill_between(places, least, most, color="0.88")
         for one in members.values():
             low.plot(places, away(one), lw=0.9)
-        low.set(
-            xlabel="share of all ranks", ylabel="share of truths below minus share of all ranks", ylim=(-0.16, 0.16)
-        )
+        low.set(xlabel="share of all ranks", ylabel="ECDF difference", ylim=(-0.16, 0.16))
     save(figure, path)
 
 
