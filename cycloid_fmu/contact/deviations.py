@@ -58,9 +58,6 @@ def move_to_deviations(
         conjugate = pin * 2.0 * math.pi / pins + (crank - ring) / teeth
         alpha = conjugate + contact.foot
         tooth = math.floor(alpha / pitch)
-        if row % 2 == 0:
-            # The conjugate tooth's own end belongs to it.
-            tooth = math.floor(conjugate / pitch)
         number = int(tooth) % teeth
         base = tooth * pitch
         # The pin's axis, and the direction from it to the pin circle's centre, on tooth 0.

@@ -8,7 +8,7 @@ import numpy as np
 
 from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
 from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
-from cycloid_fmu.contact.lanes import LANES
+from cycloid_fmu.contact.lanes import LANES, on_stack, vectors
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, touching_count
@@ -42,17 +42,17 @@ def _press(
 ) -> tuple[float, float]:  # fmt: skip
     torque = stiffness = 0.0
     touching = touching_count(contacts)
-    lanes = np.empty(1, PRESSED)
-    one = lanes[0]
+    one = on_stack(PRESSED)
     pins = pin_radius.size
     for first in range(0, touching, LANES):
-        for lane in range(LANES):
+        filled = min(LANES, touching - first)
+        for lane in range(vectors(filled)):
             row = int(contacts[min(first + lane, touching - 1)].touching)
             contact = contacts[row]
             one.approach[lane], one.curvature[lane] = -contact.gap - seat_gap, contact.curvature
             one.pin_radius[lane], one.force[lane] = pin_radius[row // 2 % pins], contact.force
-        hertz_in_lanes(lanes, width, compliance_gear, compliance_pin, largest_log_radius, seat_compliance)
-        for lane in range(min(LANES, touching - first)):
+        hertz_in_lanes(one, filled, width, compliance_gear, compliance_pin, largest_log_radius, seat_compliance)
+        for lane in range(filled):
             contact = contacts[int(contacts[first + lane].touching)]
             contact.force, contact.stiffness = one.force[lane], one.stiffness[lane]
             contact.force_by_curvature = one.by_curvature[lane]
@@ -181,7 +181,8 @@ def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None
     for i in range(touching_count(contacts)):
         contact = contacts[int(contacts[i].touching)]
         if contact.force > 0.0:
-            contact.force += step * contact.stiffness * contact.arm
+            curved = contact.force_by_curvature * contact.curvature_rate * contact.foot_rate
+            contact.force += step * (contact.stiffness * contact.arm + curved)
         contact.gap -= step * (contact.arm + 0.5 * step * contact.arm_rate)
         contact.arm += step * contact.arm_rate
         contact.foot += step * contact.foot_rate - conjugate

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import compiled, part
+from cycloid_fmu.contact.compiling import allocating
 from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
-from cycloid_fmu.contact.lanes import LANES, Lanes
+from cycloid_fmu.contact.lanes import LANES, on_stack, vectors
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CENTRE_X,
@@ -155,15 +156,13 @@ class _Work(NamedTuple):
     forces: Array  # (contacts,), N
     near: NDArray[np.int64]  # numbers of the contacts that may touch, then those that do
     pressed: NDArray[np.int64]
-    lanes: Lanes
 
 
-@part
+@allocating
 def _work(contacts: Contacts, drives: int) -> _Work:
     size = contacts.rows.shape[1]
     return _Work(
         np.empty((size, drives)), np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64),
-        np.empty(1, PRESSED),
     )  # fmt: skip
 
 
@@ -173,8 +172,8 @@ def _equilibrium(
     compliance_gear: float, compliance_pin: float, largest_log_radius: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Rotation that balances the torque, from that of the contacts, and the largest pressure."""
-    gaps, forces, near, pressed, lanes = work.gaps, work.forces, work.near, work.pressed, work.lanes
-    one = lanes[0]
+    gaps, forces, near, pressed = work.gaps, work.forces, work.near, work.pressed
+    one = on_stack(PRESSED)
     x, low, high, listed_at = start, -math.inf, math.inf, math.inf
     listed = touching = 0
     farther = math.inf
@@ -211,13 +210,14 @@ def _equilibrium(
             if now * torque > 0.0:
                 touch = min(touch, gap / abs(now))
         for first in range(0, touching, LANES):
-            for lane in range(LANES):
+            filled = min(LANES, touching - first)
+            for lane in range(vectors(filled)):
                 k = pressed[min(first + lane, touching - 1)]
                 one.approach[lane] = x * (rows[k, _ARM] + 0.5 * x * rows[k, _RATE]) - gaps[k, drive]
                 one.curvature[lane], one.pin_radius[lane] = rows[k, _CURVATURE], pin_radius
                 one.force[lane] = forces[k]
-            hertz_in_lanes(lanes, width, compliance_gear, compliance_pin, largest_log_radius, 0.0)
-            for lane in range(min(LANES, touching - first)):
+            hertz_in_lanes(one, filled, width, compliance_gear, compliance_pin, largest_log_radius, 0.0)
+            for lane in range(filled):
                 k = pressed[first + lane]
                 rate = rows[k, _RATE]
                 arm = rows[k, _ARM] + x * rate

@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 from cycloid_fmu.contact.compiling import compiled, inlined, part
-from cycloid_fmu.contact.lanes import LANES, Lanes, lanes_of, logarithm
+from cycloid_fmu.contact.lanes import Lanes, lanes_of, logarithm, vectors
 
-_FORCE_STEP = 1e-13  # of the force: Newton's last step; at 1e-6 the energy of a swinging arm drifted by 3e-5 of it
+_FORCE_STEP = 1e-5  # of the force: Halley's last step; the next one would be a fiftieth of its cube, or less
 PRESSED = lanes_of(
     "approach", "curvature", "pin_radius", "force", "stiffness", "by_curvature", "guess", "target", "h", "bending",
     "start", "q",
@@ -74,13 +74,11 @@ def hertz(
         start = force
         force, q = _following(force, target, h, series)
         change = abs(force - start)
-        # The next step would be a thirtieth of the square of this one, or less.
         if change <= _FORCE_STEP * force:
             break
-    # ln F of the last step, whose square is nothing.
-    q -= (force - start) / force
+    q -= _logarithm_of_step(force, start)
     # Beyond H - ln F = 2 (half width near the radii) the law bends over; it is continued along its tangent there.
-    limit = math.exp(h - 2.0) if q < 3.0 + series or change > 1e-5 * force else math.inf
+    limit = math.exp(h - 2.0) if q < 3.0 + series or change > _FORCE_STEP * force else math.inf
     if target >= (2.0 + series) * limit:
         force = (target - limit) / (1.0 + series)
         return force, 1.0 / (kappa * (1.0 + series)), 0.0
@@ -101,35 +99,50 @@ def _law(
     largest_log_radius: float,
 ) -> _Law:  # fmt: skip
     both = compliance_gear + compliance_pin
-    equivalent = 1.0 / max(abs(1.0 / pin_radius + curvature), 1e-9)
-    log_radius = min(1.0 / max(abs(curvature), 1e-12), largest_log_radius)
     kappa, share = both / (math.pi * width), compliance_gear / both
+    pin_curvature = 1.0 / pin_radius
+    relative = pin_curvature + curvature
+    radius = 1.0 / (curvature if abs(curvature) > 1e-12 else 1e-12)
+    log_radius = min(abs(radius), largest_log_radius)
+    # 2 σ ln 4|ρ_c| + 2 (1 - σ) ln 4 R_rp - ln(4 ρ* κ) with two logarithms instead of three.
     h = (
-        2.0 * (share * logarithm(4.0 * log_radius) + (1.0 - share) * logarithm(4.0 * pin_radius))
+        logarithm((4.0 / kappa) * log_radius * pin_radius * max(abs(relative), 1e-9))
+        + (2.0 * share - 1.0) * logarithm(log_radius * pin_curvature)
         - 1.0
-        - logarithm(4.0 * equivalent * kappa)
     )
-    bending = 1.0 / (1.0 / pin_radius + curvature)
-    bending -= 2.0 * share / curvature if log_radius < largest_log_radius else 0.0
+    bending = 1.0 / relative
+    bending -= 2.0 * share * radius if log_radius < largest_log_radius else 0.0
     return _Law(kappa, h, bending)
 
 
 @inlined
 def _first_guess(target: float, h: float, series: float) -> float:
-    return target / (max(h - logarithm(target) + 2.0, 2.0) + series)
+    # Of 1 N: a better one takes a logarithm, and mostly there is the force of a neighbouring crank angle.
+    return target / (max(h, 2.0) + series)
 
 
 @inlined
 def _following(force: float, target: float, h: float, series: float) -> tuple[float, float]:
-    """Newton's next force, and H - ln F with what a spring adds, before it."""
+    """Halley's next force, and H - ln F with what a spring adds, before it."""
     q = max(h - logarithm(force), 1.5) + series
-    following = (target - force) / (q - 1.0)
+    beyond, slope = force * q - target, q - 1.0
+    # Far below the solution at most twice Newton's step.
+    bend = max(2.0 * force * slope * slope + beyond, force * slope * slope)
+    following = force - 2.0 * force * beyond * slope / bend
     return following if following > 0.0 else 0.5 * force, q
+
+
+@inlined
+def _logarithm_of_step(force: float, start: float) -> float:
+    """ln(F/F₀) after the last step, whose cube is nothing."""
+    share = (force - start) / start
+    return share * (1.0 - 0.5 * share)
 
 
 @part
 def hertz_in_lanes(
-    lanes: Lanes,
+    one: Lanes,
+    filled: int,
     width: float,
     compliance_gear: float,
     compliance_pin: float,
@@ -140,12 +153,12 @@ def hertz_in_lanes(
 
     Parameters
     ----------
-    lanes
+    one
         `PRESSED`, with each contact's approach, curvature, pin radius and first guess of the force; without an approach
         all three become 0.
     """
-    one = lanes[0]
-    for lane in range(LANES):
+    lanes = vectors(filled)
+    for lane in range(lanes):
         law = _law(
             one.curvature[lane], one.pin_radius[lane], width, compliance_gear, compliance_pin, largest_log_radius
         )
@@ -153,27 +166,28 @@ def hertz_in_lanes(
         target = max(one.approach[lane], 1e-15) / law.kappa
         guess = _first_guess(target, law.h, seat_compliance / law.kappa)
         one.target[lane], one.guess[lane] = target, one.force[lane]
-        one.force[lane] = one.force[lane] if one.force[lane] > 0.0 else guess
+        one.force[lane] = one.force[lane] if (one.force[lane] > 0.0) & (one.approach[lane] > 0.0) else guess
     kappa = (compliance_gear + compliance_pin) / (math.pi * width)
     series = seat_compliance / kappa
     for _ in range(30):
         moving = 0
-        for lane in range(LANES):
+        for lane in range(lanes):
             one.start[lane] = one.force[lane]
             one.force[lane], one.q[lane] = _following(one.start[lane], one.target[lane], one.h[lane], series)
             moving += 1 if abs(one.force[lane] - one.start[lane]) > _FORCE_STEP * one.force[lane] else 0
         if moving == 0:
             break
     bent = 0
-    for lane in range(LANES):
+    for lane in range(lanes):
         force, pressed = one.force[lane], one.approach[lane] > 0.0
-        q = one.q[lane] - (force - one.start[lane]) / force
+        q = one.q[lane] - _logarithm_of_step(force, one.start[lane])
         bent += 1 if q < 3.0 + series else 0
         one.force[lane] = force if pressed else 0.0
-        one.stiffness[lane] = 1.0 / (kappa * (q - 1.0)) if pressed else 0.0
-        one.by_curvature[lane] = -one.force[lane] * one.bending[lane] / (q - 1.0)
+        softness = 1.0 / (q - 1.0)
+        one.stiffness[lane] = softness / kappa if pressed else 0.0
+        one.by_curvature[lane] = -one.force[lane] * one.bending[lane] * softness
     if bent > 0:
-        for lane in range(LANES):
+        for lane in range(lanes):
             if one.approach[lane] > 0.0:
                 one.force[lane], one.stiffness[lane], one.by_curvature[lane] = hertz(
                     one.approach[lane], one.curvature[lane], one.pin_radius[lane], width, compliance_gear,

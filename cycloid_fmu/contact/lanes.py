@@ -1,22 +1,26 @@
 """Contacts side by side: several go through the processor's vector registers together.
 
-A loop over `LANES` numbers becomes vector instructions where it has neither branches nor calls: so the arrays of one
-record are at fixed distances, choices are conditional expressions, and sine, cosine and logarithm are polynomials.
-A tangency takes 14 ns so, and 45 ns alone (docs/development/speed.md).
+A loop over the lanes of a group becomes vector instructions where it has neither branches nor calls: so the arrays of
+one record are at fixed distances, choices are conditional expressions, and sine, cosine and logarithm are polynomials.
+A group has as many lanes as there are contacts, so that independent vectors fill the latency of each other; a constant
+number would have the loops unrolled before they are vectorised. Records of lanes are on the stack, because kernels do
+not count references (`compiling`). See docs/development/speed.md.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numba.core import cgutils, config
+from numba.extending import intrinsic
 
 from cycloid_fmu.contact.compiling import inlined
 
-LANES = 8  # two vectors of four; more would leave lanes empty in drives with errors, where four pins carry
+LANES = 32  # of one group at most
 
-Lanes = NDArray[np.void]
+Lanes = np.record
 _ROUND = 6755399441055744.0  # 1.5·2⁵²: added to a small number, it leaves no bits for a fraction
 _HALF_PI_HIGH, _HALF_PI_LOW = 1.57079632673412561417, 6.07710050650619224932e-11  # the first has 33 bits
 _LN2 = 6.93147180559945286227e-01
@@ -24,7 +28,32 @@ _LN2 = 6.93147180559945286227e-01
 
 def lanes_of(*names: str) -> np.dtype[np.void]:
     """Return a record of `LANES` numbers for each name."""
-    return np.dtype([(name, np.float64, (LANES,)) for name in names])
+    return np.dtype((np.record, [(name, np.float64, (LANES,)) for name in names]))
+
+
+@inlined
+def vectors(filled: int) -> int:
+    """Lanes of a group that are computed: whole vectors of four, at least one, so that no loop has a remainder."""
+    return max((filled + 3) & -4, 4)
+
+
+def on_stack(dtype: np.dtype[np.void]) -> Lanes:
+    """Return a record of lanes, in kernels uninitialized and on the stack of the function that calls this."""
+    return cast(np.record, np.zeros(1, dtype)[0])
+
+
+@intrinsic  # type: ignore[misc, untyped-decorator]
+def _on_stack(typing: Any, dtype: Any) -> Any:
+    def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        memory = cgutils.alloca_once(builder, context.get_data_type(signature.return_type))
+        memory.align = 64
+        return memory
+
+    return dtype.dtype(dtype), lower
+
+
+if not config.DISABLE_JIT:
+    on_stack = _on_stack
 
 
 @inlined

@@ -57,28 +57,29 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
         Pins that carry more than 1 % of the most loaded pin's force; Pa.
     """
     discs, pins = pin_force.shape
+    pin_radius = problem.pin_radius
+    stress = 1.0 / (math.pi * problem.slice_width * (problem.compliance_gear + problem.compliance_pin))
     for disc in range(discs):
         for pin in range(pins):
             pin_force[disc, pin] = pin_pressure[disc, pin] = 0.0
+    largest_force = largest_pressure = 0.0
     for i in range(touching_count(contacts)):
         row = int(contacts[i].touching)
         force = contacts[row].force
         if force <= 0.0:
             continue
         disc, _, pin = disc_slice_pin(problem, row)
-        pressure = 2.0 * force / (math.pi * _half_width(problem, contacts[row], pin) * problem.slice_width)
+        # 2F/(πab) with a of `half_width`
+        pressure = math.sqrt(force * stress * max(abs(1.0 / pin_radius[pin] + contacts[row].curvature), 1e-9))
         pin_force[disc, pin] += force
         pin_pressure[disc, pin] = max(pin_pressure[disc, pin], pressure)
-    largest_force = largest_pressure = 0.0
-    for disc in range(discs):
-        for pin in range(pins):
-            largest_force = max(largest_force, float(pin_force[disc, pin]))
-            largest_pressure = max(largest_pressure, float(pin_pressure[disc, pin]))
+        # A pin's force only grows, so the last of its sums is the largest.
+        largest_force = max(largest_force, pin_force[disc, pin])
+        largest_pressure = max(largest_pressure, pressure)
     count = 0
     for disc in range(discs):
         for pin in range(pins):
-            if pin_force[disc, pin] > _COUNTED * largest_force:
-                count += 1
+            count += 1 if pin_force[disc, pin] > _COUNTED * largest_force else 0
     return count, largest_pressure
 
 

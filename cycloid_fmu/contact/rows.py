@@ -23,6 +23,7 @@ gap_by_crank       m/rad the gap's derivative by θ; NaN with deviations, where 
 foot_by_crank      1     the foot's derivative by θ
 fall               m/rad the nearer gap of the pin's two rows falls by no more than this for each radian of the crank
 bounded_for        rad   crank angle either way up to which `fall` holds; both are in the pin's first row
+nearest            m     smallest gap of a pin's slices if all were solved at once, 0 otherwise; in the pin's first row
 touching           1     in row i the number of the ith row that may touch where all were placed last, -1 after the last
 ================== ===== ==========================================================================================
 """
@@ -34,20 +35,20 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import inlined, part
+from cycloid_fmu.contact.compiling import allocating, inlined, part
 from cycloid_fmu.contact.problem import Problem
 
 _FIELDS = (
     "foot", "foot_rate", "gap", "arm", "arm_rate", "curvature", "curvature_rate", "force", "stiffness",
     "force_by_curvature", "deviation", "place", "crank_angle", "gap_by_crank", "foot_by_crank", "fall", "bounded_for",
-    "touching",
+    "nearest", "touching",
 )  # fmt: skip
 ROW = np.dtype((np.record, [(name, np.float64) for name in _FIELDS]))  # a record, so that `.gap` works in Python too
 Rows = NDArray[np.void]
 _Index = TypeVar("_Index", int, NDArray[np.int64])
 
 
-@part
+@allocating
 def contact_rows(problem: Problem) -> Rows:
     """Return the empty contact rows of a problem, shape (discs x slices x pins x 2,)."""
     contacts = np.zeros(problem.crank_phase.size * problem.centre_x.size * problem.pin_x.size * 2, ROW)

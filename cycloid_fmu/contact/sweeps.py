@@ -92,10 +92,15 @@ def sweep(
 
 @inlined
 def _ahead(thetas: Array, deviation: Array, first: int, i: int) -> float:
-    """Deviation to start a crank angle from: in line with the last two, where these are as near."""
+    """Deviation to start a crank angle from: on the parabola through the last three, where these are as near."""
     x = float(deviation[i - 1]) if i > first else 0.0
     if i > first + 1 and abs(thetas[i] - thetas[i - 1]) < 1.5 * abs(thetas[i - 1] - thetas[i - 2]):
-        x += (x - deviation[i - 2]) * (thetas[i] - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
+        step, last = thetas[i] - thetas[i - 1], thetas[i - 1] - thetas[i - 2]
+        slope = (x - deviation[i - 2]) / last
+        x += slope * step
+        if i > first + 2 and abs(last) < 1.5 * abs(thetas[i - 2] - thetas[i - 3]):
+            before = thetas[i - 2] - thetas[i - 3]
+            x += step * (step + last) * (slope - (deviation[i - 2] - deviation[i - 3]) / before) / (last + before)
     return x
 
 
