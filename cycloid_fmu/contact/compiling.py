@@ -15,7 +15,22 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.runtime import rtsys
-from numba.core.typed_passes import NativeLowering
+from numba.core.typed_passes import (
+    AnnotateTypes,
+    DumpParforDiagnostics,
+    NativeLowering,
+    NopythonRewrites,
+    NoPythonSupportedFeatureValidation,
+)
+from numba.core.untyped_passes import (
+    FindLiterallyCalls,
+    InlineClosureLikes,
+    LiteralPropagationSubPipelinePass,
+    LiteralUnroll,
+    MakeFunctionToJitFunction,
+    RewriteDynamicRaises,
+    WithLifting,
+)
 from numba.extending import models, register_model
 from numpy.typing import NDArray
 
@@ -63,6 +78,34 @@ class _Part(types.Dispatcher):  # type: ignore[misc]
 register_model(_Part)(models.OpaqueModel)
 
 
+def _remember_operators() -> None:
+    """Have numba find the type of an operator on numbers once, not at each place where it is used.
+
+    It tries some twenty overloads, most of them of arrays, each time: a first analysis takes 1.2 times as long.
+    """
+    search = types.Function.get_call_type
+    found: dict[Any, tuple[Any, Any]] = {}
+
+    def get_call_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
+        if getattr(self.typing_key, "__module__", None) != "_operator" or not all(
+            isinstance(a, _NUMBERS) for a in args
+        ):
+            return search(self, context, args, kws)
+        asked = (self, context, args)
+        if asked not in found:
+            signature = search(self, context, args, kws)
+            found[asked] = signature, self.get_impl_key(signature)
+        signature, key = found[asked]
+        self._impl_keys[signature.args] = key
+        return signature
+
+    types.Function.get_call_type = get_call_type
+
+
+_NUMBERS = (types.Float, types.Integer, types.Boolean)
+_remember_operators()
+
+
 class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
     """Code of a part: neither optimised nor made machine code alone, both of which its kernel does with all its parts.
 
@@ -94,12 +137,22 @@ class _PartLowering(NativeLowering):  # type: ignore[misc]
         return True
 
 
+# For closures, comprehensions, array expressions, `with`, messages made at run time and literal arguments. Parts have
+# none of these, and each pass analyses the whole part again: a first analysis takes 1.2 times as long with them.
+_UNUSED = {
+    AnnotateTypes, DumpParforDiagnostics, FindLiterallyCalls, InlineClosureLikes, LiteralPropagationSubPipelinePass,
+    LiteralUnroll, MakeFunctionToJitFunction, NopythonRewrites, NoPythonSupportedFeatureValidation,
+    RewriteDynamicRaises, WithLifting,
+}  # fmt: skip
+
+
 class _PartCompiler(CompilerBase):  # type: ignore[misc]
-    """numba's own compiler with the lowering of a part."""
+    """numba's own compiler with the lowering of a part, without the passes that no part needs."""
 
     def define_pipelines(self) -> list[Any]:
         pipeline = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        pipeline.passes = [(_PartLowering if one is NativeLowering else one, why) for one, why in pipeline.passes]
+        passes = [(one, why) for one, why in pipeline.passes if one not in _UNUSED]
+        pipeline.passes = [(_PartLowering if one is NativeLowering else one, why) for one, why in passes]
         pipeline.finalize()
         return [pipeline]
 
