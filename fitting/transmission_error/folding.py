@@ -482,8 +482,8 @@ def _speed(time: Array, angle: Array) -> Array:
     """Return the speed at each sample, rad/s, from its neighbours, shape (n,); 0 where the time does not increase."""
     speed = np.zeros(angle.size)
     if angle.size > 1:
-        turned, passed = (np.concatenate([v[1:2] - v[:1], v[2:] - v[:-2], v[-1:] - v[-2:-1]]) for v in (angle, time))
-        np.divide(turned, passed, out=speed, where=passed > 0.0)
+        passed = np.gradient(time)
+        np.divide(np.gradient(angle), passed, out=speed, where=passed > 0.0)
     return speed
 
 
