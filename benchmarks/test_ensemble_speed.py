@@ -3,7 +3,7 @@
 A robot joint's cycle has ten torques, each over a crank turn: it starts, moves, brakes and holds, and does the same
 backwards. The drives are those that a fit cannot distinguish, with every pin and tooth displaced. As in the example of
 `fitting.ensemble`, threads analyze them and only the band of their transmission errors is kept. The baseline is the
-exact sweep of the first drives in a Python loop, with the play and without any labels. CYCLOID_SEEDS drives (1,000).
+exact sweep of the first drives in a Python loop, with the play and without any labels. CYCLOID_DRIVES drives (1,000).
 """
 
 import os
@@ -20,7 +20,7 @@ from cycloid_fmu.drive import Drive, read_drive
 from fitting.model.observations import scatter_names
 
 CYCLE = [half * torque for half in (1.0, -1.0) for torque in (181.0, 90.0, -60.0, 20.0, -120.0)]  # N·m
-DRIVES, FIRST, ANGLES = int(os.environ.get("CYCLOID_SEEDS", "1000")), 20, 360
+DRIVES, FIRST, ANGLES = int(float(os.environ.get("CYCLOID_DRIVES", "1000"))), 20, 360
 
 
 def clocks():
