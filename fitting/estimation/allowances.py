@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cycloid_fmu.geometry.pair import Pair
-from fitting.estimation.fit import Estimate
+from fitting.estimation.fit import Estimate, Problem
 from fitting.estimation.parameter import NORMAL, Parameter, parameter
 from fitting.model.bearings import as_stated, unit_of_bearing
 from fitting.model.discrepancy import LAG, by_lag
-from fitting.model.observations import MISFIT, Linear, Observations, form_columns
+from fitting.model.observations import MISFIT, Linear, Observations, form_columns, left_of
 from fitting.model.prior import tolerances_of
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ LAG_NAME = f"{MISFIT}_{LAG}_0"
 _TOLD = 0.1  # share of a bearing's variance that the data must take away for it to be told
 
 
-def moved_by_held(fit: Estimate, names: Sequence[str]) -> Array:
+def moved_by_held(pair: Pair, fit: Estimate, names: Sequence[str]) -> Array:
     """Change of the fitted unknowns by held errors of usual size.
 
     A held error moves the curves nearly as fitted ones do; the difference moves other errors. Considered in the sense
@@ -34,8 +34,8 @@ def moved_by_held(fit: Estimate, names: Sequence[str]) -> Array:
 
     Parameters
     ----------
-    fit
-        The end of the fit.
+    pair, fit
+        The nominal pair and the end of the fit.
     names
         The held errors.
 
@@ -44,8 +44,9 @@ def moved_by_held(fit: Estimate, names: Sequence[str]) -> Array:
     moved
         Shape (unknowns, names), SI: each for one standard deviation of an error.
     """
-    problem, own = fit.equations.problem, fit.equations.columns
-    information = fit.equations.gram + np.diag(problem.precision(fit.scatter))
+    problem = Problem(pair, fit.observed, fit.chosen)
+    own = problem.columns(fit.observed, fit.linear)
+    information = own.T @ own + np.diag(problem.precision(fit.scatter))
     held = fit.linear.structured[:, [fit.observed.errors.index(n) for n in names]]
     held = held * tolerances_of(names, fit.observed.profile) * fit.observed.weight[:, None]
     size = np.sqrt(np.diag(information))
@@ -76,13 +77,20 @@ def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
     The orders of the form are added to the unknowns of the linear model, with their sizes as prior. The stated errors
     are those without form, so the effect of form on the best estimate is included.
     """
-    problem, own, count = fit.equations.problem, fit.equations.columns, len(fit.chosen)
-    beside = form * fit.observed.weight[:, None] * form_columns(pair, fit.observed, fit.state, fit.linear, form)
-    alone, cross = fit.equations.gram + np.diag(problem.precision(fit.scatter)), own.T @ beside
-    covariance = _inverse(np.block([[alone, cross], [cross.T, beside.T @ beside + np.eye(beside.shape[1])]]))
+    problem, observed, count = Problem(pair, fit.observed, fit.chosen), fit.observed, len(fit.chosen)
+    own = problem.columns(observed, fit.linear)
+    beside = form * observed.weight[:, None] * form_columns(pair, observed, fit.state, fit.linear, form)
+    columns = np.hstack([own, beside])
+    precision = np.concatenate([problem.precision(fit.scatter), np.ones(beside.shape[1])])
+    information = columns.T @ columns + np.diag(precision)
+    left = observed.weight * left_of(observed, fit.linear, fit.state)
+    covariance = _inverse(information)
+    slope = columns.T @ left
     # The fit has ended, so that its own unknowns have no slope.
-    moved = covariance[:, own.shape[1] :] @ (beside.T @ fit.equations.left)
-    grown = np.diag(covariance)[:count] - np.diag(_inverse(alone))[:count] + moved[:count] ** 2
+    slope[: own.shape[1]] = 0.0
+    moved = covariance @ slope
+    alone = _inverse(information[: own.shape[1], : own.shape[1]])
+    grown = np.diag(covariance)[:count] - np.diag(alone)[:count] + moved[:count] ** 2
     found: Array = np.sqrt(np.maximum(grown, 0.0)) * problem.scale[:count]
     return found
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
-from fitting.estimation.fit import Estimate, stated_range
+from fitting.estimation.fit import Estimate, Problem, stated_range
 from fitting.estimation.normal_equations import Factor
-from fitting.model.observations import linearise
+from fitting.model.observations import Linear, State, left_of, linearise
 
 if TYPE_CHECKING:
     import lmfit
@@ -46,10 +46,11 @@ class Confirmed:
 
 @dataclass(frozen=True)
 class _Evaluated:
-    """A fit at some values, and its normal equations with the priors, in units of the noise."""
+    """The model at some values, and its normal equations with the priors, in units of the noise."""
 
     values: Array
-    estimate: Estimate
+    state: State
+    linear: Linear
     gram: Array
     slope: Array
     misfit: float
@@ -108,9 +109,7 @@ def possible(pair: Pair, name: str) -> tuple[float, float]:
     return low, high
 
 
-def confirmed(
-    pair: Pair, estimate: Estimate, gain: float, inflation: float = 1.0
-) -> tuple[Estimate, dict[str, Confirmed], Array]:
+def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, dict[str, Confirmed], Array]:
     """Take the last step of a fit, with its noise and scatter.
 
     It is an undamped Gauss-Newton step within the bounds: an unknown at a bound that would go beyond stays
@@ -122,8 +121,6 @@ def confirmed(
         The nominal pair and the end of the fit.
     gain
         A step with a smaller predicted gain of the sum of squares in units of the noise is not taken.
-    inflation
-        Factor of the noise relative to that of the fit.
 
     Returns
     -------
@@ -135,7 +132,7 @@ def confirmed(
     covariance
         Of those that vary, in their order, SI.
     """
-    problem, observed = estimate.equations.problem, estimate.observed
+    problem, observed = Problem(pair, estimate.observed, estimate.chosen), estimate.observed
     precision = problem.precision(estimate.scatter)
     lowest = dict(zip(observed.bearing_names, observed.bearing_lowest, strict=True))
     # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
@@ -144,20 +141,20 @@ def confirmed(
         for name in problem.names
     ])  # fmt: skip
 
-    def evaluated(values: Array, one: Estimate | None = None) -> _Evaluated:
-        if one is None:
-            state = problem.state(values / problem.scale)
-            one = dataclasses.replace(estimate, state=state, linear=linearise(pair, observed, state))
-        equations, unknowns = one.equations, values / problem.scale
-        gram = equations.gram / inflation**2 + np.diag(precision)
-        slope = equations.moment / inflation**2 - precision * unknowns
-        misfit = float(equations.left @ equations.left / inflation**2 + precision @ unknowns**2)
-        return _Evaluated(values, one, gram, slope, misfit)
+    def evaluated(values: Array, linear: Linear | None = None) -> _Evaluated:
+        state = problem.state(values / problem.scale)
+        linear = linearise(pair, observed, state) if linear is None else linear
+        left = observed.weight * left_of(observed, linear, state)
+        columns = problem.columns(observed, linear)
+        gram = columns.T @ columns + np.diag(precision)
+        slope = columns.T @ left - precision * values / problem.scale
+        misfit = float(left @ left + precision @ (values / problem.scale) ** 2)
+        return _Evaluated(values, state, linear, gram, slope, misfit)
 
     ended = problem.unknowns(estimate.state) * problem.scale
     start = np.clip(ended, low, high)
     inside = bool(np.allclose(start, ended, rtol=1e-9, atol=0.0))
-    best = first = evaluated(start, estimate if inside else None)
+    best = first = evaluated(start, estimate.linear if inside else None)
     free = ~(((start <= low) & (first.slope < 0.0)) | ((start >= high) & (first.slope > 0.0)))
     step = np.zeros(start.size)
     step[free] = Factor(first.gram[np.ix_(free, free)]).solve(first.slope[free])
@@ -172,9 +169,9 @@ def confirmed(
     for name in observed.errors:
         if name not in estimate.chosen:
             parameters[name] = Confirmed(structured_value(pair, problem.prior, name), *possible(pair, name), vary=False)
-    found = best.estimate.restated(
-        misfit=best.misfit,
+    found = dataclasses.replace(
+        estimate, state=best.state, linear=best.linear, misfit=best.misfit,
         evaluations=estimate.evaluations + int(taken) + (not inside),
         unlikelihood=estimate.unlikelihood + best.misfit - first.misfit,
-    )
+    )  # fmt: skip
     return found, parameters, covariance

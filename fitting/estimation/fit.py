@@ -14,7 +14,6 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -74,8 +73,6 @@ class Estimate:
 
     Attributes
     ----------
-    pair
-        The nominal pair.
     observed
         The observations, weighted by the noise of the fit, without outliers.
     chosen
@@ -96,7 +93,6 @@ class Estimate:
         Number of starts from which a fit of some of the points ended in different optima; 0 if two of them agreed.
     """
 
-    pair: Pair
     observed: Observations
     chosen: tuple[str, ...]
     state: State
@@ -116,46 +112,6 @@ class Estimate:
     def noise(self) -> float:
         """Noise of a point, the geometric mean over the curves without loops, rad."""
         return float(np.exp(np.mean(np.log(self.noises[self.observed.running]))))
-
-    @cached_property
-    def equations(self) -> Equations:
-        """The normal equations of this end, in units of the noise and without priors."""
-        problem, observed = Problem(self.pair, self.observed, self.chosen), self.observed
-        columns = problem.columns(observed, self.linear)
-        left = observed.weight * left_of(observed, self.linear, self.state)
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            grams = np.array(list(pool.map(lambda own: own.T @ own, np.split(columns, observed.ends))))
-        return Equations(problem, columns, left, grams, grams.sum(axis=0), columns.T @ left)
-
-    def restated(self, **changes: Any) -> Estimate:
-        """The same with other values of attributes that do not change its equations."""
-        found = dataclasses.replace(self, **changes)
-        found.__dict__["equations"] = self.equations
-        return found
-
-
-@dataclass(frozen=True)
-class Equations:
-    """The normal equations at the end of a fit, in units of the noise and without priors.
-
-    Attributes
-    ----------
-    problem
-        The unknowns.
-    columns, left
-        Derivatives by the unknowns, shape (points, unknowns), and what the fit leaves, shape (points,).
-    grams
-        Products of the columns of each curve, shape (curves, unknowns, unknowns).
-    gram, moment
-        Of all curves, shapes (unknowns, unknowns) and (unknowns,).
-    """
-
-    problem: Problem
-    columns: Array
-    left: Array
-    grams: Array
-    gram: Array
-    moment: Array
 
 
 @dataclass(frozen=True)
@@ -239,11 +195,8 @@ class Problem:
     def columns(self, observed: Observations, linear: Linear) -> Array:
         """Return the model's derivatives by the unknowns in units of the noise, shape (points, unknowns)."""
         nuisances, _ = nuisance_columns(observed, linear)
-        columns, weight = np.empty((observed.measured.size, self.scale.size)), observed.weight[:, None]
-        errors = len(self.chosen)
-        np.multiply(linear.structured[:, self.columns_of_chosen], weight, out=columns[:, :errors])
-        np.multiply(nuisances, weight, out=columns[:, errors : self.first_scatter])
-        np.multiply(linear.scatter, weight, out=columns[:, self.first_scatter :])
+        columns = np.column_stack([linear.structured[:, self.columns_of_chosen], nuisances, linear.scatter])
+        columns *= observed.weight[:, None]
         columns *= self.scale
         return columns
 
@@ -289,8 +242,7 @@ class Problem:
             inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
             scale, count = 1.4826 * np.median(np.abs(left[one.weight > 0.0])), np.count_nonzero(inside)
             columns = self.columns(one, linear)
-            if not inside.all():
-                columns[~inside], left[~inside] = 0.0, 0.0
+            columns[~inside], left[~inside] = 0.0, 0.0
             return linear, (columns.T @ columns, columns.T @ left, left @ left, count, scale,
                             np.count_nonzero(one.weight) - count)  # fmt: skip
 
@@ -420,11 +372,11 @@ def fit(
     misfit = _misfit(now, limit) + float(precision @ (unknowns - mean) ** 2)
     gram = now.gram.sum(axis=0) + np.diag(precision)
     seen = observed.weight[observed.weight > 0.0]
-    unlikelihood = misfit + float(Factor(gram).log_determinant - np.log(precision).sum() - 2.0 * np.log(seen).sum())
+    unlikelihood = misfit + float(np.linalg.slogdet(gram)[1] - np.log(precision).sum() - 2.0 * np.log(seen).sum())
     state, linear = problem.state(unknowns), joined(now.linears)
     off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, limit)
     observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight)).with_sizes(scatter)
-    return Estimate(pair, observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
+    return Estimate(observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
 
 
 def _each_point(observed: Observations, values: Array) -> Array:
@@ -493,25 +445,26 @@ def _ahead(
     return Factor(normal.gram.sum(axis=0) + np.diag(precision)).solve(slope)
 
 
-def allowed_radius(estimate: Estimate) -> float:
+def allowed_radius(pair: Pair, estimate: Estimate) -> float:
     """Return the posterior root mean square of the scatter of single pins' radii, m.
 
     Curves hardly separate it from that of the radial places, so its most likely value is often wrongly zero. This is
     the mean over its distribution: the restricted likelihood in the linear model, all other variances unchanged, with a
     uniform prior (Gelman, Bayesian Analysis 1 (2006) 515).
     """
-    equations = estimate.equations
-    problem, own = equations.problem, np.zeros(len(equations.gram), bool)
-    own[equations.problem.parts[PIN_RADIUS]] = True
-    moment = equations.moment + equations.gram @ problem.unknowns(estimate.state)
-    # All other unknowns are eliminated once; the sizes change the radii's precision only, which is one number.
-    rest = Factor(equations.gram[np.ix_(~own, ~own)] + np.diag(problem.precision(estimate.scatter)[~own]))
-    cross = equations.gram[np.ix_(~own, own)]
-    told, axes = np.linalg.eigh(equations.gram[np.ix_(own, own)] - cross.T @ rest.solve(cross))
-    told, slopes = np.maximum(told, 0.0), axes.T @ (moment[own] - cross.T @ rest.solve(moment[~own]))
+    problem = Problem(pair, estimate.observed, estimate.chosen)
+    columns = problem.columns(estimate.observed, estimate.linear)
+    unknowns = problem.unknowns(estimate.state)
+    gram = columns.T @ columns
+    left = estimate.observed.weight * left_of(estimate.observed, estimate.linear, estimate.state)
+    moment = columns.T @ left + gram @ unknowns
     sizes = np.concatenate([[NO_SCATTER], RADIUS_SPREAD * _SIZES])
-    precision = (problem.scale[own][0] / sizes[:, None]) ** 2
-    log = 0.5 * (slopes**2 / (told + precision) - np.log1p(told / precision)).sum(axis=1)
+    unlikely = []
+    for size in sizes:
+        precision = problem.precision({**estimate.scatter, PIN_RADIUS: float(size)})
+        whole = gram + np.diag(precision)
+        unlikely.append(np.linalg.slogdet(whole)[1] - np.log(precision).sum() - moment @ Factor(whole).solve(moment))
+    log = -0.5 * np.array(unlikely)
     weight = np.exp(log - log.max())
     return float(np.sqrt(np.trapezoid(weight * sizes**2, sizes) / np.trapezoid(weight, sizes)))
 
@@ -609,7 +562,7 @@ def profile_interval(
     return ends[0], ends[1]
 
 
-def turn_bootstrap(estimate: Estimate, draws: int, seed: int) -> Array:
+def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Array:
     """Standard errors of the fitted errors from the scatter of turns: bootstrap of the turns.
 
     Every draw is one Gauss-Newton step from the optimum (Shao and Tu, The Jackknife and Bootstrap, 1995, section
@@ -618,8 +571,8 @@ def turn_bootstrap(estimate: Estimate, draws: int, seed: int) -> Array:
 
     Parameters
     ----------
-    estimate
-        The end of the fit, of curves that keep their turns. Loops are not resampled.
+    estimate, pair
+        The end of the fit, of curves that keep their turns, and the nominal pair. Loops are not resampled.
     draws, seed
         Number of draws, and the seed; the same seed draws the same turns.
 
@@ -637,10 +590,11 @@ def turn_bootstrap(estimate: Estimate, draws: int, seed: int) -> Array:
     turning = [observed.curves[i] for i in observed.running]
     if any(c.each_turn is None or len(c.each_turn) < TURNS for c in turning):
         raise ValueError(f"every curve needs at least {TURNS} turns")
-    equations, problem = estimate.equations, estimate.equations.problem
+    problem = Problem(pair, observed, estimate.chosen)
+    columns = problem.columns(observed, estimate.linear)
+    gram = columns.T @ columns
     errors = slice(0, len(estimate.chosen))
-    whole = equations.gram + np.diag(problem.precision(estimate.scatter))
-    step = linalg.solve(whole, equations.columns.T, assume_a="pos")[errors]
+    step = linalg.solve(gram + np.diag(problem.precision(estimate.scatter)), columns.T, assume_a="pos")[errors]
     step *= observed.weight * problem.scale[errors, None]
     generator = np.random.default_rng(seed)
     moved = np.zeros((draws, len(estimate.chosen)))

@@ -280,7 +280,7 @@ def _described_otherwise(
         return round(float(np.sum((np.array(off) / sizes) ** 2)), 1)
 
     first, *others = sorted(every, key=distance)
-    return first.restated(disagreeing=found.disagreeing), tuple(others)
+    return dataclasses.replace(first, disagreeing=found.disagreeing), tuple(others)
 
 
 def _described_by(pair: Pair, found: Estimate, surface: ErrorSurface) -> State:
@@ -370,13 +370,13 @@ def _validated(
     def looks_like(found: Estimate, likely: Likely | None = None) -> Likely:
         state = found.state if form and not formed else None
         columns = causes(pair, found.observed, found.linear, state)
-        return likely_causes(Residual(found), columns, likely)
+        return likely_causes(Residual(pair, found), columns, likely)
 
     rough, known, rigid = _started(curves, pair, known, progress) if start is None else (start, known, None)
     # Where the chain is soft, the scatter of the whole fit would absorb run-out, drift and wind-up as far as it can.
     beside = Likely({}, {}, ())
     if known.soft_chain:
-        suspected = causes_of(Residual(rough), beside_the_gear(rough.observed)).columns
+        suspected = causes_of(Residual(pair, rough), beside_the_gear(rough.observed)).columns
         every = beside_the_gear(_observed(curves, pair, known))
         beside = Likely({n: one for n, one in every.items() if n in suspected}, {}, ())
     misfit: tuple[Mapping[str, Array], Array | None, Array | float] = beside.columns, None, 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
+from scipy import linalg
 
 Array = NDArray[np.float64]
 
@@ -25,28 +25,15 @@ class Factor:
 
     def __init__(self, gram: Array) -> None:
         self._size = np.sqrt(np.diag(gram))
-        scaled = gram / self._size[:, None]
-        scaled /= self._size
-        # Symmetric: its transpose is the same matrix in the order of LAPACK.
-        self._factor, failed = lapack.dpotrf(scaled.T, lower=True, clean=False, overwrite_a=True)
-        if failed or not np.isfinite(np.diag(self._factor)).all():
-            raise np.linalg.LinAlgError("the normal equations are not positive definite")
+        self._factor = linalg.cho_factor(gram / np.outer(self._size, self._size))
 
     def solve(self, slope: Array) -> Array:
-        """Return the unknowns of right sides, shape (unknowns,) or (unknowns, sides)."""
-        size = self._size.reshape(-1, *[1] * (slope.ndim - 1))
-        found: Array = lapack.dpotrs(self._factor, slope / size, lower=True)[0]
-        return found / size
+        """Return the unknowns of a right side, shape (unknowns,)."""
+        found: Array = linalg.cho_solve(self._factor, slope / self._size) / self._size
+        return found
 
     def inverse(self) -> Array:
         """Return the inverse of the matrix."""
-        half = np.tril(lapack.dpotri(self._factor, lower=True)[0])
-        found: Array = half + np.tril(half, -1).T
-        found /= self._size[:, None]
-        found /= self._size
+        size = self._size
+        found: Array = linalg.cho_solve(self._factor, np.eye(size.size)) / np.outer(size, size)
         return found
-
-    @property
-    def log_determinant(self) -> float:
-        """Logarithm of the determinant of the matrix."""
-        return float(2.0 * (np.log(np.diag(self._factor)).sum() + np.log(self._size).sum()))

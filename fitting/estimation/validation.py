@@ -18,9 +18,9 @@ from scipy import linalg, special
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
-from fitting.estimation.fit import Estimate
+from fitting.estimation.fit import Estimate, Problem
 from fitting.model.discrepancy import BESIDE_THE_GEAR, FORM, SENTENCES, is_whole, waves, way
-from fitting.model.observations import CHAIN, CREEP, MISFIT, Observations, with_scatter
+from fitting.model.observations import CHAIN, CREEP, MISFIT, Observations, left_of, with_scatter
 
 Array = NDArray[np.float64]
 
@@ -147,21 +147,23 @@ class Residual:
 
     Parameters
     ----------
-    estimate
-        The end of the fit.
+    pair, estimate
+        The nominal pair and the end of the fit.
     """
 
-    def __init__(self, estimate: Estimate) -> None:
-        equations, problem = estimate.equations, estimate.equations.problem
+    def __init__(self, pair: Pair, estimate: Estimate) -> None:
+        problem = Problem(pair, estimate.observed, estimate.chosen)
         self.observed, self.scale = estimate.observed, problem.scale
         self.weight = self.observed.weight
-        self.columns, self.grams = equations.columns, equations.grams
+        self.left = self.weight * left_of(self.observed, estimate.linear, estimate.state)
+        self.columns = problem.columns(self.observed, estimate.linear)
         precision = problem.precision(estimate.scatter)
-        self.information = equations.gram + np.diag(precision)
+        self.information = self.columns.T @ self.columns + np.diag(precision)
         self._factor = linalg.cho_factor(self.information)
         # The fit ends where a step gains little; the tests are made at the optimum.
-        step = linalg.cho_solve(self._factor, equations.moment - precision * problem.unknowns(estimate.state))
-        self.left = equations.left - self.columns @ step
+        slope = self.columns.T @ self.left - precision * problem.unknowns(estimate.state)
+        step = linalg.cho_solve(self._factor, slope)
+        self.left = self.left - self.columns @ step
         self.pulls = _creeps_with_load(estimate)
         for name, cause in _PULLED.items():
             at = problem.names.index(name)
@@ -176,42 +178,38 @@ class Residual:
                 pull = float(special.chdtrc(1, square)), square
                 self.pulls[cause] = min(pull, self.pulls.get(cause, pull))
 
+    def beyond(self, columns: Array) -> Array:
+        """Part of columns outside the span of the fit's unknowns, in units of the noise, shape (points, columns)."""
+        own = self.weight[:, None] * columns
+        found: Array = own - self.columns @ linalg.cho_solve(self._factor, self.columns.T @ own)
+        return found
+
     def score(self, columns: Array) -> tuple[float, Array]:
         """Probability that noise resembles these columns as much, and their part of the residual.
 
         A score test (Rao, Proc. Camb. Phil. Soc. 44 (1948) 50): the model is not fitted again.
         """
-        own = self.weight[:, None] * columns
-        cross = self.columns.T @ own
-        shared = linalg.cho_solve(self._factor, cross)
-        square = own.T @ own
-        size = np.sqrt(np.diag(square))
-        # What lies outside the span of the fit's unknowns.
-        values, vectors = np.linalg.eigh((square - cross.T @ shared) / np.outer(size, size))
+        own, beyond = self.weight[:, None] * columns, self.beyond(columns)
+        size = np.sqrt((own**2).sum(axis=0))
+        values, vectors = np.linalg.eigh(own.T @ beyond / np.outer(size, size))
         told = values > _SEEN
         if not told.any():
             return 1.0, np.zeros_like(self.left)
         slopes = (vectors.T @ ((own.T @ self.left) / size))[told]
         chance = float(special.chdtrc(np.count_nonzero(told), float(slopes**2 @ (1.0 / values[told]))))
         coefficients = vectors[:, told] @ (slopes / values[told]) / size
-        return chance, own @ coefficients - self.columns @ (shared @ coefficients)
+        return chance, np.asarray(beyond @ coefficients)
 
     def take(self, columns: Array) -> None:
         """Add columns to the unknowns of the fit."""
         own = self.weight[:, None] * columns
         _, part = self.score(columns)
         size = (own**2).sum(axis=0)
-        self.columns = np.hstack([self.columns, own])
-        # Only the products with the added columns are new.
-        cross = np.array([one.T @ one[:, -own.shape[1] :] for one in np.split(self.columns, self.observed.ends)])
-        before = len(self.information)
-        self.grams = np.concatenate([
-            np.concatenate([self.grams, np.swapaxes(cross[:, :before], 1, 2)], axis=1), cross
-        ], axis=2)  # fmt: skip
-        total = cross.sum(axis=0)
+        cross = self.columns.T @ own
         self.information = np.block([
-            [self.information, total[:before]], [total[:before].T, total[before:] + np.diag(_SEEN * size)],
+            [self.information, cross], [cross.T, own.T @ own + np.diag(_SEEN * size)],
         ])  # fmt: skip
+        self.columns = np.hstack([self.columns, own])
         self._factor = linalg.cho_factor(self.information)
         self.left = self.left - part
 
@@ -222,9 +220,11 @@ class Residual:
 
     def contradicts(self, numbers: Sequence[int]) -> float:
         """Probability that noise makes some curves and the others disagree as much on the fit's unknowns."""
-        own = self.grams[list(numbers)].sum(axis=0)
-        columns, left = (np.split(one, self.observed.ends) for one in (self.columns, self.left))
-        score = np.sum([columns[n].T @ left[n] for n in numbers], axis=0)
+        places = np.split(np.arange(self.left.size), self.observed.ends)
+        part = np.concatenate([places[n] for n in numbers])
+        columns = self.columns[part]
+        own = columns.T @ columns
+        score = columns.T @ self.left[part]
         spread = own - own @ linalg.cho_solve(self._factor, own)
         size = np.sqrt(np.maximum(np.diag(own), 1e-12 * np.diag(own).max()))
         values, vectors = np.linalg.eigh(spread / np.outer(size, size))
@@ -438,7 +438,7 @@ def verdict_of(pair: Pair, estimate: Estimate, likely: Likely, formed: bool = Fa
     formed
         Whether the errors include a form of the flanks that was not stated.
     """
-    observed, residual = estimate.observed, Residual(estimate)
+    observed, residual = estimate.observed, Residual(pair, estimate)
     failed, yardstick = failures(residual, residual.left)
     used = (observed.weight > 0.0) & ~observed.of_loops
     misfits = []

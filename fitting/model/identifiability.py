@@ -102,12 +102,10 @@ def information_of_points(observed: Observations, linear: Linear, names: Sequenc
     nuisances, priors = nuisance_columns(observed, linear)
     columns = np.column_stack([linear.structured, linear.scatter, nuisances])
     columns *= observed.weight[:, None]
-    size = np.concatenate([
+    columns *= np.concatenate([
         tolerances_of(names, observed.profile), spread, np.where(np.isfinite(priors), priors, 1e-4),
     ])  # fmt: skip
     information: Array = columns.T @ columns
-    information *= size[:, None]
-    information *= size
     return information
 
 

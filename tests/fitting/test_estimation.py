@@ -210,7 +210,7 @@ def test_turns_drawn_again_show_what_is_not_white(simple, nominal):
             each = each + wander * np.outer(generator.normal(0.0, 1.0, turns), np.cos(c.input_angle))
             curves.append(dataclasses.replace(c, each_turn=c.transmission_error + each - each.mean(axis=0)))
         one = dataclasses.replace(found, observed=dataclasses.replace(found.observed, curves=tuple(curves)))
-        return turn_bootstrap(one, 400, seed=1)
+        return turn_bootstrap(one, nominal, 400, seed=1)
 
     drawn, white = errors(0.0)
     assert drawn == pytest.approx(white, rel=0.35)
@@ -219,7 +219,7 @@ def test_turns_drawn_again_show_what_is_not_white(simple, nominal):
     assert drawn[ERRORS.index("centre_distance_x")] > 3.0 * white[ERRORS.index("centre_distance_x")]
     assert drawn[ERRORS.index("tooth_cumulative_pitch_1_sin")] < 1.5 * white[-1]
     with pytest.raises(ValueError, match="turns"):
-        turn_bootstrap(found, 10, seed=1)
+        turn_bootstrap(found, nominal, 10, seed=1)
 
 
 def test_a_curve_keeps_its_turns_where_asked_to(nominal):
