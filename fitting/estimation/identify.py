@@ -202,7 +202,7 @@ def identify(
             if kept:
                 progress("fitting without the held-out curves")
                 # One to first order is enough, a third of the work: where it predicts badly the whole fit has the say.
-                start, prior = _started(rest, pair, prior, progress)
+                start, prior, _ = _started(rest, pair, prior, progress)
                 predicted = _predicted(pair, start, [running[i] for i in kept])
                 if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):
                     start = None
@@ -372,7 +372,7 @@ def _validated(
         columns = causes(pair, found.observed, found.linear, state)
         return likely_causes(Residual(pair, found), columns, likely)
 
-    rough, known = _started(curves, pair, known, progress) if start is None else (start, known)
+    rough, known, rigid = _started(curves, pair, known, progress) if start is None else (start, known, None)
     # Where the chain is soft, the scatter of the whole fit would absorb run-out, drift and wind-up as far as it can.
     beside = Likely({}, {}, ())
     if known.soft_chain:
@@ -390,8 +390,9 @@ def _validated(
     if is_worse and known.soft_chain:
         # A start to first order with a soft chain may be none for the exact model, as on bearings that no file states.
         known = dataclasses.replace(known, soft_chain=False)
-        start, _ = _starting_estimate(pair, _observed(curves, pair, known), None, False, progress)
-        return _validated(curves, pair, start, known, form, progress)
+        if rigid is None:
+            rigid, _ = _starting_estimate(pair, _observed(curves, pair, known), None, False, progress)
+        return _validated(curves, pair, rigid, known, form, progress)
     progress("testing the residual")
     likely = looks_like(found, beside)
     if likely.formed:
@@ -458,19 +459,20 @@ def _observed(curves: Sequence[Curve], pair: Pair, known: Prior) -> Observations
 
 def _started(
     curves: Sequence[Curve], pair: Pair, known: Prior, progress: Callable[[str], None]
-) -> tuple[Estimate, Prior]:
+) -> tuple[Estimate, Prior, Estimate | None]:
     """A fit near the best one from the prior, and the prior with a soft chain if zeros creep that do not creep with it.
 
-    Not at once: a chain that may be soft can take the part of errors and of friction that are not found yet.
+    Then the fit without one is returned as well. Not at once: a chain that may be soft can take the part of errors and
+    of friction that are not found yet.
     """
     rough, _ = _starting_estimate(pair, _observed(curves, pair, known), None, False, progress)
     if known.soft_chain or not rough.scatter.get(CREEP, 0.0) > _MISFIT:
-        return rough, known
+        return rough, known, None
     soft = dataclasses.replace(known, soft_chain=True)
     other, _ = _starting_estimate(pair, _observed(curves, pair, soft), None, False, progress)
     # Two unknowns in place of one for each recording are likelier even where this start fits a little worse.
     is_still = other.scatter[CREEP] < _STILL * rough.scatter[CREEP] and other.noise < _AS_WELL * rough.noise
-    return (other, soft) if is_still or other.unlikelihood < rough.unlikelihood else (rough, known)
+    return (other, soft, rough) if is_still or other.unlikelihood < rough.unlikelihood else (rough, known, None)
 
 
 def _with_form(known: Prior, form: float) -> Prior:

@@ -160,7 +160,11 @@ def weakness(
             continue
         share, *_ = np.linalg.lstsq(columns[:, keep], columns[:, i], rcond=None)
         left = float(np.linalg.norm(columns[:, i] - columns[:, keep] @ share)) / length
-        leading = [j for j in np.argsort(-np.abs(share)) if abs(share[j]) > 0.2 * np.abs(share).max()][:4]
+        leading = [
+            j
+            for j in np.argsort(-np.round(np.abs(share), 2), kind="stable")
+            if abs(share[j]) > 0.2 * np.abs(share).max()
+        ][:4]
         alike = " ".join(f"{share[j]:+.2f} {chosen[j]}" for j in leading)
         if left < 0.05:
             reasons[name] = f"its effect on the transmission errors is that of {alike}"
