@@ -13,7 +13,7 @@ import math
 from typing import Any, cast
 
 import numpy as np
-from numba.core import cgutils, config
+from numba.core import cgutils, config, types
 from numba.extending import intrinsic
 
 from cycloid_fmu.contact.compiling import inlined
@@ -38,15 +38,19 @@ def vectors(filled: int) -> int:
 
 
 def on_stack(dtype: np.dtype[np.void]) -> Lanes:
-    """Return a record of lanes, in kernels uninitialized and on the stack of the function that calls this."""
+    """Return a record of lanes, in kernels on the stack of the function that calls this, zero where it begins."""
     return cast(np.record, np.zeros(1, dtype)[0])
 
 
 @intrinsic  # type: ignore[misc, untyped-decorator]
 def _on_stack(typing: Any, dtype: Any) -> Any:
     def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        memory = cgutils.alloca_once(builder, context.get_data_type(signature.return_type))
-        memory.align = 64
+        # The way of numba itself stores zeros element by element, which takes LLVM 3 s.
+        size = signature.return_type.size
+        with builder.goto_entry_block():
+            memory = builder.alloca(context.get_data_type(signature.return_type))
+            memory.align = 64
+            cgutils.memset(builder, memory, context.get_constant(types.intp, size), 0)
         return memory
 
     return dtype.dtype(dtype), lower

@@ -411,16 +411,27 @@ def _validated(
             likely = looks_like(found, beside)
             first = verdict_of(pair, found, likely, formed)
             is_more = likely.columns.keys() > beside.columns.keys()
+    plain = found
     if is_more:
         # The scatter has absorbed as much of the causes as it could.
         found = _without_scatter(pair, found)
     give: Array | None = None
     coefficients, verdict = np.zeros(0), None
     ends: list[tuple[Estimate, Verdict]] = []
+
+    def best() -> tuple[Estimate, Verdict | None]:
+        # Where the model does not hold, each linearisation at supports that gave way may fit worse than the one before.
+        return min(ends, key=lambda e: (e[1].state == "not explained", e[0].unlikelihood), default=(plain, None))
+
     for _ in range(_MISFITS if is_more else 0):
         taken = 0.0 if give is None else likely.columns[GIVE] @ coefficients
         misfit = likely.columns, give, taken
-        found = _fitted(curves, pair, found, known, progress, misfit)
+        try:
+            found = _fitted(curves, pair, found, known, progress, misfit)
+        except (edge.InputError, np.linalg.LinAlgError):
+            # With causes that are not those of the drive, as on bearings that no file states, there may be no fit.
+            found, verdict = best()
+            break
         verdict = verdict_of(pair, found, likely, formed)
         ends.append((found, verdict))
         before = give
@@ -440,10 +451,7 @@ def _validated(
             there = causes(pair, moved, linearise(pair, moved, found.state))
             likely = dataclasses.replace(likely, columns={n: there.get(n, one) for n, one in likely.columns.items()})
     else:
-        # Where the model does not hold, each linearisation at supports that gave way may fit worse than the one before.
-        found, verdict = min(
-            ends, key=lambda e: (e[1].state == "not explained", e[0].unlikelihood), default=(found, None)
-        )
+        found, verdict = best()
     if found.disagreeing and (beside.columns or verdict) and (verdict or first).state != "not explained":
         # The starts were made without the cause; two of them must agree with it.
         again = _fitted(curves, pair, None, known, progress, misfit)
