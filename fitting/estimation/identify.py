@@ -82,6 +82,7 @@ _MISFITS = 5  # fits with causes of misfit at most
 _SETTLED = 1e-7, 1e-7, 1e-7, 1e-4  # m and rad: supports that give way by no more have been found
 _TOLD_APART = 10.0  # of -2 log likelihood: a description that is less likely by more is excluded, 150 to 1
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
+_NO_FIT = edge.InputError, np.linalg.LinAlgError  # no contacts balance a load; singular equations
 # A fit ends where a step reduces the sum of squares in units of the noise by less than this: such a step moves one
 # estimate by a standard error at most, or all of them by a tenth. The last step follows.
 _START_GAIN, _GAIN = 8.0, 1.0
@@ -383,7 +384,7 @@ def _validated(
     try:
         found = _fitted(curves, pair, rough, known, progress, misfit)
         is_worse = found.noise > _BESIDE * rough.noise
-    except edge.InputError:
+    except _NO_FIT:
         if not known.soft_chain:
             raise
         is_worse = True
@@ -428,7 +429,7 @@ def _validated(
         misfit = likely.columns, give, taken
         try:
             found = _fitted(curves, pair, found, known, progress, misfit)
-        except (edge.InputError, np.linalg.LinAlgError):
+        except _NO_FIT:
             # With causes that are not those of the drive, as on bearings that no file states, there may be no fit.
             found, verdict = best()
             break
@@ -623,7 +624,7 @@ def _starting_estimate(
             one = fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, linear=linear,
                       evaluations=_START_EVALUATIONS, known=same_radius)  # fmt: skip
             return dataclasses.replace(one, scatter={**one.scatter, **dict.fromkeys(same_radius, NO_SCATTER)})
-        except (edge.InputError, np.linalg.LinAlgError):
+        except _NO_FIT:
             # To first order a fit may end where no contacts balance the load; creep may grow into what wind-up does.
             return None
 

@@ -10,6 +10,7 @@ from benches_as_they_are import EFFECTS, identified, is_right, names, outcome, s
 from sampled_drives import ARCSEC, SMALL
 
 from cycloid_fmu import edge
+from fitting.estimation import identify as identification
 from fitting.estimation.result import as_json
 from fitting.reports.report import report
 
@@ -63,6 +64,22 @@ def test_a_drive_on_bearings_is_not_explained_by_rigid_supports(floating):
     assert verdict.failed
     assert floating.surface.covariance is None
     assert all(math.isnan(end) for p in floating.parameters if p.held is None for end in p.interval)
+
+
+@pytest.mark.parametrize("problem", [np.linalg.LinAlgError("singular"), edge.InputError("no contacts balance it")])
+def test_causes_that_leave_no_fit_leave_the_one_before(small, monkeypatch, problem):
+    """On bearings that no file states the likely causes are not those of the drive."""
+    fitted = identification._fitted
+
+    def without_causes(curves, pair, start, known, progress, misfit=None, **options):
+        if misfit is not None and misfit[0]:
+            raise problem
+        return fitted(curves, pair, start, known, progress, misfit, **options)
+
+    monkeypatch.setattr(identification, "_fitted", without_causes)
+    found, _ = identified("disc and cranks on bearings", small, 0, turns=1)
+    assert found.verdict.state == "not explained"
+    assert all(math.isnan(end) for p in found.parameters if p.held is None for end in p.interval)
 
 
 def test_the_verdict_comes_first(floating, tmp_path):
