@@ -83,13 +83,12 @@ def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
     columns = np.hstack([own, beside])
     precision = np.concatenate([problem.precision(fit.scatter), np.ones(beside.shape[1])])
     information = columns.T @ columns + np.diag(precision)
+    covariance, alone = _inverse(information), _inverse(information[: own.shape[1], : own.shape[1]])
     left = observed.weight * left_of(observed, fit.linear, fit.state)
-    covariance = _inverse(information)
-    slope = columns.T @ left
-    # The fit has ended, so that its own unknowns have no slope.
-    slope[: own.shape[1]] = 0.0
-    moved = covariance @ slope
-    alone = _inverse(information[: own.shape[1], : own.shape[1]])
+    # The fit ends where a step gains little. At the optimum, where its own unknowns have no slope, the form's slope can
+    # be another: the deviation of an eccentricity was 0.24 or 0.46 µm from starts that differed little.
+    slope = own.T @ left - problem.precision(fit.scatter) * problem.unknowns(fit.state)
+    moved = covariance[:, own.shape[1] :] @ (beside.T @ (left - own @ (alone @ slope)))
     grown = np.diag(covariance)[:count] - np.diag(alone)[:count] + moved[:count] ** 2
     found: Array = np.sqrt(np.maximum(grown, 0.0)) * problem.scale[:count]
     return found

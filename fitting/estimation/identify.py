@@ -624,8 +624,12 @@ def _starting_estimate(
             one = fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, linear=linear,
                       evaluations=_START_EVALUATIONS, known=same_radius)  # fmt: skip
             return dataclasses.replace(one, scatter={**one.scatter, **dict.fromkeys(same_radius, NO_SCATTER)})
-        except _NO_FIT:
-            # To first order a fit may end where no contacts balance the load; creep may grow into what wind-up does.
+        except edge.InputError:
+            # To first order a fit may end where no contacts balance the load.
+            return None
+        except np.linalg.LinAlgError as problem:
+            # Creep may grow into what wind-up does.
+            singular.append(problem)
             return None
 
     def take(one: Estimate | None) -> None:
@@ -636,6 +640,7 @@ def _starting_estimate(
     exact = observed.fit_crank or pair.supports is not None or observed.first_stage is not None
     nominal = None if exact else linearisation_point(pair, prior, fewer)
     found: list[Estimate] = []
+    singular: list[np.linalg.LinAlgError] = []
 
     def around(surface: ErrorSurface) -> LinearisationPoint | None:
         try:
@@ -664,6 +669,8 @@ def _starting_estimate(
             break
     if start is not None:
         take(ended(few, start.state, start.scatter, around(start.state.surface)))
+    if not found and singular:
+        raise singular[0]
     if not found:
         raise edge.InputError(
             "no errors were found with which the pair's contacts carry the loads of these curves; check counts per "

@@ -25,7 +25,7 @@ from fitting.figures.spectrum import (
     without_orders,
 )
 from fitting.figures.survey import survey
-from fitting.recordings.sources import RecordingFile, Source, open_source
+from fitting.recordings.sources import RecordingFile, Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def maps(
     1000000
     """
     ratio = float(drive) if isinstance(drive, float | int) else drive.ratio
-    given = [recordings] if isinstance(recordings, Source) else list(recordings)
+    given = each_source(recordings)
     points: list[_Point] = []
     notes: list[str] = []
     for number, (found, said) in enumerate(_taken(given, ratio), start=1):

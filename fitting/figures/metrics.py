@@ -27,7 +27,7 @@ from fitting.figures.spectrum import (
 )
 from fitting.figures.starts import Start, back_driving_torques, start_figure, starting_torques
 from fitting.figures.survey import Surveyed, survey
-from fitting.recordings.sources import Source, open_source
+from fitting.recordings.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
 
 FORMAT = "cycloid-figures/1"
@@ -232,7 +232,7 @@ def metrics(
         ratio, rated = drive.ratio, drive.pair.rated_torque if rated is None else rated
     if isinstance(instruments, str | os.PathLike):
         instruments = read_instruments(instruments)
-    given = [recordings] if isinstance(recordings, Source) else list(recordings)
+    given = each_source(recordings)
     surveyed: list[Surveyed] = []
     problems: list[str] = []
     interrupted = False

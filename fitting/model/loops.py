@@ -29,7 +29,7 @@ from fitting.figures.survey import Surveyed, survey
 from fitting.model.first_stage import of_cranks
 from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Recording, RecordingStream
-from fitting.recordings.sources import Source, open_source
+from fitting.recordings.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.folding import LOCKED, curves
 
@@ -99,7 +99,7 @@ def observed_curves(
         If a recording can't be read, is of another drive, or gives neither.
     """
     pair, ratio = drive.pair, drive.ratio
-    given = [recordings] if isinstance(recordings, Source | Curve) else list(recordings)
+    given = each_source(recordings)
     found = [one for one in given if isinstance(one, Curve)]
     sources = [one for one in given if not isinstance(one, Curve)]
     locked = [is_locked(_checked_drive(open_source(one, ratio), drive), ratio) for one in sources]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import glob
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -120,6 +121,17 @@ class Run:
 
 
 Source = RecordingFile | Run | Recording | RecordingStream
+
+
+def each_source(recordings: Any) -> list[Any]:
+    """Return one or several sources or curves as a list; an `edge.ArgumentError` refuses a path."""
+    alone = isinstance(recordings, str | os.PathLike) or not isinstance(recordings, Iterable)
+    given = [recordings] if alone else list(recordings)
+    for one in given:
+        if isinstance(one, str | os.PathLike):
+            path = os.fspath(one)
+            raise edge.ArgumentError("recordings", f"read it first: fitting.read_recordings({path!r})", path)
+    return given
 
 
 def open_source(source: Source, ratio: float | None = None) -> Recording | RecordingStream:

@@ -20,7 +20,7 @@ from drivers.recording_format import GAP
 from fitting.recordings.cleaning import Block
 from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Recording, RecordingStream
-from fitting.recordings.sources import Source, open_source
+from fitting.recordings.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
@@ -567,7 +567,7 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     """
     ratio = drive if isinstance(drive, float | int) else drive.ratio
     found: list[Curve] = []
-    for source in [recordings] if isinstance(recordings, Source) else recordings:
+    for source in each_source(recordings):
         recording = open_source(source, ratio)
         folding = Folding(ratio, recording.source, keep_turns=keep_turns)
         blocks = PlausibleBlocks(recording, ratio)

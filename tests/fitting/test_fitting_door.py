@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,6 +67,16 @@ def test_errors_name_the_argument(arguments, problem):
         fitting.metrics(run, **{"ratio": -39.0, **arguments})
     with pytest.raises(edge.InputError, match="torque has the shape"):
         fitting.Run(input_angle=0.0, output_angle=np.zeros(9), torque=np.zeros(8)).open()
+
+
+@pytest.mark.parametrize("recordings", ["run.csv", ["run.csv", "other.csv"], Path("run.csv")])
+def test_a_path_is_to_be_read_first(recordings):
+    drive = read_drive(BENCH / "pair.toml")
+    for takes in (fitting.curves, fitting.identify, fitting.maps, fitting.metrics):
+        with pytest.raises(
+            edge.ArgumentError, match=r"recordings = .*read it first: fitting.read_recordings\('run.csv'\)"
+        ):
+            takes(recordings, drive)
 
 
 def test_simulated_runs_without_noise_are_refused_in_a_sentence():

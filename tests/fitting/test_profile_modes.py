@@ -2,16 +2,18 @@
 
 import numpy as np
 import pytest
-from common import EXAMPLES
+from common import BENCH, EXAMPLES
 
 from cycloid_fmu.contact.transmission import error_sensitivity, solve
-from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive import Drive, read_drive
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation import identify as identification
 from fitting.estimation.identify import identify
 from fitting.model.prior import Prior, profile_of
+from fitting.recordings.sources import read_recordings
 from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000
@@ -82,3 +84,15 @@ def test_form_within_its_tolerance_no_longer_bends_the_other_errors(made, nomina
             assert p.standard_error <= tolerated[p.name]
             assert structured_value(nominal, found.surface, p.name) == pytest.approx(p.value, abs=1e-12)
     assert found.surface.covariance_of[: len(found.fitted)] == found.fitted
+
+
+@pytest.mark.slow(12)
+def test_what_form_may_do_does_not_depend_on_where_the_fit_ended(monkeypatch):
+    """A fit ends near the optimum, from other starts elsewhere near it."""
+    drive, recordings = read_drive(BENCH / "pair.toml"), read_recordings(str(BENCH / "*.csv"))
+    forms = []
+    for points in (4000, 4100):
+        monkeypatch.setattr(identification, "_START_POINTS", points)
+        parameters = identify(recordings, drive).parameters
+        forms.append({p.name: p.form for p in parameters if p.held is None})
+    assert forms[0] == pytest.approx(forms[1], rel=0.05, abs=0.02e-6)
