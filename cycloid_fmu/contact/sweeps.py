@@ -98,8 +98,9 @@ def _ahead(thetas: Array, deviation: Array, first: int, i: int) -> float:
         step, last = thetas[i] - thetas[i - 1], thetas[i - 1] - thetas[i - 2]
         slope = (x - deviation[i - 2]) / last
         x += slope * step
-        if i > first + 2 and abs(last) < 1.5 * abs(thetas[i - 2] - thetas[i - 3]):
-            before = thetas[i - 2] - thetas[i - 3]
+        before = thetas[i - 2] - thetas[i - 3] if i > first + 2 else 0.0
+        # Where the crank turned back, two of the three angles may be the same.
+        if last * before > 0.0 and abs(last) < 1.5 * abs(before):
             x += step * (step + last) * (slope - (deviation[i - 2] - deviation[i - 3]) / before) / (last + before)
     return x
 

@@ -598,3 +598,17 @@ def test_results_outside_the_model_say_so():
 
 def test_default_crank_angles_are_out_of_step_with_any_pins():
     assert all(ANGLES % pins for pins in range(2, 122))
+
+
+@given(st.lists(st.integers(-2, 2), min_size=3, max_size=30), st.sampled_from([150.0, -30.0]))
+@settings(max_examples=60, deadline=None)
+def test_a_crank_that_turns_back_or_rests_meets_the_same_deviations(steps, torque):
+    """Each angle starts from those before it, which may be the same, in any order."""
+    pair = read_pair(CASES / "errors-39-40.toml")
+    surface, places = surface_of_pair(pair), 1.0 + 0.01 * np.arange(-60, 61)
+    wanted = solve(pair, surface, [torque], places, with_play=False).transmission_error[0]
+    at = 60 + np.cumsum(steps)
+    found = solve(pair, surface, [torque], places[at], with_play=False).transmission_error[0]
+    np.testing.assert_allclose(found, wanted[at], rtol=0.0, atol=1e-11)
+    derived = error_sensitivity(pair, surface, torque, places[at], ["eccentricity"])[0]
+    np.testing.assert_allclose(derived, wanted[at], rtol=0.0, atol=1e-11)
