@@ -28,6 +28,7 @@ from fitting.arguments import positive
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import Identification, is_uneven, result_of
 from fitting.estimation.validation import (
+    FALSE,
     HeldOut,
     Likely,
     Residual,
@@ -38,7 +39,7 @@ from fitting.estimation.validation import (
     verdict_of,
     yardsticks,
 )
-from fitting.model.discrepancy import GIVE, beside_the_gear, causes, given_way
+from fitting.model.discrepancy import GIVE, RIPPLE, beside_the_gear, causes, given_way, swung
 from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors
 from fitting.model.loops import observed_curves, on_the_curves_zero
@@ -49,6 +50,7 @@ from fitting.model.observations import (
     NO_CREEP,
     PIN_RADIUS,
     PROFILE_ORDERS,
+    Discrepancy,
     Linear,
     LinearisationPoint,
     Observations,
@@ -80,6 +82,8 @@ _STILL, _AS_WELL = 0.1, 1.05  # times the creep and the noise without a soft cha
 _MISFIT = 2e-6  # rad: from where the size of a cause of misfit is estimated
 _MISFITS = 5  # fits with causes of misfit at most
 _SETTLED = 1e-7, 1e-7, 1e-7, 1e-4  # m and rad: supports that give way by no more have been found
+_SETTLED_SWING = 0.02  # of the torque: its effect is linear within
+_DOUBTED, _LIKELIER = 0.05, 12.0  # a cause that noise resembles so rarely is tried; -2 log likelihood it must gain
 _TOLD_APART = 10.0  # of -2 log likelihood: a description that is less likely by more is excluded, 150 to 1
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
 _NO_FIT = edge.InputError, np.linalg.LinAlgError  # no contacts balance a load; singular equations
@@ -368,10 +372,17 @@ def _validated(
     """
     formed = False
 
-    def looks_like(found: Estimate, likely: Likely | None = None) -> Likely:
+    def looks_like(found: Estimate, likely: Likely | None = None, false: float = FALSE) -> Likely:
         state = found.state if form and not formed else None
         columns = causes(pair, found.observed, found.linear, state)
-        return likely_causes(Residual(pair, found), columns, likely)
+        return likely_causes(Residual(pair, found), columns, likely, false)
+
+    def fitted(start: Estimate | None, misfit: Discrepancy, searched: bool = False) -> Estimate | None:
+        """With causes that are not those of the drive, as on bearings that no file states, there may be no fit."""
+        try:
+            return _fitted(curves, pair, start, known, progress, misfit, searched)
+        except _NO_FIT:
+            return None
 
     rough, known, rigid = _started(curves, pair, known, progress) if start is None else (start, known, None)
     # Where the chain is soft, the scatter of the whole fit would absorb run-out, drift and wind-up as far as it can.
@@ -380,7 +391,7 @@ def _validated(
         suspected = causes_of(Residual(pair, rough), beside_the_gear(rough.observed)).columns
         every = beside_the_gear(_observed(curves, pair, known))
         beside = Likely({n: one for n, one in every.items() if n in suspected}, {}, ())
-    misfit: tuple[Mapping[str, Array], Array | None, Array | float] = beside.columns, None, 0.0
+    misfit = Discrepancy(beside.columns)
     try:
         found = _fitted(curves, pair, rough, known, progress, misfit)
         is_worse = found.noise > _BESIDE * rough.noise
@@ -394,30 +405,43 @@ def _validated(
         if rigid is None:
             rigid, _ = _starting_estimate(pair, _observed(curves, pair, known), None, False, progress)
         return _validated(curves, pair, rigid, known, form, progress)
-    progress("testing the residual")
-    likely = looks_like(found, beside)
-    if likely.formed:
-        known, formed = _with_form(known, form), True
-        progress("fitting the form of the flanks")
-        found = _fitted(curves, pair, _without_scatter(pair, found), known, progress, misfit)
+
+    def tested() -> tuple[Likely, Verdict, bool, bool]:
+        """Causes that the residual resembles, the verdict, whether there are some, and whether only perhaps."""
+        progress("testing the residual")
         likely = looks_like(found, beside)
-    first = verdict_of(pair, found, likely, formed)
-    is_more = likely.columns.keys() > beside.columns.keys()
+        verdict = verdict_of(pair, found, likely, formed)
+        is_more, is_doubted = likely.columns.keys() > beside.columns.keys(), False
+        if not is_more and verdict.state != "not explained":
+            # The scatter of pins and teeth may have absorbed most of a cause.
+            doubted = dataclasses.replace(looks_like(found, beside, _DOUBTED), formed=likely.formed)
+            is_more = is_doubted = doubted.columns.keys() > beside.columns.keys()
+            likely = doubted if is_doubted else likely
+        return likely, verdict, is_more, is_doubted
+
+    likely, first, is_more, is_doubted = tested()
+    if likely.formed:
+        plain_prior, known = known, _with_form(known, form)
+        progress("fitting the form of the flanks")
+        other = fitted(_without_scatter(pair, found), misfit)
+        if other is None:
+            known = plain_prior
+        else:
+            found, formed = other, True
+            likely, first, is_more, is_doubted = tested()
     if (is_more or first.state == "not explained") and first.residual < _BESIDE * first.noise:
         # It may be that a better minimum leaves nothing.
-        other = _fitted(curves, pair, found, known, progress, misfit, searched=True)
-        if other.unlikelihood < found.unlikelihood - _GAIN:
+        other = fitted(found, misfit, searched=True)
+        if other is not None and other.unlikelihood < found.unlikelihood - _GAIN:
             found = other
-            progress("testing the residual")
-            likely = looks_like(found, beside)
-            first = verdict_of(pair, found, likely, formed)
-            is_more = likely.columns.keys() > beside.columns.keys()
+            likely, first, is_more, is_doubted = tested()
     plain = found
     if is_more:
         # The scatter has absorbed as much of the causes as it could.
         found = _without_scatter(pair, found)
-    give: Array | None = None
-    coefficients, verdict = np.zeros(0), None
+    give = swing = None
+    coefficients: dict[str, Array] = {}
+    verdict: Verdict | None = None
     ends: list[tuple[Estimate, Verdict]] = []
 
     def best() -> tuple[Estimate, Verdict | None]:
@@ -425,41 +449,50 @@ def _validated(
         return min(ends, key=lambda e: (e[1].state == "not explained", e[0].unlikelihood), default=(plain, None))
 
     for _ in range(_MISFITS if is_more else 0):
-        taken = 0.0 if give is None else likely.columns[GIVE] @ coefficients
-        misfit = likely.columns, give, taken
-        try:
-            found = _fitted(curves, pair, found, known, progress, misfit)
-        except _NO_FIT:
-            # With causes that are not those of the drive, as on bearings that no file states, there may be no fit.
+        taken = sum((likely.columns[n] @ values for n, values in coefficients.items()), np.zeros(1))
+        misfit = Discrepancy(likely.columns, give, swing, taken)
+        other = fitted(found, misfit)
+        if other is None:
             found, verdict = best()
             break
-        verdict = verdict_of(pair, found, likely, formed)
+        found, verdict = other, verdict_of(pair, other, likely, formed)
         ends.append((found, verdict))
-        before = give
-        part = found.observed.estimated.get(f"{MISFIT}_{GIVE}")
-        if part is not None:
-            coefficients = found.state.bench[part]
-            give = given_way(pair, found.observed, coefficients)
-        if give is None or (before is not None and (np.abs(give - before) < _SETTLED).all()):
+        of_cause = {n: found.observed.estimated.get(f"{MISFIT}_{n}") for n in (GIVE, RIPPLE)}
+        coefficients = {n: found.state.bench[part] for n, part in of_cause.items() if part is not None}
+        gave = given_way(pair, found.observed, coefficients[GIVE]) if GIVE in coefficients else None
+        swings = swung(found.observed, coefficients[RIPPLE]) if RIPPLE in coefficients else None
+        settled = _is_settled(give, gave, _SETTLED) and _is_settled(swing, swings, _SETTLED_SWING)
+        give, swing = gave, swings
+        if settled:
             if verdict.state != "not explained":
                 break
             likely = looks_like(found, likely)
             if likely.formed:
                 known, formed = _with_form(known, form), True
         else:
-            # Supports that gave way have moved the contacts: further compliance is linearised at the new ones.
-            moved = dataclasses.replace(found.observed, give=give)
+            # Supports that gave way and torques that swung have moved the contacts: further ones act at the new ones.
+            moved = dataclasses.replace(found.observed, give=give, swing=swing)
             there = causes(pair, moved, linearise(pair, moved, found.state))
             likely = dataclasses.replace(likely, columns={n: there.get(n, one) for n, one in likely.columns.items()})
     else:
         found, verdict = best()
+    if is_doubted and not found.unlikelihood < plain.unlikelihood - _LIKELIER:
+        found, verdict = plain, None
     if found.disagreeing and (beside.columns or verdict) and (verdict or first).state != "not explained":
         # The starts were made without the cause; two of them must agree with it.
-        again = _fitted(curves, pair, None, known, progress, misfit)
-        better = again.unlikelihood < found.unlikelihood + _GAIN
-        found = again if better else dataclasses.replace(found, disagreeing=again.disagreeing)
-        verdict = verdict_of(pair, found, likely, formed)
+        again = fitted(None, misfit)
+        if again is not None:
+            better = again.unlikelihood < found.unlikelihood + _GAIN
+            found = again if better else dataclasses.replace(found, disagreeing=again.disagreeing)
+            verdict = verdict_of(pair, found, likely, formed)
     return found, verdict or first
+
+
+def _is_settled(before: Array | None, after: Array | None, within: Array | Sequence[float] | float) -> bool:
+    """Whether displacements or swings of the torque have been found."""
+    if after is None:
+        return True
+    return bool((np.abs(after - (0.0 if before is None else before)) < within).all())
 
 
 def _observed(curves: Sequence[Curve], pair: Pair, known: Prior) -> Observations:
@@ -495,13 +528,13 @@ def _fitted(
     start: Estimate | None,
     known: Prior,
     progress: Callable[[str], None],
-    misfit: tuple[Mapping[str, Array], Array | None, Array | float] | None = None,
+    misfit: Discrepancy | None = None,
     searched: bool = False,
 ) -> Estimate:
     """Fit from the end of another fit, or `searched` around it for a better minimum, or from the prior."""
     observed = _observed(curves, pair, known)
     if misfit is not None:
-        observed = observed.with_misfit(*misfit)
+        observed = observed.with_misfit(misfit)
     rough, linear = _starting_estimate(pair, observed, start, searched, progress)
     state, scatter = rough.state, {**_first_sizes(observed), **rough.scatter}
     weight = observed.weight * np.median(rough.observed.weight) / np.median(observed.weight)

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
-from fitting.model.observations import GIVES, Linear, Observations, State, form_columns
+from fitting.model.observations import COMPLIANCE_SHARE, GIVES, Linear, Observations, State, form_columns
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-GIVE, LAG, FORM = "support_give", "clock_lag", "flank_form"
+GIVE, RIPPLE, LAG, FORM = "support_give", "torque_ripple", "clock_lag", "flank_form"
 RUN_OUT = (1, 2, 3)  # orders of a shaft from its encoder and couplings
 _FORM_STEP = 1e-6  # m: step of the differences with respect to a form
 _SLOW = 6  # degree of the drift of a zero over a recording
@@ -28,7 +28,7 @@ SENTENCES = {
     GIVE: "supports that are compliant or have play under load",
     "compliance": "further compliance between the encoders",
     "friction": "friction that grows with the load",
-    "torque_ripple": "torque that the sensor does not measure",
+    RIPPLE: "torque that the sensor does not measure",
     "run_out": "run-out of a shaft or its encoder",
     FORM: "a form that all flanks share",
     "drift": "a zero that drifts within a recording",
@@ -56,19 +56,13 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
     curves = observed.curves
     sizes = [c.input_angle.size for c in curves]
     torque = np.concatenate([c.torque_at_points for c in curves])
-    load = torque / max(float(np.abs(torque).max()), 1e-9)
-    running = ~observed.of_loops
-    crank = np.concatenate([c.input_angle for c in curves])
-    ratio = abs(curves[0].ratio)
+    load, running = torque / max(float(np.abs(torque).max()), 1e-9), ~observed.of_loops
     against = np.repeat([-float(c.direction) * np.sign(c.ratio) for c in curves], sizes)
+    by_torque = linear.by_friction * against * torque * running
     found = {
         GIVE: _give(pair, observed, linear),
         "friction": [_unit(linear.by_friction * np.abs(load))],
-        "torque_ripple": [
-            _unit(linear.by_friction * against * load * wave * running)
-            for angle in (crank, 2.0 * crank, crank / ratio)
-            for wave in (np.cos(angle), np.sin(angle))
-        ],
+        RIPPLE: [by_torque * wave * _swing_unit(observed) for wave in _swings(observed).T],
     }
     late = by_lag(observed, linear)
     if late.any():
@@ -150,6 +144,38 @@ def given_way(pair: Pair, observed: Observations, coefficients: Array) -> Array:
     shifts: Array = (coefficients.reshape(-1, len(growth)) @ growth).T * _units(pair)
     shifts[[i for i, c in enumerate(observed.curves) if c.branch]] = 0.0
     return shifts
+
+
+def swung(observed: Observations, coefficients: Array) -> Array:
+    """Return the part of the torque that the sensor did not measure.
+
+    Parameters
+    ----------
+    observed
+        The observations.
+    coefficients
+        Coefficients of the columns of `RIPPLE`, rad.
+
+    Returns
+    -------
+    swing
+        Shape (points,), as `Observations.swing`; 0 for loops.
+    """
+    found: Array = _swings(observed) @ coefficients * _swing_unit(observed) * ~observed.of_loops
+    return found
+
+
+def _swings(observed: Observations) -> Array:
+    """Waves of a torque once and twice a turn of the crank and once a turn of the output, shape (points, waves)."""
+    crank = np.concatenate([c.input_angle for c in observed.curves])
+    angles = (crank, 2.0 * crank, crank / abs(observed.curves[0].ratio))
+    return np.column_stack([wave(angle) for angle in angles for wave in (np.cos, np.sin)])
+
+
+def _swing_unit(observed: Observations) -> float:
+    """Swing of the torque, as a share of it, for a coefficient of one: about one rad of the transmission error."""
+    largest = max(abs(c.torque) for c in observed.curves)
+    return COMPLIANCE_SHARE / (observed.chain_prior * largest)
 
 
 def way(curve: Curve) -> Array:

@@ -67,6 +67,26 @@ KNOWN_SIZES = {
 
 
 @dataclass(frozen=True)
+class Discrepancy:
+    """Causes of misfit in a fit, and the model near which their effect is linear.
+
+    Attributes
+    ----------
+    columns
+        {cause: shape (points, columns)}, whose coefficients are rad.
+    give, swing
+        As in `Observations`.
+    taken
+        Contribution of the columns of `give` and `swing` which is already in the model, shape (points,), rad.
+    """
+
+    columns: Mapping[str, Array]
+    give: Array | None = None
+    swing: Array | None = None
+    taken: Array | float = 0.0
+
+
+@dataclass(frozen=True)
 class Observations:
     """Curves as one long vector.
 
@@ -89,6 +109,8 @@ class Observations:
         The structured errors considered, and {order of the profile deviation: prior size, m} of those among them.
     give
         Displacements of the supports in each curve, shape (curves, 4): `GIVES`, m, and the crank, rad.
+    swing
+        Torque at each point beyond the stated one, as a share of it, shape (points,).
     bearing_names, bearing_prior, bearing_lowest
         Unknowns of the drive's own bearings and first stage, their prior deviations, and their largest decreases, as in
         `fitting.model.bearings`.
@@ -112,6 +134,7 @@ class Observations:
     errors: tuple[str, ...]
     profile: Mapping[str, float]
     give: Array | None = None
+    swing: Array | None = None
     bearing_names: tuple[str, ...] = ()
     bearing_prior: Array = field(default_factory=lambda: np.zeros(0))
     bearing_lowest: Array = field(default_factory=lambda: np.zeros(0))
@@ -128,6 +151,11 @@ class Observations:
     def of_loops(self) -> NDArray[np.bool_]:
         """Which points are of loops, shape (points,)."""
         return np.concatenate([np.full(c.input_angle.size, bool(c.branch)) for c in self.curves])
+
+    def torque_of(self, number: int) -> Array:
+        """Torque of a curve at its points with the part that its sensor did not show, N·m."""
+        torque = self.curves[number].torque_at_points
+        return torque if self.swing is None else torque * (1.0 + np.split(self.swing, self.ends)[number])
 
     @property
     def friction_names(self) -> tuple[str, ...]:
@@ -173,24 +201,13 @@ class Observations:
             prior[part] = max(sizes.get(group, 0.0), self.least(group))
         return dataclasses.replace(self, bench_prior=prior)
 
-    def with_misfit(
-        self, columns: Mapping[str, Array], give: Array | None = None, taken: Array | float = 0.0
-    ) -> Observations:
-        """The same with the contributions of causes of misfit.
-
-        Parameters
-        ----------
-        columns
-            {cause: shape (points, columns)}, whose coefficients are rad.
-        give, taken
-            As in `Observations`, and the contribution of its columns, shape (points,), rad, which is already in the
-            model.
-        """
-        names = [f"{MISFIT}_{cause}_{i}" for cause, one in columns.items() for i in range(one.shape[1])]
+    def with_misfit(self, misfit: Discrepancy) -> Observations:
+        """The same with the contributions of causes of misfit."""
+        names = [f"{MISFIT}_{cause}_{i}" for cause, one in misfit.columns.items() for i in range(one.shape[1])]
         return dataclasses.replace(
-            self, bench_names=(*self.bench_names, *names), bench=np.hstack([self.bench, *columns.values()]),
-            bench_prior=np.concatenate([self.bench_prior, np.full(len(names), NO_CREEP)]), give=give,
-            measured=self.measured + taken,
+            self, bench_names=(*self.bench_names, *names), bench=np.hstack([self.bench, *misfit.columns.values()]),
+            bench_prior=np.concatenate([self.bench_prior, np.full(len(names), NO_CREEP)]), give=misfit.give,
+            swing=misfit.swing, measured=self.measured + misfit.taken,
         )  # fmt: skip
 
     def with_form(self, columns: Array, form: float) -> Observations:
@@ -214,8 +231,9 @@ class Observations:
         curves = tuple(c.points(one) for c, one in zip(self.curves, chosen, strict=True))
         every = np.concatenate(chosen)
         return dataclasses.replace(
-            self, curves=curves, measured=self.measured[every], weight=self.weight[every], bench=self.bench[every]
-        )
+            self, curves=curves, measured=self.measured[every], weight=self.weight[every], bench=self.bench[every],
+            swing=None if self.swing is None else self.swing[every],
+        )  # fmt: skip
 
     def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Observations:
         """A subset of the curves."""
@@ -225,6 +243,7 @@ class Observations:
             self, curves=tuple(self.curves[n] for n in numbers), measured=self.measured[part],
             weight=self.weight[part], bench=self.bench[part],
             give=None if self.give is None else self.give[list(numbers)],
+            swing=None if self.swing is None else self.swing[part],
         )  # fmt: skip
 
 
@@ -492,7 +511,7 @@ def linearised_curve(
     curve = observed.curves[number]
     against = -float(curve.direction) * np.sign(curve.ratio)
     friction = state.loop_friction if curve.branch else state.friction
-    torque, least = curve.torque_at_points + against * friction, _LEAST_TORQUE * curve.torque
+    torque, least = observed.torque_of(number) + against * friction, _LEAST_TORQUE * curve.torque
     torque = np.where(np.abs(torque) < abs(least), least, torque)
     surface, crank = state.surface, state.crank_offset
     if observed.give is not None:
@@ -543,9 +562,10 @@ def form_columns(pair: Pair, observed: Observations, state: State, linear: Linea
     is_solved = observed.first_stage is None and observed.give is None
     floating = None if pair.supports is None else pair_with(pair, state.bearings)
 
-    def one(curve: Curve, model: Array) -> Array:
+    def one(number: int, model: Array) -> Array:
+        curve, torque = observed.curves[number], observed.torque_of(number)
         angle = curve.input_angle + state.crank_offset
-        torque = np.where(curve.torque_at_points == 0.0, _LEAST_TORQUE * curve.torque, curve.torque_at_points)
+        torque = np.where(torque == 0.0, _LEAST_TORQUE * curve.torque, torque)
         if floating is not None:
 
             def moved(name: str, by: float) -> Array:
@@ -560,7 +580,7 @@ def form_columns(pair: Pair, observed: Observations, state: State, linear: Linea
         return s * error_sensitivity(pair, state.surface, s * torque, angle, names)[1]
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return np.concatenate(list(pool.map(one, observed.curves, np.split(linear.model, observed.ends))))
+        return np.concatenate(list(pool.map(one, range(len(observed.curves)), np.split(linear.model, observed.ends))))
 
 
 def linearise(pair: Pair, observed: Observations, state: State, around: LinearisationPoint | None = None) -> Linear:
