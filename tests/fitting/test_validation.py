@@ -71,10 +71,10 @@ def test_causes_that_leave_no_fit_leave_the_one_before(small, monkeypatch, probl
     """On bearings that no file states the likely causes are not those of the drive."""
     fitted = identification._fitted
 
-    def without_causes(curves, pair, start, known, progress, misfit=None, **options):
-        if misfit is not None and misfit[0]:
+    def without_causes(curves, pair, start, known, progress, misfit=None, *searched):
+        if misfit is not None and misfit.columns:
             raise problem
-        return fitted(curves, pair, start, known, progress, misfit, **options)
+        return fitted(curves, pair, start, known, progress, misfit, *searched)
 
     monkeypatch.setattr(identification, "_fitted", without_causes)
     found, _ = identified("disc and cranks on bearings", small, 0, turns=1)
