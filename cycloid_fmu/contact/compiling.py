@@ -81,7 +81,7 @@ register_model(_Part)(models.OpaqueModel)
 def _remember_operators() -> None:
     """Have numba find the type of an operator on numbers once, not at each place where it is used.
 
-    It tries some twenty overloads, most of them of arrays, each time: a first analysis takes 1.2 times as long.
+    It tries some twenty overloads, most of them of arrays, each time: a first analysis would take 1.2 times as long.
     """
     search = types.Function.get_call_type
     found: dict[Any, tuple[Any, Any]] = {}

@@ -104,7 +104,7 @@ def maps(
     1000000
     """
     ratio = float(drive) if isinstance(drive, float | int) else drive.ratio
-    given = each_source(recordings)
+    given: list[Source] = each_source(recordings)
     points: list[_Point] = []
     notes: list[str] = []
     for number, (found, said) in enumerate(_taken(given, ratio), start=1):

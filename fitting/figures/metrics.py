@@ -232,7 +232,7 @@ def metrics(
         ratio, rated = drive.ratio, drive.pair.rated_torque if rated is None else rated
     if isinstance(instruments, str | os.PathLike):
         instruments = read_instruments(instruments)
-    given = each_source(recordings)
+    given: list[Source] = each_source(recordings)
     surveyed: list[Surveyed] = []
     problems: list[str] = []
     interrupted = False

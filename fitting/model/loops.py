@@ -99,7 +99,7 @@ def observed_curves(
         If a recording can't be read, is of another drive, or gives neither.
     """
     pair, ratio = drive.pair, drive.ratio
-    given = each_source(recordings)
+    given: list[Source | Curve] = each_source(recordings)
     found = [one for one in given if isinstance(one, Curve)]
     sources = [one for one in given if not isinstance(one, Curve)]
     locked = [is_locked(_checked_drive(open_source(one, ratio), drive), ratio) for one in sources]

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -123,10 +123,15 @@ class Run:
 Source = RecordingFile | Run | Recording | RecordingStream
 
 
-def each_source(recordings: Any) -> list[Any]:
+_Given = TypeVar("_Given")
+
+
+def each_source(recordings: _Given | Iterable[_Given]) -> list[_Given]:
     """Return one or several sources or curves as a list; an `edge.ArgumentError` refuses a path."""
-    alone = isinstance(recordings, str | os.PathLike) or not isinstance(recordings, Iterable)
-    given = [recordings] if alone else list(recordings)
+    if isinstance(recordings, Iterable) and not isinstance(recordings, str | os.PathLike):
+        given = list(recordings)
+    else:
+        given = [recordings]
     for one in given:
         if isinstance(one, str | os.PathLike):
             path = os.fspath(one)

@@ -567,7 +567,8 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     """
     ratio = drive if isinstance(drive, float | int) else drive.ratio
     found: list[Curve] = []
-    for source in each_source(recordings):
+    given: list[Source] = each_source(recordings)
+    for source in given:
         recording = open_source(source, ratio)
         folding = Folding(ratio, recording.source, keep_turns=keep_turns)
         blocks = PlausibleBlocks(recording, ratio)
