@@ -10,7 +10,7 @@ from benches_as_they_are import EFFECTS, identified, is_right, names, outcome, s
 from sampled_drives import ARCSEC, SMALL
 
 from cycloid_fmu import edge
-from fitting.estimation import identify as identification
+from fitting.estimation import explaining
 from fitting.estimation.result import as_json
 from fitting.reports.report import report
 
@@ -69,14 +69,14 @@ def test_a_drive_on_bearings_is_not_explained_by_rigid_supports(floating):
 @pytest.mark.parametrize("problem", [np.linalg.LinAlgError("singular"), edge.InputError("no contacts balance it")])
 def test_causes_that_leave_no_fit_leave_the_one_before(small, monkeypatch, problem):
     """On bearings that no file states the likely causes are not those of the drive."""
-    fitted = identification._fitted
+    fitted = explaining.fitted
 
     def without_causes(curves, pair, start, known, progress, misfit=None, *searched):
         if misfit is not None and misfit.columns:
             raise problem
         return fitted(curves, pair, start, known, progress, misfit, *searched)
 
-    monkeypatch.setattr(identification, "_fitted", without_causes)
+    monkeypatch.setattr(explaining, "fitted", without_causes)
     found, _ = identified("disc and cranks on bearings", small, 0, turns=1)
     assert found.verdict.state == "not explained"
     assert all(math.isnan(end) for p in found.parameters if p.held is None for end in p.interval)
