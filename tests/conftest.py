@@ -80,6 +80,12 @@ def installed_command(tmp_path):
 
 
 @pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers():
+    """One more than cores: many tests wait for a bench that moves in real time, or for a process."""
+    return (os.cpu_count() or 1) + 1
+
+
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Each worker takes a stretch of the tests, so that modules' fixtures are made once, and then half of another's."""
     from xdist.scheduler import WorkStealingScheduling

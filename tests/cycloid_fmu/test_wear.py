@@ -298,7 +298,9 @@ def test_the_updated_depth_converges_with_the_grid_far():
     assert error[-2] < 0.01
 
 
-@pytest.mark.parametrize(("teeth", "eccentricity"), [(14, "3.4 mm"), (39, "1.3 mm")])
+@pytest.mark.parametrize(
+    ("teeth", "eccentricity"), [(14, "3.4 mm"), pytest.param(39, "1.3 mm", marks=pytest.mark.slow(7))]
+)
 def test_few_crank_angles_stand_for_all_where_nothing_is_alike(monkeypatch, teeth, eccentricity):
     """The rates of a worn drive, felt over a contact's width, err by less than a hundredth of the deepest."""
     pair = make_pair(PAIR, gear_teeth=teeth, pins=teeth + 1, eccentricity=eccentricity)

@@ -257,6 +257,7 @@ def test_a_drive_seen_from_another_disc_makes_the_same_curves(gear_teeth, discs)
         assert np.abs(again - made).max() < 1e-8 * np.ptp(made)
 
 
+@pytest.mark.slow(4)
 def test_two_discs_without_tooth_errors_have_two_descriptions(nominal):
     """One of them contains the truth, the other its mirror image; the first line reports that there are two."""
     pair, generator = nominal.replace(discs=2, **SMALL), np.random.default_rng(1)
@@ -276,7 +277,13 @@ def test_two_discs_without_tooth_errors_have_two_descriptions(nominal):
 
 
 @pytest.mark.parametrize(
-    ("friction", "wind_up", "hysteresis"), [(1.0, 0.0, 0.0), (4.0, 0.0, 0.0), (2.0, 3e-6, 3e-6)], ids=str
+    ("friction", "wind_up", "hysteresis"),
+    [
+        pytest.param(1.0, 0.0, 0.0, marks=pytest.mark.slow(3)),
+        pytest.param(4.0, 0.0, 0.0, marks=pytest.mark.slow(3)),
+        (2.0, 3e-6, 3e-6),
+    ],
+    ids=str,
 )
 def test_friction_wind_up_and_hysteresis_of_a_bench_are_separated(friction, wind_up, hysteresis):
     """Both directions at loads of both signs; N·m, rad/(N·m) and rad at up to 100 N·m."""

@@ -118,7 +118,11 @@ def test_the_inverse_of_the_joint_leaves_nothing(joint):
     assert found.rms < 1e-3 * found.plain_rms
 
 
-@pytest.mark.parametrize("size", [SMALL, pytest.param({}, marks=pytest.mark.slow(25))], ids=["11/12", "39/40"])
+@pytest.mark.parametrize(
+    "size",
+    [pytest.param(SMALL, marks=pytest.mark.slow(7)), pytest.param({}, marks=pytest.mark.slow(25))],
+    ids=["11/12", "39/40"],
+)
 def test_creep_takes_neither_wind_up_nor_the_direction(size, record_property):
     """The zeros of this bench do not creep: all that its means hold is the drive's, the chain's, or the direction's."""
     pair, made, _, generator = drive_of(size, 0)

@@ -145,6 +145,7 @@ def test_a_worn_drive_is_found_as_it_is(case, result):
     assert len({one.hash for one in drawn}) == 3
 
 
+@pytest.mark.slow(4)
 def test_further_steps_do_not_change_the_result(case, monkeypatch):
     """A few evaluations of the model come as near to the most likely drive as its corners let any number come."""
     drive, _, _, _, runs = case

@@ -245,7 +245,7 @@ def test_a_motor_outside_stops_and_stands(opened, kind, step, late):
     assert np.abs(speeds[-100:]).max() < 1e-5
 
 
-@pytest.mark.parametrize("share", [0.64, 0.99, 1.01])
+@pytest.mark.parametrize("share", [pytest.param(0.64, marks=pytest.mark.slow(3)), 0.99, 1.01])
 def test_a_load_below_breakaway_is_held_without_creep(opened, share):
     """Motor and arm inside, the motor's torque raised to a share of its breakaway, then 100 s."""
     found = opened("native", Interface("compliant", 2.0, crank_inertia=1e-4, input_friction=Friction(coulomb=0.05),
