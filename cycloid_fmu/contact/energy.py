@@ -8,8 +8,8 @@ from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.equilibrium import behind_compliance, load, rotational_stiffness
 from cycloid_fmu.contact.local_frame import displaced, local_frame
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
-from cycloid_fmu.contact.problem import Problem, poses
-from cycloid_fmu.contact.rows import Rows, disc_slice_pin
+from cycloid_fmu.contact.problem import Problem
+from cycloid_fmu.contact.rows import Rows
 
 _ROTATION_STEP = 1e-12  # rad: last step of the contacts behind a compliance
 
@@ -32,10 +32,8 @@ def crank_side(problem: Problem, theta: float, x: float, contacts: Rows) -> tupl
         if force <= 0.0:
             continue
         local = local_frame(problem, theta, x, contacts, row)
-        disc, _, _ = disc_slice_pin(problem, row)
-        crank, _, _ = poses(problem, theta, x, disc)
         # The gear's centre moves by e i e^{iθ}, so the pin's axis by the opposite of it.
-        vx, vy = problem.eccentricity * math.sin(crank), -problem.eccentricity * math.cos(crank)
+        vx, vy = problem.eccentricity * local.crank_y, -problem.eccentricity * local.crank_x
         wx, wy = (0.0, 0.0) if problem.ring else (vy, -vx)
         crank_torque -= force * (vx * local.normal_x + vy * local.normal_y)
         coupling += displaced(contact, local, vx, vy, wx, wy)
@@ -65,9 +63,7 @@ def elastic_energy(problem: Problem, theta: float, x: float, contacts: Rows) -> 
         if force <= 0.0:
             continue
         local = local_frame(problem, theta, x, contacts, row)
-        disc, _, _ = disc_slice_pin(problem, row)
-        crank, _, _ = poses(problem, theta, x, disc)
-        vx, vy = problem.eccentricity * math.sin(crank), -problem.eccentricity * math.cos(crank)
+        vx, vy = problem.eccentricity * local.crank_y, -problem.eccentricity * local.crank_x
         normal = vx * local.normal_x + vy * local.normal_y
         tangent = vy * local.normal_x - vx * local.normal_y
         bending = 0.5 * force * contact.force_by_curvature * contact.curvature_rate / contact.stiffness

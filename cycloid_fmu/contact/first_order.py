@@ -93,7 +93,6 @@ def _near(
     drive: contact.Problem, thetas: Array, deviation: Array, reach: float, kept: Array, count: NDArray[np.int64]
 ) -> None:
     contacts = contact.contact_rows(drive)
-    pins = drive.teeth + 1
     for i in range(thetas.size):
         x = deviation[i]
         contact.place(drive, thetas[i], x, contacts, i == 0, math.inf, reach)
@@ -101,23 +100,18 @@ def _near(
         for row in range(contacts.shape[0]):
             if not contacts[row].gap < reach:
                 continue
-            disc, slice_, pin = contact.disc_slice_pin(drive, row)
-            crank, ring, _ = contact.poses(drive, thetas[i], x, disc)
             local = contact.local_frame(drive, thetas[i], x, contacts, row)
-            direction = pin * 2.0 * math.pi / pins + ring
-            c, s = math.cos(direction), math.sin(direction)
+            c, s = math.cos(local.direction), math.sin(local.direction)
             nx, ny = local.normal_x, local.normal_y
             one = kept[i, number]
             one[_GAP], one[_ARM], one[_RATE] = contacts[row].gap, contacts[row].arm, contacts[row].arm_rate
             one[_CURVATURE] = contacts[row].curvature
             one[_RADIAL], one[_TANGENTIAL] = nx * c + ny * s, ny * c - nx * s
-            one[_X], one[_Y], one[_HEIGHT] = nx, ny, drive.slice_z[slice_]
-            one[_CRANK] = nx * math.cos(crank) + ny * math.sin(crank)
+            one[_X], one[_Y], one[_HEIGHT] = nx, ny, drive.slice_z[local.slice]
+            one[_CRANK] = nx * local.crank_x + ny * local.crank_y
             one[_FACING] = local.facing
             one[_TURN] = nx * local.gear_y - ny * local.gear_x
-            foot = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row].foot
-            tooth = math.floor(foot * drive.teeth / (2.0 * math.pi)) % drive.teeth
-            one[_PIN], one[_TOOTH] = pin, disc * drive.teeth + tooth
+            one[_PIN], one[_TOOTH] = local.pin, local.disc * drive.teeth + local.tooth
             number += 1
         count[i] = number
 

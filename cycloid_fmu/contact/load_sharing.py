@@ -113,11 +113,10 @@ def write_contact_lines(
         contact = contacts[row]
         if contact.force <= 0.0:
             continue
-        disc, slice_, pin = disc_slice_pin(problem, row)
         local = local_frame(problem, theta, x, contacts, row)
+        disc, slice_, pin = local.disc, local.slice, local.pin
         crank, ring, _ = poses(problem, theta, x, disc)
-        inwards = pin * 2.0 * math.pi / pins + ring + math.pi
-        c, s = math.cos(inwards), math.sin(inwards)
+        c, s = -math.cos(local.direction), -math.sin(local.direction)
         # The contact lies from the pin's axis against the flank's normal.
         direction = math.atan2(s * local.normal_x - c * local.normal_y, -c * local.normal_x - s * local.normal_y)
         slice_force[disc, pin, slice_] += contact.force

@@ -17,7 +17,14 @@ from cycloid_fmu.contact.rows import Rows, disc_slice_pin
 class LocalFrame(NamedTuple):
     """One contact seen from the housing: what turns a displacement of the pin's axis into changes of gap and arm."""
 
-    normal_x: float
+    disc: int
+    slice: int
+    pin: int
+    tooth: int
+    direction: float  # from the ring's centre to the pin's place on the pin circle, rad
+    crank_x: float  # direction of the crank's throw
+    crank_y: float
+    normal_x: float  # from the flank to the pin's axis
     normal_y: float
     lever_x: float  # the pin's axis seen from the centre that the output turns about
     lever_y: float
@@ -38,7 +45,8 @@ def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: i
     pins = problem.teeth + 1
     disc, slice_, pin = disc_slice_pin(problem, row)
     crank, ring, gear = poses(problem, theta, x, disc)
-    alpha = pin * 2.0 * math.pi / pins + (crank - ring) / problem.teeth + contacts[row].foot
+    place = pin * 2.0 * math.pi / pins
+    alpha = place + (crank - ring) / problem.teeth + contacts[row].foot
     tooth = math.floor(alpha * problem.teeth / (2.0 * math.pi)) % problem.teeth
     s, c = sine_cosine(problem.teeth * alpha)
     ez = problem.generating_eccentricity * pins
@@ -48,7 +56,9 @@ def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: i
     angle = alpha + gear + problem.tooth_turn[disc, tooth]
     sa, ca = sine_cosine(angle)
     nx, ny = ca * facing - sa * leaning, sa * facing + ca * leaning
-    sr, cr = sine_cosine(ring)
+    sr, cr = 0.0, 1.0
+    if problem.ring:
+        sr, cr = sine_cosine(ring)
     lx = problem.pin_x[pin] * cr - problem.pin_y[pin] * sr
     ly = problem.pin_x[pin] * sr + problem.pin_y[pin] * cr
     sc, cc = sine_cosine(crank)
@@ -61,8 +71,8 @@ def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: i
     stretch = 1.0 + kappa * (contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius)
     slide = sign * (lx * nx + ly * ny)
     return LocalFrame(
-        nx, ny, lx, ly, gx, gy, slide, kappa / stretch, speed, 1.0 / (speed * stretch), facing, leaning,
-        (kappa - 1.0 / speed) / stretch,
+        disc, slice_, pin, tooth, place + ring, cc, sc, nx, ny, lx, ly, gx, gy, slide, kappa / stretch, speed,
+        1.0 / (speed * stretch), facing, leaning, (kappa - 1.0 / speed) / stretch,
     )  # fmt: skip
 
 

@@ -8,8 +8,8 @@ from cycloid_fmu.contact.compiling import compiled, part
 from cycloid_fmu.contact.equilibrium import to_touch
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.placement import CLEAR, place
-from cycloid_fmu.contact.problem import Problem, poses
-from cycloid_fmu.contact.rows import Rows, disc_slice_pin
+from cycloid_fmu.contact.problem import Problem
+from cycloid_fmu.contact.rows import Rows
 
 TOUCHING = 2e-10  # m: an interference below this counts as touching
 ROTATION_STEP = 1e-12  # rad: last step of the play's ends
@@ -128,7 +128,5 @@ def touch_rate(problem: Problem, theta: float, x: float, contacts: Rows, directi
     if touching < 0:
         return math.nan
     local = local_frame(problem, theta, x, contacts, touching)
-    disc, _, _ = disc_slice_pin(problem, touching)
-    crank, _, _ = poses(problem, theta, x, disc)
-    rate = problem.eccentricity * (math.sin(crank) * local.normal_x - math.cos(crank) * local.normal_y)
+    rate = problem.eccentricity * (local.crank_y * local.normal_x - local.crank_x * local.normal_y)
     return rate / contacts[touching].arm

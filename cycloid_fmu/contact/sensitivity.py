@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
 from cycloid_fmu.contact.equilibrium import rotational_stiffness
 from cycloid_fmu.contact.lanes import sine_cosine
 from cycloid_fmu.contact.local_frame import LocalFrame, displaced, local_frame
-from cycloid_fmu.contact.problem import Problem, poses
-from cycloid_fmu.contact.rows import Rows, disc_slice_pin, touching_count
+from cycloid_fmu.contact.problem import Problem
+from cycloid_fmu.contact.rows import Rows, touching_count
 
 # The displacements of one number, in the order of `errors.kinds.BODIES`; then those of pins and teeth.
 CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING, BODY_COUNT = range(8)
@@ -77,11 +75,10 @@ def derivatives(problem: Problem, theta: float, x: float, contacts: Rows, out: A
         contact = contacts[row]
         if contact.force <= 0.0:
             continue
-        disc, slice_, pin = disc_slice_pin(problem, row)
         local = local_frame(problem, theta, x, contacts, row)
+        pin = local.pin
         stiffness += rotational_stiffness(contact)
-        z = problem.slice_z[slice_]
-        crank, ring, _ = poses(problem, theta, x, disc)
+        z = problem.slice_z[local.slice]
         # The gear's centre moves, so the pin's axis by the opposite; in the housing's frame unless the gear turns.
         turn = 0.0 if problem.ring else 1.0
         along_x = displaced(contact, local, -1.0, 0.0, 0.0, turn)
@@ -90,13 +87,11 @@ def derivatives(problem: Problem, theta: float, x: float, contacts: Rows, out: A
         out[CENTRE_Y] += along_y
         out[TILT_X] += along_x * z
         out[TILT_Y] += along_y * z
-        sc, cc = sine_cosine(crank)
-        out[CRANK_THROW] += along_x * cc + along_y * sc
+        out[CRANK_THROW] += along_x * local.crank_x + along_y * local.crank_y
         # The crank moves the gear's centre across its throw.
-        coupling += problem.eccentricity * (along_y * cc - along_x * sc)
+        coupling += problem.eccentricity * (along_y * local.crank_x - along_x * local.crank_y)
         # The pin moves with the ring.
-        direction = pin * 2.0 * math.pi / pins + ring
-        s, c = sine_cosine(direction)
+        s, c = sine_cosine(local.direction)
         sign = 1.0 if problem.ring else -1.0
         out[radial + pin] += displaced(contact, local, c, s, -sign * s, sign * c)
         out[tangential + pin] += displaced(contact, local, -s, c, -sign * c, -sign * s)
@@ -105,10 +100,9 @@ def derivatives(problem: Problem, theta: float, x: float, contacts: Rows, out: A
         out[PIN_GENERATING] -= thicker
         pressed, turned = larger_circle(problem, contact, pin, local)
         out[CIRCLE_GENERATING] += pressed * contact.arm - contact.force * turned * local.slide
-        foot = pin * 2.0 * math.pi / pins + (crank - ring) / problem.teeth + contact.foot
-        tooth = math.floor(foot * problem.teeth / (2.0 * math.pi)) % problem.teeth
         wx, wy = (local.lever_x, local.lever_y) if problem.ring else (-local.gear_x, -local.gear_y)
-        out[pitch + disc * problem.teeth + tooth] += displaced(contact, local, local.gear_y, -local.gear_x, wx, wy)
+        tooth = pitch + local.disc * problem.teeth + local.tooth
+        out[tooth] += displaced(contact, local, local.gear_y, -local.gear_x, wx, wy)
     scale = -1.0 / stiffness
     for column in range(out.size):
         out[column] *= scale

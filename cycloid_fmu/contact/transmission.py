@@ -434,12 +434,11 @@ def error_sensitivity(
     drive = drive_of(pair, surface, slices)
     angles = _contiguous(crank_angle)
     columns = displacement_columns(pair, names)
-    each = np.empty((angles.size, columns.shape[0]))
+    each, jacobian = (np.empty((angles.size, size)) for size in columns.shape)
     deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
     torques = _contiguous(np.broadcast_to(torque, angles.shape))
-    contact.sweep_sensitivities(drive, angles, torques, deviation, each, by_angle, by_torque)
+    contact.sweep_sensitivities(drive, angles, torques, columns, deviation, each, jacobian, by_angle, by_torque)
     _check_again(drive, angles, torques, ~(by_torque > 0.0))
-    jacobian = each @ columns
     profiles = [at for at, name in enumerate(names) if profile_wave(name, PROFILE_POINTS) is not None]
     if profiles:
         jacobian[:, profiles] = form_sensitivity(

@@ -118,7 +118,6 @@ def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Wo
         force = contact_.force
         if force <= 0.0:
             continue
-        disc, _, _ = contact.disc_slice_pin(problem, row)
         local = contact.local_frame(problem, theta, x, contacts, row)
         nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
         # Derivatives of the gap by u, v, y, and the sliding of the pin's axis along the flank for each.
@@ -126,7 +125,7 @@ def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Wo
         au, av, ay = ny, -nx, -(nx * px + ny * py)
         k, bend = contact_.stiffness, local.bend
         curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
-        at = FIRST_DISC + 3 * disc
+        at = FIRST_DISC + 3 * local.disc
         residual[at] -= force * du
         residual[at + 1] -= force * dv
         residual[at + 2] -= force * dy

@@ -75,12 +75,10 @@ def _mesh(
         force = one.force
         if force <= 0.0:
             continue
-        disc, _, _ = contact.disc_slice_pin(drive, row)
         local = contact.local_frame(drive, theta, x, rows, row)
         nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
         turn, slide = nx * py - ny * px, -(nx * px + ny * py)
-        crank, _, _ = contact.poses(drive, theta, x, disc)
-        wu, wv, wy = -e * math.sin(crank), e * math.cos(crank), -1.0 / drive.teeth
+        wu, wv, wy = -e * local.crank_y, e * local.crank_x, -1.0 / drive.teeth
         k, bend = one.stiffness, local.bend
         curved = one.force_by_curvature * one.curvature_rate * local.foot
         gap, slid = -nx * wu - ny * wv + turn * wy, ny * wu - nx * wv + slide * wy
@@ -89,7 +87,7 @@ def _mesh(
         bending = 0.5 * force * curved / k
         pressed, bent = k * gap - curved * slid, force * bend * slid
         bent_by += bending * slid
-        at = FIRST_DISC + 3 * disc
+        at = FIRST_DISC + 3 * local.disc
         by_energy[at] += bending * ny
         by_energy[at + 1] -= bending * nx
         by_energy[at + 2] += bending * slide

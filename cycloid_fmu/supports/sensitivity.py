@@ -66,8 +66,8 @@ def _add_mesh(
         force = contact_.force
         if force <= 0.0:
             continue
-        disc, _, pin = contact.disc_slice_pin(problem, number)
         local = contact.local_frame(problem, theta, x, contacts, number)
+        disc, pin = local.disc, local.pin
         nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
         at = FIRST_DISC + 3 * disc
         lu, lv, ly = row[at], row[at + 1], row[at + 2]
@@ -76,9 +76,7 @@ def _add_mesh(
         along, across = -nx * lu - ny * lv + turn * ly, ny * lu - nx * lv + slide * ly
         k, bend = contact_.stiffness, local.bend
         curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
-        crank, ring, _ = contact.poses(problem, theta, x, disc)
-        direction = pin * 2.0 * math.pi / pins + ring
-        c, s = math.cos(direction), math.sin(direction)
+        c, s = math.cos(local.direction), math.sin(local.direction)
         out[radial + pin] += _displaced(force, k, curved, bend, along, across, ly, nx, ny, c, s)
         out[tangential + pin] += _displaced(force, k, curved, bend, along, across, ly, nx, ny, -s, c)
         out[radius + pin] += k * along
@@ -90,10 +88,8 @@ def _add_mesh(
         by_v = -k * ny * along + force * bend * nx * across + curved * nx * along + force * nx * ly
         by_y = k * turn * along - force * bend * slide * across - curved * slide * along
         by_y += -force * ny * lu + force * nx * lv - force * slide * ly
-        foot = pin * 2.0 * math.pi / pins + (crank - ring) / teeth + contact_.foot
-        tooth = math.floor(foot * teeth / (2.0 * math.pi)) % teeth
-        out[pitch + disc * teeth + tooth] -= by_y
-        by_angle[0] -= -e * math.sin(crank) * by_u + e * math.cos(crank) * by_v - by_y / teeth
+        out[pitch + disc * teeth + local.tooth] -= by_y
+        by_angle[0] -= -e * local.crank_y * by_u + e * local.crank_x * by_v - by_y / teeth
 
 
 @part
