@@ -17,7 +17,7 @@ from hypothesis import settings
 settings.register_profile("default", deadline=None)
 settings.load_profile("default")
 
-# A worker has one core: where linear algebra takes one thread for each core of the machine, they wait for each other.
+# A worker has one core or less: where linear algebra takes one thread for each core, they wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # For the same reason studies that take all cores start no processes, each of which would load packages and kernels.
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -79,10 +79,10 @@ def installed_command(tmp_path):
     return run
 
 
-@pytest.hookimpl(optionalhook=True)
+@pytest.hookimpl(wrapper=True, optionalhook=True)
 def pytest_xdist_auto_num_workers():
     """One more than cores: many tests wait for a bench that moves in real time, or for a process."""
-    return (os.cpu_count() or 1) + 1
+    return (yield) + ("PYTEST_XDIST_AUTO_NUM_WORKERS" not in os.environ)
 
 
 @pytest.hookimpl(optionalhook=True)

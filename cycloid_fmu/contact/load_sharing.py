@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
 from cycloid_fmu.contact.hertz import half_width
 from cycloid_fmu.contact.local_frame import local_frame
-from cycloid_fmu.contact.problem import Problem, poses
+from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin, touching_count
 
 _COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
@@ -98,9 +98,7 @@ def write_contact_lines(
     """Write the contact lines of one solved position and raise the elements' largest pressures."""
     if lines is None:
         return
-    teeth = problem.teeth
-    pins = teeth + 1
-    pitch = 2.0 * math.pi / teeth
+    pitch = 2.0 * math.pi / problem.teeth
     points, gear_map, pin_map = lines.flank_alpha, lines.gear_pressure[load], lines.pin_pressure[load]
     slice_force, slice_direction = lines.slice_force[load, angle], lines.slice_direction[load, angle]
     elements, angles = gear_map.shape[2], pin_map.shape[1]
@@ -115,7 +113,6 @@ def write_contact_lines(
             continue
         local = local_frame(problem, theta, x, contacts, row)
         disc, slice_, pin = local.disc, local.slice, local.pin
-        crank, ring, _ = poses(problem, theta, x, disc)
         c, s = -math.cos(local.direction), -math.sin(local.direction)
         # The contact lies from the pin's axis against the flank's normal.
         direction = math.atan2(s * local.normal_x - c * local.normal_y, -c * local.normal_x - s * local.normal_y)
@@ -123,16 +120,14 @@ def write_contact_lines(
         slice_direction[disc, pin, slice_] = direction
         half = _half_width(problem, contact, pin)
         pressure = 2.0 * contact.force / (math.pi * half * problem.slice_width)
-        alpha = pin * 2.0 * math.pi / pins + (crank - ring) / teeth + contact.foot
-        tooth = math.floor(alpha / pitch)
-        point = min(max(int(np.searchsorted(points, alpha - tooth * pitch)), 1), points.size - 1)
-        share = (alpha - tooth * pitch - points[point - 1]) / (points[point] - points[point - 1])
+        along = local.around - math.floor(local.around / pitch) * pitch
+        point = min(max(int(np.searchsorted(points, along)), 1), points.size - 1)
+        share = (along - points[point - 1]) / (points[point] - points[point - 1])
         middle = point - 2.0 + share
         reach = half / arc
-        number = int(tooth) % teeth
         for element in range(max(0, math.ceil(middle - reach)), min(elements, math.floor(middle + reach) + 1)):
             seen = pressure * math.sqrt(max(1.0 - ((element - middle) / reach) ** 2, 0.0))
-            gear_map[disc, number, element, slice_] = max(gear_map[disc, number, element, slice_], seen)
+            gear_map[disc, local.tooth, element, slice_] = max(gear_map[disc, local.tooth, element, slice_], seen)
         middle = (direction / math.pi + 0.5) * angles - 0.5
         reach = half / problem.pin_radius[pin] / math.pi * angles
         for element in range(max(0, math.ceil(middle - reach)), min(angles, math.floor(middle + reach) + 1)):

@@ -21,6 +21,7 @@ class LocalFrame(NamedTuple):
     slice: int
     pin: int
     tooth: int
+    around: float  # foot's parameter around the gear, rad
     direction: float  # from the ring's centre to the pin's place on the pin circle, rad
     crank_x: float  # direction of the crank's throw
     crank_y: float
@@ -71,7 +72,7 @@ def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: i
     stretch = 1.0 + kappa * (contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius)
     slide = sign * (lx * nx + ly * ny)
     return LocalFrame(
-        disc, slice_, pin, tooth, place + ring, cc, sc, nx, ny, lx, ly, gx, gy, slide, kappa / stretch, speed,
+        disc, slice_, pin, tooth, alpha, place + ring, cc, sc, nx, ny, lx, ly, gx, gy, slide, kappa / stretch, speed,
         1.0 / (speed * stretch), facing, leaning, (kappa - 1.0 / speed) / stretch,
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.play import ROTATION_STEP, end_beside, play
 from cycloid_fmu.contact.problem import Problem
-from cycloid_fmu.contact.rows import Rows, contact_rows, disc_slice_pin
+from cycloid_fmu.contact.rows import Rows, contact_rows
 from cycloid_fmu.contact.sensitivity import derivatives
 
 
@@ -243,8 +243,7 @@ def sweep_flank_sensitivities(
             stretch = 1.0 / (local.speed * local.foot)
             # Second derivative of the axis' distance from the flank along it.
             bend = local.speed / local.foot * (1.0 - problem.generating_radius * local.bend * stretch)
-            _, _, pin = disc_slice_pin(problem, row)
-            upwards = problem.pin_radius[pin] / bend
+            upwards = problem.pin_radius[local.pin] / bend
             by_rise = contact.force_by_curvature * contact.curvature_rate * contact.arm * upwards
             by_rise += contact.force * contact.foot_rate
             for wave in range(waves.shape[0]):

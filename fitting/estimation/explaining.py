@@ -15,7 +15,7 @@ from cycloid_fmu.surfaces.structured import profile_names
 from fitting.estimation.fit import Estimate
 from fitting.estimation.starting import GAIN, fitted, observed_with, started, starting_estimate, without_scatter
 from fitting.estimation.validation import (
-    FALSE,
+    FALSE_ALARM,
     Likely,
     Residual,
     Verdict,
@@ -23,7 +23,7 @@ from fitting.estimation.validation import (
     likely_causes,
     verdict_of,
 )
-from fitting.model.discrepancy import GIVE, RIPPLE, beside_the_gear, causes, given_way, swung
+from fitting.model.discrepancy import GIVE, RIPPLE, beside_the_gear, causes, given_way, ripple_of
 from fitting.model.observations import (
     MISFIT,
     PROFILE_ORDERS,
@@ -38,8 +38,9 @@ Array = NDArray[np.float64]
 _BESIDE = 1.5  # times the noise: more than a minimum beside the best one leaves
 _MISFITS = 5  # fits with causes of misfit at most
 _SETTLED = 1e-7, 1e-7, 1e-7, 1e-4  # m and rad: supports that give way by no more have been found
-_SETTLED_SWING = 0.02  # of the torque: its effect is linear within
-_DOUBTED, _LIKELIER = 0.05, 12.0  # a cause that noise resembles so rarely is tried; -2 log likelihood it must gain
+_SETTLED_RIPPLE = 0.02  # share of the torque: smaller changes act linearly
+_DOUBTED = 0.05  # a cause that noise resembles more rarely is tried
+_LIKELIER = 12.0  # how far -2 log likelihood must fall for each such cause
 _NO_FIT = edge.InputError, np.linalg.LinAlgError  # no contacts balance a load; singular equations
 
 
@@ -52,13 +53,21 @@ class Explained:
     misfit: Discrepancy
     likely: Likely
     verdict: Verdict
+    is_settled: bool = True  # whether the misfit is at the supports' displacements and the torque that were found
 
 
 @dataclass(frozen=True)
-class Explaining:
-    """Fits of curves with causes of misfit beside the errors.
+class MisfitSearch:
+    """Fits of curves, with causes of misfit beside the errors where these alone do not explain the curves.
 
-    A common form of the flanks, each of its orders of size `form` (m), is one such cause.
+    Attributes
+    ----------
+    curves, pair
+        The curves, and the nominal pair.
+    form
+        Size of each order of a form that all flanks share, m, if it is one of the causes, otherwise 0.
+    progress
+        Is told what is done.
     """
 
     curves: Sequence[Curve]
@@ -105,8 +114,7 @@ class Explaining:
             if other is not None and other.unlikelihood < plain.found.unlikelihood - GAIN:
                 plain, suspects = self._tested(other, plain.known, misfit, beside)
         end = self._with_causes(plain, suspects) if _are_more(suspects, beside) else plain
-        gain = plain.found.unlikelihood - end.found.unlikelihood
-        if not _are_more(plain.likely, beside) and not gain > _LIKELIER:
+        if end is not plain and not _are_more(plain.likely, beside) and not self._is_likelier(plain, end):
             end = plain
         if end.found.disagreeing and end.misfit.columns and end.verdict.state != "not explained":
             # The starts were made without the cause; two of them must agree with it.
@@ -117,17 +125,30 @@ class Explaining:
                 end = self._judged(found, end.known, end.misfit, end.likely)
         return end
 
+    def _is_likelier(self, plain: Explained, end: Explained) -> bool:
+        """Whether curves are much likelier with doubted causes: with the same errors in the fit, and from there."""
+        if end.verdict.state == "not explained" or not end.is_settled:
+            return False
+        without = self._tried(end.found, end.known, plain.misfit, chosen=end.found.chosen)
+        if without is None:
+            return True
+        least = without.unlikelihood
+        if list(plain.found.chosen) == list(end.found.chosen):
+            least = min(least, plain.found.unlikelihood)
+        doubted = len(end.misfit.columns) - len(plain.misfit.columns)
+        return end.found.unlikelihood < least - _LIKELIER * doubted
+
     def _with_causes(self, plain: Explained, suspects: Likely) -> Explained:
         """Fit suspected causes beside the errors; without them, as before, where they leave no fit."""
         pair, known = self.pair, plain.known
         # The scatter has absorbed as much of the causes as it could.
         found: Estimate | None = without_scatter(pair, plain.found)
-        give = swing = None
+        give = ripple = None
         coefficients: dict[str, Array] = {}
         ends: list[Explained] = []
         for _ in range(_MISFITS):
             taken = sum((suspects.columns[n] @ values for n, values in coefficients.items()), np.zeros(1))
-            misfit = Discrepancy(suspects.columns, give, swing, taken)
+            misfit = Discrepancy(suspects.columns, give, ripple, taken)
             found = self._tried(found, known, misfit)
             if found is None:
                 break
@@ -135,14 +156,15 @@ class Explaining:
             of_cause = {n: found.observed.estimated.get(f"{MISFIT}_{n}") for n in (GIVE, RIPPLE)}
             coefficients = {n: found.state.bench[part] for n, part in of_cause.items() if part is not None}
             gave = given_way(pair, found.observed, coefficients[GIVE]) if GIVE in coefficients else None
-            swings = swung(found.observed, coefficients[RIPPLE]) if RIPPLE in coefficients else None
-            settled = _is_settled(give, gave, _SETTLED) and _is_settled(swing, swings, _SETTLED_SWING)
-            give, swing = gave, swings
+            there = ripple_of(found.observed, coefficients[RIPPLE]) if RIPPLE in coefficients else None
+            settled = _is_settled(give, gave, _SETTLED) and _is_settled(ripple, there, _SETTLED_RIPPLE)
+            give, ripple = gave, there
             if not settled:
-                # Supports that gave way and torques that swung have moved the contacts: further ones act at the new.
-                moved = dataclasses.replace(found.observed, give=give, swing=swing)
-                there = causes(pair, moved, linearise(pair, moved, found.state))
-                columns = {n: there.get(n, one) for n, one in suspects.columns.items()}
+                # Supports and torque are others than those that the contacts were solved with.
+                ends[-1] = dataclasses.replace(ends[-1], is_settled=False)
+                moved = dataclasses.replace(found.observed, give=give, ripple=ripple)
+                every = causes(pair, moved, linearise(pair, moved, found.state))
+                columns = {n: every.get(n, one) for n, one in suspects.columns.items()}
                 suspects = dataclasses.replace(suspects, columns=columns)
             elif ends[-1].verdict.state != "not explained":
                 return ends[-1]
@@ -163,21 +185,26 @@ class Explaining:
         doubted = self._resembled(found, known, beside, _DOUBTED)
         return one, dataclasses.replace(doubted, formed=likely.formed)
 
-    def _resembled(self, found: Estimate, known: Prior, likely: Likely, false: float = FALSE) -> Likely:
+    def _resembled(self, found: Estimate, known: Prior, likely: Likely, alarm: float = FALSE_ALARM) -> Likely:
         state = found.state if self.form and not known.profile else None
         columns = causes(self.pair, found.observed, found.linear, state)
-        return likely_causes(Residual(self.pair, found), columns, likely, false)
+        return likely_causes(Residual(self.pair, found), columns, likely, alarm)
 
     def _judged(self, found: Estimate, known: Prior, misfit: Discrepancy, likely: Likely) -> Explained:
         formed = bool(self.form and known.profile)
         return Explained(found, known, misfit, likely, verdict_of(self.pair, found, likely, formed))
 
     def _tried(
-        self, start: Estimate | None, known: Prior, misfit: Discrepancy, searched: bool = False
+        self,
+        start: Estimate | None,
+        known: Prior,
+        misfit: Discrepancy,
+        searched: bool = False,
+        chosen: Sequence[str] | None = None,
     ) -> Estimate | None:
         """With causes that are not those of the drive, as on bearings that no file states, there may be no fit."""
         try:
-            return fitted(self.curves, self.pair, start, known, self.progress, misfit, searched)
+            return fitted(self.curves, self.pair, start, known, self.progress, misfit, searched, chosen)
         except _NO_FIT:
             return None
 
@@ -187,7 +214,7 @@ def _are_more(likely: Likely, beside: Likely) -> bool:
 
 
 def _is_settled(before: Array | None, after: Array | None, within: Array | Sequence[float] | float) -> bool:
-    """Whether displacements or swings of the torque have been found."""
+    """Whether displacements, or a ripple of the torque, have been found."""
     if after is None:
         return True
     return bool((np.abs(after - (0.0 if before is None else before)) < within).all())

@@ -23,7 +23,7 @@ from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import DEVIATIONS, surface_of_pair
 from fitting.arguments import positive
-from fitting.estimation.explaining import Explaining
+from fitting.estimation.explaining import MisfitSearch
 from fitting.estimation.fit import OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import Identification, is_uneven, result_of
 from fitting.estimation.starting import GAIN, described_by, fitted, started
@@ -173,15 +173,17 @@ def identify(
             shape = 0.0 if prior.profile else shape
             # The model on bearings fits no form: intervals allow for it, and the verdict does not name it.
             cause = 0.0 if pair.supports is not None else shape
-            explained = Explaining([*running, *loops], pair, cause, progress).validated(start, prior)
+            explained = MisfitSearch([*running, *loops], pair, cause, progress).validated(start, prior)
             found, verdict = explained.found, explained.verdict
             shape = 0.0 if found.observed.profile else shape
             if predicted is not None and verdict.state == "explained" and _is_mispredicted(predicted):
                 # The first fit may have ended beside its best optimum, which the whole one has found.
                 progress("fitting without the held-out curves, from there")
-                predicted = _predicted(pair, fitted(rest, pair, found, prior, progress), [running[i] for i in kept])
+                predicted = _predicted(
+                    pair, fitted(rest, pair, found, explained.known, progress), [running[i] for i in kept]
+                )
                 verdict = mispredicted(verdict, predicted) if _is_mispredicted(predicted) else verdict
-            found, others = _described_otherwise(pair, found, prior, progress)
+            found, others = _described_otherwise(pair, found, explained.known, progress)
             verdict = dataclasses.replace(verdict, descriptions=1 + len(others), disagreeing=found.disagreeing)
             result = result_of(
                 pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, GAIN, others, shape, progress,

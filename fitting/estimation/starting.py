@@ -270,6 +270,7 @@ def fitted(
     progress: Callable[[str], None],
     misfit: Discrepancy | None = None,
     searched: bool = False,
+    chosen: Sequence[str] | None = None,
 ) -> Estimate:
     """Fit curves from the end of another fit, or `searched` around it for a better minimum, or from the prior.
 
@@ -285,6 +286,8 @@ def fitted(
         Causes of misfit beside the errors.
     searched
         Whether minima near the other fit are tried as well.
+    chosen
+        The errors to fit; None: those that the curves resolve.
 
     Raises
     ------
@@ -301,7 +304,10 @@ def fitted(
     weight = observed.weight * np.median(rough.observed.weight) / np.median(observed.weight)
     observed = dataclasses.replace(observed, weight=weight).with_sizes(scatter)
     rough = dataclasses.replace(rough, state=state, scatter=scatter)
-    estimate = _settled(pair, observed, rough, linear, known, progress)
+    if chosen is None:
+        estimate = _settled(pair, observed, rough, linear, known, progress)
+    else:
+        estimate = fit(pair, observed, chosen, state, scatter, gain=GAIN, linear=linear, known=known.scatter)
     return dataclasses.replace(estimate, disagreeing=rough.disagreeing)
 
 

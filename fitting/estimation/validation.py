@@ -24,7 +24,7 @@ from fitting.model.observations import CHAIN, CREEP, MISFIT, Observations, left_
 
 Array = NDArray[np.float64]
 
-FALSE = 2e-3  # how often a test alarms where there is nothing, all that it looks at together
+FALSE_ALARM = 2e-3  # how often a test alarms where there is nothing, all that it looks at together
 _MORE = 1.15  # times the yardstick: a larger residual counts as more than noise
 _SEEN = 1e-3  # of a column's square outside the span of the errors; below it a cause is not separable from them
 _TOLD = 0.02  # of what curves tell of the fit's unknowns: what they alone tell is not held against others
@@ -216,7 +216,7 @@ class Residual:
     def is_zero(self, numbers: Sequence[int], values: Array) -> bool:
         """Whether unknowns of the fit, in their scale, are compatible with zero (Wald)."""
         covariance = linalg.cho_solve(self._factor, np.eye(len(self.information))[:, numbers])[list(numbers)]
-        return float(special.chdtrc(values.size, float(values @ np.linalg.solve(covariance, values)))) > FALSE
+        return float(special.chdtrc(values.size, float(values @ np.linalg.solve(covariance, values)))) > FALSE_ALARM
 
     def contradicts(self, numbers: Sequence[int]) -> float:
         """Probability that noise makes some curves and the others disagree as much on the fit's unknowns."""
@@ -304,7 +304,7 @@ def peak(observed: Observations, left: Array) -> float | None:
     together = np.sum([p[:least] for p in powers], axis=0)
     chances = [special.gammaincc(len(powers), together), *(np.exp(-p) for p in powers)]
     best = min(chances, key=lambda one: float(one.min()))
-    if float(best.min()) * looked > FALSE:
+    if float(best.min()) * looked > FALSE_ALARM:
         return None
     # Between the orders that the turns resolve.
     near = (int(np.argmin(best)) + 1 + np.linspace(-1.0, 1.0, 41)) / turns
@@ -343,7 +343,7 @@ def failures(residual: Residual, left: Array) -> tuple[list[str], Array]:
     if excess > max(_MORE, np.exp(4.0 * 0.72 / np.sqrt(0.5 * np.count_nonzero(~observed.of_loops)))):
         failed.append(f"the residual is {excess:.2g} times the noise")
     groups = groups_of(observed)
-    contradicting = [name for name, one in groups.items() if residual.contradicts(one) * len(groups) < FALSE]
+    contradicting = [name for name, one in groups.items() if residual.contradicts(one) * len(groups) < FALSE_ALARM]
     if contradicting:
         failed.append(f"{', '.join(contradicting)} and the others contradict each other")
     return failed, yardstick
@@ -363,13 +363,13 @@ class Likely:
 
 
 def likely_causes(
-    residual: Residual, columns: Mapping[str, Array], known: Likely | None = None, false: float = FALSE
+    residual: Residual, columns: Mapping[str, Array], known: Likely | None = None, alarm: float = FALSE_ALARM
 ) -> Likely:
     """Return causes that the residual resembles, and then its further orders, as `causes_of` does.
 
     The arguments are those of `causes_of`.
     """
-    likely = causes_of(residual, columns, known, false)
+    likely = causes_of(residual, columns, known, alarm)
     orders = list(likely.orders)
     for _ in range(_ORDERS):
         order = peak(residual.observed, residual.left)
@@ -384,7 +384,7 @@ def likely_causes(
 
 
 def causes_of(
-    residual: Residual, columns: Mapping[str, Array], known: Likely | None = None, false: float = FALSE
+    residual: Residual, columns: Mapping[str, Array], known: Likely | None = None, alarm: float = FALSE_ALARM
 ) -> Likely:
     """Return causes that the residual resembles, the most likely first, each given the previous ones.
 
@@ -396,8 +396,8 @@ def causes_of(
         As `fitting.model.discrepancy.causes` returns them.
     known
         Those already in the fit.
-    false
-        How often noise alone resembles one of them.
+    alarm
+        How often noise alone may resemble one of them.
     """
     found = {name: columns[name] for name in known.columns if name in columns} if known else {}
     pulls, formed = residual.pulls, False
@@ -406,7 +406,7 @@ def causes_of(
     while rest:
         scores = {name: residual.score(one) for name, one in rest.items()}
         chances = {n: min(chance, pulls.get(n, (1.0, 0.0))[0]) for n, (chance, _) in scores.items()}
-        told = [n for n, chance in chances.items() if chance * len(columns) < false]
+        told = [n for n, chance in chances.items() if chance * len(columns) < alarm]
         formed = formed or FORM in told
         told = [n for n in told if n != FORM]
         if not told:

@@ -55,14 +55,15 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
     """
     curves = observed.curves
     sizes = [c.input_angle.size for c in curves]
-    torque = np.concatenate([c.torque_at_points for c in curves])
+    torque = observed.torque
     load, running = torque / max(float(np.abs(torque).max()), 1e-9), ~observed.of_loops
     against = np.repeat([-float(c.direction) * np.sign(c.ratio) for c in curves], sizes)
-    by_torque = linear.by_friction * against * torque * running
+    stated = np.concatenate([c.torque_at_points for c in curves])
+    by_ripple = linear.by_friction * against * stated * running
     found = {
         GIVE: _give(pair, observed, linear),
         "friction": [_unit(linear.by_friction * np.abs(load))],
-        RIPPLE: [by_torque * wave * _swing_unit(observed) for wave in _swings(observed).T],
+        RIPPLE: [by_ripple * wave * _ripple_unit(observed) for wave in _waves(observed).T],
     }
     late = by_lag(observed, linear)
     if late.any():
@@ -74,7 +75,7 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
 
 def beside_the_gear(observed: Observations) -> dict[str, Array]:
     """Return the possible contributions of `BESIDE_THE_GEAR`, which do not depend on the model, as `causes` does."""
-    load = np.concatenate([c.torque_at_points for c in observed.curves])
+    load = observed.torque
     load = load / max(float(np.abs(load).max()), 1e-9)
     crank = np.concatenate([c.input_angle for c in observed.curves])
     run_out = [
@@ -146,8 +147,8 @@ def given_way(pair: Pair, observed: Observations, coefficients: Array) -> Array:
     return shifts
 
 
-def swung(observed: Observations, coefficients: Array) -> Array:
-    """Return the part of the torque that the sensor did not measure.
+def ripple_of(observed: Observations, coefficients: Array) -> Array:
+    """Return the part of the torque that the sensor did not measure, as a share of what it did.
 
     Parameters
     ----------
@@ -158,21 +159,21 @@ def swung(observed: Observations, coefficients: Array) -> Array:
 
     Returns
     -------
-    swing
-        Shape (points,), as `Observations.swing`; 0 for loops.
+    ripple
+        Shape (points,), as `Observations.ripple`; 0 for loops.
     """
-    found: Array = _swings(observed) @ coefficients * _swing_unit(observed) * ~observed.of_loops
+    found: Array = _waves(observed) @ coefficients * _ripple_unit(observed) * ~observed.of_loops
     return found
 
 
-def _swings(observed: Observations) -> Array:
+def _waves(observed: Observations) -> Array:
     """Waves of a torque once and twice a turn of the crank and once a turn of the output, shape (points, waves)."""
     crank = np.concatenate([c.input_angle for c in observed.curves])
     angles = (crank, 2.0 * crank, crank / abs(observed.curves[0].ratio))
     return np.column_stack([wave(angle) for angle in angles for wave in (np.cos, np.sin)])
 
 
-def _swing_unit(observed: Observations) -> float:
+def _ripple_unit(observed: Observations) -> float:
     """Swing of the torque, as a share of it, for a coefficient of one: about one rad of the transmission error."""
     largest = max(abs(c.torque) for c in observed.curves)
     return COMPLIANCE_SHARE / (observed.chain_prior * largest)

@@ -74,15 +74,15 @@ class Discrepancy:
     ----------
     columns
         {cause: shape (points, columns)}, whose coefficients are rad.
-    give, swing
+    give, ripple
         As in `Observations`.
     taken
-        Contribution of the columns of `give` and `swing` which is already in the model, shape (points,), rad.
+        Contribution of the columns of `give` and `ripple` which is already in the model, shape (points,), rad.
     """
 
     columns: Mapping[str, Array]
     give: Array | None = None
-    swing: Array | None = None
+    ripple: Array | None = None
     taken: Array | float = 0.0
 
 
@@ -109,7 +109,7 @@ class Observations:
         The structured errors considered, and {order of the profile deviation: prior size, m} of those among them.
     give
         Displacements of the supports in each curve, shape (curves, 4): `GIVES`, m, and the crank, rad.
-    swing
+    ripple
         Torque at each point beyond the stated one, as a share of it, shape (points,).
     bearing_names, bearing_prior, bearing_lowest
         Unknowns of the drive's own bearings and first stage, their prior deviations, and their largest decreases, as in
@@ -134,7 +134,7 @@ class Observations:
     errors: tuple[str, ...]
     profile: Mapping[str, float]
     give: Array | None = None
-    swing: Array | None = None
+    ripple: Array | None = None
     bearing_names: tuple[str, ...] = ()
     bearing_prior: Array = field(default_factory=lambda: np.zeros(0))
     bearing_lowest: Array = field(default_factory=lambda: np.zeros(0))
@@ -152,10 +152,15 @@ class Observations:
         """Which points are of loops, shape (points,)."""
         return np.concatenate([np.full(c.input_angle.size, bool(c.branch)) for c in self.curves])
 
+    @property
+    def torque(self) -> Array:
+        """Torque at each point with the part that its sensor did not show, shape (points,), N·m."""
+        return np.concatenate([self.torque_of(number) for number in range(len(self.curves))])
+
     def torque_of(self, number: int) -> Array:
         """Torque of a curve at its points with the part that its sensor did not show, N·m."""
         torque = self.curves[number].torque_at_points
-        return torque if self.swing is None else torque * (1.0 + np.split(self.swing, self.ends)[number])
+        return torque if self.ripple is None else torque * (1.0 + np.split(self.ripple, self.ends)[number])
 
     @property
     def friction_names(self) -> tuple[str, ...]:
@@ -204,10 +209,13 @@ class Observations:
     def with_misfit(self, misfit: Discrepancy) -> Observations:
         """The same with the contributions of causes of misfit."""
         names = [f"{MISFIT}_{cause}_{i}" for cause, one in misfit.columns.items() for i in range(one.shape[1])]
+        bench = self.bench.copy()
+        if misfit.ripple is not None:
+            bench[:, self.bench_names.index(CHAIN)] *= 1.0 + misfit.ripple
         return dataclasses.replace(
-            self, bench_names=(*self.bench_names, *names), bench=np.hstack([self.bench, *misfit.columns.values()]),
+            self, bench_names=(*self.bench_names, *names), bench=np.hstack([bench, *misfit.columns.values()]),
             bench_prior=np.concatenate([self.bench_prior, np.full(len(names), NO_CREEP)]), give=misfit.give,
-            swing=misfit.swing, measured=self.measured + misfit.taken,
+            ripple=misfit.ripple, measured=self.measured + misfit.taken,
         )  # fmt: skip
 
     def with_form(self, columns: Array, form: float) -> Observations:
@@ -232,7 +240,7 @@ class Observations:
         every = np.concatenate(chosen)
         return dataclasses.replace(
             self, curves=curves, measured=self.measured[every], weight=self.weight[every], bench=self.bench[every],
-            swing=None if self.swing is None else self.swing[every],
+            ripple=None if self.ripple is None else self.ripple[every],
         )  # fmt: skip
 
     def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Observations:
@@ -243,7 +251,7 @@ class Observations:
             self, curves=tuple(self.curves[n] for n in numbers), measured=self.measured[part],
             weight=self.weight[part], bench=self.bench[part],
             give=None if self.give is None else self.give[list(numbers)],
-            swing=None if self.swing is None else self.swing[part],
+            ripple=None if self.ripple is None else self.ripple[part],
         )  # fmt: skip
 
 
@@ -536,7 +544,7 @@ def linearised_curve(
         model, jacobian, each, further = error_sensitivity(pair, surface, s * torque, at + w, list(observed.errors))
         by_crank, by_torque = further.T
     else:
-        errors = displacement_vector(pair, state.surface) - around.errors
+        errors = displacement_vector(pair, surface) - around.errors
         model, each, by_torque = first_order.sensitivities(pair, around.contacts[number], 1, errors, torque)
         jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
     scatter = scatter_columns(pair, each)

@@ -8,7 +8,8 @@ import pytest
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.plan import planned_curve
-from fitting.model.observations import State, linearise, observations, spread_of
+from fitting.model.discrepancy import RIPPLE, causes, ripple_of
+from fitting.model.observations import Discrepancy, State, linearise, observations, spread_of
 
 
 @pytest.mark.parametrize("output", ["gear", "ring"])
@@ -31,3 +32,45 @@ def test_friction_acts_against_the_motion(nominal, output, direction, torque):
     linear, more = (linearise(pair, observed, dataclasses.replace(state, friction=f)) for f in (5.0, 5.01))
     assert linear.model == pytest.approx(errors[1:], abs=1e-10)
     assert linear.by_friction == pytest.approx((more.model - linear.model) / 0.01, rel=1e-2)
+
+
+@pytest.fixture(scope="module")
+def rippled(nominal):
+    """Observations, a state with a chain, and coefficients of a torque ripple that the sensor does not see."""
+    curves = [planned_curve(nominal.ratio, t, int(np.sign(t)), 1.0, 6) for t in (60.0, -60.0, 200.0)]
+    observed = observations(curves, nominal, [1e-6] * 3)
+    state = State(surface_of_pair(nominal), np.zeros(spread_of(nominal, {}).size), np.zeros(observed.bench.shape[1]))
+    state.bench[observed.bench_names.index("chain_compliance")] = 1e-6
+    return observed, state, np.array([3.0, -2.0, 1.0, 0.5, -1.0, 2.0]) * 1e-8
+
+
+def test_a_torque_ripple_acts_on_contacts_as_its_columns_say_and_on_the_chain(nominal, rippled):
+    observed, state, coefficients = rippled
+    linear = linearise(nominal, observed, state)
+    columns = causes(nominal, observed, linear)[RIPPLE]
+    ripple = ripple_of(observed, coefficients)
+    moved = observed.with_misfit(Discrepancy({}, ripple=ripple))
+    difference = linearise(nominal, moved, state).model - linear.model
+    assert np.abs(ripple).max() < 1e-2
+    assert difference == pytest.approx(columns @ coefficients, abs=1e-2 * np.abs(difference).max())
+    in_chain = (moved.bench - observed.bench) @ state.bench
+    assert in_chain == pytest.approx(1e-6 * ripple * observed.torque, rel=1e-12)
+
+
+def test_parts_of_observations_keep_their_torque_ripple(rippled):
+    observed, _, coefficients = rippled
+    moved = observed.with_misfit(Discrepancy({}, ripple=ripple_of(observed, coefficients)))
+    assert moved.torque == pytest.approx(observed.torque * (1.0 + moved.ripple), rel=1e-15)
+    assert moved.some([2]).torque == pytest.approx(moved.torque_of(2), rel=1e-15)
+    thin = moved.thinned(60)
+    assert 0 < thin.torque.size < moved.torque.size
+    assert thin.ripple == pytest.approx(ripple_of(observed.thinned(60), coefficients), rel=1e-12)
+
+
+def test_a_loop_has_no_torque_ripple(rippled):
+    observed, _, coefficients = rippled
+    loop = dataclasses.replace(observed.curves[0], branch="loading")
+    mixed = dataclasses.replace(observed, curves=(loop, *observed.curves[1:]))
+    first, *others = np.split(ripple_of(mixed, coefficients), mixed.ends)
+    assert not first.any()
+    assert all(one.any() for one in others)
