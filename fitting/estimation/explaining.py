@@ -15,7 +15,6 @@ from cycloid_fmu.surfaces.structured import profile_names
 from fitting.estimation.fit import Estimate
 from fitting.estimation.starting import GAIN, fitted, observed_with, started, starting_estimate, without_scatter
 from fitting.estimation.validation import (
-    FALSE_ALARM,
     Likely,
     Residual,
     Verdict,
@@ -169,7 +168,7 @@ class MisfitSearch:
             elif ends[-1].verdict.state != "not explained":
                 return ends[-1]
             else:
-                suspects = self._resembled(found, known, suspects)
+                suspects = likely_causes(Residual(pair, found), self._causes(found, known), suspects)
                 known = _with_form(known, self.form) if suspects.formed else known
         # Where the model does not hold, each linearisation at supports that gave way may fit worse than the one before.
         return min(ends, key=lambda e: (e.verdict.state == "not explained", e.found.unlikelihood), default=plain)
@@ -177,18 +176,18 @@ class MisfitSearch:
     def _tested(self, found: Estimate, known: Prior, misfit: Discrepancy, beside: Likely) -> tuple[Explained, Likely]:
         """The verdict on a fit, with the causes that its residual resembles, and those that it perhaps resembles."""
         self.progress("testing the residual")
-        likely = self._resembled(found, known, beside)
+        residual, columns = Residual(self.pair, found), self._causes(found, known)
+        likely = likely_causes(residual, columns, beside)
         one = self._judged(found, known, misfit, likely)
         if _are_more(likely, beside) or one.verdict.state == "not explained":
             return one, likely
         # The scatter of pins and teeth may have absorbed most of a cause.
-        doubted = self._resembled(found, known, beside, _DOUBTED)
+        doubted = likely_causes(residual, columns, beside, _DOUBTED)
         return one, dataclasses.replace(doubted, formed=likely.formed)
 
-    def _resembled(self, found: Estimate, known: Prior, likely: Likely, alarm: float = FALSE_ALARM) -> Likely:
+    def _causes(self, found: Estimate, known: Prior) -> dict[str, Array]:
         state = found.state if self.form and not known.profile else None
-        columns = causes(self.pair, found.observed, found.linear, state)
-        return likely_causes(Residual(self.pair, found), columns, likely, alarm)
+        return causes(self.pair, found.observed, found.linear, state)
 
     def _judged(self, found: Estimate, known: Prior, misfit: Discrepancy, likely: Likely) -> Explained:
         formed = bool(self.form and known.profile)
