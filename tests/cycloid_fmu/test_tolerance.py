@@ -336,6 +336,8 @@ def test_bad_studies_are_one_sentence(text, changes, said):
 @pytest.mark.slow(2)
 def test_a_scheduler_that_does_not_answer(command, files, tmp_path):
     dask = pytest.importorskip("dask")
+    # Loaded within `set`, its defaults would be gone after it.
+    pytest.importorskip("distributed")
     with dask.config.set({"distributed.comm.timeouts.connect": "1 s"}):
         failed = command(*files, "--scheduler", "tcp://127.0.0.1:9", "-o", "s.nc")
     assert (failed.returncode, failed.stdout) == (2, "")
