@@ -1,4 +1,4 @@
-"""Time of a compensator's step in C, the longest call of a motion, with an output encoder and without: 500 ns asked."""
+"""Time of a compensator's step in C: the longest call of a motion, with an output encoder and without."""
 
 import math
 import subprocess
@@ -16,6 +16,7 @@ from compensators import NONE
 from test_compensation_forms import host
 
 ROUNDS = 300
+ALLOWED = 500.0  # ns, including the call of the clock
 
 
 @pytest.fixture(scope="module")
@@ -49,3 +50,4 @@ def test_worst_step(benchmark, compensator, tmp_path, compiler, measured):
     clock, *spent = map(float, done.stdout.split())
     benchmark.extra_info["ns of a call, median and longest"] = f"{np.median(spent):.0f}, {max(spent):.0f}"
     benchmark.extra_info["of which the clock takes"] = f"{clock:.0f}"
+    assert max(spent) < ALLOWED

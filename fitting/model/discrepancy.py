@@ -174,7 +174,7 @@ def _waves(observed: Observations) -> Array:
 
 
 def _ripple_unit(observed: Observations) -> float:
-    """Swing of the torque, as a share of it, for a coefficient of one: about one rad of the transmission error."""
+    """Ripple of the torque, as a share of it, for a coefficient of one: about one rad of the transmission error."""
     largest = max(abs(c.torque) for c in observed.curves)
     return COMPLIANCE_SHARE / (observed.chain_prior * largest)
 

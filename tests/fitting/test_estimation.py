@@ -258,7 +258,7 @@ def test_a_torque_that_swings_and_a_zero_that_creeps_do_not_bend_the_errors(simp
 
 
 @pytest.mark.slow(40)
-@pytest.mark.parametrize("seed", [5, 6, 7])  # errors absorbed the first two where it acted to first order
+@pytest.mark.parametrize("seed", [5, 6, 7])  # a fit of its first-order effect alone missed 5 and 6
 def test_a_torque_that_swings_unseen_is_named(simple, nominal, seed):
     made, _ = simple
     blind = [dataclasses.replace(c, torque_each=None) for c in swinging(nominal, made, seed)]
