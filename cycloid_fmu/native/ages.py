@@ -220,12 +220,14 @@ def _sides_alike(of: Sequence[Side], periods: Sequence[int], angles: int) -> lis
     steps = np.full(loads.size, step), c_step, np.max([np.interp(told, s.told_load, s.steps[2]) for s in of], axis=0)
     found = []
     for side, n, (deviation, compliance) in zip(of, periods, grown, strict=True):
-        x, c = tables.monotone(np.append(loads, far), deviation, compliance, [np.append(s, s[-1]) for s in steps[:2]])
+        tables.make_monotone(np.append(loads, far), deviation, compliance, [np.append(s, s[-1]) for s in steps[:2]])
         share = np.searchsorted(side.told_load, told).clip(1, side.told_load.size - 1)
         low, high = side.told_load[share - 1], side.told_load[share]
         u = ((told - low) / (high - low))[:, None]
         pressure = np.tile((1.0 - u) * side.pressure[share - 1] + u * side.pressure[share], (1, n))
         count = np.tile(side.contact_count[np.where(u[:, 0] > 0.5, share, share - 1)], (1, n))
         p = np.round(pressure / steps[2][:, None]) * steps[2][:, None]
-        found.append(Side(loads, x[:-1], c[:-1], told, count, p, steps, (far, x[-1], c[-1])))
+        found.append(
+            Side(loads, deviation[:-1], compliance[:-1], told, count, p, steps, (far, deviation[-1], compliance[-1]))
+        )
     return found

@@ -68,8 +68,10 @@ class _Stage:
         )  # fmt: skip
         if self.problem is None:
             return found
-        crank_torque = np.zeros((1, crank.size))
-        contact.sweep_crank_torque(self.problem, crank, found.transmission_error[0].copy(), crank_torque[0])
+        crank_torque = np.empty((1, crank.size))
+        contact.sweep_crank_side(
+            self.problem, crank, found.transmission_error[0].copy(), crank_torque[0], np.empty(crank.size)
+        )
         return dataclasses.replace(found, crank_torque=crank_torque)
 
     def turned(self, side: float, crank_torque: ArrayLike) -> Array:

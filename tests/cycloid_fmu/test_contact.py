@@ -612,3 +612,17 @@ def test_a_crank_that_turns_back_or_rests_meets_the_same_deviations(steps, torqu
     np.testing.assert_allclose(found, wanted[at], rtol=0.0, atol=1e-11)
     derived = error_sensitivity(pair, surface, torque, places[at], ["eccentricity"])[0]
     np.testing.assert_allclose(derived, wanted[at], rtol=0.0, atol=1e-11)
+
+
+@given(st.lists(st.floats(0.1, 400.0), min_size=2, max_size=20), st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_a_crank_at_rest_under_changing_torques_deviates_as_under_each_alone(torques, with_errors):
+    """Each torque starts from the one before it at the same angle, by its stiffness."""
+    pair = read_pair(CASES / ("errors-39-40.toml" if with_errors else "error-free-39-40.toml"))
+    surface, both = surface_of_pair(pair), np.repeat([0.3, 0.7], len(torques))
+    found = solve(pair, surface, np.tile(torques, 2)[None], both, with_play=False)
+    alone = [solve(pair, surface, [t], [0.3], with_play=False) for t in torques]
+    wanted = np.array([one.transmission_error[0, 0] for one in alone])
+    np.testing.assert_allclose(found.transmission_error[0, : wanted.size], wanted, rtol=0.0, atol=1e-10)
+    stiffness = np.array([one.torsional_stiffness[0, 0] for one in alone])
+    np.testing.assert_allclose(found.torsional_stiffness[0, : wanted.size], stiffness, rtol=1e-3)

@@ -34,6 +34,7 @@ from cycloid_fmu.fmu.variables import Interface, from_tables, variables
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import table_cache, tables
+from cycloid_fmu.native.nodes import midway
 from cycloid_fmu.native.table_file import HEAD, TABLE, constants_header, sealed, write
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer
@@ -132,6 +133,25 @@ def test_tables_keep_their_accuracy_at_crank_angles_and_torques_they_were_not_ma
     assert errors.pressure[1] < 0.05
     assert drive.tables.errors.speed < tables.SPEED_SHARE
     assert errors.crank_torque[1] < 0.005
+
+
+@given(
+    st.tuples(*[st.floats(-1.0, 1.0)] * 4),
+    st.integers(0, 2),
+    st.integers(0, 63).map(lambda part: part / 64),
+    st.floats(-1.0, 1.0),
+)
+def test_only_where_a_pin_begins_to_carry_is_interpolation_between_crank_angles_in_doubt(cubic, order, share, jump):
+    """A cubic with a jump of value, slope or curvature: exact but in the jump's own interval, where doubt is told."""
+    at = np.arange(48) / 2.0
+    begin = 10.0 + share
+    curve = np.polynomial.polynomial.polyval(at / 10.0, cubic) + jump * (at > begin) * np.abs(at - begin) ** order
+    found, off = midway(curve[::2])
+    wrong = np.abs(found - curve[1::2])
+    here, others = 10, np.r_[5:10, 11:18]  # the ends of the curve are not a period's
+    assert wrong[others].max() < 1e-12
+    assert off[others].max() < 1e-12
+    assert wrong[here] <= 0.4 * off[here] + 1e-12
 
 
 def test_what_the_tables_say_they_err_is_what_the_library_errs(drive, slave, without_losses):

@@ -1,0 +1,174 @@
+"""The exact contact model at the nodes of tables: at many loads and crank angles, or at some of their places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import contact
+from cycloid_fmu.contact.transmission import drive_of, slices_needed
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.supports.transmission import solve
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+_FIRST_SLOPE = 0.125  # of the first torque: place of the slope at zero load, which Hertz's logarithm makes infinite
+_AT_ONCE = 32_768  # states: the forces of all pins, of each, take 1.3 kB
+_ASIDE = 0.3  # of the differences in the middle: below it those on one side decide
+
+
+class Solved(NamedTuple):
+    """The exact model, mirrored for one direction, at loads and crank angles, shape (loads, angles).
+
+    No other output depends on contact count and pressure: they keep the first crank angles.
+    """
+
+    deviation: Array32
+    compliance: Array32
+    pressure: Array32
+    contact_count: Array32
+
+
+class Rest(NamedTuple):
+    """The drive without a load, each of shape (angles,); see `Transmission`.
+
+    Attributes
+    ----------
+    low, high
+        Ends of the play, rad.
+    pressed
+        Whether there is no play.
+    deviation, stiffness, pressure, contact_count, crank_torque
+        Values where there is no play; 0 elsewhere.
+    """
+
+    low: Array
+    high: Array
+    pressed: NDArray[np.bool_]
+    deviation: Array
+    stiffness: Array
+    pressure: Array
+    contact_count: Array
+    crank_torque: Array
+
+
+def at_rest(pair: Pair, surface: ErrorSurface, angles: Array, workers: int = 1) -> Rest:
+    """Solve the play, and the drive at rest where there is none: once for both directions."""
+    slices = slices_needed(surface)
+    free = solve(pair, surface, [], angles, slices, workers=workers)
+    rest = Rest(free.play_low, free.play_high, free.interference > 0.0, *np.zeros((5, angles.size)))
+    here = np.flatnonzero(rest.pressed)
+    if here.size:
+        one = solve(pair, surface, [0.0], angles[here], slices, with_play=False, workers=workers)
+        drive = drive_of(pair, surface, slices)
+        crank_torque = np.empty(here.size)
+        contact.sweep_crank_side(drive, angles[here], one.transmission_error[0], crank_torque, np.empty(here.size))
+        rest.crank_torque[here] = crank_torque
+        rest.deviation[here], rest.stiffness[here] = one.transmission_error[0], one.torsional_stiffness[0]
+        rest.pressure[here], rest.contact_count[here] = one.max_contact_pressure[0], one.contact_count[0]
+    return rest
+
+
+def solved(
+    pair: Pair,
+    surface: ErrorSurface,
+    direction: float,
+    loads: Array,
+    angles: Array,
+    rest: Rest | None = None,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
+    following: float | None = None,
+) -> Solved:
+    """Solve the model at every load and crank angle; other arguments are those of `solved_at`."""
+    load, angle = np.divmod(np.arange(loads.size * angles.size), angles.size)
+    found = solved_at(pair, surface, direction, loads, angles, load, angle, rest, workers, progress, following)
+    return Solved(*(channel.reshape(loads.size, angles.size) for channel in found))
+
+
+def solved_at(
+    pair: Pair,
+    surface: ErrorSurface,
+    direction: float,
+    loads: Array,
+    angles: Array,
+    load: NDArray[np.intp],
+    angle: NDArray[np.intp],
+    rest: Rest | None = None,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
+    following: float | None = None,
+) -> Solved:
+    """Solve the model at places of the grid of loads and crank angles; load 0 is the play's end or the rest without.
+
+    Parameters
+    ----------
+    load, angle
+        Index of each place's load and crank angle, shape (places,).
+    following
+        The slope at load 0 is taken towards this load, by default the second one.
+    """
+    at = loads.copy()
+    if loads[0] == 0.0:
+        # On bearings the tangent at the first load ends at the play.
+        at[0] = (_FIRST_SLOPE if pair.supports is None else 1.0) * (following or loads[1])
+    if pair.supports is None:
+        # All loads of a crank angle one after another, up and down in turn: such neighbours are 1.8 times as fast.
+        order = np.lexsort((np.where(angle % 2 == 0, load, -load), angle))
+    else:
+        order = np.arange(load.size)
+    slices = slices_needed(surface)
+    # Far finer than the tables' error; a drive whose pins and teeth all differ takes a gigabyte otherwise.
+    found = Solved(*np.empty((len(Solved._fields), load.size), dtype=np.float32))
+    for first in range(0, order.size, _AT_ONCE):
+        some = order[first : first + _AT_ONCE]
+        one = solve(
+            pair, surface, direction * at[load[some]][None], angles[angle[some]], slices, with_play=False,
+            workers=workers, progress=progress,
+        )  # fmt: skip
+        found.deviation[some] = direction * one.transmission_error[0]
+        found.compliance[some] = 1.0 / one.torsional_stiffness[0]
+        found.pressure[some] = np.square(one.max_contact_pressure[0])
+        found.contact_count[some] = np.minimum(one.contact_count[0], 255)
+    if loads[0] == 0.0:
+        assert rest is not None
+        none = np.flatnonzero(load == 0)
+        here = angle[none]
+        pressed = rest.pressed[here]
+        found.deviation[none] = direction * np.where(
+            pressed, rest.deviation[here], (rest.high if direction > 0.0 else rest.low)[here]
+        )
+        found.compliance[none[pressed]] = 1.0 / rest.stiffness[here[pressed]]
+        found.pressure[none], found.contact_count[none] = np.square(rest.pressure[here]), rest.contact_count[here]
+    return found
+
+
+def midway(values: Array32) -> tuple[Array32, Array32]:
+    """Interpolate midway between equidistant values of a period, shape (angles,), and tell how far that may be off.
+
+    Where a pin comes into contact the compliance nearly jumps. Of the cubics through four values on both sides of a
+    middle, the one with no jump within its reach is taken (essentially non-oscillatory interpolation, A. Harten et al.,
+    J. Comput. Phys. 71 (1987) 231). What tells of a jump is the larger of two neighbouring fourth differences, the
+    least over their places that reach the middle: one alone may vanish beside a jump.
+    """
+    v = {k: np.roll(values, -k) for k in range(-2, 4)}
+    fourth = np.abs(6.0 * v[0] - 4.0 * (v[-1] + v[1]) + v[-2] + v[2])
+    pair = np.maximum(fourth, np.roll(fourth, -1))
+    left, right = np.roll(pair, 2), np.roll(pair, -2)
+    off = np.minimum(pair, np.minimum(np.roll(pair, 1), np.roll(pair, -1)))
+    # The error of a cubic through one value on one side and three on the other is 1.7 times as large.
+    aside = np.minimum(left, right) < _ASIDE * off
+    to_left = left < right
+    near, next_to = np.where(to_left, v[1], v[0]), np.where(to_left, v[0], v[1])
+    beyond, last = np.where(to_left, v[-1], v[2]), np.where(to_left, v[-2], v[3])
+    found = np.where(
+        aside,
+        (5.0 * near + 15.0 * next_to - 5.0 * beyond + last) / 16.0,
+        (9.0 * (v[0] + v[1]) - v[-1] - v[2]) / 16.0,
+    )
+    return found, np.where(aside, 1.7 * np.minimum(left, right), off)
