@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import gc
 from collections.abc import Callable
@@ -9,8 +10,8 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from filelock import FileLock, Timeout
 from numba import _dynfunc, config, njit, types
-from numba.core import event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
@@ -37,34 +38,58 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_LONGEST_TURN = 120.0  # s: of another process, until a kernel is compiled here as well
 _ROOMS = [Path(__file__).parent, Path(__file__).parents[1] / "supports"]
 _SOURCES = tuple(sorted((s.stat().st_mtime_ns, s.name) for room in _ROOMS for s in room.glob("*.py")))
 
 
-class _WithoutCollection(event.Listener):  # type: ignore[misc]
-    """Puts garbage collection off while a kernel is compiled: a fifth of the time went into looking for none."""
+class _Compilation:
+    """How a kernel that Python calls is taken from its file, or compiled and kept there.
 
-    def __init__(self) -> None:
-        self.kernels: set[Any] = set()
-        self._compiling = 0
-        self._collects = False
+    One process compiles a kernel while others that need it wait: three that began together took 2.4 times the
+    processor's time, because each compiled everything. Garbage collection is put off: a fifth of the time went into
+    looking for none.
+    """
 
-    def on_start(self, event: event.Event) -> None:
-        if event.data["dispatcher"] in self.kernels:
-            if self._compiling == 0:
-                self._collects = gc.isenabled()
-                gc.disable()
-            self._compiling += 1
+    def __init__(self, kernel: Any) -> None:
+        cache = kernel._cache
+        self._compile, self._cache = kernel.compile, cache
+        # Of the process, not of a thread: one that was interrupted may still have its turn.
+        self._turn = FileLock(f"{cache._cache_file._index_path}.lock", timeout=_LONGEST_TURN, thread_local=False)
+        # numba looks at the file of the kernel alone; what it calls lies in others.
+        cache._cache_file._source_stamp = (*cache._cache_file._source_stamp, _SOURCES)
+        cache.load_overload, kernel.compile = self._load, self.compile
 
-    def on_end(self, event: event.Event) -> None:
-        if event.data["dispatcher"] in self.kernels:
-            self._compiling -= 1
-            if self._compiling == 0 and self._collects:
+    def compile(self, signature: Any) -> Any:
+        """Take the kernel from its file or compile it."""
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            return self._compile(signature)
+        finally:
+            self._turn.release(force=True)
+            if collects:
                 gc.enable()
 
+    def _load(self, signature: Any, context: Any) -> Any:
+        found = self._from_file(signature, context)
+        if found is None:
+            # Where nothing can be locked, each process compiles.
+            with contextlib.suppress(OSError, NotImplementedError, Timeout):
+                self._cache._impl.locator.ensure_cache_path()
+                self._turn.acquire()
+            found = self._from_file(signature, context)
+        return found
 
-_without_collection = _WithoutCollection()
-event.register("numba:compile", _without_collection)
+    def _from_file(self, signature: Any, context: Any) -> Any:
+        """Take the kernel from its file.
+
+        numba's own way first loads all that it could compile: a third of the processor's time of an analysis. Where a
+        kernel is compiled after all, the compiler loads it.
+        """
+        rtsys.initialize(context)
+        with self._cache._guard_against_spurious_io_errors():
+            return self._cache._load_overload(signature, context)
 
 
 class _Part(types.Dispatcher):  # type: ignore[misc]
@@ -163,12 +188,8 @@ def compiled(function: _Function) -> _Function:
     Inside another kernel it is a `part` of that one. What numba compiled for Python's calls is its `dispatcher`.
     """
     entry = njit(cache=True, error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
-    _without_collection.kernels.add(entry)
-    cache = getattr(entry, "_cache", None)  # none where numba only interprets
-    if cache is not None:
-        # numba looks at the file of the kernel alone; what it calls lies in others.
-        cache._cache_file._source_stamp = (*cache._cache_file._source_stamp, _SOURCES)
-        cache.load_overload = functools.partial(_loaded, cache)
+    if not config.DISABLE_JIT:
+        _Compilation(entry)
 
     @functools.wraps(function)
     def called(*arguments: Any) -> Any:
@@ -176,17 +197,6 @@ def compiled(function: _Function) -> _Function:
 
     called.dispatcher = entry  # type: ignore[attr-defined]
     return _within(cast(_Function, called), function)
-
-
-def _loaded(cache: Any, signature: Any, context: Any) -> Any:
-    """Take a kernel from its file.
-
-    numba's own way first loads all that it could compile: a third of the processor's time of an analysis. Where a
-    kernel is compiled after all, the compiler loads it.
-    """
-    rtsys.initialize(context)
-    with cache._guard_against_spurious_io_errors():
-        return cache._load_overload(signature, context)
 
 
 def part(function: _Function) -> _Function:

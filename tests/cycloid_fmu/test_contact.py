@@ -1,5 +1,8 @@
 import dataclasses
 import math
+import os
+import subprocess
+import sys
 
 import numba
 import numpy as np
@@ -530,6 +533,22 @@ def test_compiled_code_is_kept_until_a_file_of_the_room_changes(monkeypatch, tmp
     assert [loaded(), loaded()] == [0, 1]
     monkeypatch.setattr(compiling, "_SOURCES", (*compiling._SOURCES, (1, "changed.py")))
     assert [loaded(), loaded()] == [0, 1]
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+def test_processes_that_begin_together_compile_a_kernel_once(tmp_path):
+    """The first does it, the others wait for it and take it from its file."""
+    lines = (
+        "from cycloid_fmu.contact.hertz import hertz",
+        "hertz(1e-6, 100.0, 3e-3, 0.01, 4e-12, 4e-12, 0.1)",
+        "print(len(hertz.dispatcher.stats.cache_misses))",
+    )
+    settings = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    running = [
+        subprocess.Popen([sys.executable, "-c", "; ".join(lines)], env=settings, stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    assert sorted(process.communicate()[0].strip() for process in running) == ["0", "0", "1"]
 
 
 def test_a_tiny_torque_rests_on_its_own_flank():
