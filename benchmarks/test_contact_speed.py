@@ -51,9 +51,10 @@ def test_against_brute_force(benchmark):
     benchmark.extra_info["times faster than brute force"] = round(float(np.median(took)) / mine)
 
 
-def test_sweep_with_all_derivatives(benchmark):
+@pytest.mark.parametrize("case", ["error-free-39-40", "errors-39-40"])
+def test_sweep_with_all_derivatives(benchmark, case):
     """By every displacement and every structured error, against the same sweep without them in turn."""
-    pair = read_pair(CASES / "errors-39-40.toml")
+    pair = read_pair(CASES / f"{case}.toml")
     surface, names = surface_of_pair(pair), names_of(pair)
     error_sensitivity(pair, surface, -120.0, ANGLES[:3], names)
     solve(pair, surface, -120.0, ANGLES[:3])

@@ -40,23 +40,58 @@ class LocalFrame(NamedTuple):
     turning: float  # rotation of the normal against the foot's radius for each metre of slide
 
 
-@part
-def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: int) -> LocalFrame:
-    """Local frame of a row that was solved at crank angle θ and deviation x."""
-    pins = problem.teeth + 1
-    disc, slice_, pin = disc_slice_pin(problem, row)
-    crank, ring, gear = poses(problem, theta, x, disc)
-    place = pin * 2.0 * math.pi / pins
-    alpha = place + (crank - ring) / problem.teeth + contacts[row].foot
-    tooth = math.floor(alpha * problem.teeth / (2.0 * math.pi)) % problem.teeth
+class FlankFrame(NamedTuple):
+    """The part of a `LocalFrame` that follows from foot and axis, its fields named as there; for contacts in lanes."""
+
+    normal_x: float
+    normal_y: float
+    slide: float
+    bend: float
+    speed: float
+    foot: float
+    facing: float
+    leaning: float
+    turning: float
+
+
+@inlined
+def flank_frame(
+    problem: Problem, alpha: float, angle: float, lever_x: float, lever_y: float, distance: float
+) -> FlankFrame:
+    """Frame of a contact.
+
+    Parameters
+    ----------
+    alpha, angle
+        The foot's parameter around the gear and its radius' direction in the housing, rad.
+    lever_x, lever_y
+        As in `LocalFrame`, m.
+    distance
+        Of the pin's axis from the generating path, > 0 outside, m.
+    """
     s, c = sine_cosine(problem.teeth * alpha)
-    ez = problem.generating_eccentricity * pins
+    ez = problem.generating_eccentricity * (problem.teeth + 1)
     bx, by = problem.circle_radius - ez * c, -ez * s
     speed = math.sqrt(bx * bx + by * by)
     facing, leaning = bx / speed, by / speed
-    angle = alpha + gear + problem.tooth_turn[disc, tooth]
     sa, ca = sine_cosine(angle)
     nx, ny = ca * facing - sa * leaning, sa * facing + ca * leaning
+    kappa = path_curvature(problem.circle_radius, problem.generating_eccentricity, problem.teeth, bx, speed)
+    stretch = 1.0 + kappa * distance
+    slide = (1.0 if problem.ring else -1.0) * (lever_x * nx + lever_y * ny)
+    return FlankFrame(
+        nx, ny, slide, kappa / stretch, speed, 1.0 / (speed * stretch), facing, leaning, (kappa - 1.0 / speed) / stretch
+    )
+
+
+@part
+def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: int) -> LocalFrame:
+    """Local frame of a row that was solved at crank angle θ and deviation x."""
+    disc, slice_, pin = disc_slice_pin(problem, row)
+    crank, ring, gear = poses(problem, theta, x, disc)
+    place = pin * 2.0 * math.pi / (problem.teeth + 1)
+    alpha = place + (crank - ring) / problem.teeth + contacts[row].foot
+    tooth = math.floor(alpha * problem.teeth / (2.0 * math.pi)) % problem.teeth
     sr, cr = 0.0, 1.0
     if problem.ring:
         sr, cr = sine_cosine(ring)
@@ -65,20 +100,30 @@ def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: i
     sc, cc = sine_cosine(crank)
     gx = lx - problem.eccentricity * cc - problem.centre_x[slice_] - problem.shift_x[disc]
     gy = ly - problem.eccentricity * sc - problem.centre_y[slice_] - problem.shift_y[disc]
-    sign = 1.0
     if not problem.ring:
-        lx, ly, sign = gx, gy, -1.0
-    kappa = path_curvature(problem.circle_radius, problem.generating_eccentricity, problem.teeth, bx, speed)
-    stretch = 1.0 + kappa * (contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius)
-    slide = sign * (lx * nx + ly * ny)
+        lx, ly = gx, gy
+    distance = contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius
+    seen = flank_frame(problem, alpha, alpha + gear + problem.tooth_turn[disc, tooth], lx, ly, distance)
     return LocalFrame(
-        disc, slice_, pin, tooth, alpha, place + ring, cc, sc, nx, ny, lx, ly, gx, gy, slide, kappa / stretch, speed,
-        1.0 / (speed * stretch), facing, leaning, (kappa - 1.0 / speed) / stretch,
+        disc, slice_, pin, tooth, alpha, place + ring, cc, sc, seen.normal_x, seen.normal_y, lx, ly, gx, gy, seen.slide,
+        seen.bend, seen.speed, seen.foot, seen.facing, seen.leaning, seen.turning,
     )  # fmt: skip
 
 
+class Carrying(NamedTuple):
+    """Fields of a contact row that say how its torque changes; for contacts in lanes."""
+
+    force: float
+    stiffness: float
+    force_by_curvature: float
+    curvature_rate: float
+    arm: float
+
+
 @inlined
-def displaced(contact: np.record, local: LocalFrame, vx: float, vy: float, wx: float, wy: float) -> float:
+def displaced(
+    contact: np.record | Carrying, local: LocalFrame | FlankFrame, vx: float, vy: float, wx: float, wy: float
+) -> float:
     """Change of the contact's torque when its pin's axis moves by v relative to the gear.
 
     w is v's own change with the output's rotation. The torque is F L, so its change is dF L + F dL, with

@@ -81,7 +81,8 @@ def _add_mesh(
         out[tangential + pin] += _displaced(force, k, curved, bend, along, across, ly, nx, ny, -s, c)
         out[radius + pin] += k * along
         out[PIN_GENERATING] -= k * along
-        pressed, turned = larger_circle(problem, contact_, pin, local)
+        distance = contact_.gap + problem.pin_radius[pin] - problem.generating_radius
+        pressed, turned = larger_circle(problem, contact_, distance, local)
         out[CIRCLE_GENERATING] += pressed * along + force * turned * across
         # Rotating or shifting a flank is rotating or shifting the disc: λ·∂r/∂(u, v, y) of this contact.
         by_u = -k * nx * along - force * bend * ny * across - curved * ny * along - force * ny * ly

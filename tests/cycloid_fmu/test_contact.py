@@ -644,4 +644,4 @@ def test_a_crank_at_rest_under_changing_torques_deviates_as_under_each_alone(tor
     wanted = np.array([one.transmission_error[0, 0] for one in alone])
     np.testing.assert_allclose(found.transmission_error[0, : wanted.size], wanted, rtol=0.0, atol=1e-10)
     stiffness = np.array([one.torsional_stiffness[0, 0] for one in alone])
-    np.testing.assert_allclose(found.torsional_stiffness[0, : wanted.size], stiffness, rtol=1e-3)
+    np.testing.assert_allclose(found.torsional_stiffness[0, : wanted.size], stiffness, rtol=1e-2)
