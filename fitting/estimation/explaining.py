@@ -129,8 +129,8 @@ class MisfitSearch:
         if end.verdict.state == "not explained" or not end.is_settled:
             return False
         without = self._tried(end.found, end.known, plain.misfit, chosen=end.found.chosen)
-        if without is None:
-            return True
+        if without is None:  # nothing to hold them against
+            return False
         least = without.unlikelihood
         if list(plain.found.chosen) == list(end.found.chosen):
             least = min(least, plain.found.unlikelihood)
