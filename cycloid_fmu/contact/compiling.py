@@ -14,6 +14,7 @@ from filelock import FileLock, Timeout
 from numba import _dynfunc, config, njit, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
 from numba.core.runtime import rtsys
 from numba.core.typed_passes import (
@@ -38,7 +39,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-_LONGEST_TURN = 120.0  # s: of another process, until a kernel is compiled here as well
+_LONGEST_TURN = 60.0  # s: of another process, until a kernel is compiled here as well
 _ROOMS = [Path(__file__).parent, Path(__file__).parents[1] / "supports"]
 _SOURCES = tuple(sorted((s.stat().st_mtime_ns, s.name) for room in _ROOMS for s in room.glob("*.py")))
 
@@ -51,33 +52,42 @@ class _Compilation:
     looking for none.
     """
 
+    _waits = True  # for other processes, of all kernels
+
     def __init__(self, kernel: Any) -> None:
         cache = kernel._cache
         self._compile, self._cache = kernel.compile, cache
-        # Of the process, not of a thread: one that was interrupted may still have its turn.
-        self._turn = FileLock(f"{cache._cache_file._index_path}.lock", timeout=_LONGEST_TURN, thread_local=False)
+        self._turn: FileLock | None = None
         # numba looks at the file of the kernel alone; what it calls lies in others.
         cache._cache_file._source_stamp = (*cache._cache_file._source_stamp, _SOURCES)
         cache.load_overload, kernel.compile = self._load, self.compile
 
     def compile(self, signature: Any) -> Any:
         """Take the kernel from its file or compile it."""
-        collects = gc.isenabled()
-        gc.disable()
-        try:
-            return self._compile(signature)
-        finally:
-            self._turn.release(force=True)
-            if collects:
-                gc.enable()
+        with global_compiler_lock:
+            collects = gc.isenabled()
+            gc.disable()
+            try:
+                return self._compile(signature)
+            finally:
+                if collects:
+                    gc.enable()
+                if self._turn is not None:
+                    self._turn.release()
+                    self._turn = None
 
     def _load(self, signature: Any, context: Any) -> Any:
         found = self._from_file(signature, context)
-        if found is None:
+        if found is None and _Compilation._waits:
             # Where nothing can be locked, each process compiles.
-            with contextlib.suppress(OSError, NotImplementedError, Timeout):
+            with contextlib.suppress(OSError, NotImplementedError):
                 self._cache._impl.locator.ensure_cache_path()
-                self._turn.acquire()
+                # A lock made before a fork would not be the child's.
+                self._turn = FileLock(f"{self._cache._cache_file._index_path}.lock", timeout=_LONGEST_TURN)
+                try:
+                    self._turn.acquire()
+                except Timeout:
+                    _Compilation._waits = False
             found = self._from_file(signature, context)
         return found
 

@@ -19,6 +19,8 @@ from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, contact_rows
 from cycloid_fmu.contact.sensitivity import derivatives
 
+_FARTHEST = 1e-3  # rad: from the solution under another torque
+
 
 class LoadedSweep(NamedTuple):
     """Results of a sweep under load.
@@ -85,7 +87,7 @@ def sweep(
             x = _ahead(thetas, deviation, first, i)
             if i > first and thetas[i] == thetas[i - 1] and stiffness[i - 1] > 0.0:
                 # 1.4 times as fast where the torque alone changes.
-                x += (torque - torques[k, i - 1]) / stiffness[i - 1]
+                x += min(max((torque - torques[k, i - 1]) / stiffness[i - 1], -_FARTHEST), _FARTHEST)
             x, stiffness[i] = equilibrium(problem, thetas[i], torque, x, contacts, cold)
             deviation[i] = x
             count, pressure = load_sharing(problem, contacts, found.pin_force[k, i], found.pin_pressure[k, i])

@@ -25,7 +25,7 @@ from cycloid_fmu.surfaces.provenance import drive_hash
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _PACKAGE = Path(__file__).parents[1]
-_MAKERS = ("contact", "errors", "geometry", "supports", "surfaces", "native/tables.py")
+_MAKERS = ("contact", "errors", "geometry", "supports", "surfaces", "native/nodes.py", "native/tables.py")
 _MOST_BYTES = 400_000_000  # of all tables in the cache
 _DIGEST = hashlib.sha256().digest_size
 _SIDE = ("load", "deviation", "compliance", "told_load", "contact_count", "pressure")

@@ -379,7 +379,8 @@ def compute(
     workers
         Threads.
     total, progress
-        Called with the total number of crank angles (times loads), and with the number just finished.
+        Called with the number of crank angles (times loads) before each step of the refinement, and with the number
+        just finished.
 
     Raises
     ------
@@ -418,7 +419,8 @@ def compute(
             (found[0][k], off), (found[1][k], bent) = (nodes.midway(channel[k]) for channel in coarse[:2])
             needed[k] = (off > _MIDWAY * allowed) | (bent > _MIDWAY_COMPLIANCE * coarse.compliance[k])
         load, angle = np.nonzero(needed)
-        total(load.size)
+        if load.size:
+            total(load.size)
         step = angles.size // (2 * coarse.deviation.shape[1])
         here = Rest._make(channel[step :: 2 * step] for channel in rest)
         one = nodes.solved_at(
@@ -429,7 +431,7 @@ def compute(
         return coarse._replace(deviation=finer[0], compliance=finer[1])
 
     def solved(direction: float, at: Array) -> Solved:
-        total(at.size * fewest)
+        total(fewest * at.size)
         step = angles.size // fewest
         here = Rest._make(channel[::step] for channel in rest)
         one = nodes.solved(pair, surface, direction, at, angles[::step], here, workers, progress)
@@ -451,14 +453,14 @@ def compute(
 
     def with_more(further: Sequence[Array]) -> None:
         """Insert loads."""
+        # The slope at zero load is taken towards the first load: with a new first load it is solved again.
+        again = [int(new.size > 0 and new[0] < at[1]) for new, at in zip(further, loads, strict=True)]
+        more = [np.append(at[:first], new) for at, first, new in zip(loads, again, further, strict=True)]
         for k, direction in enumerate(_DIRECTIONS):
-            if further[k].size:
-                # The slope at zero load is taken towards the first load: with a new first load it is solved again.
-                again = int(further[k][0] < loads[k][1])
-                more = np.append(loads[k][:again], further[k])
-                kept = Solved(*(channel[again:] for channel in exact[k]))
-                exact[k] = _with_loads(kept, loads[k][again:], solved(direction, more), more)
-                loads[k] = np.union1d(loads[k], more)
+            if more[k].size:
+                kept = Solved(*(channel[again[k] :] for channel in exact[k]))
+                exact[k] = _with_loads(kept, loads[k][again[k] :], solved(direction, more[k]), more[k])
+                loads[k] = np.union1d(loads[k], more[k])
 
     def random_places(seed: int) -> _Probed:
         return _probed(pair, surface, *_places(period, largest_load, PROBES, seed), workers)
@@ -618,13 +620,13 @@ def interpolated(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> S
     """
     theta, signed = (np.asarray(v, dtype=float) for v in (crank_angle, torque))
     angles = tables.rest_torque.size
-    nodes, weights, rates = _place(tables.period, angles, theta)
+    near, weights, rates = _place(tables.period, angles, theta)
     told, told_weights, _ = _place(tables.period, tables.positive.pressure.shape[1], theta)
     found = States(*np.empty((len(States._fields), *theta.shape)))
     found.deviation[...] = _deviation(tables, theta, signed)
     for side, direction in ((tables.positive, 1.0), (tables.negative, -1.0)):
         here = signed * direction > 0.0
-        load, among, weight, by_angle = np.abs(signed[here]), nodes[:, here], weights[:, here], rates[:, here]
+        load, among, weight, by_angle = np.abs(signed[here]), near[:, here], weights[:, here], rates[:, here]
         j, u, h = _cells(side.load, load)
         x, c = _ends(side, j, weight, among)
         found.stiffness[here] = 1.0 / np.maximum(_slope(u, h, x, c), LEAST_COMPLIANCE)
@@ -650,12 +652,12 @@ def _energy(side: Side) -> Array:
 
 def _deviation(tables: Tables, theta: Array, torque: Array) -> Array:
     """Interpolate the deviation as `interpolated` does."""
-    nodes, weights, _ = _place(tables.period, tables.rest_torque.size, theta)
+    near, weights, _ = _place(tables.period, tables.rest_torque.size, theta)
     found = np.empty_like(theta)
     for side, direction in zip((tables.positive, tables.negative), _DIRECTIONS, strict=True):
         here = torque * direction > 0.0
         j, u, h = _cells(side.load, np.abs(torque[here]))
-        found[here] = direction * _hermite(u, h, *_ends(side, j, weights[:, here], nodes[:, here]))
+        found[here] = direction * _hermite(u, h, *_ends(side, j, weights[:, here], near[:, here]))
     return found
 
 
@@ -669,10 +671,10 @@ def _place(period: float, angles: int, theta: Array) -> tuple[NDArray[np.int64],
     return (first + np.arange(-1, 3)[:, None]) % angles, weights / 6.0, 0.5 * angles / period * rates
 
 
-def _ends(side: Side, cell: NDArray[np.int64], weights: Array, nodes: NDArray[np.int64]) -> tuple[Array, Array]:
+def _ends(side: Side, cell: NDArray[np.int64], weights: Array, near: NDArray[np.int64]) -> tuple[Array, Array]:
     """Deviations and compliances at both ends of cells, or their rates by the crank angle, shape (2, places)."""
     x, c = (
-        np.array([np.sum(weights * values[row, nodes], axis=0) for row in (cell, cell + 1)])
+        np.array([np.sum(weights * values[row, near], axis=0) for row in (cell, cell + 1)])
         for values in (side.deviation, side.compliance)
     )
     return x, c

@@ -551,6 +551,20 @@ def test_processes_that_begin_together_compile_a_kernel_once(tmp_path):
     assert sorted(process.communicate()[0].strip() for process in running) == ["0", "0", "1"]
 
 
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT) or not hasattr(os, "fork"), reason="nothing is compiled, or no fork")
+def test_a_forked_process_compiles_as_well(tmp_path):
+    code = """
+import os
+from cycloid_fmu.contact.hertz import hertz
+child = os.fork()
+hertz(1e-6, 100.0, 3e-3, 0.01, 4e-12, 4e-12, 0.1)
+if child:
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+"""
+    settings = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], env=settings, check=True)
+
+
 def test_a_tiny_torque_rests_on_its_own_flank():
     """The balance of 1e-6 N·m is the limit of small torques, at each crank angle separately and after reverse load."""
     pair = make_pair().replace(offset=-70e-6, isometric=-25e-6, errors={"centre_distance_x": 30e-6})

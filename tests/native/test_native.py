@@ -154,6 +154,17 @@ def test_only_where_a_pin_begins_to_carry_is_interpolation_between_crank_angles_
     assert wrong[here] <= 0.4 * off[here] + 1e-12
 
 
+def test_progress_adds_up_to_what_was_said_before_each_step():
+    pair = read_pair(EXAMPLES / "drive-39-40.toml")
+    steps: list[list[int]] = []
+    tables.compute(
+        pair, surface_of_pair(pair), total=lambda count: steps.append([count, 0]), workers=2,
+        progress=lambda count: steps[-1].__setitem__(1, steps[-1][1] + count),
+    )  # fmt: skip
+    assert len(steps) > 3
+    assert all(count == done > 0 for count, done in steps)
+
+
 def test_what_the_tables_say_they_err_is_what_the_library_errs(drive, slave, without_losses):
     """Python's interpolation, by which tables are refined, and C's give the same."""
     native, random = slave(path=without_losses), np.random.default_rng(5)
