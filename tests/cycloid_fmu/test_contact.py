@@ -551,6 +551,19 @@ def test_processes_that_begin_together_compile_a_kernel_once(tmp_path):
     assert sorted(process.communicate()[0].strip() for process in running) == ["0", "0", "1"]
 
 
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+def test_a_process_killed_while_it_compiles_holds_up_no_other(tmp_path):
+    settings = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    call = "from cycloid_fmu.contact.hertz import hertz; hertz(1e-6, 100.0, 3e-3, 0.01, 4e-12, 4e-12, 0.1)"
+    with subprocess.Popen([sys.executable, "-c", call], env=settings) as killed:
+        while not list(tmp_path.rglob("*.lock")):  # its turn has begun
+            assert killed.poll() is None
+        killed.kill()
+    assert not list(tmp_path.rglob("*.nbc"))
+    subprocess.run([sys.executable, "-c", call], env=settings, check=True, timeout=compiling._LONGEST_TURN / 2)
+    assert list(tmp_path.rglob("*.nbc"))
+
+
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT) or not hasattr(os, "fork"), reason="nothing is compiled, or no fork")
 def test_a_forked_process_compiles_as_well(tmp_path):
     code = """
