@@ -113,9 +113,9 @@ def write_contact_lines(
             continue
         local = local_frame(problem, theta, x, contacts, row)
         disc, slice_, pin = local.disc, local.slice, local.pin
-        c, s = -math.cos(local.direction), -math.sin(local.direction)
+        c, s = math.cos(local.direction), math.sin(local.direction)
         # The contact lies from the pin's axis against the flank's normal.
-        direction = math.atan2(s * local.normal_x - c * local.normal_y, -c * local.normal_x - s * local.normal_y)
+        direction = math.atan2(c * local.normal_y - s * local.normal_x, c * local.normal_x + s * local.normal_y)
         slice_force[disc, pin, slice_] += contact.force
         slice_direction[disc, pin, slice_] = direction
         half = _half_width(problem, contact, pin)

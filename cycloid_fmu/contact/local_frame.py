@@ -84,6 +84,29 @@ def flank_frame(
     )
 
 
+@inlined
+def levers(
+    problem: Problem, pin_x: float, pin_y: float, sr: float, cr: float, sc: float, cc: float, centre_x: float,
+    centre_y: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Lever and place from the gear's centre of a pin's axis, as in `LocalFrame`.
+
+    Parameters
+    ----------
+    pin_x, pin_y
+        The axis in the ring's frame, m.
+    sr, cr, sc, cc
+        Sine and cosine of the ring's rotation and of the crank's angle.
+    centre_x, centre_y
+        Displacement of the gear's centre, m.
+    """
+    axis_x, axis_y = pin_x * cr - pin_y * sr, pin_x * sr + pin_y * cr
+    gear_x = axis_x - problem.eccentricity * cc - centre_x
+    gear_y = axis_y - problem.eccentricity * sc - centre_y
+    lever_x, lever_y = (axis_x, axis_y) if problem.ring else (gear_x, gear_y)
+    return lever_x, lever_y, gear_x, gear_y
+
+
 @part
 def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: int) -> LocalFrame:
     """Local frame of a row that was solved at crank angle θ and deviation x."""
@@ -95,13 +118,11 @@ def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: i
     sr, cr = 0.0, 1.0
     if problem.ring:
         sr, cr = sine_cosine(ring)
-    lx = problem.pin_x[pin] * cr - problem.pin_y[pin] * sr
-    ly = problem.pin_x[pin] * sr + problem.pin_y[pin] * cr
     sc, cc = sine_cosine(crank)
-    gx = lx - problem.eccentricity * cc - problem.centre_x[slice_] - problem.shift_x[disc]
-    gy = ly - problem.eccentricity * sc - problem.centre_y[slice_] - problem.shift_y[disc]
-    if not problem.ring:
-        lx, ly = gx, gy
+    lx, ly, gx, gy = levers(
+        problem, problem.pin_x[pin], problem.pin_y[pin], sr, cr, sc, cc,
+        problem.centre_x[slice_] + problem.shift_x[disc], problem.centre_y[slice_] + problem.shift_y[disc],
+    )  # fmt: skip
     distance = contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius
     seen = flank_frame(problem, alpha, alpha + gear + problem.tooth_turn[disc, tooth], lx, ly, distance)
     return LocalFrame(

@@ -9,7 +9,7 @@ import numpy as np
 from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
 from cycloid_fmu.contact.equilibrium import rotational_stiffness
 from cycloid_fmu.contact.lanes import LANES, Lanes, lanes_of, on_stack, sine_cosine, vectors
-from cycloid_fmu.contact.local_frame import Carrying, FlankFrame, LocalFrame, displaced, flank_frame
+from cycloid_fmu.contact.local_frame import Carrying, FlankFrame, LocalFrame, displaced, flank_frame, levers
 from cycloid_fmu.contact.problem import Problem, poses
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin, touching_count
 
@@ -148,10 +148,9 @@ def _torques(problem: Problem, theta: float, x: float, seen: Lanes, filled: int)
     turn, sign = (0.0, 1.0) if ring else (1.0, -1.0)
     for lane in range(vectors(filled)):
         sc, cc = sine_cosine(seen.crank[lane])
-        axis_x, axis_y = seen.pin_x[lane] * cr - seen.pin_y[lane] * sr, seen.pin_x[lane] * sr + seen.pin_y[lane] * cr
-        gear_x = axis_x - problem.eccentricity * cc - seen.centre_x[lane]
-        gear_y = axis_y - problem.eccentricity * sc - seen.centre_y[lane]
-        lever_x, lever_y = (axis_x, axis_y) if ring else (gear_x, gear_y)
+        lever_x, lever_y, gear_x, gear_y = levers(
+            problem, seen.pin_x[lane], seen.pin_y[lane], sr, cr, sc, cc, seen.centre_x[lane], seen.centre_y[lane]
+        )
         local = flank_frame(problem, seen.alpha[lane], seen.angle[lane], lever_x, lever_y, seen.distance[lane])
         contact = Carrying(
             seen.force[lane], seen.stiffness[lane], seen.force_by_curvature[lane], seen.curvature_rate[lane],

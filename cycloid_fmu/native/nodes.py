@@ -25,7 +25,7 @@ _ASIDE = 0.3  # of the differences in the middle: below it those on one side dec
 class Solved(NamedTuple):
     """The exact model, mirrored for one direction, at loads and crank angles, shape (loads, angles).
 
-    No other output depends on contact count and pressure: they keep the first crank angles.
+    No other output depends on contact count and pressure: they stay at the crank angles that were solved first.
     """
 
     deviation: Array32
@@ -162,8 +162,8 @@ def midway(values: Array32) -> tuple[Array32, Array32]:
     left, right = np.roll(pair, 2), np.roll(pair, -2)
     off = np.minimum(pair, np.minimum(np.roll(pair, 1), np.roll(pair, -1)))
     # The error of a cubic through one value on one side and three on the other is 1.7 times as large.
-    aside = np.minimum(left, right) < _ASIDE * off
-    to_left = left < right
+    beside = np.minimum(left, right)
+    aside, to_left = beside < _ASIDE * off, left < right
     near, next_to = np.where(to_left, v[1], v[0]), np.where(to_left, v[0], v[1])
     beyond, last = np.where(to_left, v[-1], v[2]), np.where(to_left, v[-2], v[3])
     found = np.where(
@@ -171,4 +171,4 @@ def midway(values: Array32) -> tuple[Array32, Array32]:
         (5.0 * near + 15.0 * next_to - 5.0 * beyond + last) / 16.0,
         (9.0 * (v[0] + v[1]) - v[-1] - v[2]) / 16.0,
     )
-    return found, np.where(aside, 1.7 * np.minimum(left, right), off)
+    return found, np.where(aside, 1.7 * beside, off)

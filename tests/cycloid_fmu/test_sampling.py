@@ -56,7 +56,8 @@ def test_pitch_keeps_both_limits_round_the_whole_circle(seed, teeth, single, fac
     assert np.ptp(position) <= limits.cumulative
     assert abs(pitch.sum()) < 1e-12 * single
     assert abs(position.mean()) < 1e-12 * single
-    assert np.abs(pitch).max() > 1e-3 * limits.single  # it moves; of one ring in 5000 no tooth leaves a tenth
+    # It moves. Of six teeth, drawn normally, all stay within a tenth in one ring of 5000.
+    assert np.abs(pitch).max() > (0.1 if teeth >= 20 else 1e-3) * limits.single
 
 
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
