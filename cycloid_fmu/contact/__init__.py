@@ -21,7 +21,7 @@ from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing
 from cycloid_fmu.contact.local_frame import LocalFrame, local_frame
 from cycloid_fmu.contact.placement import place
 from cycloid_fmu.contact.play import TOUCHING, play, touch_rate
-from cycloid_fmu.contact.problem import Deviations, Problem, poses
+from cycloid_fmu.contact.problem import Deviations, Drives, Problem, poses
 from cycloid_fmu.contact.rows import ROW, Rows, contact_rows, disc_slice_pin, is_solved_at
 from cycloid_fmu.contact.sensitivity import sensitivities
 from cycloid_fmu.contact.sweeps import (
@@ -35,7 +35,7 @@ from cycloid_fmu.contact.sweeps import (
 )
 
 __all__ = [
-    "ROW", "TOUCHING", "Array", "ContactLines", "Deviations", "LoadedSweep", "LocalFrame", "Problem",
+    "ROW", "TOUCHING", "Array", "ContactLines", "Deviations", "Drives", "LoadedSweep", "LocalFrame", "Problem",
     "Rows", "behind_compliance", "compiled", "contact_rows", "crank_side", "disc_slice_pin", "elastic_energy",
     "equilibrium", "half_width", "hertz", "inlined", "is_solved_at", "load_sharing", "local_frame", "part", "place",
     "play", "poses", "press", "sensitivities", "spliced", "sweep", "sweep_contacts", "sweep_crank_side",

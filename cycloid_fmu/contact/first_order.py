@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -404,13 +404,16 @@ def _law(pair: Pair, slices: int) -> tuple[float, float, float, float, float]:
             largest_log_radius)  # fmt: skip
 
 
-class NearDrives(Protocol):
+_Drives = TypeVar("_Drives", contravariant=True)
+
+
+class NearDrives(Protocol[_Drives]):
     """Drives near those that were solved: at several loads, by their errors or what stands for them."""
 
-    def loaded(self, sweep_number: int, errors: Array, /) -> tuple[Array, Array]:
+    def loaded(self, sweep_number: int, drives: _Drives, /) -> tuple[Array, Array]:
         """Return transmission error (rad) and largest pressure (Pa), each (drives, angles)."""
 
-    def play(self, sweep_number: int, errors: Array, /) -> tuple[Array, Array]:
+    def play(self, sweep_number: int, drives: _Drives, /) -> tuple[Array, Array]:
         """Return backlash (rad, NaN without a free position) and interference (m), each (drives, angles)."""
 
 

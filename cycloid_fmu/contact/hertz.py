@@ -151,6 +151,8 @@ def hertz_in_lanes(
 ) -> None:
     """Write force, stiffness and the force's derivative by curvature of contacts side by side, as `hertz`.
 
+    What a lane gives does not depend on the others.
+
     Parameters
     ----------
     one
@@ -165,15 +167,18 @@ def hertz_in_lanes(
         one.h[lane], one.bending[lane] = law.h, law.bending
         target = max(one.approach[lane], 1e-15) / law.kappa
         guess = _first_guess(target, law.h, seat_compliance / law.kappa)
-        one.target[lane], one.guess[lane] = target, one.force[lane]
+        one.target[lane], one.guess[lane], one.start[lane] = target, one.force[lane], 0.0
         one.force[lane] = one.force[lane] if (one.force[lane] > 0.0) & (one.approach[lane] > 0.0) else guess
     kappa = (compliance_gear + compliance_pin) / (math.pi * width)
     series = seat_compliance / kappa
     for _ in range(30):
         moving = 0
         for lane in range(lanes):
-            one.start[lane] = one.force[lane]
-            one.force[lane], one.q[lane] = _following(one.start[lane], one.target[lane], one.h[lane], series)
+            start = one.force[lane]
+            force, q = _following(start, one.target[lane], one.h[lane], series)
+            ended = abs(start - one.start[lane]) <= _FORCE_STEP * start
+            one.force[lane], one.q[lane] = start if ended else force, one.q[lane] if ended else q
+            one.start[lane] = one.start[lane] if ended else start
             moving += 1 if abs(one.force[lane] - one.start[lane]) > _FORCE_STEP * one.force[lane] else 0
         if moving == 0:
             break

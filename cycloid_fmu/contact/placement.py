@@ -11,7 +11,7 @@ from cycloid_fmu.contact.compiling import compiled, inlined, part
 from cycloid_fmu.contact.deviations import move_to_deviations
 from cycloid_fmu.contact.foot import Tangency, foot, on_tooth, tangency
 from cycloid_fmu.contact.gap import Contact, Flank, Offset, contact_at, write_contact
-from cycloid_fmu.contact.lanes import LANES, Lanes, lanes_of, on_stack, vectors
+from cycloid_fmu.contact.lanes import LANES, Lanes, lanes_of, on_stack, sine_cosine, vectors
 from cycloid_fmu.contact.problem import Deviations, Problem, poses
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
 
@@ -24,18 +24,19 @@ _NEAR_ROOT = 0.25  # rad of the crank: as far as the bound near a root reaches
 _NEIGHBOUR = 0.01  # of a pitch: a foot that lies farther from its first guess is searched inside the tooth's bracket
 _FEET_STEP = 1e-11  # m: Newton's last step along the flanks
 
-_SOLVED = lanes_of(
+SOLVED = lanes_of(
     # A pin's axis and the gear's centre in its tooth's frame, where its foot is expected and where it must be:
     "row", "axis_x", "axis_y", "offset_x", "offset_y", "crank_x", "crank_y", "pin_radius", "conjugate_point",
-    "start", "number", "along", "turn", "turn_beyond",
+    "start", "number", "along", "turn", "turn_beyond", "circle_radius", "generating_radius", "root_phase",
+    "root_radius", "root_margin",
     # What is found:
-    *Contact._fields, "alpha", "alone",
+    *Contact._fields, "alpha", "last", "alone",
     # Of the pins that are clear:
     "clear_row", "clear_gap", "clear_by_crank", "clear_phase", "clear_near", "fall", "bounded_for",
 )  # fmt: skip
 
 
-class _Disc(NamedTuple):
+class Disc(NamedTuple):
     """Where a disc and the pin ring are: rotations, and centres in the gear's frame."""
 
     shift: float  # of the conjugate points, rad
@@ -102,11 +103,11 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
     rough = problem.deviations is not None
     keeps = not cold and clear < math.inf
     lever = _largest_lever(flank)
-    _, root_margin = _around_root(flank, problem.root_margin)
-    one = on_stack(_SOLVED)
+    root_radius, root_margin = around_root(flank, problem.root_margin)
+    one = on_stack(SOLVED)
     filled = listed = 0
     for disc in range(problem.crank_phase.size):
-        at = _disc_at(problem, theta, x, disc)
+        at = disc_at(problem, problem.eccentricity, theta, x, disc)
         for pin in range(pins):
             first = disc * slices * stride + 2 * pin
             end = first + slices * stride
@@ -121,7 +122,7 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
                     continue
             contacts[first].nearest = 0.0
             conjugate = pin * 2.0 * math.pi / pins + at.shift
-            number, along, tooth, beyond = _faced(at, teeth, pin)
+            number, along, tooth, beyond = faced(at, teeth, pin)
             px = pin_x[pin] * at.turned_cosine - pin_y[pin] * at.turned_sine
             py = pin_x[pin] * at.turned_sine + pin_y[pin] * at.turned_cosine
             five = 0 if slices < 8 or rough or (keeps and contacts[first].crank_angle == theta) else 5
@@ -149,15 +150,13 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
                 if cold:
                     listed = _solve_alone(problem, theta, x, contacts, row, cold, listed)
                     continue
-                ux, uy = at.x + centre_x[slice_], at.y + centre_y[slice_]
-                cx, cy = ux * at.cosine + uy * at.sine, uy * at.cosine - ux * at.sine
                 one.row[filled], one.start[filled] = row, start
-                one.axis_x[filled], one.axis_y[filled] = px - cx, py - cy
-                one.offset_x[filled], one.offset_y[filled] = cx, cy
-                one.crank_x[filled], one.crank_y[filled] = at.crank_x, at.crank_y
-                one.pin_radius[filled], one.conjugate_point[filled] = pin_radius[pin], conjugate
-                one.number[filled], one.along[filled] = number, along
+                enter(one, filled, at, px, py, centre_x[slice_], centre_y[slice_], conjugate, number, along)
+                one.pin_radius[filled] = pin_radius[pin]
                 one.turn[filled], one.turn_beyond[filled] = tooth_turn[disc, tooth], tooth_turn[disc, beyond]
+                one.circle_radius[filled], one.generating_radius[filled] = flank.circle_radius, flank.radius
+                one.root_phase[filled] = problem.root_phase
+                one.root_radius[filled], one.root_margin[filled] = root_radius, root_margin
                 filled += 1
                 if filled == LANES:
                     listed = _solve(problem, flank, theta, x, contacts, one, filled, listed)
@@ -173,22 +172,39 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
 
 
 @inlined
-def _disc_at(problem: Problem, theta: float, x: float, disc: int) -> _Disc:
+def enter(
+    one: Lanes, lane: int, at: Disc, px: float, py: float, centre_x: float, centre_y: float, conjugate: float,
+    number: float, along: float,
+) -> None:  # fmt: skip
+    """Enter a pin whose axis is (px, py) in the gear's frame, of a gear whose centre is displaced, m."""
+    ux, uy = at.x + centre_x, at.y + centre_y
+    cx, cy = ux * at.cosine + uy * at.sine, uy * at.cosine - ux * at.sine
+    one.axis_x[lane], one.axis_y[lane] = px - cx, py - cy
+    one.offset_x[lane], one.offset_y[lane] = cx, cy
+    one.crank_x[lane], one.crank_y[lane] = at.crank_x, at.crank_y
+    one.conjugate_point[lane], one.number[lane], one.along[lane] = conjugate, number, along
+
+
+@inlined
+def disc_at(problem: Problem, eccentricity: float, theta: float, x: float, disc: int) -> Disc:
+    """Where a disc and the pin ring are at crank angle θ and deviation x, on a crank of an eccentricity (m)."""
     crank, ring, gear = poses(problem, theta, x, disc)
-    c, s = math.cos(gear), math.sin(gear)
-    ox, oy = problem.eccentricity * math.cos(crank), problem.eccentricity * math.sin(crank)
+    s, c = sine_cosine(gear)
+    turned_sine, turned_cosine = sine_cosine(ring - gear)
+    oy, ox = sine_cosine(crank)
+    oy, ox = eccentricity * oy, eccentricity * ox
     teeth = problem.teeth
     shift = (crank - ring) / teeth
     pitches = shift * teeth / (2.0 * math.pi)
     number = math.floor(pitches)
-    return _Disc(
-        shift, number, number % teeth, pitches - number, math.cos(ring - gear), math.sin(ring - gear), c, s,
+    return Disc(
+        shift, number, number % teeth, pitches - number, turned_cosine, turned_sine, c, s,
         ox + problem.shift_x[disc], oy + problem.shift_y[disc], ox * c + oy * s, oy * c - ox * s,
     )  # fmt: skip
 
 
 @inlined
-def _faced(at: _Disc, teeth: int, pin: int) -> tuple[int, float, int, int]:
+def faced(at: Disc, teeth: int, pin: int) -> tuple[int, float, int, int]:
     """Number of the tooth that a pin faces, the conjugate point along it, that tooth and the one across the root."""
     # The conjugate points of neighbouring pins are a pin's pitch apart, which is less than a tooth's.
     passed = pin / (teeth + 1.0)
@@ -222,7 +238,7 @@ def _tooth_at(number: float, along: float, turn: float, turn_beyond: float, teet
 
 
 @inlined
-def _around_root(flank: Flank, margin: float) -> tuple[float, float]:
+def around_root(flank: Flank, margin: float) -> tuple[float, float]:
     """Distance from the path within which a point near a root has one foot only (m), and the margin as a parameter."""
     R, pins = flank.circle_radius, flank.teeth + 1
     k = flank.eccentricity * pins / R
@@ -243,8 +259,7 @@ def _solve(
     if filled > 0:
         raised = _largest(problem.deviations)
         listed = _solve_in_lanes(
-            flank, problem.stray, problem.root_phase, problem.root_margin, raised, theta, x, contacts, one, filled,
-            listed,
+            flank, problem.stray, problem.root_phase, raised, theta, x, contacts, one, filled, listed,
         )  # fmt: skip
         for lane in range(filled):
             if one.alone[lane] > 0.0:
@@ -253,36 +268,45 @@ def _solve(
 
 
 @part
-def _solve_in_lanes(
-    flank: Flank, stray: float, root_phase: float, margin: float, raised: float, theta: float, x: float,
-    contacts: Rows, one: Lanes, filled: int, listed: int,
-) -> int:  # fmt: skip
-    """Solve the contacts in the lanes as far as these can, write and list them."""
-    R, e, teeth = flank.circle_radius, flank.eccentricity, flank.teeth
+def feet_in_lanes(one: Lanes, filled: int, eccentricity: float, teeth: int, ring: bool) -> None:
+    """Find the feet of the pins in the lanes, and what they give, as far as lanes can: `alone` where they could not.
+
+    What a lane gives does not depend on the others.
+
+    Parameters
+    ----------
+    one
+        `SOLVED`, entered by `enter`, with the flanks' radii and the root's: `around_root` and its phase.
+    eccentricity, teeth, ring
+        Of all flanks, as in `Flank`.
+    """
+    e = eccentricity
     pitch = 2.0 * math.pi / teeth
-    near_root, root_margin = _around_root(flank, margin)
     lanes = vectors(filled)
     for lane in range(filled, lanes):
         one.axis_x[lane], one.axis_y[lane], one.start[lane] = one.axis_x[0], one.axis_y[0], one.start[0]
-        one.turn[lane] = one.turn[0]
+        one.turn[lane], one.circle_radius[lane] = one.turn[0], one.circle_radius[0]
     for lane in range(lanes):
         one.axis_x[lane], one.axis_y[lane] = on_tooth(one.axis_x[lane], one.axis_y[lane], one.turn[lane])
-        one.alpha[lane], one.alone[lane] = one.start[lane], 0.0
+        one.alpha[lane], one.alone[lane], one.last[lane] = one.start[lane], 0.0, math.inf
     for _ in range(6):
         moving = 0
         for lane in range(lanes):
-            state = tangency(one.axis_x[lane], one.axis_y[lane], one.alpha[lane], R, e, teeth)
-            step = -state.value / state.slope
+            state = tangency(one.axis_x[lane], one.axis_y[lane], one.alpha[lane], one.circle_radius[lane], e, teeth)
+            speed2 = state.path_x * state.path_x + state.path_y * state.path_y
+            step = -state.value / state.slope if one.last[lane] > _FEET_STEP * _FEET_STEP else 0.0
             one.alpha[lane] += step
+            one.last[lane] = step * step * speed2
             # Where the distance is not smallest but largest, Newton's step may lead to another foot.
             one.alone[lane] = one.alone[lane] if state.slope < 0.0 else 1.0
-            speed2 = state.path_x * state.path_x + state.path_y * state.path_y
-            moving += 1 if step * step * speed2 > _FEET_STEP * _FEET_STEP else 0
+            moving += 1 if one.last[lane] > _FEET_STEP * _FEET_STEP else 0
         if moving == 0:
             break
     for lane in range(lanes):
+        R, r = one.circle_radius[lane], one.generating_radius[lane]
+        flank = Flank(R, e, r, teeth, ring)
         tooth = _tooth_at(
-            one.number[lane], one.along[lane], one.turn[lane], one.turn_beyond[lane], teeth, root_phase
+            one.number[lane], one.along[lane], one.turn[lane], one.turn_beyond[lane], teeth, one.root_phase[lane]
         )  # fmt: skip
         alpha, start = one.alpha[lane], one.start[lane]
         state = tangency(one.axis_x[lane], one.axis_y[lane], alpha, R, e, teeth)
@@ -293,7 +317,8 @@ def _solve_in_lanes(
         beside = (abs(alpha - start) < _NEIGHBOUR * pitch) & (tooth.lower <= alpha) & (alpha <= tooth.upper)
         # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the foot is
         # so close to the root that the step between the two teeth decides.
-        single = (not tooth.near) | ((distance < near_root) & (abs(alpha - tooth.root) > root_margin))
+        beyond_step = abs(alpha - tooth.root) > one.root_margin[lane]
+        single = (not tooth.near) | ((distance < one.root_radius[lane]) & beyond_step)
         one.alone[lane] = one.alone[lane] if converged & begun & beside & single else 1.0
         alpha = min(max(alpha, one.number[lane] * pitch + _END), (one.number[lane] + 1.0) * pitch - _END)
         offset = Offset(one.offset_x[lane], one.offset_y[lane], one.crank_x[lane], one.crank_y[lane])
@@ -302,6 +327,16 @@ def _solve_in_lanes(
         one.gap[lane], one.arm[lane], one.arm_rate[lane] = found.gap, found.arm, found.arm_rate
         one.curvature[lane], one.curvature_rate[lane] = found.curvature, found.curvature_rate
         one.gap_by_crank[lane], one.foot_by_crank[lane] = found.gap_by_crank, found.foot_by_crank
+
+
+@part
+def _solve_in_lanes(
+    flank: Flank, stray: float, root_phase: float, raised: float, theta: float, x: float, contacts: Rows, one: Lanes,
+    filled: int, listed: int,
+) -> int:  # fmt: skip
+    """Solve the contacts in the lanes as far as these can, write and list them."""
+    teeth = flank.teeth
+    feet_in_lanes(one, filled, flank.eccentricity, teeth, flank.ring)
     clear = 0
     for lane in range(filled):
         if one.alone[lane] > 0.0:
@@ -363,12 +398,12 @@ def _solve_alone(problem: Problem, theta: float, x: float, contacts: Rows, row: 
     R, e, teeth, pin_radius = problem.circle_radius, problem.generating_eccentricity, problem.teeth, problem.pin_radius
     pitch = 2.0 * math.pi / teeth
     flank = Flank(R, e, problem.generating_radius, teeth, problem.ring)
-    root_radius, root_margin = _around_root(flank, problem.root_margin)
-    at = _disc_at(problem, theta, x, disc)
+    root_radius, root_margin = around_root(flank, problem.root_margin)
+    at = disc_at(problem, problem.eccentricity, theta, x, disc)
     conjugate = pin * 2.0 * math.pi / (teeth + 1) + at.shift
-    number, along, faced, beyond = _faced(at, teeth, pin)
+    number, along, facing, beyond = faced(at, teeth, pin)
     turns = problem.tooth_turn[disc]
-    tooth = _tooth_at(number, along, turns[faced], turns[beyond], teeth, problem.root_phase)
+    tooth = _tooth_at(number, along, turns[facing], turns[beyond], teeth, problem.root_phase)
     near, root, inwards, extent = tooth.near, tooth.root, tooth.inwards, tooth.extent
     px = problem.pin_x[pin] * at.turned_cosine - problem.pin_y[pin] * at.turned_sine
     py = problem.pin_x[pin] * at.turned_sine + problem.pin_y[pin] * at.turned_cosine

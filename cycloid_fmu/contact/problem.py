@@ -112,6 +112,23 @@ class Problem(NamedTuple):
     deviations: Deviations | None
 
 
+class Drives(NamedTuple):
+    """What errors change of a contact problem, of many drives; the names are those of `Problem`."""
+
+    circle_radius: Array
+    generating_radius: Array
+    eccentricity: Array
+    pin_x: Array
+    pin_y: Array
+    pin_radius: Array
+    tooth_turn: Array
+    centre_x: Array
+    centre_y: Array
+    stray: Array
+    root_phase: Array
+    root_margin: Array
+
+
 @inlined
 def poses(problem: Problem, theta: float, x: float, disc: int) -> tuple[float, float, float]:
     """Crank angle of a disc and the rotations of ring and gear, at disc 0's crank angle θ and deviation x, rad."""

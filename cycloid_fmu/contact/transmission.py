@@ -6,7 +6,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,8 +20,10 @@ from cycloid_fmu.surfaces.provenance import provenance
 from cycloid_fmu.surfaces.structured import (
     PROFILE_POINTS,
     dimensions,
+    dimensions_of,
     displacement_columns,
     displacements,
+    displacements_of,
     profile_wave,
 )
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -122,26 +124,17 @@ def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Probl
 
     Parameters are those of `drive_of`.
     """
-    direction = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
-    warm = pair.at_temperature
-    made = dimensions(pair, surface)
-    angle = direction + made["pin_tangential"] / warm.pin_circle_radius
-    z = pair.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
-    stray = _stray(pair, surface)
+    warm, modification = pair.at_temperature, _modification(pair)
+    made, z = dimensions(pair, surface), _heights(pair, slices)
+    stray = _stray(pair, displacements(pair, surface, modification))
+    # Form is added here, because not every drive has it.
+    stray += sum(float(np.abs(d).max()) for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
     return contact.Problem(
-        circle_radius=float(made["generating_circle_radius"]),
-        generating_radius=float(made["generating_pin_radius"]),
+        **_made(pair, made, stray, z),
         generating_eccentricity=warm.eccentricity,
-        eccentricity=float(made["crank_throw"]),
         teeth=pair.gear_teeth,
         ring=pair.output == "ring",
-        pin_x=made["pin_radial"] * np.cos(angle),
-        pin_y=made["pin_radial"] * np.sin(angle),
-        pin_radius=made["pin_radius"],
-        tooth_turn=np.ascontiguousarray(made["tooth_turn"]),
         crank_phase=2.0 * np.pi * np.arange(pair.discs) / pair.discs,
-        centre_x=made["centre_x"] + made["tilt_x"] * z,
-        centre_y=made["centre_y"] + made["tilt_y"] * z,
         shift_x=np.zeros(pair.discs),
         shift_y=np.zeros(pair.discs),
         turn=np.zeros(pair.discs),
@@ -150,13 +143,64 @@ def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Probl
         compliance_gear=pair.material.gear.compliance,
         compliance_pin=pair.material.pin.compliance,
         largest_log_radius=warm.pin_circle_radius if pair.contact_law == "capped" else math.inf,
-        stray=stray,
         seat_gap=0.0,
         seat_compliance=0.0,
-        root_phase=_root_phase(warm, stray, float(made["generating_circle_radius"])),
-        root_margin=1e-6 + 1.5 * warm.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
         deviations=_deviations(pair, surface, z),
     )
+
+
+def meshes_of(pair: Pair, vectors: Array, slices: int = 1) -> contact.Drives:
+    """Return what differs between the contact problems of many drives without deviations of form.
+
+    Parameters
+    ----------
+    pair, slices
+        As in `mesh_of`.
+    vectors
+        The drives' errors, rows of `displacement_vector`.
+
+    Raises
+    ------
+    edge.InputError
+        If a drive is impossible.
+    """
+    displaced = displacements_of(pair, vectors)
+    made, modification = dimensions_of(pair, displaced), _modification(pair)
+    stray = _stray(pair, displaced | {name: value + displaced[name] for name, value in modification.items()}, 1)
+    return contact.Drives(**_made(pair, made, stray, _heights(pair, slices)))
+
+
+def _heights(pair: Pair, slices: int) -> Array:
+    return np.asarray(pair.face_width * ((np.arange(slices) + 0.5) / slices - 0.5))
+
+
+def _modification(pair: Pair) -> dict[str, float]:
+    return {
+        "generating_pin_radius": pair.modification.isometric, "generating_circle_radius": pair.modification.offset,
+    }  # fmt: skip
+
+
+def _made(pair: Pair, made: Mapping[str, Any], stray: Any, z: Array) -> dict[str, Any]:
+    """Fields of the contact problem of a drive, or of many in a leading axis, that its errors change."""
+    warm = pair.at_temperature
+    angle = 2.0 * np.pi * np.arange(pair.pins) / pair.pins + made["pin_tangential"] / warm.pin_circle_radius
+    circle = np.asarray(made["generating_circle_radius"])
+    spread = np.ptp(made["tooth_turn"], axis=-1).max(axis=-1)
+    found = {
+        "circle_radius": circle, "generating_radius": np.asarray(made["generating_pin_radius"]),
+        "eccentricity": np.asarray(made["crank_throw"]), "stray": np.asarray(stray),
+        "root_phase": _root_phase(warm, np.asarray(stray), circle),
+        "root_margin": 1e-6 + 1.5 * warm.pin_circle_radius * spread,
+    }  # fmt: skip
+    if circle.ndim == 0:
+        found = {name: float(value) for name, value in found.items()}
+    for name in ("centre", "tilt"):
+        made = {**made, **{f"{name}_{axis}": np.asarray(made[f"{name}_{axis}"])[..., None] for axis in "xy"}}
+    return found | {
+        "pin_x": made["pin_radial"] * np.cos(angle), "pin_y": made["pin_radial"] * np.sin(angle),
+        "pin_radius": made["pin_radius"], "tooth_turn": np.ascontiguousarray(made["tooth_turn"]),
+        "centre_x": made["centre_x"] + made["tilt_x"] * z, "centre_y": made["centre_y"] + made["tilt_y"] * z,
+    }  # fmt: skip
 
 
 def _deviations(pair: Pair, surface: ErrorSurface, z: Array) -> contact.Deviations | None:
@@ -214,22 +258,20 @@ def _across_width(deviation: Array, z: Array, face_width: float) -> Array:
     return np.asarray((1.0 - share) * deviation[..., low] + share * deviation[..., high])
 
 
-def _stray(pair: Pair, surface: ErrorSurface) -> float:
-    """How far modifications and errors can take a pin's axis from the flank's generating path, m."""
+def _stray(pair: Pair, displaced: Mapping[str, Any], leading: int = 0) -> Any:
+    """How far modifications and errors can take a pin's axis from the flank's generating path, m.
+
+    Values of one drive, or of many in a leading axis.
+    """
     scale = {"tilt_x": pair.face_width, "tilt_y": pair.face_width, "tooth_turn": pair.pin_circle_radius}
-    modification = {
-        "generating_pin_radius": pair.modification.isometric, "generating_circle_radius": pair.modification.offset,
-    }  # fmt: skip
-    largest = {
-        name: float(np.abs(values).max()) * scale.get(name, 1.0)
-        for name, values in displacements(pair, surface, modification).items()
-    }
-    elements = sum(np.abs(d).max() for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
-    return float(sum(largest.values()) + elements)
+    return sum(
+        np.abs(values).max(axis=tuple(range(leading, np.ndim(values)))) * scale.get(name, 1.0)
+        for name, values in displaced.items()
+    )
 
 
-def _root_phase(pair: Pair, stray: float, circle: float) -> float:
-    """Phase from a root within which a pin may stand before the neighbouring tooth, rad.
+def _root_phase(pair: Pair, stray: Array, circle: Array) -> Array:
+    """Phase from a root within which a pin may stand before the neighbouring tooth, rad, of one drive or of many.
 
     It is where the generating path has run three times as far as the pin's axis may stray from it, the rotation that
     errors and modifications allow included.
@@ -237,11 +279,15 @@ def _root_phase(pair: Pair, stray: float, circle: float) -> float:
     g = pair
     turning = circle / (g.eccentricity * g.gear_teeth)
     reach = 3.0 * (1.0 + turning) * stray + 5e-5
-    k = g.eccentricity * g.pins / circle
+    k = (g.eccentricity * g.pins / circle)[..., None]
     phase = np.linspace(0.0, 0.9 * np.pi, 200)
-    speed = circle / g.gear_teeth * np.sqrt(1.0 + k * k - 2.0 * k * np.cos(phase))
-    path = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(phase))])
-    return float(np.interp(reach, path, phase))
+    speed = (circle / g.gear_teeth)[..., None] * np.sqrt(1.0 + k * k - 2.0 * k * np.cos(phase))
+    path = np.cumsum(0.5 * (speed[..., 1:] + speed[..., :-1]) * np.diff(phase), axis=-1)
+    path = np.concatenate([np.zeros((*circle.shape, 1)), path], axis=-1)
+    found = np.empty(circle.shape)
+    for drive in np.ndindex(circle.shape):
+        found[drive] = np.interp(reach[drive], path[drive], phase)
+    return found
 
 
 def _contiguous(values: ArrayLike) -> Array:
@@ -287,7 +333,7 @@ def check_balance(torque: ArrayLike, balance: ArrayLike) -> None:
         )
 
 
-def _check_again(drive: contact.Problem, crank_angle: Array, torque: Array, falling: NDArray[np.bool_]) -> None:
+def check_falling(drive: contact.Problem, crank_angle: Array, torque: Array, falling: NDArray[np.bool_]) -> None:
     """Check the balance where the torque falls with the rotation, which it does on worn flanks or beyond any load."""
     rows = contact.contact_rows(drive)
     for i in np.flatnonzero(falling & (torque != 0.0)):
@@ -363,13 +409,8 @@ def solve(
         raise ValueError("torque and crank_angle must be finite")
     at_angles = along_sweep(torques, angles)
     loads, places = at_angles.shape, (*at_angles.shape, g.discs, g.pins)
-    deviation, stiffness, pressure = (np.full(loads, np.nan) for _ in range(3))
-    # In one array, which the allocator keeps for the next sweep: 1.15 times as fast where sweeps are repeated.
-    pin_force, pin_pressure = np.zeros((2, *places))
-    found = contact.LoadedSweep(
-        deviation, stiffness, np.zeros(loads, dtype=np.int64), pressure, pin_force, pin_pressure
-    )
-    low, high, gap = (np.full(angles.size, np.nan) for _ in range(3))
+    found, low, high, gap = _unsolved(problem, loads)
+    deviation, stiffness, pressure = found.deviation, found.stiffness, found.max_contact_pressure
     lines = empty_lines(pair, surface, slices, places) if with_elements else None
     merging = threading.Lock()
 
@@ -397,8 +438,37 @@ def solve(
     except Stopped as stopped:
         raise Interrupted(result(slice(0, stopped.finished))) from None
     for k in range(loads[0]):
-        _check_again(problem, angles, at_angles[k], stiffness[k] <= 0.0)
+        check_falling(problem, angles, at_angles[k], stiffness[k] <= 0.0)
     return result(slice(None))
+
+
+class Swept(NamedTuple):
+    """Arrays of `contact.sweep`: loads, and the play's ends (rad) and interference (m), shape (angles,)."""
+
+    loaded: contact.LoadedSweep
+    low: Array
+    high: Array
+    interference: Array
+
+
+def _unsolved(problem: contact.Problem, loads: tuple[int, ...]) -> Swept:
+    deviation, stiffness, pressure = (np.full(loads, np.nan) for _ in range(3))
+    # In one array, which the allocator keeps for the next sweep: 1.15 times as fast where sweeps are repeated.
+    pin_force, pin_pressure = np.zeros((2, *loads, problem.crank_phase.size, problem.pin_x.size))
+    loaded = contact.LoadedSweep(
+        deviation, stiffness, np.zeros(loads, dtype=np.int64), pressure, pin_force, pin_pressure
+    )
+    return Swept(loaded, *(np.full(loads[1], np.nan) for _ in range(3)))
+
+
+def solve_problem(problem: contact.Problem, torque: Array, crank_angle: Array, *, with_play: bool) -> Swept:
+    """Solve a contact problem at torques (torques, angles), N·m, and crank angles (rad), in a row."""
+    found = _unsolved(problem, torque.shape)
+    contact.sweep(
+        problem, crank_angle, torque, 0, crank_angle.size, with_play, found.low, found.high, found.interference,
+        found.loaded, None,
+    )  # fmt: skip
+    return found
 
 
 class Interrupted(KeyboardInterrupt):
@@ -438,7 +508,7 @@ def error_sensitivity(
     deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
     torques = _contiguous(np.broadcast_to(torque, angles.shape))
     contact.sweep_sensitivities(drive, angles, torques, columns, deviation, each, jacobian, by_angle, by_torque)
-    _check_again(drive, angles, torques, ~(by_torque > 0.0))
+    check_falling(drive, angles, torques, ~(by_torque > 0.0))
     profiles = [at for at, name in enumerate(names) if profile_wave(name, PROFILE_POINTS) is not None]
     if profiles:
         jacobian[:, profiles] = form_sensitivity(

@@ -23,8 +23,8 @@ from cycloid_fmu.studies.tolerance import (
     Study,
     crank_angles,
     demand,
+    figures_near,
     figures_of,
-    figures_to_first_order,
     points,
     run,
     screen_of,
@@ -223,9 +223,9 @@ def allocate(
         def demands(scale: Array) -> Array:
             if near is None:
                 assert screen is not None
-                values = figures_to_first_order(study, screen, np.tensordot(scale, errors, 1))
+                values = figures_near(study, screen, np.tensordot(scale, errors, 1))
             else:
-                values = figures_to_first_order(study, near, scale)
+                values = figures_near(study, near, scale)
             return np.asarray(np.max([*demand(study, values).values()], axis=0))
 
         return demands

@@ -12,14 +12,15 @@ import functools
 import json
 import math
 import warnings
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.first_order import NearDrives, Screen
+from cycloid_fmu.contact.near_drives import ExactDrives
 from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, Transmission, slices_needed
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
@@ -244,6 +245,27 @@ def free_figures(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | No
 
 def figures_of(study: Study, surface: ErrorSurface) -> Array:
     """Return the figures of one drive in the order of `Study.columns`, by the exact model."""
+    found: Array = exact_figures(study, [surface])[0]
+    return found
+
+
+def exact_figures(study: Study, surfaces: Sequence[ErrorSurface]) -> Array:
+    """Return the figures of drives in the order of `Study.columns`, by the exact model, shape (drives, columns).
+
+    Drives on rigid bearings without deviations of form, which have no first stage, are solved side by side.
+    """
+    if study.first_stage is not None or study.pair.supports is not None or _has_form(surfaces):
+        return np.array([_figures_alone(study, surface) for surface in surfaces])
+    exact = _exact_drives(study)
+    errors = np.array([displacement_vector(study.pair, surface) for surface in surfaces])
+    return figures_near(study, exact, exact.made(errors))
+
+
+def _has_form(surfaces: Sequence[ErrorSurface]) -> bool:
+    return any(s.gear_deviation is not None or s.pin_deviation is not None for s in surfaces)
+
+
+def _figures_alone(study: Study, surface: ErrorSurface) -> Array:
     angles, first = crank_angles(study), study.first_stage
     loaded = solve(
         study.pair, surface, first, study.torque, angles, slices_needed(surface), with_play=False, with_stiffness=False
@@ -263,39 +285,52 @@ def check_first_order(study: Study, tolerances_source: str) -> None:
             )
 
 
+def _loads(study: Study) -> list[tuple[float, Array]]:
+    """Return a study's loads and crank angles: first those of `Study.torque`, then ± lost motion, then the play."""
+    angles = crank_angles(study)
+    low_loads = (*study.pair.lost_motion_loads, 0.0)
+    return [*((t, angles) for t in study.torque), *((t, angles[::PLAY_STEP].copy()) for t in low_loads)]
+
+
+def _slices(study: Study) -> int:
+    tilted = any(isinstance(getattr(study.tolerances, name), AngleError) for name in study.factors)
+    return SLICES_MISALIGNED if tilted else 1
+
+
 def screen_of(study: Study, largest: float = 1.0) -> Screen:
-    """Return the error-free pair at a study's loads: first those of `Study.torque`, then ± lost motion, then the play.
+    """Return the error-free pair at a study's loads, to take drives near it to first order.
 
     Parameters
     ----------
     largest
         Largest errors, in units of the tolerances.
     """
-    angles = crank_angles(study)
-    low_loads = (*study.pair.lost_motion_loads, 0.0)
-    loads = [*((t, angles) for t in study.torque), *((t, angles[::PLAY_STEP]) for t in low_loads)]
     reach = 0.0
     for name in study.factors:
         stated = getattr(study.tolerances, name)
         width = stated.cumulative if hasattr(stated, "cumulative") else stated.tolerance
         reach += width * (study.pair.face_width if isinstance(stated, AngleError) else 1.0)
-    tilted = any(isinstance(getattr(study.tolerances, name), AngleError) for name in study.factors)
     # Errors close a gap by their sum, and again by the rotation that they allow; here with a margin.
-    return Screen(study.pair, loads, SLICES_MISALIGNED if tilted else 1, 20e-6 + 3.0 * largest * reach)
+    return Screen(study.pair, _loads(study), _slices(study), 20e-6 + 3.0 * largest * reach)
 
 
-def figures_to_first_order(study: Study, screen: NearDrives, errors: Array) -> Array:
-    """Return the figures of drives in the order of `Study.columns`, to first order, shape (drives, columns).
+_Drives = TypeVar("_Drives")
+
+
+def figures_near(study: Study, near: NearDrives[_Drives], drives: _Drives) -> Array:
+    """Return the figures of drives in the order of `Study.columns`, shape (drives, columns).
 
     Parameters
     ----------
-    errors
-        Rows of `displacement_vector`.
+    near
+        At the study's loads, then ± lost motion, then the play.
+    drives
+        What its functions take.
     """
     loads = len(study.torque)
-    solutions = [screen.loaded(k, errors) for k in range(loads)]
+    solutions = [near.loaded(k, drives) for k in range(loads)]
     has_rated = study.pair.rated_torque is not None
-    backlash, interference = screen.play(loads + 2 * has_rated, errors)
+    backlash, interference = near.play(loads + 2 * has_rated, drives)
     free = np.where(np.isnan(backlash), 0.0, backlash)
     found: dict[str, Any] = {
         "angular_transmission_error": [np.ptp(deviation, axis=1) for deviation, _ in solutions],
@@ -306,28 +341,47 @@ def figures_to_first_order(study: Study, screen: NearDrives, errors: Array) -> A
         "interference": interference.max(axis=1),
     }
     if has_rated:
-        up, down = (screen.loaded(loads + k, errors)[0] for k in range(2))
+        up, down = (near.loaded(loads + k, drives)[0] for k in range(2))
         found["lost_motion"] = (up - down).max(axis=1)
     return np.column_stack([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 
-_screens: dict[str, Screen] = {}  # the last screen of this process
+_Kept = TypeVar("_Kept")
+
+
+def _last(function: Callable[[Study], _Kept]) -> Callable[[Study], _Kept]:
+    """Keep what a function returned last in this process, for studies of the same identity."""
+    kept: dict[str, _Kept] = {}
+
+    @functools.wraps(function)
+    def called(study: Study) -> _Kept:
+        key = json.dumps(study.identity())
+        if key not in kept:
+            kept.clear()
+            kept[key] = function(study)
+        return kept[key]
+
+    return called
+
+
+_last_screen = _last(screen_of)
+
+
+@_last
+def _exact_drives(study: Study) -> ExactDrives:
+    return ExactDrives(study.pair, _loads(study), _slices(study))
 
 
 def _screening_task(study: Study, first: int, rows: Array) -> Solved:
     """Solve some samples to first order, as `_task` does exactly."""
-    key = json.dumps(study.identity())
-    if key not in _screens:
-        _screens.clear()
-        _screens[key] = screen_of(study)
     drawn = displacement_vector(study.pair, nominal_surface(study.pair))
     errors = np.array([displacement_vector(study.pair, surface_of(study, row)) - drawn for row in rows])
-    return Solved(first, figures_to_first_order(study, _screens[key], errors))
+    return Solved(first, figures_near(study, _last_screen(study), errors))
 
 
 def _task(study: Study, first: int, rows: Array) -> Solved:
     """Solve some samples in any process."""
-    return Solved(first, np.array([figures_of(study, surface_of(study, row)) for row in rows]))
+    return Solved(first, exact_figures(study, [surface_of(study, row) for row in rows]))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -159,42 +159,85 @@ def dimensions(pair: Pair, surface: ErrorSurface, source: str = "errors") -> dic
     edge.InputError
         If the drive is impossible; the checks are those of a pair as drawn, with its errors.
     """
-    if pair.temperature is not None:
-        source = source.replace("errors", "temperature and errors")
+    made = displacements(pair, surface, _nominal_dimensions(pair))
+    check_dimensions(pair, made, source)
+    return made
+
+
+def dimensions_of(pair: Pair, displaced: Mapping[str, Array], source: str = "errors") -> dict[str, Array]:
+    """Return the dimensions of many drives.
+
+    Parameters
+    ----------
+    displaced
+        What `displacements_of` returns.
+    source
+        As in `dimensions`, which raises the same.
+    """
+    made = {**displaced}
+    for name, value in _nominal_dimensions(pair).items():
+        made[name] = value + displaced[name]
+    check_dimensions(pair, made, source)
+    return made
+
+
+def _nominal_dimensions(pair: Pair) -> dict[str, float]:
     warm = pair.at_temperature
-    made = displacements(pair, surface, {
+    return {
         "crank_throw": warm.eccentricity, "generating_pin_radius": warm.generating_pin_radius,
         "generating_circle_radius": warm.generating_circle_radius, "pin_radial": warm.pin_circle_radius,
         "pin_radius": warm.pin_radius,
-    })  # fmt: skip
-    pair = warm
-    circle, pin = float(made["generating_circle_radius"]), float(made["generating_pin_radius"])
-    why = ""
-    if not made["crank_throw"] > 0.0:
-        why = f"the eccentricity is {made['crank_throw'] * 1e3:.6g} mm; it must stay above zero"
-    elif pair.eccentricity * pair.pins >= circle:
-        why = f"the generating circle's radius is {circle * 1e3:.6g} mm; it must stay above eccentricity x pins"
-    elif not 0.0 < pin < (smallest := smallest_convex_radius(circle, pair.eccentricity, pair.pins)):
-        why = f"the flank's generating pin radius is {pin * 1e3:.6g} mm"
-        why += "; it must stay above zero" if pin <= 0.0 else f"; the flank is undercut above {smallest * 1e3:.6g} mm"
-    elif not made["pin_radius"].min() > 0.0:
-        why = f"a pin's radius is {made['pin_radius'].min() * 1e3:.6g} mm; it must stay above zero"
-    else:
-        place = made["pin_radial"] * np.exp(
-            1j * (2.0 * np.pi * np.arange(pair.pins) / pair.pins + made["pin_tangential"] / pair.pin_circle_radius)
+    }  # fmt: skip
+
+
+def check_dimensions(pair: Pair, made: Mapping[str, Any], source: str) -> None:
+    """Check the dimensions of one drive, or of many in a leading axis, as `dimensions` does."""
+    if pair.temperature is not None:
+        source = source.replace("errors", "temperature and errors")
+    pair = pair.at_temperature
+    radius = np.asarray(made["pin_radius"])
+    place = made["pin_radial"] * np.exp(
+        1j * (2.0 * np.pi * np.arange(pair.pins) / pair.pins + made["pin_tangential"] / pair.pin_circle_radius)
+    )
+    # The place of the next pin, without a copy of all.
+    after = np.arange(1, pair.pins + 1) % pair.pins
+    room = np.abs(place - place[..., after]) - radius - radius[..., after]
+    thinnest, closest = radius.min(axis=-1), room.min(axis=-1)
+    for drive in np.ndindex(thinnest.shape):
+        throw, circle, pin = (
+            float(np.asarray(made[name])[drive])
+            for name in ("crank_throw", "generating_circle_radius", "generating_pin_radius")
         )
-        room = np.abs(place - np.roll(place, -1)) - made["pin_radius"] - np.roll(made["pin_radius"], -1)
-        if not room.min() > 0.0:
-            first = int(room.argmin())
-            why = f"pins {first} and {(first + 1) % pair.pins} overlap by {-room.min() * 1e6:.6g} um"
-    if why:
-        raise edge.InputError(f"{source}: with these, {why}.")
-    return made
+        why = ""
+        if not throw > 0.0:
+            why = f"the eccentricity is {throw * 1e3:.6g} mm; it must stay above zero"
+        elif pair.eccentricity * pair.pins >= circle:
+            why = f"the generating circle's radius is {circle * 1e3:.6g} mm; it must stay above eccentricity x pins"
+        elif not 0.0 < pin < (smallest := smallest_convex_radius(circle, pair.eccentricity, pair.pins)):
+            limit = "it must stay above zero" if pin <= 0.0 else f"the flank is undercut above {smallest * 1e3:.6g} mm"
+            why = f"the flank's generating pin radius is {pin * 1e3:.6g} mm; {limit}"
+        elif not thinnest[drive] > 0.0:
+            why = f"a pin's radius is {thinnest[drive] * 1e3:.6g} mm; it must stay above zero"
+        elif not closest[drive] > 0.0:
+            first = int(room[drive].argmin())
+            why = f"pins {first} and {(first + 1) % pair.pins} overlap by {-closest[drive] * 1e6:.6g} um"
+        if why:
+            raise edge.InputError(f"{source}: with these, {why}.")
 
 
 def displacement_vector(pair: Pair, surface: ErrorSurface) -> Array:
     """Return the displacements due to all errors of a surface as a vector in the order of `displacement_layout`."""
     return np.concatenate([np.ravel(values) for values in displacements(pair, surface, {}).values()])
+
+
+def displacements_of(pair: Pair, vectors: Array) -> dict[str, Array]:
+    """Return displacements by their names, shape (drives, ...), from rows of `displacement_vector`."""
+    found = {}
+    for name, at in displacement_layout(pair).items():
+        values = vectors[:, at]
+        found[name] = values[:, 0] if name in BODIES else values
+    found["tooth_turn"] = found["tooth_turn"].reshape(len(vectors), pair.discs, pair.gear_teeth)
+    return found
 
 
 def displacement_columns(pair: Pair, names: Iterable[str]) -> Array:

@@ -12,7 +12,7 @@ from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.studies import tolerance
 from cycloid_fmu.studies.allocation import Nearby, allocate, errors_of_factors, scaled, steps
-from cycloid_fmu.studies.tolerance import Study, figures_to_first_order, points, screened, surface_of
+from cycloid_fmu.studies.tolerance import Study, figures_near, points, screened, surface_of
 from cycloid_fmu.supports.transmission import sensitivity
 from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import displacement_vector
@@ -218,7 +218,7 @@ def test_first_order_on_bearings_is_about_each_drive(record_property):
     errors = errors_of_factors(study, place)
     exact = tolerance.run(scaled(study, scale))
     near = Nearby(study, place, errors, np.ones(4))
-    found = dict(zip(study.columns, figures_to_first_order(study, near, scale).T, strict=True))
+    found = dict(zip(study.columns, figures_near(study, near, scale).T, strict=True))
     sure = dict(zip(study.columns, exact.values.T, strict=True))
     crank = tolerance.crank_angles(study)
     one = sensitivity(pair, nominal_surface(pair), 543.0, crank)
