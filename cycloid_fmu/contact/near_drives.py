@@ -56,8 +56,7 @@ _ITERATIONS = 30
 _GUIDE = 1 << 24  # bytes of a guide
 _MEMORY = 1 << 27  # bytes of guides that are kept: 40 contacts at 20,000 crank angles
 _SOUGHT, _MOVED, _FOUND, _ALONE = range(4)  # states of a drive
-_BEND_MORE = 1e3  # 1/m: beside a contact's curvature, for what changes it
-
+_BEND_MORE = 3.0  # over the pin's radius: beside a contact's curvature, for what changes it
 
 _BESIDE = lanes_of("gap", "along", "spread", "thicker", "least")
 """Of each contact, for drives side by side, m: gap and how far errors displace the pin along the flank, both at the
@@ -100,7 +99,7 @@ def guide_rows(problem: Problem, thetas: Array, deviation: Array, rows: Array) -
             one[_GAP], one[_ARM], one[_RATE] = contact.gap, contact.arm, contact.arm_rate
             # Where a pin has a foot on both teeth, or on the other one, its gap is not smooth.
             smooth = row == 2 * k and contacts[row + 1].gap == math.inf
-            one[_BEND] = abs(local.bend) if smooth else math.inf
+            one[_BEND] = abs(local.bend) + _BEND_MORE / problem.pin_radius[local.pin] if smooth else math.inf
             one[_RADIAL], one[_TANGENTIAL] = nx * c + ny * s, ny * c - nx * s
             one[_X], one[_Y], one[_HEIGHT] = nx, ny, problem.slice_z[local.slice]
             one[_CRANK] = nx * local.crank_x + ny * local.crank_y
@@ -177,7 +176,7 @@ def _displace(rows: Array, pins: int, work: _Work) -> None:
             y = errors[CENTRE_Y, j] + height * errors[TILT_Y, j]
             larger, throw = errors[CIRCLE_GENERATING, j], errors[CRANK_THROW, j]
             beside.gap[j] -= nx * x + ny * y + facing * larger + crank * throw
-            beside.along[j] += ny * x - nx * y - leaning * larger - crank_along * throw
+            beside.along[j] += ny * x - nx * y + leaning * larger - crank_along * throw
 
 
 @part
@@ -185,7 +184,7 @@ def _least_gaps(rows: Array, at: float, work: _Work) -> None:
     """Gaps that contacts have at least where the drives are, beside one that is solved at `at`."""
     for k in range(rows.shape[0]):
         one, beside = rows[k], work.beside[k]
-        bend, known = one[_BEND] + _BEND_MORE, one[_GAP]
+        bend, known = one[_BEND], one[_GAP]
         arm, rate, slide = one[_ARM], one[_RATE], one[_SLIDE]
         for j in range(vectors(work.drives.size)):
             x = work.x[j] - at

@@ -6,10 +6,10 @@ from common import EXAMPLES, make_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cycloid_fmu import edge
+from cycloid_fmu import contact, edge
 from cycloid_fmu.contact import near_drives
 from cycloid_fmu.contact.near_drives import ExactDrives
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.contact.transmission import drive_of, solve
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.surfaces.structured import displacement_vector
@@ -89,6 +89,41 @@ def test_tilted_drives_side_by_side_are_as_each_alone(name):
     pair, random = PAIRS[name], np.random.default_rng(7)
     surfaces = [drawn(pair, random, 3e-6, False).replace(misalignment_xz=2e-4, misalignment_yz=-1e-4) for _ in range(2)]
     compare(pair, surfaces, 150.0, np.linspace(0.0, 6.0, 15), 20)
+
+
+@pytest.mark.parametrize("name", ["39/40", "two discs", "ring"])
+def test_gaps_and_feet_move_as_displacements_say(name):
+    """The bounds rest on both: a micrometre of each error, against the pins placed on the flanks of a drive with it."""
+    pair, angle, random = PAIRS[name], np.array([0.7]), np.random.default_rng(1)
+    exact = ExactDrives(pair, [(100.0, angle)], 1)
+    guide = next(exact._along(0))
+    x = guide.deviation[0]
+    before = placed(pair, ErrorSurface(pair), angle[0], x)
+    problem = drive_of(pair, ErrorSurface(pair))
+    for kind in KINDS_OF_RIGID:
+        if kind.unit != "m":
+            continue
+        surface = ErrorSurface(pair, {kind.name: 1e-6 * random.uniform(0.5, 1.0, kind.shape(pair))})
+        after = placed(pair, surface, angle[0], x)
+        work = near_drives._work(len(guide.rows[0]), exact.made(displacement_vector(pair, surface)[None]).errors)
+        near_drives._displace(guide.rows[0], pair.pins, work)
+        for row in range(0, len(before), 2):
+            beside, frame = work.beside[row // 2], contact.local_frame(problem, angle[0], x, before, row)
+            # Far from roots, where a micrometre is little beside the curvature radius.
+            if abs(frame.bend) < 2e3 and before[row].gap < 1.0 and after[row].gap < 1.0:
+                # Beside a root the nearer of two teeth counts.
+                assert beside.gap[0] <= after[row].gap + 5e-9
+                assert kind.of == "tooth" or beside.gap[0] == pytest.approx(after[row].gap, abs=5e-9)
+                assert after[row].foot - before[row].foot == pytest.approx(
+                    beside.along[0] * frame.foot, abs=1e-8 * abs(frame.foot)
+                )
+
+
+def placed(pair, surface, angle, x):
+    problem = drive_of(pair, surface)
+    rows = contact.contact_rows(problem)
+    contact.place(problem, angle, x, rows, True, np.inf, np.inf)
+    return rows
 
 
 def test_what_a_drive_gives_does_not_depend_on_the_others():
