@@ -49,7 +49,7 @@ def test_check_bits_confirm_every_position_and_catch_every_single_flipped_bit(po
 
 @pytest.mark.parametrize("bits", [12, 14])
 def test_the_recording_is_the_commanded_motion(tmp_path, bits):
-    run = SimulatedRun(torque=5.0, turns=2, samples_per_turn=200, speed=4 * math.pi)
+    run = SimulatedRun(torque=5.0, turns=2, samples_per_turn=200, speed=math.pi)
     motion = simulate_motion(lambda angle, torque: -angle / 39, run)
     path = tmp_path / "run.arrows"
     with SimulatedAmt21Bench(motion, bits=bits) as bench:
