@@ -15,6 +15,7 @@ from cycloid_fmu.contact.rows import Rows, touching_count
 
 _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
 _BY_RATES = 1e-6  # rad: so near the rotation at which contacts were solved, their rates say how they are
+_LARGEST_BY_RATES = 1e-7  # m: by so much no gap may fall meanwhile, as pins that are so clear are not looked at
 
 
 @inlined
@@ -23,6 +24,12 @@ def rotational_stiffness(contact: np.record) -> float:
     arm = contact.arm
     curved = contact.force_by_curvature * contact.curvature_rate * contact.foot_rate
     return float(contact.stiffness * arm * arm + contact.force * contact.arm_rate + curved * arm)
+
+
+@inlined
+def by_rates(circle_radius: float) -> float:
+    """How far from where they were placed contacts follow by their rates, rad, on a flank's circle radius (m)."""
+    return min(_BY_RATES, _LARGEST_BY_RATES / circle_radius)
 
 
 @inlined
@@ -141,9 +148,9 @@ def _balance(
 ) -> tuple[float, float]:
     """Solve share (torque - M(x)) + hold (flange - x) = 0 by Newton's method inside a bracket."""
     low, high, placed, last = -math.inf, math.inf, math.inf, x
-    stiffness = 0.0
+    stiffness, near = 0.0, by_rates(problem.circle_radius)
     for _ in range(100):
-        if abs(x - placed) > _BY_RATES or problem.deviations is not None:
+        if abs(x - placed) > near or problem.deviations is not None:
             place(problem, theta, x, contacts, cold, CLEAR, BOUNDED)
             cold, placed = False, x
         else:

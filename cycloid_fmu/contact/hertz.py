@@ -186,6 +186,7 @@ def hertz_in_lanes(
     for lane in range(lanes):
         force, pressed = one.force[lane], one.approach[lane] > 0.0
         q = one.q[lane] - _logarithm_of_step(force, one.start[lane])
+        one.q[lane] = q
         bent += 1 if q < 3.0 + series else 0
         one.force[lane] = force if pressed else 0.0
         softness = 1.0 / (q - 1.0)
@@ -193,7 +194,7 @@ def hertz_in_lanes(
         one.by_curvature[lane] = -one.force[lane] * one.bending[lane] * softness
     if bent > 0:
         for lane in range(lanes):
-            if one.approach[lane] > 0.0:
+            if (one.approach[lane] > 0.0) & (one.q[lane] < 3.0 + series):
                 one.force[lane], one.stiffness[lane], one.by_curvature[lane] = hertz(
                     one.approach[lane], one.curvature[lane], one.pin_radius[lane], width, compliance_gear,
                     compliance_pin, largest_log_radius, one.guess[lane], seat_compliance,

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
-from cycloid_fmu.contact.equilibrium import rotational_stiffness
+from cycloid_fmu.contact.equilibrium import by_rates, rotational_stiffness
 from cycloid_fmu.contact.gap import Flank
 from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
 from cycloid_fmu.contact.lanes import LANES, lanes_of, on_stack, vectors
@@ -43,24 +43,24 @@ from cycloid_fmu.surfaces.surface import nominal_surface
 
 Flags = NDArray[np.int64]
 (
-    _GAP, _ARM, _RATE, _BEND, _RADIAL, _TANGENTIAL, _X, _Y, _HEIGHT, _CRANK, _CRANK_ALONG, _FACING, _LEANING, _TURN,
-    _TURN_ALONG, _SLIDE, _TOOTH, _BEYOND, _FOOT, _FOOT_RATE, _COLUMNS,
-) = range(21)  # fmt: skip
+    _GAP, _ARM, _RATE, _RIGID_RATE, _BEND, _RADIAL, _TANGENTIAL, _X, _Y, _HEIGHT, _CRANK, _CRANK_ALONG, _FACING,
+    _LEANING, _TURN, _TURN_ALONG, _SLIDE, _TOOTH, _BEYOND, _FOOT, _FOOT_RATE, _COLUMNS,
+) = range(22)  # fmt: skip
 _BENT = 0.2  # of a contact's curvature radius: what displaces a pin farther along its flank is beyond second order
 _SURE = 2e-7  # m: what is left to a gap for another foot, and for the rotation while contacts are not placed again
 _STEP = 1e-9  # rad: as an equilibrium's last step
-_BY_RATES = 1e-6  # rad: as an equilibrium's
 _REACHED = 1e-7  # rad: a play's last step, to second order
 _PLACED = 12  # times that contacts are placed before the drive is solved alone
 _ITERATIONS = 30
 _GUIDE = 1 << 24  # bytes of a guide
-_MEMORY = 1 << 27  # bytes of guides that are kept: 40 contacts at 20,000 crank angles
+_MEMORY = 1 << 27  # bytes of guides that are kept: of 40 contacts at 19,000 crank angles
 _SOUGHT, _MOVED, _FOUND, _ALONE = range(4)  # states of a drive
 _BEND_MORE = 3.0  # over the pin's radius: beside a contact's curvature, for what changes it
 
 _BESIDE = lanes_of("gap", "along", "spread", "thicker", "least")
 """Of each contact, for drives side by side, m: gap and how far errors displace the pin along the flank, both at the
-rotation of the drive beside them, how far pitch errors set two teeth apart, what is thicker, and the gap at least."""
+rotation of the drive beside them, how much farther another foot may be displaced, what is thicker, and the gap at
+least."""
 
 
 class Guide(NamedTuple):
@@ -90,13 +90,15 @@ def guide_rows(problem: Problem, thetas: Array, deviation: Array, rows: Array) -
         place(problem, thetas[i], deviation[i], contacts, i == 0, math.inf, math.inf)
         for k in range(rows.shape[1]):
             one, row = rows[i, k], 2 * k
-            if not contacts[row].gap < math.inf:
+            if contacts[row + 1].gap < contacts[row].gap:
                 row += 1
             contact = contacts[row]
             local = local_frame(problem, thetas[i], deviation[i], contacts, row)
             c, s = math.cos(local.direction), math.sin(local.direction)
             nx, ny = local.normal_x, local.normal_y
             one[_GAP], one[_ARM], one[_RATE] = contact.gap, contact.arm, contact.arm_rate
+            # Without the bend along the flank, which counts together with what errors displace along it.
+            one[_RIGID_RATE] = contact.arm_rate + local.slide * local.slide * local.bend
             # Where a pin has a foot on both teeth, or on the other one, its gap is not smooth.
             smooth = row == 2 * k and contacts[row + 1].gap == math.inf
             one[_BEND] = abs(local.bend) + _BEND_MORE / problem.pin_radius[local.pin] if smooth else math.inf
@@ -155,6 +157,8 @@ def _work(contacts: int, errors: Array) -> _Work:
 def _displace(rows: Array, pins: int, work: _Work) -> None:
     """Gaps of drives, and how far errors displace pins along their flanks, at the rotation of the drive beside them."""
     errors = work.errors
+    # A larger circle displaces another foot, at most a pitch away, in another direction.
+    step = 2.0 * math.pi / (pins - 1)
     radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
     teeth = BODY_COUNT + 3 * pins
     for k in range(rows.shape[0]):
@@ -170,7 +174,7 @@ def _displace(rows: Array, pins: int, work: _Work) -> None:
             beside.thicker[j] = thicker
             beside.gap[j] = gap - thicker + a * outwards + b * ahead + min(turn * turned, turn * turned_beyond)
             beside.along[j] = a * ahead - b * outwards + turn_along * turned
-            beside.spread[j] = abs(turn_along * (turned_beyond - turned))
+            beside.spread[j] = abs(turn_along * (turned_beyond - turned)) + step * abs(errors[CIRCLE_GENERATING, j])
         for j in range(vectors(work.drives.size)):
             x = errors[CENTRE_X, j] + height * errors[TILT_X, j]
             y = errors[CENTRE_Y, j] + height * errors[TILT_Y, j]
@@ -185,14 +189,15 @@ def _least_gaps(rows: Array, at: float, work: _Work) -> None:
     for k in range(rows.shape[0]):
         one, beside = rows[k], work.beside[k]
         bend, known = one[_BEND], one[_GAP]
-        arm, rate, slide = one[_ARM], one[_RATE], one[_SLIDE]
+        arm, rate, slide = one[_ARM], one[_RIGID_RATE], one[_SLIDE]
         for j in range(vectors(work.drives.size)):
             x = work.x[j] - at
             gap, thicker = beside.gap[j] - x * (arm + 0.5 * x * rate), beside.thicker[j]
             moved = abs(beside.along[j] + slide * x) + beside.spread[j]
             away = gap + thicker - known
             certain = known - thicker - math.sqrt(moved * moved + away * away)
-            second = gap - bend * moved * moved if bend * moved < _BENT else -1.0
+            # Errors turn with the output, so that x times them comes in their way's direction.
+            second = gap - (bend * moved + abs(x)) * moved if bend * moved < _BENT else -1.0
             beside.least[j] = max(certain, second)
 
 
@@ -342,8 +347,11 @@ def _move(work: _Work, j: int, step: float) -> None:
 
 
 @part
-def _balance(work: _Work, torque: float) -> int:
-    """One of Newton's steps of the drives that are sought; returns how many are still sought."""
+def _balance(work: _Work, torque: float, near: float) -> int:
+    """One of Newton's steps of the drives that are sought; returns how many are still sought.
+
+    Contacts that have moved by more than `near` (rad) are to be placed again.
+    """
     sought = 0
     for j in range(work.drives.size):
         one = work.drives[j]
@@ -366,7 +374,7 @@ def _balance(work: _Work, torque: float) -> int:
             continue
         if not one.low < x + step < one.high:
             step = 0.5 * (one.low + one.high) - x
-        if abs(x + step - one.placed) > _BY_RATES:
+        if abs(x + step - one.placed) > near:
             work.x[j] = x + step
             one.state = _MOVED
         else:
@@ -418,10 +426,13 @@ def _settle(problem: Problem, drives: Drives, rows: Array, at: float, theta: flo
             _press(
                 work, problem.slice_width, problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius
             )
-            if _balance(work, torque) == 0:
+            if _balance(work, torque, by_rates(problem.circle_radius)) == 0:
                 break
         moved = 0
         for j in range(work.drives.size):
+            # Whatever the other drives need.
+            if work.drives[j].state == _SOUGHT:
+                work.drives[j].state = _ALONE
             moved += 1 if work.drives[j].state == _MOVED else 0
         if moved == 0:
             break
@@ -555,7 +566,7 @@ class ExactDrives:
                 at, deviation = angles[first : first + few], self._deviation[sweep_number][first : first + few].copy()
                 guide = Guide(first, np.empty((at.size, self._contacts, _COLUMNS)), deviation)
                 guide_rows(self._problem, at, deviation, guide.rows)
-                if len(self._guides) * few * size < _MEMORY:
+                if sum(kept.rows.nbytes for kept in self._guides.values()) < _MEMORY:
                     self._guides[sweep_number, first] = guide
             yield guide
 
@@ -571,6 +582,13 @@ class ExactDrives:
 
     def loaded(self, sweep_number: int, drives: Made) -> tuple[Array, Array]:
         """Return transmission error (rad) and largest pressure (Pa), each of shape (drives, angles).
+
+        Parameters
+        ----------
+        sweep_number
+            Of the loads; its torque is not 0.
+        drives
+            As `made` returns them.
 
         Raises
         ------
@@ -597,7 +615,10 @@ class ExactDrives:
         return deviation, pressure
 
     def play(self, sweep_number: int, drives: Made) -> tuple[Array, Array]:
-        """Return backlash (rad, NaN without a free position) and interference (m), each (drives, angles)."""
+        """Return backlash (rad, NaN without a free position) and interference (m), each (drives, angles).
+
+        Parameters are those of `loaded`; the sweep's torque is 0.
+        """
         _, angles = self.loads[sweep_number]
         low, high = (np.empty((len(drives.errors), angles.size)) for _ in range(2))
         for at, some, work in drives.parts(self._contacts):
@@ -616,7 +637,7 @@ class ExactDrives:
 
 
 class Made(NamedTuple):
-    """Drives as they are made, and their displacements from the error-free pair."""
+    """Drives as they are made, and their displacements from the error-free pair, shape (drives, displacements), m."""
 
     drives: Drives
     errors: Array

@@ -113,7 +113,7 @@ class Problem(NamedTuple):
 
 
 class Drives(NamedTuple):
-    """What errors change of a contact problem, of many drives; the names are those of `Problem`."""
+    """What errors change of a contact problem, of many drives: fields of `Problem`, with an axis of drives before."""
 
     circle_radius: Array
     generating_radius: Array

@@ -334,7 +334,20 @@ def check_balance(torque: ArrayLike, balance: ArrayLike) -> None:
 
 
 def check_falling(drive: contact.Problem, crank_angle: Array, torque: Array, falling: NDArray[np.bool_]) -> None:
-    """Check the balance where the torque falls with the rotation, which it does on worn flanks or beyond any load."""
+    """Check the balance where the torque falls with the rotation, which it does on worn flanks or beyond any load.
+
+    Parameters
+    ----------
+    drive, crank_angle, torque
+        The contact problem, crank angles (rad) and the torque at each (N·m), shape (angles,).
+    falling
+        Where the torque falls, shape (angles,).
+
+    Raises
+    ------
+    edge.InputError
+        As `check_balance`.
+    """
     rows = contact.contact_rows(drive)
     for i in np.flatnonzero(falling & (torque != 0.0)):
         contact.equilibrium(drive, crank_angle[i], torque[i], 0.0, rows, True)
@@ -462,7 +475,10 @@ def _unsolved(problem: contact.Problem, loads: tuple[int, ...]) -> Swept:
 
 
 def solve_problem(problem: contact.Problem, torque: Array, crank_angle: Array, *, with_play: bool) -> Swept:
-    """Solve a contact problem at torques (torques, angles), N·m, and crank angles (rad), in a row."""
+    """Solve a contact problem at torques (torques, angles), N·m, and crank angles (rad), in a row.
+
+    Whether contacts balance the torques is not checked (`check_falling`).
+    """
     found = _unsolved(problem, torque.shape)
     contact.sweep(
         problem, crank_angle, torque, 0, crank_angle.size, with_play, found.low, found.high, found.interference,

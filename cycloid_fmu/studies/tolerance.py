@@ -1,8 +1,8 @@
 """Tolerance studies: many drives within tolerances, each solved exactly, and the resulting yield and cost.
 
 A drive is a point of the unit cube with one axis for each tolerance (`sampling.surface_at`). The design of a study is a
-set of such points, fixed by its seed; every drive is solved independently, from a cold start, so the number of workers,
-their order and interruptions do not change a result.
+set of such points, fixed by its seed; what a drive gives does not depend on the others, so the number of workers, their
+order and interruptions do not change a result.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.contact.first_order import NearDrives, Screen
 from cycloid_fmu.contact.near_drives import ExactDrives
 from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, Transmission, slices_needed
+from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
@@ -215,7 +216,11 @@ def surface_of(study: Study, point: Array) -> ErrorSurface:
 
 def crank_angles(study: Study) -> Array:
     """Return the crank angles of a study, shape (angles,), rad."""
-    return np.linspace(0.0, 2.0 * np.pi * study.turns, study.angles, endpoint=False)
+    return _crank_angles(study.angles, study.turns)
+
+
+def _crank_angles(angles: int, turns: int) -> Array:
+    return np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
 
 
 def loaded_figures(found: Transmission) -> dict[str, Array]:
@@ -252,17 +257,25 @@ def figures_of(study: Study, surface: ErrorSurface) -> Array:
 def exact_figures(study: Study, surfaces: Sequence[ErrorSurface]) -> Array:
     """Return the figures of drives in the order of `Study.columns`, by the exact model, shape (drives, columns).
 
-    Drives on rigid bearings without deviations of form, which have no first stage, are solved side by side.
+    Drives on rigid bearings without deviations of form, which have no first stage, are solved side by side. A drive's
+    figures do not depend on the others.
     """
-    if study.first_stage is not None or study.pair.supports is not None or _has_form(surfaces):
-        return np.array([_figures_alone(study, surface) for surface in surfaces])
-    exact = _exact_drives(study)
-    errors = np.array([displacement_vector(study.pair, surface) for surface in surfaces])
-    return figures_near(study, exact, exact.made(errors))
+    slices = _slices(study)
+    alone = study.first_stage is not None or study.pair.supports is not None
+    beside = np.array([not (alone or _has_form(s)) and slices_needed(s) <= slices for s in surfaces], dtype=bool)
+    found = np.empty((len(surfaces), len(study.columns)))
+    for number in np.flatnonzero(~beside).tolist():
+        found[number] = _figures_alone(study, surfaces[number])
+    if beside.any():
+        exact = _exact_drives(study.pair, study.torque, study.angles, study.turns, slices)
+        errors = [displacement_vector(study.pair, surfaces[number]) for number in np.flatnonzero(beside).tolist()]
+        near = figures_near(study, exact, exact.made(np.array(errors)))
+        found[beside] = near
+    return found
 
 
-def _has_form(surfaces: Sequence[ErrorSurface]) -> bool:
-    return any(s.gear_deviation is not None or s.pin_deviation is not None for s in surfaces)
+def _has_form(surface: ErrorSurface) -> bool:
+    return surface.gear_deviation is not None or surface.pin_deviation is not None
 
 
 def _figures_alone(study: Study, surface: ErrorSurface) -> Array:
@@ -285,16 +298,21 @@ def check_first_order(study: Study, tolerances_source: str) -> None:
             )
 
 
-def _loads(study: Study) -> list[tuple[float, Array]]:
-    """Return a study's loads and crank angles: first those of `Study.torque`, then ± lost motion, then the play."""
-    angles = crank_angles(study)
-    low_loads = (*study.pair.lost_motion_loads, 0.0)
-    return [*((t, angles) for t in study.torque), *((t, angles[::PLAY_STEP].copy()) for t in low_loads)]
+def _loads(pair: Pair, torque: Sequence[float], angles: Array) -> list[tuple[float, Array]]:
+    """Return a study's loads and crank angles: first those under load, then ± lost motion, then the play."""
+    low_loads = (*pair.lost_motion_loads, 0.0)
+    return [*((t, angles) for t in torque), *((t, angles[::PLAY_STEP].copy()) for t in low_loads)]
 
 
 def _slices(study: Study) -> int:
-    tilted = any(isinstance(getattr(study.tolerances, name), AngleError) for name in study.factors)
-    return SLICES_MISALIGNED if tilted else 1
+    """Return the slices that a study's drives need, whatever of its tolerances they have."""
+    displaced = {
+        name
+        for kind in KINDS.values()
+        if kind.tolerance is not None and kind.tolerance.key in study.factors
+        for name in kind.displaces
+    }
+    return SLICES_MISALIGNED if displaced & {"tilt_x", "tilt_y"} else 1
 
 
 def screen_of(study: Study, largest: float = 1.0) -> Screen:
@@ -311,7 +329,8 @@ def screen_of(study: Study, largest: float = 1.0) -> Screen:
         width = stated.cumulative if hasattr(stated, "cumulative") else stated.tolerance
         reach += width * (study.pair.face_width if isinstance(stated, AngleError) else 1.0)
     # Errors close a gap by their sum, and again by the rotation that they allow; here with a margin.
-    return Screen(study.pair, _loads(study), _slices(study), 20e-6 + 3.0 * largest * reach)
+    loads = _loads(study.pair, study.torque, crank_angles(study))
+    return Screen(study.pair, loads, _slices(study), 20e-6 + 3.0 * largest * reach)
 
 
 _Drives = TypeVar("_Drives")
@@ -323,9 +342,9 @@ def figures_near(study: Study, near: NearDrives[_Drives], drives: _Drives) -> Ar
     Parameters
     ----------
     near
-        At the study's loads, then ± lost motion, then the play.
+        The sweeps at the study's loads, then ± lost motion, then the play.
     drives
-        What its functions take.
+        Errors, or what stands for them, as `near` takes them.
     """
     loads = len(study.torque)
     solutions = [near.loaded(k, drives) for k in range(loads)]
@@ -346,37 +365,29 @@ def figures_near(study: Study, near: NearDrives[_Drives], drives: _Drives) -> Ar
     return np.column_stack([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 
-_Kept = TypeVar("_Kept")
+_screens: dict[str, Screen] = {}  # the last screen of this process
 
 
-def _last(function: Callable[[Study], _Kept]) -> Callable[[Study], _Kept]:
-    """Keep what a function returned last in this process, for studies of the same identity."""
-    kept: dict[str, _Kept] = {}
-
-    @functools.wraps(function)
-    def called(study: Study) -> _Kept:
-        key = json.dumps(study.identity())
-        if key not in kept:
-            kept.clear()
-            kept[key] = function(study)
-        return kept[key]
-
-    return called
+def _screen(study: Study) -> Screen:
+    key = json.dumps(study.identity())
+    found = _screens.get(key)
+    if found is None:
+        found = screen_of(study)
+        _screens.clear()
+        _screens[key] = found
+    return found
 
 
-_last_screen = _last(screen_of)
-
-
-@_last
-def _exact_drives(study: Study) -> ExactDrives:
-    return ExactDrives(study.pair, _loads(study), _slices(study))
+@functools.lru_cache(maxsize=1)
+def _exact_drives(pair: Pair, torque: tuple[float, ...], angles: int, turns: int, slices: int) -> ExactDrives:
+    return ExactDrives(pair, _loads(pair, torque, _crank_angles(angles, turns)), slices)
 
 
 def _screening_task(study: Study, first: int, rows: Array) -> Solved:
     """Solve some samples to first order, as `_task` does exactly."""
     drawn = displacement_vector(study.pair, nominal_surface(study.pair))
     errors = np.array([displacement_vector(study.pair, surface_of(study, row)) - drawn for row in rows])
-    return Solved(first, figures_near(study, _last_screen(study), errors))
+    return Solved(first, figures_near(study, _screen(study), errors))
 
 
 def _task(study: Study, first: int, rows: Array) -> Solved:

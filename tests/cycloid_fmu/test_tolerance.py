@@ -25,7 +25,17 @@ from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.studies import tolerance
 from cycloid_fmu.studies.checkpoint import Checkpoint
 from cycloid_fmu.studies.machines import Shares
-from cycloid_fmu.studies.tolerance import Study, check_study, figures_of, points, points_of, run, screened, surface_of
+from cycloid_fmu.studies.tolerance import (
+    Study,
+    check_study,
+    exact_figures,
+    figures_of,
+    points,
+    points_of,
+    run,
+    screened,
+    surface_of,
+)
 from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances, surface_at, within_tolerance
 
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
@@ -117,6 +127,20 @@ def test_workers_change_no_bit_and_neither_does_the_company_of_other_samples():
     assert (alone.values == two.values).all()
     point = points(study)
     assert (figures_of(study, surface_of(study, point[33])) == alone.values[33]).all()
+
+
+def test_a_drive_that_a_study_does_not_draw_is_solved_as_it_is():
+    """A tilt without a tolerance takes its slices, and so do flanks with a form; the drives beside stay as they are."""
+    study = make_study('[pin_radius]\ntolerance = "1 um"\n', 16)
+    plain = surface_of(study, points(study)[0])
+    tilted = plain.replace(misalignment_xz=1e-3)
+    formed = plain.replace(gear_deviation=np.full((1, 39, 50, 1), -5e-6))
+    found = exact_figures(study, [plain, tilted, formed])
+    assert [tuple(row) for row in found] == [tuple(figures_of(study, s)) for s in (plain, tilted, formed)]
+    angles, place = np.linspace(0.0, 2 * np.pi, 40, endpoint=False), ("max_contact_pressure", 0)
+    pressure = solve(PAIR, tilted, study.torque[0], angles, 20).max_contact_pressure.max()
+    assert dict(zip(study.columns, found[1], strict=True))[place] == pytest.approx(pressure, rel=1e-7)
+    assert found[1, study.columns.index(place)] > 1.2 * found[0, study.columns.index(place)]
 
 
 def test_yield_of_a_linear_figure_is_its_distribution_s():
