@@ -85,16 +85,16 @@ def to_touch(contacts: Rows, theta: float, x: float, direction: float) -> float:
         gap -= since * (arm + 0.5 * since * rate)
         if contact.crank_angle != theta:
             gap += (theta - contact.crank_angle) * contact.gap_by_crank
-        arm = direction * (arm + since * rate)
-        if arm <= 0.0 and not (gap > 1e-9 and rate > 0.0):
-            continue
-        inside = arm * arm + 2.0 * rate * gap
-        if inside < 0.0:
-            if gap > 0.0:
-                continue
-            inside = 0.0
-        best = min(best, 2.0 * gap / (arm + math.sqrt(inside)))
+        best = min(best, touched_after(gap, direction * (arm + since * rate), rate))
     return best
+
+
+@inlined
+def touched_after(gap: float, arm: float, rate: float) -> float:
+    """Rotation in the arm's direction after which one flank touches, to second order; infinite where it does not."""
+    inside = arm * arm + 2.0 * rate * gap
+    never = (arm <= 0.0 and not (gap > 1e-9 and rate > 0.0)) or (inside < 0.0 and gap > 0.0)
+    return math.inf if never else 2.0 * gap / (arm + math.sqrt(max(inside, 0.0)))
 
 
 @compiled
@@ -187,12 +187,18 @@ def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None
     conjugate = -step / teeth if ring else 0.0
     for i in range(touching_count(contacts)):
         contact = contacts[int(contacts[i].touching)]
-        if contact.force > 0.0:
-            curved = contact.force_by_curvature * contact.curvature_rate * contact.foot_rate
-            contact.force += step * (contact.stiffness * contact.arm + curved)
-        contact.gap -= step * (contact.arm + 0.5 * step * contact.arm_rate)
-        contact.arm += step * contact.arm_rate
+        follow(contact, step)
         contact.foot += step * contact.foot_rate - conjugate
         contact.place += step * contact.foot_rate
-        contact.curvature += step * contact.foot_rate * contact.curvature_rate
         contact.deviation = x
+
+
+@inlined
+def follow(contact: np.record, step: float) -> None:
+    """Force, gap, arm and curvature of a contact after a small rotation, by their rates."""
+    if contact.force > 0.0:
+        curved = contact.force_by_curvature * contact.curvature_rate * contact.foot_rate
+        contact.force += step * (contact.stiffness * contact.arm + curved)
+    contact.gap -= step * (contact.arm + 0.5 * step * contact.arm_rate)
+    contact.arm += step * contact.arm_rate
+    contact.curvature += step * contact.foot_rate * contact.curvature_rate

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
-from cycloid_fmu.contact.equilibrium import by_rates, rotational_stiffness
+from cycloid_fmu.contact.equilibrium import by_rates, follow, rotational_stiffness, touched_after
 from cycloid_fmu.contact.gap import Flank
 from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
 from cycloid_fmu.contact.lanes import LANES, lanes_of, on_stack, vectors
@@ -320,15 +320,7 @@ def _touch(work: _Work, j: int, direction: float) -> float:
     best = math.inf
     for n in range(int(work.drives[j].count)):
         near = work.near[j, n]
-        gap, arm, rate = near.gap, direction * near.arm, near.arm_rate
-        if arm <= 0.0 and not (gap > 1e-9 and rate > 0.0):
-            continue
-        inside = arm * arm + 2.0 * rate * gap
-        if inside < 0.0:
-            if gap > 0.0:
-                continue
-            inside = 0.0
-        best = min(best, 2.0 * gap / (arm + math.sqrt(inside)))
+        best = min(best, touched_after(near.gap, direction * near.arm, near.arm_rate))
     return best
 
 
@@ -336,13 +328,7 @@ def _touch(work: _Work, j: int, direction: float) -> float:
 def _move(work: _Work, j: int, step: float) -> None:
     """Move a drive and its near contacts, as an equilibrium does."""
     for n in range(int(work.drives[j].count)):
-        near = work.near[j, n]
-        if near.force > 0.0:
-            curved = near.force_by_curvature * near.curvature_rate * near.foot_rate
-            near.force += step * (near.stiffness * near.arm + curved)
-        near.gap -= step * (near.arm + 0.5 * step * near.arm_rate)
-        near.arm += step * near.arm_rate
-        near.curvature += step * near.foot_rate * near.curvature_rate
+        follow(work.near[j, n], step)
     work.x[j] += step
 
 
