@@ -13,9 +13,8 @@ from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, touching_count
 
-_LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
+LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
 _BY_RATES = 1e-6  # rad: so near the rotation at which contacts were solved, their rates say how they are
-_LARGEST_BY_RATES = 1e-7  # m: by so much no gap may fall meanwhile, as pins that are so clear are not looked at
 
 
 @inlined
@@ -28,8 +27,11 @@ def rotational_stiffness(contact: np.record) -> float:
 
 @inlined
 def by_rates(circle_radius: float) -> float:
-    """How far from where they were placed contacts follow by their rates, rad, on a flank's circle radius (m)."""
-    return min(_BY_RATES, _LARGEST_BY_RATES / circle_radius)
+    """How far from where they were placed contacts follow by their rates, rad, on a flank's circle radius (m).
+
+    No gap falls by more than `CLEAR` meanwhile: pins that are so clear are not looked at.
+    """
+    return min(_BY_RATES, CLEAR / circle_radius)
 
 
 @inlined
@@ -164,11 +166,11 @@ def _balance(
             high = x
         step = short / slope if slope > 0.0 else math.inf
         # A load against the torque is on the wrong flanks, however little is short of a tiny torque.
-        if slope <= 0.0 or (hold == 0.0 and balance * torque < 0.0 and abs(step) < _LINEAR_STEP):
+        if slope <= 0.0 or (hold == 0.0 and balance * torque < 0.0 and abs(step) < LINEAR_STEP):
             direction = math.copysign(1.0, short)
             step = direction * (max(to_touch(contacts, theta, x, direction), 0.0) + 1e-6)
         step = min(max(step, -1e-3), 1e-3)
-        if abs(step) < _LINEAR_STEP:
+        if abs(step) < LINEAR_STEP:
             _move(problem.teeth, problem.ring, step, x + step, contacts)
             x += step
             break

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
-from cycloid_fmu.contact.equilibrium import by_rates, follow, rotational_stiffness, touched_after
+from cycloid_fmu.contact.equilibrium import LINEAR_STEP, by_rates, follow, rotational_stiffness, touched_after
 from cycloid_fmu.contact.gap import Flank
 from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
 from cycloid_fmu.contact.lanes import LANES, lanes_of, on_stack, vectors
@@ -48,7 +48,6 @@ Flags = NDArray[np.int64]
 ) = range(22)  # fmt: skip
 _BENT = 0.2  # of a contact's curvature radius: what displaces a pin farther along its flank is beyond second order
 _SURE = 2e-7  # m: what is left to a gap for another foot, and for the rotation while contacts are not placed again
-_STEP = 1e-9  # rad: as an equilibrium's last step
 _REACHED = 1e-7  # rad: a play's last step, to second order
 _PLACED = 12  # times that contacts are placed before the drive is solved alone
 _ITERATIONS = 30
@@ -350,11 +349,11 @@ def _balance(work: _Work, torque: float, near: float) -> int:
         else:
             one.high = x
         step = short / stiffness if stiffness > 0.0 else math.inf
-        if stiffness <= 0.0 or (one.torque * torque < 0.0 and abs(step) < _STEP):
+        if stiffness <= 0.0 or (one.torque * torque < 0.0 and abs(step) < LINEAR_STEP):
             direction = math.copysign(1.0, short)
             step = direction * (max(_touch(work, j, direction), 0.0) + 1e-6)
         step = min(max(step, -1e-3), 1e-3)
-        if abs(step) < _STEP:
+        if abs(step) < LINEAR_STEP:
             _move(work, j, step)
             one.state = _FOUND
             continue

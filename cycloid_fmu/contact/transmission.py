@@ -194,12 +194,13 @@ def _made(pair: Pair, made: Mapping[str, Any], stray: Any, z: Array) -> dict[str
     }  # fmt: skip
     if circle.ndim == 0:
         found = {name: float(value) for name, value in found.items()}
-    for name in ("centre", "tilt"):
-        made = {**made, **{f"{name}_{axis}": np.asarray(made[f"{name}_{axis}"])[..., None] for axis in "xy"}}
+    centre_x, centre_y, tilt_x, tilt_y = (
+        np.asarray(made[name])[..., None] for name in ("centre_x", "centre_y", "tilt_x", "tilt_y")
+    )
     return found | {
         "pin_x": made["pin_radial"] * np.cos(angle), "pin_y": made["pin_radial"] * np.sin(angle),
         "pin_radius": made["pin_radius"], "tooth_turn": np.ascontiguousarray(made["tooth_turn"]),
-        "centre_x": made["centre_x"] + made["tilt_x"] * z, "centre_y": made["centre_y"] + made["tilt_y"] * z,
+        "centre_x": centre_x + tilt_x * z, "centre_y": centre_y + tilt_y * z,
     }  # fmt: skip
 
 

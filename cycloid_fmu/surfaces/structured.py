@@ -160,24 +160,25 @@ def dimensions(pair: Pair, surface: ErrorSurface, source: str = "errors") -> dic
         If the drive is impossible; the checks are those of a pair as drawn, with its errors.
     """
     made = displacements(pair, surface, _nominal_dimensions(pair))
-    check_dimensions(pair, made, source)
+    _check_dimensions(pair, made, source)
     return made
 
 
-def dimensions_of(pair: Pair, displaced: Mapping[str, Array], source: str = "errors") -> dict[str, Array]:
-    """Return the dimensions of many drives.
+def dimensions_of(pair: Pair, displaced: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the dimensions of many drives, checked as those of one.
 
     Parameters
     ----------
     displaced
-        What `displacements_of` returns.
-    source
-        As in `dimensions`, which raises the same.
+        Displacements by their names, as `displacements_of` returns them.
+
+    Raises
+    ------
+    edge.InputError
+        As `dimensions`, for the first drive that is impossible.
     """
-    made = {**displaced}
-    for name, value in _nominal_dimensions(pair).items():
-        made[name] = value + displaced[name]
-    check_dimensions(pair, made, source)
+    made = {**displaced, **{name: value + displaced[name] for name, value in _nominal_dimensions(pair).items()}}
+    _check_dimensions(pair, made, "errors")
     return made
 
 
@@ -190,7 +191,7 @@ def _nominal_dimensions(pair: Pair) -> dict[str, float]:
     }  # fmt: skip
 
 
-def check_dimensions(pair: Pair, made: Mapping[str, Any], source: str) -> None:
+def _check_dimensions(pair: Pair, made: Mapping[str, Any], source: str) -> None:
     """Check the dimensions of one drive, or of many in a leading axis, as `dimensions` does."""
     if pair.temperature is not None:
         source = source.replace("errors", "temperature and errors")
@@ -199,7 +200,6 @@ def check_dimensions(pair: Pair, made: Mapping[str, Any], source: str) -> None:
     place = made["pin_radial"] * np.exp(
         1j * (2.0 * np.pi * np.arange(pair.pins) / pair.pins + made["pin_tangential"] / pair.pin_circle_radius)
     )
-    # The place of the next pin, without a copy of all.
     after = np.arange(1, pair.pins + 1) % pair.pins
     room = np.abs(place - place[..., after]) - radius - radius[..., after]
     thinnest, closest = radius.min(axis=-1), room.min(axis=-1)
