@@ -1,557 +1,75 @@
-"""Many drives near one that is solved, each exactly: what a tolerance study solves.
-
-The drive that is solved, the error-free pair for a study, tells at each crank angle how far the pins of a drive near it
-are from their flanks: to first order in the errors' displacements, and how much second order can be. Pins that are
-clear for certain are left out, so that few contacts are solved: five of 40. These go through vector registers together
-for all drives (`lanes`), and so do their forces. What is solved is exact; the drive beside it only says what need not
-be solved, and where to begin. What a drive gives does not depend on the others.
-"""
+"""Many drives near one that is solved, each exactly or to first order in its errors: what a tolerance study solves."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
-from cycloid_fmu.contact.equilibrium import LINEAR_STEP, by_rates, follow, rotational_stiffness, touched_after
-from cycloid_fmu.contact.gap import Flank
-from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
-from cycloid_fmu.contact.lanes import LANES, lanes_of, on_stack, vectors
-from cycloid_fmu.contact.local_frame import local_frame
-from cycloid_fmu.contact.placement import SOLVED, around_root, disc_at, enter, faced, feet_in_lanes, place
-from cycloid_fmu.contact.play import ROTATION_STEP
+from cycloid_fmu.contact.compiling import Array
+from cycloid_fmu.contact.lanes import LANES
 from cycloid_fmu.contact.problem import Drives, Problem
-from cycloid_fmu.contact.rows import contact_rows
-from cycloid_fmu.contact.sensitivity import (
-    BODY_COUNT,
-    CENTRE_X,
-    CENTRE_Y,
-    CIRCLE_GENERATING,
-    CRANK_THROW,
-    PIN_GENERATING,
-    TILT_X,
-    TILT_Y,
-)  # fmt: skip
+from cycloid_fmu.contact.side_by_side import (
+    COLUMNS,
+    Guide,
+    Memory,
+    guide_rows,
+    memory,
+    sweep_drives,
+    sweep_near_sensitivities,
+    sweep_play_of_drives,
+)
 from cycloid_fmu.contact.transmission import check_falling, drive_of, meshes_of, solve, solve_problem
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import displacement_vector
-from cycloid_fmu.surfaces.surface import nominal_surface
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
-Flags = NDArray[np.int64]
-(
-    _GAP, _ARM, _RATE, _RIGID_RATE, _BEND, _RADIAL, _TANGENTIAL, _X, _Y, _HEIGHT, _CRANK, _CRANK_ALONG, _FACING,
-    _LEANING, _TURN, _TURN_ALONG, _SLIDE, _TOOTH, _BEYOND, _FOOT, _FOOT_RATE, _COLUMNS,
-) = range(22)  # fmt: skip
-_BENT = 0.2  # of a contact's curvature radius: what displaces a pin farther along its flank is beyond second order
-_SURE = 2e-7  # m: what is left to a gap for another foot, and for the rotation while contacts are not placed again
-_REACHED = 1e-7  # rad: a play's last step, to second order
-_PLACED = 12  # times that contacts are placed before the drive is solved alone
-_ITERATIONS = 30
 _GUIDE = 1 << 24  # bytes of a guide
-_MEMORY = 1 << 27  # bytes of guides that are kept: of 40 contacts at 19,000 crank angles
-_SOUGHT, _MOVED, _FOUND, _ALONE = range(4)  # states of a drive
-_BEND_MORE = 3.0  # over the pin's radius: beside a contact's curvature, for what changes it
-
-_BESIDE = lanes_of("gap", "along", "spread", "thicker", "least")
-"""Of each contact, for drives side by side, m: gap and how far errors displace the pin along the flank, both at the
-rotation of the drive beside them, how much farther another foot may be displaced, what is thicker, and the gap at
-least."""
+_KEPT = 1 << 27  # bytes of guides that are kept: of 40 contacts at 19,000 crank angles
 
 
-class Guide(NamedTuple):
-    """Every pin's contact in a solved drive, at some crank angles of a sweep.
-
-    Attributes
-    ----------
-    first
-        Number of the first crank angle.
-    rows
-        Shape (angles, contacts, columns), of each disc, slice and pin.
-    deviation
-        Rotation at which they were solved, shape (angles,), rad.
-    """
-
-    first: int
-    rows: Array
-    deviation: Array
-
-
-@compiled
-def guide_rows(problem: Problem, thetas: Array, deviation: Array, rows: Array) -> None:
-    """Overwrite the rows of a `Guide`, shape (angles, contacts, columns), with the contacts of a solved drive."""
-    contacts = contact_rows(problem)
-    teeth = problem.teeth
-    for i in range(thetas.size):
-        place(problem, thetas[i], deviation[i], contacts, i == 0, math.inf, math.inf)
-        for k in range(rows.shape[1]):
-            one, row = rows[i, k], 2 * k
-            if contacts[row + 1].gap < contacts[row].gap:
-                row += 1
-            contact = contacts[row]
-            local = local_frame(problem, thetas[i], deviation[i], contacts, row)
-            c, s = math.cos(local.direction), math.sin(local.direction)
-            nx, ny = local.normal_x, local.normal_y
-            one[_GAP], one[_ARM], one[_RATE] = contact.gap, contact.arm, contact.arm_rate
-            # Without the bend along the flank, which counts together with what errors displace along it.
-            one[_RIGID_RATE] = contact.arm_rate + local.slide * local.slide * local.bend
-            # Where a pin has a foot on both teeth, or on the other one, its gap is not smooth.
-            smooth = row == 2 * k and contacts[row + 1].gap == math.inf
-            one[_BEND] = abs(local.bend) + _BEND_MORE / problem.pin_radius[local.pin] if smooth else math.inf
-            one[_RADIAL], one[_TANGENTIAL] = nx * c + ny * s, ny * c - nx * s
-            one[_X], one[_Y], one[_HEIGHT] = nx, ny, problem.slice_z[local.slice]
-            one[_CRANK] = nx * local.crank_x + ny * local.crank_y
-            one[_CRANK_ALONG] = nx * local.crank_y - ny * local.crank_x
-            one[_FACING], one[_LEANING] = local.facing, local.leaning
-            one[_TURN] = nx * local.gear_y - ny * local.gear_x
-            one[_TURN_ALONG], one[_SLIDE] = -(nx * local.gear_x + ny * local.gear_y), local.slide
-            along = local.around * teeth / (2.0 * math.pi)
-            along -= math.floor(along)
-            other = (local.tooth + (1 if along > 0.5 else -1)) % teeth if not 0.2 < along < 0.8 else local.tooth
-            one[_TOOTH], one[_BEYOND] = local.disc * teeth + local.tooth, local.disc * teeth + other
-            one[_FOOT], one[_FOOT_RATE] = contacts[2 * k].foot, contacts[2 * k].foot_rate
-
-
-_DRIVE = np.dtype((np.record, [(name, np.float64) for name in (
-    # Where contacts were placed, and ends of the bracket, rad; what the forces give:
-    "state", "placed", "low", "high", "torque", "stiffness", "count",
-    # Of the last crank angles: by how much they differ from the drive beside, how far beyond the first touch the last
-    # one was, by how much two first guesses missed it, and how many were solved in a row.
-    "changed", "changed_before", "changed_first", "beyond", "touch_missed", "line_missed", "solved",
-)]))  # fmt: skip
-_NEAR = np.dtype((np.record, [(name, np.float64) for name in (
-    "contact", "gap", "arm", "arm_rate", "foot_rate", "curvature", "curvature_rate", "pin_radius", "force", "stiffness",
-    "force_by_curvature",
-)]))  # fmt: skip
-
-
-class _Work(NamedTuple):
-    """Memory of drives side by side."""
-
-    errors: Array  # their displacements from the drive beside them, shape (displacements, lanes)
-    beside: NDArray[np.void]  # `_BESIDE` of each contact
-    x: Array  # deviation, shape (lanes,), rad
-    touch: Array  # rotation from the drive beside them to the first touch, shape (lanes,), rad
-    drives: NDArray[np.void]  # `_DRIVE` of each
-    near: NDArray[np.void]  # `_NEAR` of each contact that may touch, as rows have it, shape (drives, contacts)
-    listed_drive: Flags  # drives and near contacts that go through lanes
-    listed: Flags
-
-
-def _work(contacts: int, errors: Array) -> _Work:
-    # Outside of the kernels, which would compile for 4 s longer.
-    drives, lanes = len(errors), np.zeros((errors.shape[1], LANES))
-    lanes[:, :drives] = errors.T
-    listed_drive, listed = np.zeros((2, drives * contacts), np.int64)
-    return _Work(
-        lanes, np.zeros(contacts, _BESIDE), np.zeros(LANES), np.zeros(LANES), np.zeros(drives, _DRIVE),
-        np.zeros((drives, contacts), _NEAR), listed_drive, listed,
-    )  # fmt: skip
-
-
-@part
-def _displace(rows: Array, pins: int, work: _Work) -> None:
-    """Gaps of drives, and how far errors displace pins along their flanks, at the rotation of the drive beside them."""
-    errors = work.errors
-    # A larger circle displaces another foot, at most a pitch away, in another direction.
-    step = 2.0 * math.pi / (pins - 1)
-    radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
-    teeth = BODY_COUNT + 3 * pins
-    for k in range(rows.shape[0]):
-        one, pin, beside = rows[k], k % pins, work.beside[k]
-        tooth, beyond = teeth + int(one[_TOOTH]), teeth + int(one[_BEYOND])
-        a, b, nx, ny, height = one[_RADIAL], one[_TANGENTIAL], one[_X], one[_Y], one[_HEIGHT]
-        gap, turn, turn_along = one[_GAP], one[_TURN], one[_TURN_ALONG]
-        crank, crank_along, facing, leaning = one[_CRANK], one[_CRANK_ALONG], one[_FACING], one[_LEANING]
-        for j in range(vectors(work.drives.size)):
-            thicker = errors[radius + pin, j] - errors[PIN_GENERATING, j]
-            outwards, ahead = errors[radial + pin, j], errors[tangential + pin, j]
-            turned, turned_beyond = errors[tooth, j], errors[beyond, j]
-            beside.thicker[j] = thicker
-            beside.gap[j] = gap - thicker + a * outwards + b * ahead + min(turn * turned, turn * turned_beyond)
-            beside.along[j] = a * ahead - b * outwards + turn_along * turned
-            beside.spread[j] = abs(turn_along * (turned_beyond - turned)) + step * abs(errors[CIRCLE_GENERATING, j])
-        for j in range(vectors(work.drives.size)):
-            x = errors[CENTRE_X, j] + height * errors[TILT_X, j]
-            y = errors[CENTRE_Y, j] + height * errors[TILT_Y, j]
-            larger, throw = errors[CIRCLE_GENERATING, j], errors[CRANK_THROW, j]
-            beside.gap[j] -= nx * x + ny * y + facing * larger + crank * throw
-            beside.along[j] += ny * x - nx * y + leaning * larger - crank_along * throw
-
-
-@part
-def _least_gaps(rows: Array, at: float, work: _Work) -> None:
-    """Gaps that contacts have at least where the drives are, beside one that is solved at `at`."""
-    for k in range(rows.shape[0]):
-        one, beside = rows[k], work.beside[k]
-        bend, known = one[_BEND], one[_GAP]
-        arm, rate, slide = one[_ARM], one[_RIGID_RATE], one[_SLIDE]
-        for j in range(vectors(work.drives.size)):
-            x = work.x[j] - at
-            gap, thicker = beside.gap[j] - x * (arm + 0.5 * x * rate), beside.thicker[j]
-            moved = abs(beside.along[j] + slide * x) + beside.spread[j]
-            away = gap + thicker - known
-            certain = known - thicker - math.sqrt(moved * moved + away * away)
-            # Errors turn with the output, so that x times them comes in their way's direction.
-            second = gap - (bend * moved + abs(x)) * moved if bend * moved < _BENT else -1.0
-            beside.least[j] = max(certain, second)
-
-
-@part
-def _first_touch(rows: Array, direction: float, work: _Work) -> None:
-    """Rotation of each drive from the one beside it at which its first flank touches, to first order."""
-    touch = work.touch
-    for j in range(touch.size):
-        touch[j] = math.inf
-    for k in range(rows.shape[0]):
-        arm, rate, beside = rows[k, _ARM] * direction, rows[k, _RATE], work.beside[k]
-        if arm <= 0.0:
-            continue
-        for j in range(vectors(work.drives.size)):
-            gap = beside.gap[j]
-            inside = arm * arm + 2.0 * rate * gap
-            root = 2.0 * gap / (arm + math.sqrt(max(inside, 0.0)))
-            touch[j] = min(touch[j], root if inside > 0.0 else math.inf)
-
-
-@part
-def _place(problem: Problem, drives: Drives, rows: Array, at: float, theta: float, work: _Work) -> None:
-    """Place the contacts that may touch, of the drives that were sought or moved."""
-    pins, slices, teeth = problem.teeth + 1, problem.slice_z.size, problem.teeth
-    e = problem.generating_eccentricity
-    listed_drive, listed = work.listed_drive, work.listed
-    size = 0
-    for j in range(work.drives.size):
-        if work.drives[j].state > _MOVED:
-            continue
-        count = 0
-        for k in range(rows.shape[0]):
-            if work.beside[k].least[j] > _SURE:
-                continue
-            near = work.near[j, count]
-            # A force of the last crank angle begins the next one's.
-            if near.contact != k:
-                near.force = 0.0
-            near.contact = k
-            listed_drive[size], listed[size] = j, count
-            count, size = count + 1, size + 1
-        work.drives[j].count, work.drives[j].placed = count, work.x[j]
-    one = on_stack(SOLVED)
-    drive, disc = -1, -1
-    pose, flank = disc_at(problem, 0.0, theta, 0.0, 0), Flank(0.0, 0.0, 0.0, 0, False)
-    root_radius = root_margin = 0.0
-    for first in range(0, size, LANES):
-        filled = min(LANES, size - first)
-        for lane in range(filled):
-            j = listed_drive[first + lane]
-            k = int(work.near[j, listed[first + lane]].contact)
-            pin, slice_ = k % pins, k // pins % slices
-            if j != drive or k // (pins * slices) != disc:
-                drive, disc = j, k // (pins * slices)
-                pose = disc_at(problem, drives.eccentricity[j], theta, work.x[j], disc)
-                flank = Flank(drives.circle_radius[j], e, drives.generating_radius[j], teeth, problem.ring)
-                root_radius, root_margin = around_root(flank, drives.root_margin[j])
-            conjugate = pin * 2.0 * math.pi / pins + pose.shift
-            number, along, tooth, beyond = faced(pose, teeth, pin)
-            x, y = drives.pin_x[j, pin], drives.pin_y[j, pin]
-            px, py = x * pose.turned_cosine - y * pose.turned_sine, x * pose.turned_sine + y * pose.turned_cosine
-            centre_x, centre_y = drives.centre_x[j, slice_], drives.centre_y[j, slice_]
-            one.start[lane] = conjugate + rows[k, _FOOT] + rows[k, _FOOT_RATE] * (work.x[j] - at)
-            enter(one, lane, pose, px, py, centre_x, centre_y, conjugate, number, along)
-            one.pin_radius[lane] = drives.pin_radius[j, pin]
-            one.turn[lane] = drives.tooth_turn[j, disc, tooth]
-            one.turn_beyond[lane] = drives.tooth_turn[j, disc, beyond]
-            one.circle_radius[lane], one.generating_radius[lane] = flank.circle_radius, flank.radius
-            one.root_phase[lane] = drives.root_phase[j]
-            one.root_radius[lane], one.root_margin[lane] = root_radius, root_margin
-        feet_in_lanes(one, filled, e, teeth, problem.ring)
-        for lane in range(filled):
-            j, n = listed_drive[first + lane], listed[first + lane]
-            if one.alone[lane] > 0.0:
-                work.drives[j].state = _ALONE
-            near = work.near[j, n]
-            near.gap, near.arm, near.arm_rate = one.gap[lane], one.arm[lane], one.arm_rate[lane]
-            near.curvature, near.curvature_rate = one.curvature[lane], one.curvature_rate[lane]
-            near.foot_rate, near.pin_radius = one.foot_rate[lane], one.pin_radius[lane]
-
-
-@part
-def _press(work: _Work, width: float, compliance_gear: float, compliance_pin: float, largest_log_radius: float) -> None:
-    """Forces of the drives that are sought, their torque and stiffness."""
-    listed_drive, listed = work.listed_drive, work.listed
-    size = 0
-    for j in range(work.drives.size):
-        if work.drives[j].state != _SOUGHT:
-            continue
-        work.drives[j].torque = work.drives[j].stiffness = 0.0
-        for n in range(int(work.drives[j].count)):
-            if work.near[j, n].gap < 0.0:
-                listed_drive[size], listed[size] = j, n
-                size += 1
-            else:
-                work.near[j, n].force = 0.0
-    one = on_stack(PRESSED)
-    for first in range(0, size, LANES):
-        filled = min(LANES, size - first)
-        for lane in range(vectors(filled)):
-            at = min(first + lane, size - 1)
-            j, n = listed_drive[at], listed[at]
-            near = work.near[j, n]
-            one.approach[lane], one.curvature[lane] = -near.gap, near.curvature
-            one.pin_radius[lane], one.force[lane] = near.pin_radius, near.force
-        hertz_in_lanes(one, filled, width, compliance_gear, compliance_pin, largest_log_radius, 0.0)
-        for lane in range(filled):
-            j, n = listed_drive[first + lane], listed[first + lane]
-            near = work.near[j, n]
-            near.force, near.stiffness, near.force_by_curvature = (
-                one.force[lane], one.stiffness[lane], one.by_curvature[lane],
-            )  # fmt: skip
-            work.drives[j].torque += near.force * near.arm
-            work.drives[j].stiffness += rotational_stiffness(near)
-
-
-@inlined
-def _touch(work: _Work, j: int, direction: float) -> float:
-    """Rotation in `direction` at which the first near contact touches, to second order; infinite without one."""
-    best = math.inf
-    for n in range(int(work.drives[j].count)):
-        near = work.near[j, n]
-        best = min(best, touched_after(near.gap, direction * near.arm, near.arm_rate))
-    return best
-
-
-@inlined
-def _move(work: _Work, j: int, step: float) -> None:
-    """Move a drive and its near contacts, as an equilibrium does."""
-    for n in range(int(work.drives[j].count)):
-        follow(work.near[j, n], step)
-    work.x[j] += step
-
-
-@part
-def _balance(work: _Work, torque: float, near: float) -> int:
-    """One of Newton's steps of the drives that are sought; returns how many are still sought.
-
-    Contacts that have moved by more than `near` (rad) are to be placed again.
-    """
-    sought = 0
-    for j in range(work.drives.size):
-        one = work.drives[j]
-        if one.state != _SOUGHT:
-            continue
-        x, stiffness = work.x[j], one.stiffness
-        short = torque - one.torque
-        if short > 0.0:
-            one.low = x
-        else:
-            one.high = x
-        step = short / stiffness if stiffness > 0.0 else math.inf
-        if stiffness <= 0.0 or (one.torque * torque < 0.0 and abs(step) < LINEAR_STEP):
-            direction = math.copysign(1.0, short)
-            step = direction * (max(_touch(work, j, direction), 0.0) + 1e-6)
-        step = min(max(step, -1e-3), 1e-3)
-        if abs(step) < LINEAR_STEP:
-            _move(work, j, step)
-            one.state = _FOUND
-            continue
-        if not one.low < x + step < one.high:
-            step = 0.5 * (one.low + one.high) - x
-        if abs(x + step - one.placed) > near:
-            work.x[j] = x + step
-            one.state = _MOVED
-        else:
-            _move(work, j, step)
-            sought += 1
-    return sought
-
-
-@part
-def _begin(rows: Array, at: float, direction: float, work: _Work) -> None:
-    """Deviations to begin from: the first touch, moved by as much as at the last crank angle, or the parabola.
-
-    The parabola goes through what errors changed at the last three crank angles. A drive takes what was nearer at the
-    last one.
-    """
-    _first_touch(rows, direction, work)
-    for j in range(work.drives.size):
-        one = work.drives[j]
-        touch = at + direction * work.touch[j]
-        by_touch = touch + one.beyond
-        by_line = by_touch
-        if one.solved > 2:
-            by_line = at + 3.0 * (one.changed - one.changed_before) + one.changed_first
-        work.x[j] = by_line if one.line_missed < one.touch_missed else by_touch
-        # Until the crank angle is solved.
-        one.beyond, one.touch_missed, one.line_missed = touch, by_touch, by_line
-        one.state = _SOUGHT
-        one.low, one.high = -math.inf, math.inf
-
-
-@inlined
-def _end(one: np.record, x: float, at: float) -> None:
-    one.solved += 1.0
-    one.beyond = x - one.beyond
-    one.touch_missed, one.line_missed = abs(x - one.touch_missed), abs(x - one.line_missed)
-    one.changed_first, one.changed_before, one.changed = one.changed_before, one.changed, x - at
-
-
-@part
-def _settle(problem: Problem, drives: Drives, rows: Array, at: float, theta: float, torque: float, work: _Work) -> None:
-    """Balance the torque."""
-    for _ in range(_PLACED):
-        _least_gaps(rows, at, work)
-        _place(problem, drives, rows, at, theta, work)
-        for j in range(work.drives.size):
-            if work.drives[j].state == _MOVED:
-                work.drives[j].state = _SOUGHT
-        for _ in range(_ITERATIONS):
-            _press(
-                work, problem.slice_width, problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius
-            )
-            if _balance(work, torque, by_rates(problem.circle_radius)) == 0:
-                break
-        moved = 0
-        for j in range(work.drives.size):
-            # Whatever the other drives need.
-            if work.drives[j].state == _SOUGHT:
-                work.drives[j].state = _ALONE
-            moved += 1 if work.drives[j].state == _MOVED else 0
-        if moved == 0:
-            break
-
-
-@compiled
-def sweep_drives(
-    problem: Problem, drives: Drives, work: _Work, guide: Guide, thetas: Array, torque: float, deviation: Array,
-    stiffness: Array, pressure: Array,
-) -> None:  # fmt: skip
-    """Solve the loaded contact of many drives at the crank angles of a guide, in a row.
+class NearDrives:
+    """Drives near one that is solved at some loads and crank angles.
 
     Parameters
     ----------
-    problem, guide
-        The drive beside them, and its contacts.
-    drives, work
-        The drives, and their memory, which holds the crank angles before.
-    thetas, torque
-        Crank angles, shape (angles,), rad; N·m, not 0.
-    deviation, stiffness, pressure
-        Overwritten, shape (drives, angles): rad, N·m/rad, and the largest contact pressure (Pa); NaN where a drive has
-        to be solved alone.
-    """
-    pins, count = problem.teeth + 1, work.drives.size
-    stress = 1.0 / (math.pi * problem.slice_width * (problem.compliance_gear + problem.compliance_pin))
-    for number in range(guide.deviation.size):
-        i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
-        _displace(rows, pins, work)
-        _begin(rows, at, math.copysign(1.0, torque), work)
-        _settle(problem, drives, rows, at, thetas[i], torque, work)
-        for j in range(count):
-            one = work.drives[j]
-            if one.state != _FOUND:
-                deviation[j, i] = stiffness[j, i] = pressure[j, i] = math.nan
-                # The next crank angle begins from its first touch, and so do those whose parabola this one is part of.
-                one.beyond, one.solved = 0.0, 0
-                continue
-            deviation[j, i], stiffness[j, i] = work.x[j], one.stiffness
-            largest = 0.0
-            for n in range(int(one.count)):
-                near = work.near[j, n]
-                largest = max(largest, near.force * max(abs(1.0 / near.pin_radius + near.curvature), 1e-9))
-            # p = 2F/(πab), as in `load_sharing`
-            pressure[j, i] = math.sqrt(largest * stress)
-            _end(one, work.x[j], at)
-
-
-@part
-def _reach(
-    problem: Problem, drives: Drives, rows: Array, at: float, theta: float, direction: float, work: _Work
-) -> None:
-    """Find the end of the play in a direction (±1)."""
-    _first_touch(rows, direction, work)
-    for j in range(work.drives.size):
-        work.x[j], work.drives[j].state = at + direction * work.touch[j], _SOUGHT
-    for _ in range(_PLACED):
-        _least_gaps(rows, at, work)
-        _place(problem, drives, rows, at, theta, work)
-        moved = 0
-        for j in range(work.drives.size):
-            one = work.drives[j]
-            if one.state > _MOVED:
-                continue
-            step = min(_touch(work, j, direction), 1e-3)
-            work.x[j] += direction * step
-            one.state = _FOUND if abs(step) < _REACHED else _MOVED
-            moved += 1 if one.state == _MOVED else 0
-        if moved == 0:
-            break
-
-
-@compiled
-def sweep_play_of_drives(
-    problem: Problem, drives: Drives, work: _Work, guide: Guide, thetas: Array, low: Array, high: Array
-) -> None:
-    """Solve the play of many drives at the crank angles of a guide.
-
-    Parameters are those of `sweep_drives`; `low` and `high` (rad), shape (drives, angles), are overwritten as by
-    `sweep_play`, NaN where a drive has to be solved alone.
-    """
-    pins, count = problem.teeth + 1, work.drives.size
-    for number in range(guide.deviation.size):
-        i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
-        _displace(rows, pins, work)
-        _reach(problem, drives, rows, at, thetas[i], -1.0, work)
-        for j in range(count):
-            low[j, i] = work.x[j] if work.drives[j].state == _FOUND else math.nan
-        _reach(problem, drives, rows, at, thetas[i], 1.0, work)
-        for j in range(count):
-            high[j, i] = work.x[j] if work.drives[j].state == _FOUND else math.nan
-            # Without errors and modification the ends are the same but for rounding.
-            if not low[j, i] < high[j, i] + 2.0 * ROTATION_STEP:
-                low[j, i] = high[j, i] = math.nan
-            elif low[j, i] > high[j, i]:
-                low[j, i] = high[j, i] = 0.5 * (low[j, i] + high[j, i])
-
-
-class ExactDrives:
-    """Drives near the error-free pair at a study's loads and crank angles, each solved exactly.
-
-    Parameters
-    ----------
-    pair
-        The nominal pair.
+    pair, surface
+        The drive that is solved; a study's is error-free.
     loads
         (torque N·m, crank angles rad), one a sweep; torque 0 is the play.
     slices
         Across the face width.
+    first_order
+        Whether they are taken to first order in their errors, not solved exactly.
     """
 
-    def __init__(self, pair: Pair, loads: Sequence[tuple[float, Array]], slices: int) -> None:
-        error_free = nominal_surface(pair)
-        self.pair, self.loads, self.slices = pair, loads, slices
-        self._problem = drive_of(pair, error_free, slices)
-        self._none = displacement_vector(pair, error_free)
+    def __init__(
+        self, pair: Pair, surface: ErrorSurface, loads: Sequence[tuple[float, Array]], slices: int,
+        first_order: bool = False,
+    ) -> None:  # fmt: skip
+        self.pair, self.loads, self.slices, self.first_order = pair, loads, slices, first_order
+        self._problem = drive_of(pair, surface, slices)
+        self._solved = displacement_vector(pair, surface)
+        self._made = meshes_of(pair, self._solved[None], slices)
         self._contacts = pair.discs * slices * pair.pins
         self._deviation = [
-            solve(pair, error_free, [torque], angles, slices, with_play=False).transmission_error[0]
+            solve(pair, surface, [torque], angles, slices, with_play=False).transmission_error[0]
             for torque, angles in loads
         ]
         self._guides: dict[tuple[int, int], Guide] = {}
 
     def _along(self, sweep_number: int) -> Iterator[Guide]:
         """Yield the guides along a sweep; those that memory has room for are made once."""
-        angles, size = self.loads[sweep_number][1], self._contacts * _COLUMNS * 8
+        angles, size = self.loads[sweep_number][1], self._contacts * COLUMNS * 8
         few = max(_GUIDE // size, 1)
         for first in range(0, angles.size, few):
             guide = self._guides.get((sweep_number, first))
             if guide is None:
                 at, deviation = angles[first : first + few], self._deviation[sweep_number][first : first + few].copy()
-                guide = Guide(first, np.empty((at.size, self._contacts, _COLUMNS)), deviation)
+                guide = Guide(first, np.empty((at.size, self._contacts, COLUMNS)), deviation)
                 guide_rows(self._problem, at, deviation, guide.rows)
-                if sum(kept.rows.nbytes for kept in self._guides.values()) < _MEMORY:
+                if sum(kept.rows.nbytes for kept in self._guides.values()) < _KEPT:
                     self._guides[sweep_number, first] = guide
             yield guide
 
@@ -561,9 +79,11 @@ class ExactDrives:
         Raises
         ------
         edge.InputError
-            If a drive is impossible.
+            If a drive that is to be solved exactly is impossible.
         """
-        return Made(meshes_of(self.pair, errors, self.slices), errors - self._none)
+        if self.first_order:
+            return Made(Drives(*(np.repeat(one, len(errors), axis=0) for one in self._made)), errors - self._solved)
+        return Made(meshes_of(self.pair, errors, self.slices), errors - self._solved)
 
     def loaded(self, sweep_number: int, drives: Made) -> tuple[Array, Array]:
         """Return transmission error (rad) and largest pressure (Pa), each of shape (drives, angles).
@@ -585,18 +105,19 @@ class ExactDrives:
         for at, some, work in drives.parts(self._contacts):
             for guide in self._along(sweep_number):
                 sweep_drives(
-                    self._problem, some, work, guide, angles, torque, deviation[at], stiffness[at], pressure[at]
-                )
+                    self._problem, some, work, guide, angles, torque, self.first_order, deviation[at], stiffness[at],
+                    pressure[at],
+                )  # fmt: skip
         left = np.isnan(deviation)
         for j in np.flatnonzero(left.any(axis=1)):
             few = angles[left[j]]
             alone, _, _, _ = solve_problem(
-                self._drive(drives, int(j)), np.full((1, few.size), torque), few, with_play=False
+                self._alone(drives, int(j)), np.full((1, few.size), torque), few, with_play=False
             )
             deviation[j, left[j]], stiffness[j, left[j]] = alone.deviation[0], alone.stiffness[0]
             pressure[j, left[j]] = alone.max_contact_pressure[0]
         for j in np.flatnonzero((stiffness <= 0.0).any(axis=1)):
-            check_falling(self._drive(drives, int(j)), angles, np.full(angles.size, torque), stiffness[j] <= 0.0)
+            check_falling(self._alone(drives, int(j)), angles, np.full(angles.size, torque), stiffness[j] <= 0.0)
         return deviation, pressure
 
     def play(self, sweep_number: int, drives: Made) -> tuple[Array, Array]:
@@ -608,27 +129,62 @@ class ExactDrives:
         low, high = (np.empty((len(drives.errors), angles.size)) for _ in range(2))
         for at, some, work in drives.parts(self._contacts):
             for guide in self._along(sweep_number):
-                sweep_play_of_drives(self._problem, some, work, guide, angles, low[at], high[at])
+                sweep_play_of_drives(self._problem, some, work, guide, angles, self.first_order, low[at], high[at])
         interference = np.zeros(low.shape)
         left = np.isnan(low)
         for j in np.flatnonzero(left.any(axis=1)):
             few = angles[left[j]]
-            _, *alone = solve_problem(self._drive(drives, int(j)), np.empty((0, few.size)), few, with_play=True)
+            _, *alone = solve_problem(self._alone(drives, int(j)), np.empty((0, few.size)), few, with_play=True)
             low[j, left[j]], high[j, left[j]], interference[j, left[j]] = alone
         return high - low, interference
 
-    def _drive(self, drives: Made, j: int) -> Problem:
-        return self._problem._replace(**{name: values[j] for name, values in drives.drives._asdict().items()})
+    def sensitivities(self, sweep_number: int, errors: Array, torque: Array) -> tuple[Array, Array, Array]:
+        """Return one drive's transmission error to first order, and its derivatives.
+
+        Parameters
+        ----------
+        sweep_number
+            Of the loads.
+        errors
+            `displacement_vector` of the drive.
+        torque
+            At each crank angle, shape (angles,), N·m, not 0.
+
+        Returns
+        -------
+        transmission_error
+            Shape (angles,), rad.
+        each
+            By every single error, columns as in `contact.sensitivities`.
+        by_torque
+            Shape (angles,), rad/(N·m).
+        """
+        angles = self.loads[sweep_number][1]
+        deviation, by_torque = np.empty(angles.size), np.empty(angles.size)
+        each = np.empty((angles.size, errors.size))
+        work = memory(self._contacts, (errors - self._solved)[None])
+        for guide in self._along(sweep_number):
+            sweep_near_sensitivities(self._problem, self._made, work, guide, angles, torque, deviation, each, by_torque)
+        return deviation, each, by_torque
+
+    def _alone(self, drives: Made, j: int) -> Problem:
+        made = drives.drives
+        if self.first_order:
+            made, j = meshes_of(self.pair, (drives.errors[j] + self._solved)[None], self.slices), 0
+        return self._problem._replace(**{name: values[j] for name, values in made._asdict().items()})
 
 
 class Made(NamedTuple):
-    """Drives as they are made, and their displacements from the error-free pair, shape (drives, displacements), m."""
+    """Drives as they are made, and their displacements from the one that is solved, shape (drives, displacements), m.
+
+    To first order they are made as that one.
+    """
 
     drives: Drives
     errors: Array
 
-    def parts(self, contacts: int) -> Iterator[tuple[slice, Drives, _Work]]:
+    def parts(self, contacts: int) -> Iterator[tuple[slice, Drives, Memory]]:
         """Yield the drives in parts that go side by side, with memory for as many contacts."""
         for first in range(0, len(self.errors), LANES):
             at = slice(first, first + LANES)
-            yield at, Drives(*(values[at] for values in self.drives)), _work(contacts, self.errors[at])
+            yield at, Drives(*(values[at] for values in self.drives)), memory(contacts, self.errors[at])

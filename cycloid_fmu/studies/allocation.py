@@ -25,9 +25,9 @@ from cycloid_fmu.studies.tolerance import (
     demand,
     figures_near,
     figures_of,
+    near_drives,
     points,
     run,
-    screen_of,
     surface_of,
     yields,
 )
@@ -95,8 +95,8 @@ def scaled(study: Study, scale: Array) -> Study:
 class Nearby:
     """Drives on bearings, solved at some widths of the tolerances and linearised for nearby widths.
 
-    It replaces `contact.first_order.Screen`, whose first order about the error-free drive would keep every bearing's
-    clearance as in that drive.
+    It replaces `contact.near_drives.NearDrives`, whose first order about the error-free drive would keep the clearances
+    of all bearings as in that drive.
 
     Parameters
     ----------
@@ -213,19 +213,18 @@ def allocate(
     place = points(study)
     if study.pair.supports is not None:
         place = place[:_ON_BEARINGS]
-    errors = errors_of_factors(study, place)
-    screen = screen_of(study, WIDEST) if study.pair.supports is None else None
+    errors, none = errors_of_factors(study, place), displacement_vector(study.pair, nominal_surface(study.pair))
 
     def demands_about(width: Array) -> Callable[[Array], Array]:
         """Return the demand of every drive over the scale, valid near these widths."""
-        near = Nearby(study, place, errors, width, workers) if screen is None else None
+        nearby = Nearby(study, place, errors, width, workers) if study.pair.supports is not None else None
 
         def demands(scale: Array) -> Array:
-            if near is None:
-                assert screen is not None
-                values = figures_near(study, screen, np.tensordot(scale, errors, 1))
+            if nearby is None:
+                near = near_drives(study, first_order=True)
+                values = figures_near(study, near, near.made(np.tensordot(scale, errors, 1) + none))
             else:
-                values = figures_near(study, near, scale)
+                values = figures_near(study, nearby, scale)
             return np.asarray(np.max([*demand(study, values).values()], axis=0))
 
         return demands

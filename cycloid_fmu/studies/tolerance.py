@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.first_order import NearDrives, Screen
-from cycloid_fmu.contact.near_drives import ExactDrives
+from cycloid_fmu.contact.near_drives import NearDrives
 from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, Transmission, slices_needed
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.geometry import ANGLES
@@ -29,7 +27,7 @@ from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory
 from cycloid_fmu.studies.machines import Points, Solved, complete, solved, versions
-from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
+from cycloid_fmu.surfaces.sampling import LARGEST_SEED, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import Elements, ErrorSurface, nominal_surface
 
@@ -267,7 +265,7 @@ def exact_figures(study: Study, surfaces: Sequence[ErrorSurface]) -> Array:
     for number in np.flatnonzero(~beside).tolist():
         found[number] = _figures_alone(study, surfaces[number])
     if beside.any():
-        exact = _exact_drives(study.pair, study.torque, study.angles, study.turns, slices)
+        exact = near_drives(study)
         errors = [displacement_vector(study.pair, surfaces[number]) for number in np.flatnonzero(beside).tolist()]
         near = figures_near(study, exact, exact.made(np.array(errors)))
         found[beside] = near
@@ -315,34 +313,26 @@ def _slices(study: Study) -> int:
     return SLICES_MISALIGNED if displaced & {"tilt_x", "tilt_y"} else 1
 
 
-def screen_of(study: Study, largest: float = 1.0) -> Screen:
-    """Return the error-free pair at a study's loads, to take drives near it to first order.
-
-    Parameters
-    ----------
-    largest
-        Largest errors, in units of the tolerances.
-    """
-    reach = 0.0
-    for name in study.factors:
-        stated = getattr(study.tolerances, name)
-        width = stated.cumulative if hasattr(stated, "cumulative") else stated.tolerance
-        reach += width * (study.pair.face_width if isinstance(stated, AngleError) else 1.0)
-    # Errors close a gap by their sum, and again by the rotation that they allow; here with a margin.
-    loads = _loads(study.pair, study.torque, crank_angles(study))
-    return Screen(study.pair, loads, _slices(study), 20e-6 + 3.0 * largest * reach)
+_Drives = TypeVar("_Drives", contravariant=True)
 
 
-_Drives = TypeVar("_Drives")
+class Sweeps(Protocol[_Drives]):
+    """Sweeps of drives at a study's loads, then ± lost motion, then the play."""
+
+    def loaded(self, sweep_number: int, drives: _Drives, /) -> tuple[Array, Array]:
+        """Return transmission error (rad) and largest pressure (Pa), each (drives, angles)."""
+
+    def play(self, sweep_number: int, drives: _Drives, /) -> tuple[Array, Array]:
+        """Return backlash (rad, NaN without a free position) and interference (m), each (drives, angles)."""
 
 
-def figures_near(study: Study, near: NearDrives[_Drives], drives: _Drives) -> Array:
+def figures_near(study: Study, near: Sweeps[_Drives], drives: _Drives) -> Array:
     """Return the figures of drives in the order of `Study.columns`, shape (drives, columns).
 
     Parameters
     ----------
     near
-        The sweeps at the study's loads, then ± lost motion, then the play.
+        The sweeps.
     drives
         Errors, or what stands for them, as `near` takes them.
     """
@@ -365,29 +355,25 @@ def figures_near(study: Study, near: NearDrives[_Drives], drives: _Drives) -> Ar
     return np.column_stack([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 
-_screens: dict[str, Screen] = {}  # the last screen of this process
+@functools.lru_cache(maxsize=2)
+def _near_drives(
+    pair: Pair, torque: tuple[float, ...], angles: int, turns: int, slices: int, first_order: bool
+) -> NearDrives:
+    return NearDrives(
+        pair, nominal_surface(pair), _loads(pair, torque, _crank_angles(angles, turns)), slices, first_order
+    )
 
 
-def _screen(study: Study) -> Screen:
-    key = json.dumps(study.identity())
-    found = _screens.get(key)
-    if found is None:
-        found = screen_of(study)
-        _screens.clear()
-        _screens[key] = found
-    return found
-
-
-@functools.lru_cache(maxsize=1)
-def _exact_drives(pair: Pair, torque: tuple[float, ...], angles: int, turns: int, slices: int) -> ExactDrives:
-    return ExactDrives(pair, _loads(pair, torque, _crank_angles(angles, turns)), slices)
+def near_drives(study: Study, first_order: bool = False) -> NearDrives:
+    """Return what solves a study's drives beside the error-free pair, exactly or to first order in their errors."""
+    return _near_drives(study.pair, study.torque, study.angles, study.turns, _slices(study), first_order)
 
 
 def _screening_task(study: Study, first: int, rows: Array) -> Solved:
     """Solve some samples to first order, as `_task` does exactly."""
-    drawn = displacement_vector(study.pair, nominal_surface(study.pair))
-    errors = np.array([displacement_vector(study.pair, surface_of(study, row)) - drawn for row in rows])
-    return Solved(first, figures_near(study, _screen(study), errors))
+    errors = np.array([displacement_vector(study.pair, surface_of(study, row)) for row in rows])
+    near = near_drives(study, first_order=True)
+    return Solved(first, figures_near(study, near, near.made(errors)))
 
 
 def _task(study: Study, first: int, rows: Array) -> Solved:

