@@ -101,6 +101,7 @@ def test_an_example_of_everyday_work_goes_through_the_front_doors(name):
     assert taken(name) <= shown
 
 
+@pytest.mark.slow(10)
 def test_use_from_python(tmp_path, example):
     """The notebook finds the errors of the drive that it made."""
     said = example("use_from_python.py")
@@ -119,6 +120,7 @@ def test_use_from_python(tmp_path, example):
     assert (out / "identified.fmu").exists()
 
 
+@pytest.mark.slow(5)
 def test_arrays_to_errors(tmp_path, example):
     """Intervals of 95 % around errors from arrays: at most two of some twenty miss the truth."""
     said = example("arrays_to_errors.py")
@@ -128,6 +130,7 @@ def test_arrays_to_errors(tmp_path, example):
     assert "isometric is held: its effect on the transmission errors is that of -1.00 pin_radius" in said
 
 
+@pytest.mark.slow(5)
 def test_what_each_error_does(tmp_path, example):
     """The study of the error-surface paper: its conclusions as docs/theory/papers.md reports them."""
     said = example("error_study.py")

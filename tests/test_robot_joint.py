@@ -52,6 +52,7 @@ def test_to_and_fro_the_joint_swings_and_is_loaded_as_the_stiff_solver_has_it(ex
     assert exact.arm.max() == pytest.approx(example.WAY, abs=2e-3)
 
 
+@pytest.mark.slow(4)
 def test_work_done_moves_is_stored_or_lost_and_the_cold_takes_more(example, runs):
     _, _, fmu = runs(example.STEP)
     warm, cold = (example.moved(fmu, 141.0, temperature)[1] for temperature in (example.WARM, example.COLD))

@@ -288,6 +288,7 @@ def searched(made, plant, index, turns, spacing=None, load=0.6 * RATED):
     return find_index(made, crank - index, shown, load, AMBIENT, spacing=spacing)
 
 
+@pytest.mark.slow(3)
 def test_the_index_is_found_and_said_to_be_sure(drive, compensator):
     for index in (0.7, 5.1):
         found = searched(compensator, drive, index, 1.5)

@@ -535,6 +535,7 @@ def test_compiled_code_is_kept_until_a_file_of_the_room_changes(monkeypatch, tmp
     assert [loaded(), loaded()] == [0, 1]
 
 
+@pytest.mark.slow(4)
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 def test_processes_that_begin_together_compile_a_kernel_once(tmp_path):
     """The first does it, the others wait for it and take it from its file."""
@@ -551,6 +552,7 @@ def test_processes_that_begin_together_compile_a_kernel_once(tmp_path):
     assert sorted(process.communicate()[0].strip() for process in running) == ["0", "0", "1"]
 
 
+@pytest.mark.slow(4)
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 def test_a_process_killed_while_it_compiles_holds_up_no_other(tmp_path):
     settings = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
@@ -564,6 +566,7 @@ def test_a_process_killed_while_it_compiles_holds_up_no_other(tmp_path):
     assert list(tmp_path.rglob("*.nbc"))
 
 
+@pytest.mark.slow(3)
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT) or not hasattr(os, "fork"), reason="nothing is compiled, or no fork")
 def test_a_forked_process_compiles_as_well(tmp_path):
     code = """

@@ -76,6 +76,7 @@ def test_no_play_is_left_by_the_modification_that_is_published_for_none():
     assert found.values["offset"] == pytest.approx(-57.2e-6, rel=5e-3)
 
 
+@pytest.mark.slow(3)
 def test_no_drive_of_a_grid_is_better(pair):
     """Contact pressure with play for lubrication: 31 x 31 modifications, each analysed separately."""
     vary = {"isometric": ("-30 um", "20 um"), "offset": ("-60 um", "0 um")}
@@ -109,6 +110,7 @@ def test_relaxing_what_binds_brings_what_is_stated(pair):
     assert gained == pytest.approx(0.1 * binding.of_a_tenth, rel=0.1)
 
 
+@pytest.mark.slow(3)
 def test_of_two_goals_no_drive_of_the_front_is_worse_by_both(pair):
     vary = {"pin_circle_radius": ("60 mm", "75 mm"), "pin_radius": ("2.5 mm", "4 mm")}
     found = search(pair, task(goals=["pin_circle_radius", "max_contact_pressure"], vary=vary), starts=0, points=5)

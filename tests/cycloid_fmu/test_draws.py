@@ -80,6 +80,7 @@ def test_what_a_draw_adds_comes_upon_an_error_that_is_set(identified, of_draw):
     assert of_draw(7, eccentricity=start + 2e-6) == pytest.approx(error_of(moved), abs=1e-6 * ARCSEC)
 
 
+@pytest.mark.slow(3)
 def test_draws_spread_as_the_covariance_says_to_first_order(identified, of_draw):
     pair, surface = identified.pair, identified.surface
     radial, pitch = np.zeros(40), np.zeros((1, 39))

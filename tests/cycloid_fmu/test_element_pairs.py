@@ -25,9 +25,8 @@ def raised(kind):
     return dataclasses.replace(surface_of_pair(PAIR), gear_deviation=heights, pin_deviation=pins)
 
 
-@pytest.mark.parametrize(
-    ("kind", "angle", "torque"), [pytest.param("smooth", 1.7, -70.0, marks=pytest.mark.slow(4)), ("rough", 4.0, 70.0)]
-)
+@pytest.mark.slow(4)
+@pytest.mark.parametrize(("kind", "angle", "torque"), [("smooth", 1.7, -70.0), ("rough", 4.0, 70.0)])
 def test_kernel_and_element_pairs_agree(kind, angle, torque):
     surface = raised(kind)
     wanted = solve_elements(PAIR, surface, angle, torque, contact="deepest", pairs="directed", sampling=16e-6)

@@ -249,6 +249,7 @@ def test_an_interrupted_sweep_keeps_what_is_done():
     assert (kept.transmission_error == whole.transmission_error[:, : kept.crank_angle.size]).all()
 
 
+@pytest.mark.slow(6)
 @pytest.mark.skipif(sys.platform != "linux", reason="reads a process' time from /proc")
 def test_ctrl_c_writes_what_is_done(tmp_path):
     (tmp_path / "pair.toml").write_text(TILTED.text)

@@ -288,6 +288,7 @@ def test_bad_input_exits_2_with_a_sentence(command, tmp_path, words, said):
     assert [p.name for p in tmp_path.iterdir()] == ["pair.toml"]
 
 
+@pytest.mark.slow(5)
 def test_a_process_that_ran_an_fmu_can_build_another(fmu, tmp_path):
     """The FMU brings its own pythonfmu, which is imported where no other was, and is gone with the FMU's folder."""
     script = f"""

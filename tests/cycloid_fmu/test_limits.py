@@ -197,7 +197,9 @@ share = 1.0
 """
 
 
-@pytest.mark.parametrize(("allowed", "status"), [("3000 MPa", 0), ("500 MPa", edge.NOT_MET)])
+@pytest.mark.parametrize(
+    ("allowed", "status"), [pytest.param("3000 MPa", 0, marks=pytest.mark.slow(3)), ("500 MPa", edge.NOT_MET)]
+)
 def test_the_status_says_whether_limits_are_met_and_everything_is_written(command, tmp_path, allowed, status):
     (tmp_path / "r.toml").write_text(HEAD + REQUIRED.format(allowed))
     words = ("cycloid-fmu", "analyze", EXAMPLES / "drive-39-40.toml", "--limits", "r.toml", "--angles", "20")

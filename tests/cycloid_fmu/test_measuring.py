@@ -131,7 +131,7 @@ def test_circle_through_half_a_pin():
     ("pair", "elements", "along", "frame"),
     [
         (SMALL, Elements(16, 3, 16), 64, FRAME),
-        (BIG, Elements(12, 3, 12), 48, FRAME),
+        pytest.param(BIG, Elements(12, 3, 12), 48, FRAME, marks=pytest.mark.slow(3)),
     ],
 )
 def test_measured_points_give_the_drive_back_within_their_noise(tmp_path, pair, elements, along, frame):
@@ -161,6 +161,7 @@ def test_measured_points_give_the_drive_back_within_their_noise(tmp_path, pair, 
         assert rms(getattr(surface, name) - wanted) < 0.5 * NOISE
 
 
+@pytest.mark.slow(2)
 def test_without_noise_pitch_and_places_are_exact(tmp_path):
     known = dataclasses.replace(known_drive(SMALL, 2, Elements(16, 3, 16)), gear_deviation=None, pin_deviation=None)
     surface, report = measured_surface(SMALL, points_of(tmp_path, measure(SMALL, known, 0.0, 0, FRAME)))
@@ -194,6 +195,7 @@ def test_a_narrow_trace_is_noted(tmp_path):
     assert sum("spans" in n and "the column z" in n for n in report.notes) == 2
 
 
+@pytest.mark.slow(4)
 def test_outliers_are_found_listed_and_left_out(tmp_path):
     elements = Elements(16, 3, 16)
     known = known_drive(SMALL, 4, elements)

@@ -190,6 +190,7 @@ def test_bad_input_is_a_sentence(command, words, sentence):
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.slow(3)
 def test_the_command_draws_the_same_file_twice(command, tmp_path):
     for name in ("one.svg", "two.svg"):
         done = command("cycloid-fmu", "draw", EXAMPLES / "drive-39-40-as-made.toml", "--torque", "181 N*m", "-o", name)

@@ -206,6 +206,7 @@ def test_scatter_is_that_of_the_sum_of_variances(scattered):
     assert scattered.samples["standard"].std() == pytest.approx(0.98658 * (high - low) / 6.0, rel=0.12)
 
 
+@pytest.mark.slow(3)
 def test_samples_depend_on_the_seed_alone(scattered):
     again, other = stack(RV, 400, 3), stack(RV, 400, 4)
     assert (again.samples["geometric"] == scattered.samples["geometric"]).all()

@@ -289,6 +289,7 @@ def test_play_on_bearings_is_the_same_from_any_neighbour():
         assert np.concatenate([getattr(one, name) for one in alone]) == pytest.approx(wanted[::12], abs=1e-4 * ARCSEC)
 
 
+@pytest.mark.slow(6)
 def test_contact_lines_lie_where_the_discs_then_stand():
     """Rigid bearings have those of the rigid drive; on bearings they add up to the pins' forces, by any threads."""
     pair = cy.Pair(**SIZES, discs=2, supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm"})

@@ -303,6 +303,7 @@ def files(tmp_path):
     return ("cycloid-fmu", "tolerance", "pair.toml", "--tolerances", "t.toml", "--angles", 40)
 
 
+@pytest.mark.slow(6)
 def test_killed_in_mid_run_and_started_again(command, files, tmp_path):
     words = [str(Path(sys.executable).with_name(files[0])), *map(str, files[1:])]
     samples = 160
@@ -433,6 +434,7 @@ def test_a_cluster_of_two_loses_a_worker_and_nothing_else(cluster):
     assert (there.confirmed == here.confirmed).all()
 
 
+@pytest.mark.slow(4)
 def test_a_worker_of_another_version_is_refused(cluster, tmp_path):
     address, worker = cluster
     other = tmp_path / "cycloid_fmu-9.9.dist-info"

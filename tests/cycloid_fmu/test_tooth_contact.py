@@ -96,6 +96,7 @@ def test_the_paper_s_unloaded_figure_is_of_a_smaller_modification():
     assert np.ptp(error) / ARCSEC == pytest.approx(0.018, abs=0.001)
 
 
+@pytest.mark.slow(4)
 def test_a_pin_s_mesh_interval_is_one_pitch():
     """2π/40 without errors, whatever the side, and each pin hands over to the one that took over before."""
     pair = wear_pair()

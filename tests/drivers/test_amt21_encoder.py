@@ -47,7 +47,7 @@ def test_check_bits_confirm_every_position_and_catch_every_single_flipped_bit(po
     assert not checked_position(word ^ np.uint16(1 << bit))[1].any()
 
 
-@pytest.mark.parametrize("bits", [12, 14])
+@pytest.mark.parametrize("bits", [pytest.param(12, marks=pytest.mark.slow(4)), 14])
 def test_the_recording_is_the_commanded_motion(tmp_path, bits):
     run = SimulatedRun(torque=5.0, turns=2, samples_per_turn=200, speed=math.pi)
     motion = simulate_motion(lambda angle, torque: -angle / 39, run)

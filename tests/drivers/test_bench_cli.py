@@ -119,7 +119,13 @@ def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
 
 @needs_multicast
 @pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)]
+    ("number", "code"),
+    [
+        (signal.SIGINT, 130),
+        pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow(3)),
+        pytest.param(signal.SIGHUP, 129, marks=pytest.mark.slow(3)),
+        (signal.SIGKILL, -9),
+    ],
 )
 def test_an_interrupted_recorder_keeps_its_samples(tmp_path, number, code):
     motion = simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=20.0, turns=2000))

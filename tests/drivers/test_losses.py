@@ -389,6 +389,7 @@ def test_losses_counted_by_a_serial_driver_are_an_event_and_a_gap(monkeypatch):
     assert any(block is not None and block.status[0] & rf.GAP for block in blocks[1:])
 
 
+@pytest.mark.slow(3)
 @needs_multicast
 def test_a_closed_terminal_leaves_a_complete_recording(tmp_path):
     """A lost connection hangs up the terminal: SIGHUP, and no more output is possible."""

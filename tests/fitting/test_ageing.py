@@ -61,6 +61,7 @@ def test_a_life_is_that_of_the_dose_alone():
     assert once.figures["life"]["lost_motion"] == pytest.approx(twice.figures["life"]["lost_motion"], rel=1e-9)
 
 
+@pytest.mark.slow(3)
 def test_lost_motion_grows_as_a_second_computation_of_wear_says():
     pair, dose = pair_of(11), 1e-11
     life = life_figures(cy.Drive(pair), LAW, LOADS, dose, workers=1)
@@ -161,6 +162,7 @@ def in_band(held, lives, level):
     return low <= held <= high
 
 
+@pytest.mark.slow(3)
 @pytest.mark.parametrize(("by_clearance", "lives"), [(None, 100), (6e6, 50)])
 def test_intervals_hold_as_often_as_they_state(by_clearance, lives):
     prior = PRIOR if by_clearance is None else Prior(1e-18, 10.0, 1e-13, 5.0, PRIOR.offset, 0.2, 1e6)
@@ -231,6 +233,7 @@ def test_wear_that_runs_away_raises_an_alarm_and_even_wear_none():
     assert "more slowly" in back.sentence
 
 
+@pytest.mark.slow(4)
 def test_false_alarms_are_as_rare_as_stated():
     rng, life = np.random.default_rng(0), straight()
     seen = np.arange(0.0, 6e7, 1e7)
@@ -349,6 +352,7 @@ def twin():
     return forecast(drive, LAW, history, measured(history, drive), until=120 * HOUR, life=life, workers=1)
 
 
+@pytest.mark.slow(20)
 def test_the_twin_is_the_worn_drive_at_every_age(twin, tmp_path):
     drive = twin.aged
     drive.write(tmp_path / "twin.nc")

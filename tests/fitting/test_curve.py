@@ -28,6 +28,7 @@ def recorded(angle, error, ratio=-39.0, torque=50.0):
     )  # fmt: skip
 
 
+@pytest.mark.slow(3)
 @example(turns=2.4, forwards=False, start=0.0, each=37)  # every second turn is in step
 @given(
     turns=st.floats(0.3, 3.5), forwards=st.booleans(), start=st.floats(-300, 300), each=st.integers(5, 60),
@@ -132,6 +133,7 @@ def test_curve_file(tmp_path):
         assert np.isnan(data["transmission_error"].values[1]).sum() == 39 * 48 - 100
 
 
+@pytest.mark.slow(5)
 @example(ways=[20.0, 20.0, 20.0], forwards=False, cuts=[0.00390625], seed=0)
 @given(
     ways=st.lists(st.floats(20, 400), min_size=1, max_size=4), forwards=st.booleans(),

@@ -286,6 +286,7 @@ def panels_in(page):
     return json.loads(re.search(r"const panels = (.*);", page)[1])
 
 
+@pytest.mark.slow(3)
 def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     """With tolerances as prior each pin's position is found within its interval; the report needs no other file."""
     generator = np.random.default_rng(11)

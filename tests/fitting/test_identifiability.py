@@ -96,7 +96,7 @@ def test_notes_say_what_the_curves_lack(measured, nominal):
     assert one.held_out is None
 
 
-@pytest.mark.parametrize(("each", "said"), [(6, True), (24, False)])
+@pytest.mark.parametrize(("each", "said"), [pytest.param(6, True, marks=pytest.mark.slow(6)), (24, False)])
 def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said):
     """Four curves in step with the crank see four times as many angles as a turn has samples, for 40 displacements."""
     changed = {"gear_teeth": 19, "pins": 20, "pin_circle_radius": 55e-3, "pin_radius": 4e-3, "eccentricity": 1.8e-3}
@@ -118,6 +118,7 @@ def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said)
     assert said or not any("crank angles in total" in n for n in found.notes)
 
 
+@pytest.mark.slow(3)
 def test_a_curve_with_more_noise_than_the_others_is_named(measured, nominal):
     curves = measured(3, each=12)
     louder = np.random.default_rng(0).normal(0.0, 1.0 * ARCSEC, curves[1].input_angle.size)
@@ -178,6 +179,7 @@ def test_a_plan_foretells_the_fit(measured, nominal):
         assert 0.6 < ratios[name] < 1.7
 
 
+@pytest.mark.slow(3)
 def test_ensemble_have_the_fit_s_covariance(found, nominal, tmp_path):
     write_surface(found.surface, tmp_path / "s.nc")
     surface = read_surface(tmp_path / "s.nc")
@@ -277,11 +279,12 @@ def test_two_discs_without_tooth_errors_have_two_descriptions(nominal):
     assert np.max(far) > 4.5
 
 
+@pytest.mark.slow(4)
 @pytest.mark.parametrize(
     ("friction", "wind_up", "hysteresis"),
     [
-        pytest.param(1.0, 0.0, 0.0, marks=pytest.mark.slow(3)),
-        pytest.param(4.0, 0.0, 0.0, marks=pytest.mark.slow(3)),
+        (1.0, 0.0, 0.0),
+        (4.0, 0.0, 0.0),
         (2.0, 3e-6, 3e-6),
     ],
     ids=str,

@@ -152,6 +152,7 @@ def test_one_load_tells_less_and_says_so(measured, nominal, found):
     assert len(alone.fitted) < len(found.fitted)
 
 
+@pytest.mark.slow(4)
 def test_scatter_of_single_pins_does_not_bend_the_structured_errors():
     """A drive with 0.3 µm of scatter a pin that no structured error holds, and a load kept back."""
     truth = json.loads((BENCH / "truth.json").read_text())

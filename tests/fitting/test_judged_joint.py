@@ -75,6 +75,7 @@ def test_friction_is_passed_on_to_the_teeth(joint):
     assert found.torque[-1] == pytest.approx(50.0 - Friction().steady(speed[0], found.torque[-1]), abs=0.05)
 
 
+@pytest.mark.slow(5)
 def test_swings_are_those_of_scipy(joint):
     """Arm, motor, bristles and servo over a move, by SciPy's implicit integrator."""
     profile = short((88.0, 92.0))

@@ -70,6 +70,7 @@ def test_the_ideal_loop_gives_what_it_was_made_of(rated, windup, play, friction,
     assert found["backlash"].interval == pytest.approx((0.03 * rated, 0.1 * rated))
 
 
+@pytest.mark.slow(4)
 @pytest.mark.parametrize("crank", ["locked", "turning"])
 def test_with_noise_the_figures_lie_within_their_uncertainty(crank):
     """Coverage of the stated 95 % intervals over seeds, locked and turned slowly with a transmission error under it."""

@@ -55,6 +55,7 @@ def test_the_form_goes_through_a_surface_and_its_file(made, tmp_path):
     assert with_structured(made, surface_of_pair(made), dict.fromkeys(FORM, 0.0)).gear_deviation is None
 
 
+@pytest.mark.slow(4)
 def test_form_within_its_tolerance_no_longer_bends_the_other_errors(made, nominal):
     """A form of half a micrometre moves the eccentricity found by six standard errors, and leaves no residual."""
     tolerated = profile_of(nominal, read_tolerances(EXAMPLES / "tolerances.toml"))

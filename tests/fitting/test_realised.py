@@ -105,6 +105,7 @@ def test_orders_are_those_of_the_elements(one_ring):
             assert given == pytest.approx(waves[order], abs=1e-15)
 
 
+@pytest.mark.slow(2)
 def test_the_surface_says_the_same(one_ring, small):
     """Drives drawn from the identified surface's covariance scatter, pin by pin, with the standard errors."""
     found, _, _ = one_ring

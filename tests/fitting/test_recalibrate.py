@@ -252,6 +252,7 @@ def test_bearings_drift_with_the_crank_turns(case):
     assert twice - once == pytest.approx(once - np.diag(known.covariance)[at])
 
 
+@pytest.mark.slow(4)
 def test_the_play_of_a_first_stage_is_found(case):
     """The sun is measured; the play of its stage is a half more than stated."""
     drive, values, scatter, joint, _ = case

@@ -214,7 +214,7 @@ def left(time, output, at, crank):
     return (np.interp(at, time, output) + crank / 39 - error(crank))[kept], at[kept]
 
 
-@pytest.mark.parametrize("restart", [False, True])
+@pytest.mark.parametrize("restart", [pytest.param(False, marks=pytest.mark.slow(5)), True])
 def test_two_clocks_that_drift_apart_are_put_on_one(tmp_path, restart):
     """100 ppm at 100 rpm let the transmission error run away by 5.5″ a second; 1 ms of delay is 55″."""
     path = drifting(tmp_path / "a.arrows", restart=restart)

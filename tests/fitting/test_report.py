@@ -102,6 +102,7 @@ def test_on_a_narrow_screen_nothing_is_cut_off(page):
     page.set_viewport_size({"width": 1000, "height": 900})
 
 
+@pytest.mark.slow(4)
 def test_the_pdf_holds_the_same(found, tmp_path):
     if shutil.which("pdftotext") is None:
         pytest.skip("no pdftotext on this machine")

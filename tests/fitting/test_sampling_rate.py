@@ -29,6 +29,7 @@ def test_samples_of_other_turns_stay_where_they_were_taken(small):
         assert np.sqrt(curve.angle_variance.max()) < 0.025 * 2.0 * np.pi / small.pins
 
 
+@pytest.mark.slow(3)
 def test_turns_out_of_step_do_not_bias(small):
     """An error was eighteen standard errors off, and a quarter of the intervals missed."""
     found = np.concatenate([[*one.values()] for one in coverage(small, 20.7, 3, 2)])

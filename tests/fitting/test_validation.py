@@ -57,6 +57,7 @@ def test_an_error_that_is_held_widens_those_that_do_nearly_the_same(small):
     assert stated["pin_radial_2_cos"].standard_error < 0.5e-6
 
 
+@pytest.mark.slow(8)
 def test_a_drive_on_bearings_is_not_explained_by_rigid_supports(floating):
     verdict = floating.verdict
     assert verdict.state == "not explained"
@@ -66,9 +67,10 @@ def test_a_drive_on_bearings_is_not_explained_by_rigid_supports(floating):
     assert all(math.isnan(end) for p in floating.parameters if p.held is None for end in p.interval)
 
 
+@pytest.mark.slow(6)
 @pytest.mark.parametrize(
     "problem",
-    [np.linalg.LinAlgError("singular"), pytest.param(edge.InputError("no contacts"), marks=pytest.mark.slow(6))],
+    [np.linalg.LinAlgError("singular"), edge.InputError("no contacts")],
 )
 def test_causes_that_leave_no_fit_leave_the_one_before(small, monkeypatch, problem):
     """On bearings that no file states the likely causes are not those of the drive."""

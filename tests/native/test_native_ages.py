@@ -73,6 +73,7 @@ def at_places(slave, torque):
     return np.array(found)
 
 
+@pytest.mark.slow(20)
 def test_between_the_states_of_its_tables_it_is_the_worn_drive(twin, built, tmp_path):
     path, made = built
     assert made.largest_error < BETWEEN + ACCURACY
@@ -197,6 +198,7 @@ def test_more_loads_than_a_file_has_room_for_are_thinned(own, monkeypatch):
         assert np.abs(found.deviation - wanted.deviation).max() < 2.0 * after.positive.steps[0][0]
 
 
+@pytest.mark.slow(3)
 def test_a_bearing_wears_beside_the_flanks(twin, drive, build, tmp_path, monkeypatch):
     """Four tables: the FMU's deviation is bilinear in crank turns worn and in the clearance."""
     rate, growth = twin.surface.life.ageing.crank_turns_per_second, 1e-6 / (600.0 * HOUR)
