@@ -40,6 +40,7 @@ def test_what_is_installed_is_what_the_constraints_say():
     assert len(installed) > 100
 
 
+@pytest.mark.slow(3)
 def test_every_licence_is_allowed_and_listed(licences):
     said = {name: licences.licence(name) for name in licences.needed()}
     assert {n: text for n, text in said.items() if not text or licences.parts(text) - licences.ALLOWED} == {}

@@ -164,6 +164,7 @@ def test_many_instances_come_and_go(fmu):
         assert kept.getReal([v["flange_b.phi"]]) == pytest.approx(before, abs=1e-12)
 
 
+@pytest.mark.slow(2)
 def test_an_exception_inside_is_an_error_outside_and_breaks_nothing(fmu, tmp_path):
     code = """
 import gc, sys

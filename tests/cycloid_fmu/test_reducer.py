@@ -172,6 +172,7 @@ def test_the_cranks_roll_on_the_locked_sun():
     assert output / deviation == pytest.approx(RV.sun_locked)
 
 
+@pytest.mark.slow(2)
 def test_two_unlucky_discs_have_less_play():
     both = parse_reducer(TEXT.replace("discs = 1 ", "discs = 2 "), "rv.toml")
     assert budget(both)["geometric"]["cycloid"] < budget(RV)["geometric"]["cycloid"]

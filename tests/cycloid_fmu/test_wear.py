@@ -248,6 +248,7 @@ def test_wear_limits_itself(run):
     assert (np.diff([s.depth.largest for s in states]) <= 2.0e-6).all()
 
 
+@pytest.mark.slow(2)
 def test_halving_every_step_changes_what_the_history_says(run):
     """A run in half as large steps differs from one by less than that, and its own difference is smaller."""
     _, states, _ = run

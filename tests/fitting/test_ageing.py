@@ -375,6 +375,7 @@ def test_the_twin_is_the_worn_drive_at_every_age(twin, tmp_path):
     assert ageing.clearance_per_second > 0.0
 
 
+@pytest.mark.slow(6)
 def test_an_fmu_follows_its_age(twin, tmp_path):
     """The backlash at two ages, set in a built FMU's model, is that of the drive worn so far."""
     rigid = cy.Drive(pair_of(11))

@@ -200,6 +200,7 @@ def test_intervals_hold_of_drives_on_bearings_that_are_not_as_drawn(discs, seeds
     assert np.abs(far).max() < 2.5
 
 
+@pytest.mark.slow(3)
 def test_a_place_between_two_jumps_of_a_force_is_found():
     """A pin passes from one flank of a form to the other as the disc gives way; steps went to and fro for ever."""
     pair = cranked(1, 0.85, 2.85e-6)

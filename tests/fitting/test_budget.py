@@ -51,6 +51,7 @@ def stated(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow(3)
 def test_a_loop_s_budget_covers_a_monte_carlo_of_the_bench(stated):
     """Errors drawn from the instruments as they are stated, on the raw recording, each draw with noise of its own."""
     torque = swung([1, -1])

@@ -106,6 +106,7 @@ def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evalua
         assert structured_value(nominal, found.state.surface, name) == pytest.approx(value, abs=0.1 * one), name
 
 
+@pytest.mark.slow(3)
 def test_the_last_step_confirms_the_optimum_and_its_covariance(simple, nominal, monkeypatch):
     """It moves no error by more than a twentieth of its standard error, for two evaluations of the model at most."""
     _, observed = simple
@@ -168,6 +169,7 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
     assert possible(wide, "pin_radius")[1] == pytest.approx(1e-4)
 
 
+@pytest.mark.slow(3)
 def test_a_fit_that_leaves_what_is_possible_ends_at_its_bound_and_says_so(simple, nominal, monkeypatch):
     _, observed = simple
     monkeypatch.setattr(

@@ -160,6 +160,7 @@ def test_more_runs_tell_no_less():
     assert "has no effect" in plans[2].held["misalignment_xz"]
 
 
+@pytest.mark.slow(3)
 def test_a_plan_foretells_the_fit(measured, nominal):
     """The standard errors that a plan states are those that the fit of such runs then has (no scatter in either).
 

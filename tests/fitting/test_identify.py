@@ -136,6 +136,7 @@ def test_parameters_that_are_not_lmfit_s_are_refused(found, tmp_path, change, sa
         read_lmfit_parameters(tmp_path / "fit.json")
 
 
+@pytest.mark.slow(3)
 def test_each_recording_s_own_zero_and_a_bench_without_index(measured, nominal, made):
     zeros = (3e-4, -2e-4, 1e-4, 5e-5)
     curves = measured(2, zeros=zeros, crank=0.02, common_zero=False, known_index=False)

@@ -35,6 +35,7 @@ def joint(made):
     return joint_of(made, [short()])
 
 
+@pytest.mark.slow(4)
 def test_the_table_is_the_solver(made, joint, record_property):
     """Between its nodes, over both flanks and down to where the play begins."""
     draw = np.random.default_rng(1)

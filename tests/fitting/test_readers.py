@@ -406,6 +406,7 @@ def test_what_is_wrong_with_the_angles_is_said(tmp_path, columns, said):
         fitting.curves(RecordingStream(write_table(tmp_path / "a.csv", TIME, *columns)).read(), -39.0)[0]
 
 
+@pytest.mark.slow(3)
 def test_blocks_join_to_the_same_recording(tmp_path):
     """Longer than a piece: angles stay continuous over the seams, whichever of them rolls over."""
     n = 2 * PIECE + 12345

@@ -281,6 +281,7 @@ def test_without_a_clock_of_its_own_only_the_first_samples_are_read(tmp_path):
     assert read_clocks(path, ["input_angle", "output_angle", "torque"]) == {}
 
 
+@pytest.mark.slow(3)
 @example(sizes=[(1, 20_002), (0, 20_001), (2, 20_001)], lacks=True)  # the gap is the last sample put on one clock
 @given(sizes=st.lists(st.tuples(st.integers(0, 2), st.integers(1, 9000)), max_size=20), lacks=st.booleans())
 def test_channels_taken_at_the_same_instants_come_through_as_they_are(sizes, lacks):

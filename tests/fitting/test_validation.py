@@ -57,7 +57,6 @@ def test_an_error_that_is_held_widens_those_that_do_nearly_the_same(small):
     assert stated["pin_radial_2_cos"].standard_error < 0.5e-6
 
 
-@pytest.mark.slow(8)
 def test_a_drive_on_bearings_is_not_explained_by_rigid_supports(floating):
     verdict = floating.verdict
     assert verdict.state == "not explained"

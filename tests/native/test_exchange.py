@@ -54,7 +54,7 @@ def test_states_and_indicators_are_described(built, kind, version):
 # --- the same motion ---
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("version", [pytest.param("2.0", marks=pytest.mark.slow(3)), "3.0"])
 def test_motor_and_arm_move_through_the_play_as_scipy_has_them(built, drive, version):
     last, load = 0.15, 20.0
     time = np.linspace(0.0, last, 3001)

@@ -154,6 +154,7 @@ def test_only_where_a_pin_begins_to_carry_is_interpolation_between_crank_angles_
     assert wrong[here] <= 0.4 * off[here] + 1e-12
 
 
+@pytest.mark.slow(3)
 def test_progress_adds_up_to_what_was_said_before_each_step():
     pair = read_pair(EXAMPLES / "drive-39-40.toml")
     steps: list[list[int]] = []

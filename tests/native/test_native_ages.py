@@ -20,6 +20,9 @@ from cycloid_fmu.native.ages import Ages, on_common_nodes
 from cycloid_fmu.surfaces.surface import Ageing, surface_after
 from cycloid_fmu.wear.law import WearLaw
 
+# Its tables, of several states, are the longest to make of all.
+pytestmark = pytest.mark.slow(20)
+
 HOUR = 3600.0
 ACCURACY, BETWEEN = 0.2 * ARCSEC, 0.5 * ARCSEC  # of the tables, and between them
 ANGLES = 0.003 + 0.021 * np.arange(6)  # rad
@@ -73,7 +76,6 @@ def at_places(slave, torque):
     return np.array(found)
 
 
-@pytest.mark.slow(20)
 def test_between_the_states_of_its_tables_it_is_the_worn_drive(twin, built, tmp_path):
     path, made = built
     assert made.largest_error < BETWEEN + ACCURACY
@@ -198,7 +200,6 @@ def test_more_loads_than_a_file_has_room_for_are_thinned(own, monkeypatch):
         assert np.abs(found.deviation - wanted.deviation).max() < 2.0 * after.positive.steps[0][0]
 
 
-@pytest.mark.slow(3)
 def test_a_bearing_wears_beside_the_flanks(twin, drive, build, tmp_path, monkeypatch):
     """Four tables: the FMU's deviation is bilinear in crank turns worn and in the clearance."""
     rate, growth = twin.surface.life.ageing.crank_turns_per_second, 1e-6 / (600.0 * HOUR)

@@ -400,9 +400,8 @@ def stuck_and_slipped(drive):
     return solve_ivp(change, (0.0, LAST), begin, dense_output=True, **options).sol
 
 
-@pytest.mark.parametrize(
-    ("kind", "step"), [pytest.param("exact", 1e-3, marks=pytest.mark.slow(4)), ("native", 1e-3), ("native", 1e-4)]
-)
+@pytest.mark.slow(4)
+@pytest.mark.parametrize(("kind", "step"), [("exact", 1e-3), ("native", 1e-3), ("native", 1e-4)])
 def test_a_motor_sticks_and_slips_as_scipy_has_it(opened, stuck_and_slipped, kind, step):
     """Motor and arm inside, all kinds of friction at both flanges, through reversals and the play."""
     found = opened(kind, Interface("compliant", ARM, crank_inertia=MOTOR, mesh_damping=0.0, input_friction=LAWS[0],
