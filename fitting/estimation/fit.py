@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.near_drives import NearDrives
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
@@ -34,7 +35,6 @@ from fitting.model.observations import (
     PROFILE_ORDERS,
     RADIUS_SPREAD,
     Linear,
-    LinearisationPoint,
     Observations,
     State,
     joined,
@@ -142,7 +142,7 @@ class Problem:
         pair: Pair,
         observed: Observations,
         chosen: Sequence[str],
-        around: LinearisationPoint | None = None,
+        around: Sequence[NearDrives] | None = None,
         prior: ErrorSurface | None = None,
     ) -> None:
         self.pair, self.chosen, self.around = pair, list(chosen), around
@@ -263,7 +263,7 @@ def fit(
     scatter: Mapping[str, float],
     *,
     gain: float,
-    around: LinearisationPoint | None = None,
+    around: Sequence[NearDrives] | None = None,
     linear: Linear | None = None,
     evaluations: int = EVALUATIONS,
     estimated: bool = True,

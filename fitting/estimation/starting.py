@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.near_drives import NearDrives
 from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
@@ -26,7 +27,6 @@ from fitting.model.observations import (
     PIN_RADIUS,
     Discrepancy,
     Linear,
-    LinearisationPoint,
     Observations,
     State,
     estimated_parts,
@@ -88,7 +88,7 @@ def starting_estimate(
     size = spread_of(pair, {}).size
     prior = surface_of_pair(pair)
 
-    def zeroed(part: Observations, state: State, around: LinearisationPoint | None) -> tuple[State, Linear]:
+    def zeroed(part: Observations, state: State, around: Sequence[NearDrives] | None) -> tuple[State, Linear]:
         """The state with the unknown zeros of these observations, and the model there."""
         state = dataclasses.replace(state, bench=np.zeros(part.bench.shape[1]))
         free = ~np.isfinite(part.bench_prior)
@@ -113,7 +113,7 @@ def starting_estimate(
     pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
 
     def ended(
-        part: Observations, state: State, scatter: Mapping[str, float], around: LinearisationPoint | None
+        part: Observations, state: State, scatter: Mapping[str, float], around: Sequence[NearDrives] | None
     ) -> Estimate | None:
         try:
             state, linear = zeroed(part, state, around)
@@ -139,7 +139,7 @@ def starting_estimate(
     found: list[Estimate] = []
     singular: list[np.linalg.LinAlgError] = []
 
-    def around(surface: ErrorSurface) -> LinearisationPoint | None:
+    def around(surface: ErrorSurface) -> Sequence[NearDrives] | None:
         try:
             return None if nominal is None else linearisation_point(pair, surface, few)
         except edge.InputError:

@@ -13,7 +13,6 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -484,12 +483,8 @@ def scatter_columns(pair: Pair, each: Array) -> Array:
     return np.concatenate(columns, axis=-1)
 
 
-LinearisationPoint: TypeAlias = tuple[NearDrives, ...]
-"""A drive solved at the points of each curve, about which nearby drives are taken to first order."""
-
-
-def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> LinearisationPoint:
-    """Solve a drive at every point of every curve, so that nearby drives can be linearised."""
+def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> tuple[NearDrives, ...]:
+    """Solve a drive at every point of every curve; return what takes drives near it to first order, one a curve."""
 
     def one(curve: Curve) -> NearDrives:
         return NearDrives(pair, surface, [(curve.torque, curve.input_angle)], 1, first_order=True)
@@ -499,7 +494,7 @@ def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observation
 
 
 def linearised_curve(
-    pair: Pair, observed: Observations, number: int, state: State, around: LinearisationPoint | None = None
+    pair: Pair, observed: Observations, number: int, state: State, around: Sequence[NearDrives] | None = None
 ) -> Linear:
     """Evaluate the model and its analytic derivatives by every structured error at every point of one curve.
 
@@ -579,7 +574,7 @@ def form_columns(pair: Pair, observed: Observations, state: State, linear: Linea
         return np.concatenate(list(pool.map(one, range(len(observed.curves)), np.split(linear.model, observed.ends))))
 
 
-def linearise(pair: Pair, observed: Observations, state: State, around: LinearisationPoint | None = None) -> Linear:
+def linearise(pair: Pair, observed: Observations, state: State, around: Sequence[NearDrives] | None = None) -> Linear:
     """Evaluate the model and its analytic derivatives at every point of every curve, as `linearised_curve` does."""
     # The kernel works without Python's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
