@@ -81,9 +81,8 @@ class NearDrives:
         edge.InputError
             If a drive that is to be solved exactly is impossible.
         """
-        if self.first_order:
-            return Made(Drives(*(np.repeat(one, len(errors), axis=0) for one in self._made)), errors - self._solved)
-        return Made(meshes_of(self.pair, errors, self.slices), errors - self._solved)
+        drives = self._made if self.first_order else meshes_of(self.pair, errors, self.slices)
+        return Made(drives, errors - self._solved)
 
     def loaded(self, sweep_number: int, drives: Made) -> tuple[Array, Array]:
         """Return transmission error (rad) and largest pressure (Pa), each of shape (drives, angles).
@@ -177,7 +176,7 @@ class NearDrives:
 class Made(NamedTuple):
     """Drives as they are made, and their displacements from the one that is solved, shape (drives, displacements), m.
 
-    To first order they are made as that one.
+    To first order that one stands for all of them: kernels look at the displacements alone.
     """
 
     drives: Drives

@@ -39,7 +39,7 @@ from cycloid_fmu.contact.sensitivity import (
     TILT_Y,
 )  # fmt: skip
 
-Flags = NDArray[np.int64]
+Indices = NDArray[np.int64]
 (
     _GAP, _ARM, _RATE, _RIGID_RATE, _BEND, _RADIAL, _TANGENTIAL, _X, _Y, _HEIGHT, _CRANK, _CRANK_ALONG, _FACING,
     _LEANING, _TURN, _TURN_ALONG, _SLIDE, _TOOTH, _BEYOND, _FOOT, _FOOT_RATE, _CURVATURE, COLUMNS,
@@ -113,7 +113,7 @@ def guide_rows(problem: Problem, thetas: Array, deviation: Array, rows: Array) -
             one[_CURVATURE] = contact.curvature
 
 
-_ONE = lanes_of("gap")
+_GAPS = lanes_of("gap")
 
 _DRIVE = np.dtype((np.record, [(name, np.float64) for name in (
     # Where contacts were placed, and ends of the bracket, rad; what the forces give:
@@ -133,13 +133,13 @@ class Memory(NamedTuple):
 
     errors: Array  # their displacements from the drive beside them, shape (displacements, lanes)
     beside: NDArray[np.void]  # `_BESIDE` of each contact
-    one: NDArray[np.void]  # gap of one contact, m, shape (1,)
+    gaps: NDArray[np.void]  # of one contact, m, shape (1,)
     x: Array  # deviation, shape (lanes,), rad
     touch: Array  # rotation from the drive beside them to the first touch, shape (lanes,), rad
     drives: NDArray[np.void]  # `_DRIVE` of each
     near: NDArray[np.void]  # `_NEAR` of each contact that may touch, as rows have it, shape (drives, contacts)
-    listed_drive: Flags  # drives and near contacts that go through lanes
-    listed: Flags
+    listed_drive: Indices  # drives and near contacts that go through lanes
+    listed: Indices
 
 
 def memory(contacts: int, errors: Array) -> Memory:
@@ -149,7 +149,7 @@ def memory(contacts: int, errors: Array) -> Memory:
     lanes[:, :drives] = errors.T
     listed_drive, listed = np.zeros((2, drives * contacts), np.int64)
     return Memory(
-        lanes, np.zeros(contacts, _BESIDE), np.zeros(1, _ONE), np.zeros(LANES), np.zeros(LANES),
+        lanes, np.zeros(contacts, _BESIDE), np.zeros(1, _GAPS), np.zeros(LANES), np.zeros(LANES),
         np.zeros(drives, _DRIVE), np.zeros((drives, contacts), _NEAR), listed_drive, listed,
     )  # fmt: skip
 
@@ -199,7 +199,7 @@ def _displace(rows: Array, pins: int, first_order: bool, work: Memory) -> None:
 @inlined
 def _gaps_to_first_order(one: Array, beside: np.record, at: float, sure: float, work: Memory) -> int:
     """Gaps of a contact where the drives are; returns how many of them are not above `sure`."""
-    gaps, near = work.one[0], 0
+    gaps, near = work.gaps[0], 0
     arm, rate = one[_ARM], one[_RATE]
     for j in range(vectors(work.drives.size)):
         x = work.x[j] - at
@@ -212,7 +212,7 @@ def _gaps_to_first_order(one: Array, beside: np.record, at: float, sure: float, 
 @inlined
 def _least_gaps(one: Array, beside: np.record, at: float, sure: float, work: Memory) -> int:
     """Gaps that a contact has at least where the drives are; returns how many of them are not above `sure`."""
-    gaps, near = work.one[0], 0
+    gaps, near = work.gaps[0], 0
     bend, known = one[_BEND], one[_GAP]
     arm, rate, slide = one[_ARM], one[_RIGID_RATE], one[_SLIDE]
     for j in range(vectors(work.drives.size)):
@@ -232,7 +232,7 @@ def _least_gaps(one: Array, beside: np.record, at: float, sure: float, work: Mem
 @part
 def _list(rows: Array, at: float, sure: float, first_order: bool, work: Memory) -> None:
     """List contacts with a gap up to `sure`, beside a drive that is solved at `at`, of drives sought or moved."""
-    gaps, drives, sought = work.one[0], work.drives, work.listed_drive
+    gaps, drives, sought = work.gaps[0], work.drives, work.listed_drive
     size = 0
     for j in range(drives.size):
         if drives[j].state <= _MOVED:
@@ -292,8 +292,13 @@ def _take(problem: Problem, rows: Array, at: float, work: Memory) -> None:
 
 
 @part
-def _place(problem: Problem, drives: Drives, rows: Array, at: float, theta: float, work: Memory) -> None:
-    """Place the contacts that may touch, of the drives that were sought or moved."""
+def _place(
+    problem: Problem, drives: Drives, rows: Array, at: float, theta: float, first_order: bool, work: Memory
+) -> None:
+    """Place the contacts that may touch, or take them to first order, of the drives that were sought or moved."""
+    if first_order:
+        _take(problem, rows, at, work)
+        return
     pins, slices, teeth = problem.teeth + 1, problem.slice_z.size, problem.teeth
     e = problem.generating_eccentricity
     listed_drive, listed = work.listed_drive, work.listed
@@ -473,10 +478,7 @@ def _settle(
 ) -> None:  # fmt: skip
     """Balance the torque."""
     for _ in range(_PLACED):
-        if first_order:
-            _take(problem, rows, at, work)
-        else:
-            _place(problem, drives, rows, at, theta, work)
+        _place(problem, drives, rows, at, theta, first_order, work)
         for j in range(work.drives.size):
             if work.drives[j].state == _MOVED:
                 work.drives[j].state = _SOUGHT
@@ -551,10 +553,7 @@ def _reach(
     for j in range(work.drives.size):
         work.x[j], work.drives[j].state = at + direction * work.touch[j], _SOUGHT
     for _ in range(_PLACED):
-        if first_order:
-            _take(problem, rows, at, work)
-        else:
-            _place(problem, drives, rows, at, theta, work)
+        _place(problem, drives, rows, at, theta, first_order, work)
         moved = 0
         for j in range(work.drives.size):
             one = work.drives[j]

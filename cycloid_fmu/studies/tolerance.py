@@ -267,8 +267,7 @@ def exact_figures(study: Study, surfaces: Sequence[ErrorSurface]) -> Array:
     if beside.any():
         exact = near_drives(study)
         errors = [displacement_vector(study.pair, surfaces[number]) for number in np.flatnonzero(beside).tolist()]
-        near = figures_near(study, exact, exact.made(np.array(errors)))
-        found[beside] = near
+        found[beside] = figures_near(study, exact, exact.made(np.array(errors)))
     return found
 
 

@@ -381,7 +381,7 @@ def _exchange(
         high = min(cumulative - moved_high + kept_low, single - gains, loses + single)
         shift = low + chances[move, 0] * (high - low)
         energy = ((gains + shift) ** 2 - gains**2 + (loses - shift) ** 2 - loses**2) / width
-        # Not a branch, which the processor would guess wrong half of the time. With the above 1.7 times as fast.
+        # Not a branch, which the processor would predict wrong half of the time. With the above 1.7 times as fast.
         shift = shift if (high > low) & (chances[move, 1] < np.exp(-energy)) else 0.0
         if alone:
             positions[j] += shift

@@ -59,7 +59,7 @@ def stated_errors(draw, pair):
 
 
 @given(st.sampled_from(SUPPORTS), st.floats(-9e-5, 0.0), st.integers(1, 2), st.data())
-@settings(max_examples=8)
+@settings(max_examples=20)
 def test_the_same_values_are_the_same_drive_however_it_was_made(tmp_path_factory, supports, offset, discs, data):
     folder = tmp_path_factory.mktemp("drive")
     pair = cy.Pair(**SIZES, discs=discs, modification={"offset": offset}, supports=supports)

@@ -20,7 +20,7 @@ from cycloid_fmu.native.ages import Ages, on_common_nodes
 from cycloid_fmu.surfaces.surface import Ageing, surface_after
 from cycloid_fmu.wear.law import WearLaw
 
-# Its tables, of several states, are the longest to make of all.
+# Tables of several states take longest to build.
 pytestmark = pytest.mark.slow(20)
 
 HOUR = 3600.0
