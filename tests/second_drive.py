@@ -229,6 +229,11 @@ def transmission_error(made, theta, torque, shift=0.0):
         Displacement of discs from their crank's throw, complex in the crank's frame: real along the throw,
         imaginary ahead of it, m.
     """
+    return _balanced(made, theta, torque, shift)[:, 0] + made.windup * np.asarray(torque)
+
+
+def _balanced(made, theta, torque, shift=0.0):
+    """States of `_pushed` in balance, shape (points, 1 + 2 discs with bearings); NaN where there is none."""
     theta = np.asarray(theta, float)
     torque, shift = np.broadcast_to(torque, theta.shape), np.broadcast_to(shift, theta.shape)
     size = 1 if made.bearing is None else 1 + 2 * len(made.turned)
@@ -263,17 +268,16 @@ def transmission_error(made, theta, torque, shift=0.0):
         state[then] += step[then]
         now = np.sort(np.concatenate([then, back]))
         if not now.size:
-            return state[:, 0] + made.windup * torque
+            return state
     state[now] = np.nan
-    return state[:, 0] + made.windup * torque
+    return state
 
 
 def contacts(made, theta, torque):
-    """Contacts of a body on rigid bearings as arrays of one length: the results of `_pushed` for each (see there)."""
+    """Contacts of a body as arrays of one length: the results of `_pushed` for each (see there)."""
     theta = np.asarray(theta, float)
-    deviation = transmission_error(made, theta, torque) - made.windup * np.asarray(torque)
     told = []
-    _pushed(made, theta, deviation[:, None], np.zeros(theta.shape), told)
+    _pushed(made, theta, _balanced(made, theta, torque), np.zeros(theta.shape), told)
     return tuple(np.concatenate(parts) for parts in zip(*told, strict=True))
 
 

@@ -136,19 +136,21 @@ def analyze(
     if finished < angles:
         raise typer.Exit(edge.INTERRUPTED)
     if judged is not None:
-        leave(judged.verdicts)
+        leave(judged.verdicts, judged.not_judged)
 
 
 def _print(found: Transmission, title: str) -> None:
+    import numpy as np
+
     from cycloid_fmu.contact.transmission import statistics
 
     figures = statistics({**vars(found), "backlash": found.backlash[None]})
-    deepest = found.interference.max() * 1e6
-    rows = []
+    rows, deepest = [], found.interference.max() * 1e6
+    has_play = np.isfinite(found.backlash).all()  # in clearances of bearings there is, whatever interferes
     for k, load in enumerate(found.torque):
         mean, range_ = (figures[n][k] * edge.ARCSEC for n in ("MTE", "PPTE"))
         play, play_range = (figures[n][0] * edge.ARCSEC for n in ("MB", "PPB"))
-        backlash = [f"{play:.4f}″", f"{play_range:.4f}″"] if deepest == 0.0 else ["interference", f"{deepest:.3f} µm"]
+        backlash = [f"{play:.4f}″", f"{play_range:.4f}″"] if has_play else ["interference", f"{deepest:.3f} µm"]
         count = found.contact_count[k]
         rows.append(
             [f"{load:g} N·m", f"{mean:.4f}″", f"{range_:.4f}″", *backlash, f"{figures['MCS'][k] * 1e-6:.1f} MPa",

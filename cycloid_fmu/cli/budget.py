@@ -44,10 +44,11 @@ def budget(
     with commands.progress("reducers", samples) as progress:
         stack = scattered(reducer, samples, seed, progress)
     scatter = None if stack is None else stack_summary(stack)
-    verdicts = []
+    verdicts, missing = [], []
     if asked is not None:
         upper = None if scatter is None else scatter["monte_carlo"]["geometric"]["central"][1]
         verdicts = judge_budget(asked, found["geometric_sun_locked"]["total"], upper)
+        missing = not_judged(asked, verdicts)
     if plot is not None:
         from cycloid_fmu.draw import plots
 
@@ -58,11 +59,11 @@ def budget(
             show_verdicts(figure, verdicts)
         plots.save(figure, plot)
     if as_json:
-        judged = {} if asked is None else {"verdicts": [one.numbers() for one in verdicts]}
+        judged = {"verdicts": [one.numbers() for one in verdicts], "not_judged": missing} if asked else {}
         commands.print_json(
             {**found, "ratio": reducer.ratio, "stack": scatter, "remarks": remarks, "warnings": warnings, **judged}
         )
-        leave(verdicts)
+        leave(verdicts, missing)
         return
     values, closed = values_of(reducer), found["standard"]
     terms = sorted((n for n in rv.TERMS if any(v[n] for v in found.values())), key=lambda n: -abs(closed[n]))
@@ -88,8 +89,8 @@ def budget(
     for warning in warnings:
         typer.echo(warning, err=True)
     if asked is not None and limits_file is not None:
-        print_verdicts(f"Limits of {limits_file.name}", verdicts, not_judged(asked, verdicts))
-    leave(verdicts)
+        print_verdicts(f"Limits of {limits_file.name}", verdicts, missing)
+    leave(verdicts, missing)
 
 
 def _print_stack(stack: Stack, samples: int) -> None:

@@ -11,6 +11,7 @@ import typer
 from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import SurfaceFile, with_measured
 from cycloid_fmu.edge import commands
+from cycloid_fmu.geometry import ANGLES
 
 if TYPE_CHECKING:
     from cycloid_fmu.fmu.friction_file import FrictionTables
@@ -106,12 +107,16 @@ def build(
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
+    import numpy as np
+
+    from cycloid_fmu.contact.transmission import interference_notes, slices_needed
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.fmu.bench_losses import is_of_bench
     from cycloid_fmu.fmu.build import build_fmu, ratio_of, read_losses
     from cycloid_fmu.fmu.chain import read_loop
     from cycloid_fmu.fmu.friction_file import FrictionTables, read_friction
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
+    from cycloid_fmu.reducer.transmission import solve
 
     if platforms and not native:
         raise edge.InputError("--platform is only for --native; an FMU in Python runs wherever Python does.")
@@ -136,6 +141,10 @@ def build(
         input_friction=friction.input, output_friction=friction.output,
     )  # fmt: skip
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version, "draws": draws, "seed": seed}
+    turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
+    free = solve(drive.pair, drive.surface, drive.first_stage, [], turn, slices_needed(drive.surface))
+    for note in interference_notes(free):
+        typer.echo(f"Note: {note}", err=True)
     if not native:
         build_fmu(drive, output, **options)
         return

@@ -58,7 +58,7 @@ def print_verdicts(title: str, verdicts: Sequence[Verdict], not_judged: Sequence
         commands.print_table(title, HEAD, [row_of(one) for one in verdicts])
     if not_judged:
         names = ", ".join(name.replace("_", " ") for name in not_judged)
-        typer.echo(f"Limits that this command does not judge: {names}.")
+        typer.echo(f"Not judged by this command, and so not met: {names}.")
 
 
 def print_judged(judged: Judged, title: str) -> None:
@@ -72,7 +72,9 @@ def print_judged(judged: Judged, title: str) -> None:
     print_verdicts(title, judged.verdicts, judged.not_judged)
 
 
-def leave(verdicts: Sequence[Verdict]) -> None:
-    """End the command with its exit code if a limit is not met."""
-    if not all(one.met for one in verdicts):
+def leave(verdicts: Sequence[Verdict], not_judged: Sequence[str]) -> None:
+    """End the command with its exit code if a limit is not met or not judged."""
+    from cycloid_fmu.studies.limits import all_met
+
+    if not all_met(verdicts, not_judged):
         raise typer.Exit(edge.NOT_MET)

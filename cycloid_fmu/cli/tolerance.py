@@ -91,14 +91,17 @@ def tolerance(
                 progress=progress,
                 **machines,  # type: ignore[arg-type]
             )
-    verdicts = [] if asked is None else yields.judged(found.result)
+    verdicts, missing = [], []
+    if asked is not None:
+        verdicts = yields.judged(found.result)
+        missing = not_judged(asked, verdicts)
     if plot is not None:
         _plot(found, allocation, verdicts, plot)
     if as_json:
         given = None if allocation is None else dataclasses.asdict(allocation)
-        judged = {} if asked is None else {"verdicts": [one.numbers() for one in verdicts]}
+        judged = {"verdicts": [one.numbers() for one in verdicts], "not_judged": missing} if asked else {}
         commands.print_json({**found.numbers(), "allocation": given, **judged})
-        leave(verdicts)
+        leave(verdicts, missing)
         return
     drives = int(found.result.independent.sum())
     _print_figures(found, f"{pair_file.name}: {drives} drives within {tolerances_file.name}")
@@ -106,8 +109,8 @@ def tolerance(
         _print_allocation(found, allocation)
     if asked is not None and limits_file is not None:
         title = f"Limits of {limits_file.name}, worst drive: met if every drive meets them"
-        print_verdicts(title, verdicts, not_judged(asked, verdicts))
-    leave(verdicts)
+        print_verdicts(title, verdicts, missing)
+    leave(verdicts, missing)
 
 
 def _plot(found: Findings, allocation: Allocation | None, verdicts: list[Verdict], plot: Path) -> None:

@@ -87,7 +87,7 @@ def wear(
         if judged is not None and limits_file is not None:
             print_judged(judged, f"Limits of {limits_file.name}, the drive as worn")
     if judged is not None:
-        leave(judged.verdicts)
+        leave(judged.verdicts, judged.not_judged)
 
 
 def _print(figures: dict[str, Any], name: str) -> None:

@@ -169,7 +169,7 @@ class Model(NamedTuple):
             self.pair, self.surface, self.first_stage, [0.0], crank, slices_needed(self.surface), with_stiffness=False,
             workers=self.workers,
         )  # fmt: skip
-        rest, free = found.transmission_error[0], found.interference == 0.0
+        rest, free = found.transmission_error[0], np.isfinite(found.play_low)
         return np.where(free, found.play_low, rest), np.where(free, found.play_high, rest)
 
 

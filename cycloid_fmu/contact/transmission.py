@@ -63,6 +63,9 @@ class Transmission:
         pressure that each element has seen, Pa.
     crank_torque
         Torque of the environment on the crank, shape (torques, angles), N·m; None where it was not asked for.
+    preload, preload_count
+        Largest pin force without a torque (N), and number of pins that carry more than 1 % of it, shape (angles,); None
+        on rigid bearings, or where the play was not asked for.
     """
 
     torque: Array
@@ -81,6 +84,8 @@ class Transmission:
     gear_element_pressure: Array
     pin_element_pressure: Array
     crank_torque: Array | None = field(default=None, kw_only=True)
+    preload: Array | None = field(default=None, kw_only=True)
+    preload_count: NDArray[np.int64] | None = field(default=None, kw_only=True)
 
     @property
     def backlash(self) -> Array:
@@ -586,14 +591,24 @@ def notes(pair: Pair, found: Transmission) -> list[str]:
     if pair.rated_torque is not None and np.abs(found.torque).max(initial=0.0) > pair.rated_torque:
         torque = found.torque[np.abs(found.torque).argmax()]
         said.append(f"The torque {torque:g} N*m is above the rated torque, {pair.rated_torque:g} N*m.")
-    if found.interference.max(initial=0.0) > 0.0:
-        said.append(
-            f"Without load the pair interferes by up to {found.interference.max() * 1e6:.3g} um: it has no play there. "
-            "A modification that removes material is an isometric above zero or an offset below zero."
-        )
+    said += interference_notes(found)
     if missing := missing_for_clearances(pair):
         said.append(f"Clearances stay as drawn at these temperatures; not stated are: {', '.join(missing)}.")
     return said
+
+
+def interference_notes(found: Transmission) -> list[str]:
+    """Return one sentence if flanks and pins interfere without a torque, none otherwise."""
+    if not found.interference.max(initial=0.0) > 0.0:
+        return []
+    pressed = ""
+    if found.preload is not None and found.preload_count is not None:
+        most = int(found.preload.argmax())
+        pressed = f", and {found.preload_count[most]} pins are pressed by up to {found.preload[most]:.3g} N"
+    return [
+        f"Without load flanks and pins interfere by up to {found.interference.max() * 1e6:.3g} um{pressed}: there is "
+        "no play between them. To remove material, take an isometric above zero or an offset below zero."
+    ]
 
 
 _LABELS = {
@@ -651,7 +666,7 @@ def labelled(pair: Pair, surface: ErrorSurface, result: Transmission, slices: in
     if pair.temperature is not None:
         data.attrs["temperature"] = str(pair.temperature)
     if pair.supports is None:
-        data["torsional_stiffness"].attrs["long_name"] += ", mesh only, rigid bodies"
+        data["torsional_stiffness"].attrs["long_name"] += ", mesh alone, rigid bodies"
     return data
 
 

@@ -21,8 +21,16 @@ from cycloid_fmu.edge.quantities import EXAMPLES
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import FORMAT, Modification, Pair, pair_of_tables
 from cycloid_fmu.motion import Motion, motion_of
-from cycloid_fmu.reducer.transmission import solve
-from cycloid_fmu.studies.limits import Requirements, Verdict, flank_curvature_radius, read_requirements, row_of
+from cycloid_fmu.reducer.transmission import series_compliance, solve
+from cycloid_fmu.studies.limits import (
+    Requirements,
+    Verdict,
+    flank_curvature_radius,
+    read_requirements,
+    row_of,
+    what_is_elastic,
+    whole_stiffness,
+)
 from cycloid_fmu.studies.verdicts import Judged, check, judge_sweep, loads_of
 from cycloid_fmu.surfaces.structured import dimensions
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -55,7 +63,7 @@ class Field(NamedTuple):
 
 _EMPTY = {
     "gear_teeth": "a whole number", "discs": "1", "rated_torque": "not stated",
-    "pressure_limit": f"{LARGEST_PRESSURE * 1e-9:g} GPa", "isometric": "0 mm", "offset": "0 mm",
+    "pressure_limit": f"{LARGEST_PRESSURE * 1e-9:g} GPa of bearing steel", "isometric": "0 mm", "offset": "0 mm",
 }  # fmt: skip
 
 
@@ -302,22 +310,24 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
             raise edge.ArgumentError("torque", 'is missing; write one, such as "181 N*m", or state a rated torque')
         torque = [pair.rated_torque]
     loads = tuple(loads_of(asked, torque))
-    found, judged = _swept(pair, asked, loads)
+    # That of the file: what is stated of its bodies holds for variants too.
+    series = series_compliance(pair_of_tables(desk.tables, desk.source), None)
+    found, judged = _swept(pair, asked, loads, series)
     motion = motion_of(pair, surface_of_pair(pair), loads[:1], angle, with_curve=False)
     return View(
         {}, pair, loads[0], found.crank_angle, found.transmission_error[0], found.backlash,
         found.pin_pressure[0].max(axis=(1, 2)),
-        _figures(pair, found), judged.verdicts, judged.not_judged, tuple(notes(pair, found)), drive_svg(motion),
+        _figures(pair, found, series), judged.verdicts, judged.not_judged, tuple(notes(pair, found)), drive_svg(motion),
         tooth_svg(motion), _caption(motion), close_up(motion),
     )  # fmt: skip
 
 
 @functools.lru_cache(maxsize=4)  # so that moving the crank needs no new solution
-def _swept(pair: Pair, asked: Requirements, loads: tuple[float, ...]) -> tuple[Transmission, Judged]:
+def _swept(pair: Pair, asked: Requirements, loads: tuple[float, ...], series: float) -> tuple[Transmission, Judged]:
     surface, workers = surface_of_pair(pair), os.cpu_count() or 1
     turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     found = solve(pair, surface, None, loads, turn, slices_needed(surface), workers=workers)
-    return found, judge_sweep(pair, surface, None, asked, found, workers)
+    return found, judge_sweep(pair, surface, None, asked, found, workers, series)
 
 
 def _caption(motion: Motion) -> str:
@@ -326,7 +336,7 @@ def _caption(motion: Motion) -> str:
     return caption_of(motion) + colours
 
 
-def _figures(pair: Pair, found: Transmission) -> dict[str, str]:
+def _figures(pair: Pair, found: Transmission, series: float) -> dict[str, str]:
     """The figures of a sweep at its first torque."""
     of = {name: values[0] for name, values in statistics({**vars(found), "backlash": found.backlash[None]}).items()}
     deepest, count = found.interference.max(), found.contact_count[0]
@@ -334,7 +344,9 @@ def _figures(pair: Pair, found: Transmission) -> dict[str, str]:
         "backlash, mean": f"{of['MB'] * edge.ARCSEC:.3f}″", "backlash, peak to peak": f"{of['PPB'] * edge.ARCSEC:.3f}″"
     }  # fmt: skip
     if deepest > 0.0:
-        play = {"interference": f"{deepest * 1e6:.3f} µm"}
+        # On bearings the output has play in clearances, whatever interferes.
+        play = {} if np.isnan(of["MB"]) else play
+        play["interference"] = f"{deepest * 1e6:.3f} µm"
     figures = {
         "ratio": f"{pair.ratio:g}",
         "pins": f"{pair.pins}",
@@ -347,5 +359,6 @@ def _figures(pair: Pair, found: Transmission) -> dict[str, str]:
         "pins in contact": f"{count.min()} to {count.max()}",
     }
     if found.torque[0] != 0.0:
-        figures["torsional stiffness, mean"] = f"{found.torsional_stiffness[0].mean() / edge.ARCMIN:.1f} N·m/arcmin"
+        stiffness = whole_stiffness(found.torsional_stiffness[0], series).mean() / edge.ARCMIN
+        figures["torsional stiffness, mean"] = f"{stiffness:.1f} N·m/arcmin, {what_is_elastic(pair, series)}"
     return figures

@@ -191,7 +191,7 @@ def plot_analysis(data: xr.Dataset) -> Figure:
     if alike:
         figure.delaxes(axes[0])
         axes[1].set_subplotspec(axes[1].get_subplotspec().get_gridspec()[0, :])
-    alone = "" if "turning_arm_force" in data else " of the mesh only"
+    alone = " of contacts and bearings alone" if "turning_arm_force" in data else " of the mesh alone"
     panels: tuple[tuple[str, str, str, float], ...] = (
         ("backlash", "backlash", "[arcsec]", ARCSEC),
         ("max_contact_pressure", "largest contact pressure", "[MPa]", 1e-6),

@@ -14,7 +14,7 @@ from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
-from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.supports.figures import LOADS
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
@@ -44,7 +44,8 @@ def with_chain(
 ) -> Interface:
     """Return an interface with the drive's own stiffness and the compliance in series with it.
 
-    A compliant first stage is included at the output: s²/(z_c² κ) with its stiffness κ at the cranks. The crank keeps
+    Where neither is stated, the compliance is that up to the pair's `catalogue_stiffness`. A compliant first stage is
+    included at the output: s²/(z_c² κ) with its stiffness κ at the cranks. The crank keeps
     the position that a rigid stage would give it, some hundredths of a mesh pitch from the actual one.
 
     Raises
@@ -55,6 +56,8 @@ def with_chain(
     series = interface.series_compliance
     if not 0.0 <= series < math.inf:
         raise ArgumentError("series_compliance", "it must be finite and not below zero (rad/(N*m))", series)
+    if series == 0.0 and interface.stiffness is None:
+        series = series_compliance(pair, first_stage)
     if first_stage is not None and math.isfinite(first_stage.crank_stiffness):
         share = sun_locked_share(first_stage.crank_share, pair.gear_teeth) / pair.gear_teeth
         series += share**2 / first_stage.crank_stiffness

@@ -92,7 +92,7 @@ class Interface:
         Shaft at `flange_a`: "crank", or "sun" of an RV reducer.
     stiffness
         Stiffness of the whole drive from a catalogue or a measured loop, N·m/rad; `series_compliance` is computed from
-        it.
+        it. None for the pair's `catalogue_stiffness`, if it has one.
     support_flange
         Whether the housing can turn and has a flange; the other flanges' angles and speeds are then absolute.
     series_compliance
@@ -190,7 +190,7 @@ class Variable:
 
 def stiffness_text(pair: Pair, interface: Interface) -> str:
     """Return the text on an FMU's stiffness for its description."""
-    text = "mesh only, rigid bodies" if pair.supports is None else "mesh and bearings"
+    text = "mesh alone, rigid bodies" if pair.supports is None else "contacts and bearings alone"
     if interface.own_stiffness is not None:
         own, series, arcmin = interface.own_stiffness, interface.series_compliance, UNITS["N.m/rad"][1]["N.m/arcmin"]
         text += f": {own * arcmin:.4g} N.m/arcmin"

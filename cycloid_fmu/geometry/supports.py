@@ -155,8 +155,9 @@ class Supports(Config):
     pin_seat
         The seats of the pins in the ring.
     catalogue_stiffness
-        Torsional stiffness at the output from a catalogue or a bench, N·m/rad: shown next to that of the model, which
-        neglects the bending of shafts, bodies and housing. Not part of the model.
+        Torsional stiffness at the output from a catalogue or a bench, N·m/rad. The compliance that the model lacks for
+        it, because shafts, bodies and housing are rigid, is in series in verdicts, FMUs and compensators. Not part of
+        an analysis.
 
     Examples
     --------

@@ -61,7 +61,7 @@ def at_rest(pair: Pair, surface: ErrorSurface, angles: Array, workers: int = 1) 
     """Solve the play, and the drive at rest where there is none: once for both directions."""
     slices = slices_needed(surface)
     free = solve(pair, surface, [], angles, slices, workers=workers)
-    rest = Rest(free.play_low, free.play_high, free.interference > 0.0, *np.zeros((5, angles.size)))
+    rest = Rest(free.play_low, free.play_high, np.isnan(free.play_low), *np.zeros((5, angles.size)))
     here = np.flatnonzero(rest.pressed)
     if here.size:
         one = solve(pair, surface, [0.0], angles[here], slices, with_play=False, workers=workers)

@@ -9,6 +9,7 @@ by d = φ_b - φ_a/i = s (x(θ, M) - w/z_c) from the ideal reducer (docs/theory/
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from cycloid_fmu.contact.transmission import Interrupted, Transmission, drive_of
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.supports import transmission as of_stage
-from cycloid_fmu.supports.figures import Share
+from cycloid_fmu.supports.figures import Share, remaining
 from cycloid_fmu.supports.figures import compliance as of_bearings
 from cycloid_fmu.surfaces.provenance import drive_hash
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -128,11 +129,10 @@ class _Stage:
         by_error = self.s / (1.0 - self.s * self.a * (by_angle + torque_rate * back / held))
         return by_error * (compliance + coupling * back / held), by_error, by_angle
 
-    def play(self, crank: Array) -> tuple[Array, Array, Array]:
-        """Return the ends of the play with the sun locked (rad; NaN without a free position) and interference (m)."""
+    def play(self, crank: Array) -> dict[str, Any]:
+        """Return the fields of `Transmission` that tell of the drive without a torque, with the sun locked."""
         if self.pair.supports is not None:
-            low, high = self._play_on_bearings(crank)
-            return low, high, np.zeros(crank.size)
+            return self._play_on_bearings(crank)
         ends, interference = [], np.zeros(crank.size)
         for side in (-1.0, 1.0):
             w = self.turned(side, 0.0)
@@ -145,22 +145,25 @@ class _Stage:
                     break
             ends.append(d)
             interference = np.maximum(interference, found.interference)
-        return ends[0], ends[1], interference
+        play = {"play_low": ends[0], "play_high": ends[1], "interference": interference}
+        return play | {"preload": None, "preload_count": None}
 
-    def _play_on_bearings(self, crank: Array) -> tuple[Array, Array]:
+    def _play_on_bearings(self, crank: Array) -> dict[str, Any]:
         ends = []
         for torque in of_stage.play_loads(self.pair):
             settled = self.settle(torque, crank)
             ends.append(settled.deviation - torque * self.moved(settled)[0])
         middle = 0.5 * (ends[0] + ends[1])
-        return np.minimum(ends[0], middle), np.maximum(ends[1], middle)
+        rest = self.solve(np.zeros(crank.size), crank + self.a * middle, with_play=True)
+        play = {"play_low": np.minimum(ends[0], middle), "play_high": np.maximum(ends[1], middle)}
+        return play | {name: getattr(rest, name) for name in ("interference", "preload", "preload_count")}
 
 
-def _whole(rows: Sequence[Transmission], torque: Array, crank: Array, **play: Array) -> Transmission:
+def _whole(rows: Sequence[Transmission], torque: Array, crank: Array, **play: Any) -> Transmission:
     """Join sweeps of one torque each."""
     joined = dict[str, Any]()
     for field in dataclasses.fields(rows[0]):
-        if field.name not in ("torque", "crank_angle", "play_low", "play_high", "interference"):
+        if field.name not in ("torque", "crank_angle", *play) and getattr(rows[0], field.name) is not None:
             joined[field.name] = np.concatenate([getattr(row, field.name) for row in rows])
     joined.update(play)
     return dataclasses.replace(rows[0], torque=torque, crank_angle=crank, **joined)
@@ -208,12 +211,14 @@ def solve(
     stage = _Stage(pair, surface, first_stage, slices, workers)
     rows = []
     try:
-        low = high = np.full(angles.size, np.nan)
-        interference = np.zeros(angles.size)
+        missing = np.full(angles.size, np.nan)
+        play: dict[str, Any] = {"play_low": missing, "play_high": missing, "interference": missing}
+        play |= {"preload": None, "preload_count": None}
         if with_play or 0.0 in torques:
-            low, high, interference = stage.play(angles)
+            play = stage.play(angles)
+        middle = 0.5 * (play["play_low"] + play["play_high"])
         for load in torques:
-            rows.append(_row(stage, float(load), angles, 0.5 * (low + high), with_stiffness, with_elements))
+            rows.append(_row(stage, float(load), angles, middle, with_stiffness, with_elements))
             progress(angles.size)
     except Interrupted:
         # Its partial results are those of the stage's sweep, not of this one.
@@ -221,7 +226,7 @@ def solve(
     if not rows:
         found = stage.solve(np.zeros(angles.size), angles)
         rows = [_of_no_torque(found)]
-    return _whole(rows, torques, angles, play_low=low, play_high=high, interference=interference)
+    return _whole(rows, torques, angles, **play)
 
 
 def _of_no_torque(found: Transmission) -> Transmission:
@@ -339,3 +344,20 @@ def analyze(
     except Interrupted as interrupted:
         found, complete = interrupted.result, False
     return labelled(pair, surface, first_stage, found, slices, complete=complete)
+
+
+@functools.lru_cache(maxsize=16)
+def series_compliance(pair: Pair, first_stage: FirstStage | None) -> float:
+    """Return the compliance of the parts that the model takes as rigid, from a stated catalogue stiffness, rad/(N·m).
+
+    It is the catalogue's compliance less that of the drive as drawn (`compliance`): the same for a drive with errors.
+    It is 0 without a catalogue stiffness, and where the drive as drawn is softer than that.
+
+    Raises
+    ------
+    edge.InputError
+        As `compliance`.
+    """
+    if pair.supports is None or pair.supports.catalogue_stiffness is None:
+        return 0.0
+    return max(remaining(pair.supports, compliance(pair, first_stage)), 0.0)

@@ -30,7 +30,7 @@ from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
 from cycloid_fmu.reducer.drive_file import parts_of_file
-from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies.limits import (
     LOWER,
     SHOWN,
@@ -39,7 +39,10 @@ from cycloid_fmu.studies.limits import (
     Requirements,
     Verdict,
     flank_curvature_radius,
+    pressure_limit_of,
+    series_lost_motion,
     static_safety,
+    whole_stiffness,
 )
 from cycloid_fmu.studies.tolerance import Study, check_study, shares_kept, surface_of
 from cycloid_fmu.studies.tolerance import points as points_of
@@ -231,7 +234,7 @@ def candidate(pair: Pair, values: Mapping[str, float]) -> Candidate:
 
 
 def values_over_sweep(
-    task: Requirements, one: Candidate, names: Sequence[str], angles: Array
+    task: Requirements, one: Candidate, names: Sequence[str], angles: Array, series: float
 ) -> dict[str, list[Array]]:
     """Return the values of each named figure, of which the worst counts, SI.
 
@@ -243,6 +246,8 @@ def values_over_sweep(
         Of `GOALS`.
     angles
         Crank angles, rad.
+    series
+        Compliance in series with contacts and bearings, rad/(N·m), that of the drive from which the search starts.
 
     Returns
     -------
@@ -257,17 +262,18 @@ def values_over_sweep(
     every: dict[str, list[Array]] = {"angular_transmission_error": list(found.transmission_error)}
     every["backlash"] = [np.nan_to_num(found.backlash)]
     # Below zero where there is play, so that a search sees how far it is from interference.
-    every["interference"] = [found.interference - 0.5 * pair.eccentricity * pair.gear_teeth * every["backlash"][0]]
+    room = 0.5 * pair.eccentricity * pair.gear_teeth * every["backlash"][0]
+    every["interference"] = [np.where(found.interference > 0.0, found.interference, -room)]
     pressure = found.pin_pressure[loaded].max(axis=(-1, -2)).ravel()
     every["max_contact_pressure"] = [pressure]
     every["static_safety"] = [np.array([static_safety(pair, p) for p in pressure])] if "static_safety" in limits else []
-    every["torsional_stiffness"] = [found.torsional_stiffness[loaded].ravel()]
+    every["torsional_stiffness"] = [whole_stiffness(found.torsional_stiffness[loaded].ravel(), series)]
     every["smallest_curvature_radius"] = [np.array([flank_curvature_radius(pair)])]
     if "lost_motion" in limits:
         up, down = solve(
             pair, one.surface, None, pair.lost_motion_loads, angles, with_play=False, with_stiffness=False
         ).transmission_error  # fmt: skip
-        every["lost_motion"] = [up - down]
+        every["lost_motion"] = [up - down + series_lost_motion(pair, series)]
     turning = [(load, int(np.flatnonzero(loads == load.torque)[0])) for load in task.duty if load.output_speed > 0.0]
     speeds = [load.output_speed * abs(pair.ratio) for load, _ in turning]
     if limits & {"sliding_speed", "friction_power_density"}:
@@ -411,6 +417,7 @@ class Search:
         self.width = high - self.low
         self.limits = {n: v for n, v in task.limits.stated().items() if n in GOALS}
         self.angles = np.linspace(0.0, 2.0 * np.pi / pair.pins, _PITCH_ANGLES, endpoint=False)
+        self.series = series_compliance(pair, None)
         self.evaluations = 0
         self.refused = ""  # reason of the first invalid drive
         self._kept: dict[tuple[bytes, float], dict[str, float] | None] = {}
@@ -436,7 +443,7 @@ class Search:
             names = list(dict.fromkeys([*(g for g in self.task.goals if g not in SIZES), *self.limits]))
             try:
                 one = candidate(self.pair, values)
-                swept = values_over_sweep(self.task, one, names, self.angles)
+                swept = values_over_sweep(self.task, one, names, self.angles, self.series)
                 found = {n: worst_of(n, swept[n], sharpness) for n in names}
                 found |= {n: getattr(one.pair, n) for n in self.task.goals if n in SIZES}
                 self._kept[key] = found if all(map(math.isfinite, found.values())) else None
@@ -602,7 +609,7 @@ def _starts(search: Search, count: int, seed: int) -> list[Array]:
 
 
 def sampled_figures(
-    task: DesignTask, pair: Pair, form: ErrorSurface, tolerances: Tolerances, seed: int, workers: int
+    task: DesignTask, pair: Pair, form: ErrorSurface, tolerances: Tolerances, seed: int, workers: int, series: float
 ) -> dict[str, Array]:
     """Return the limits' figures of drives within tolerances: {limit: shape (samples,)}, SI.
 
@@ -610,6 +617,8 @@ def sampled_figures(
     ----------
     pair, form
         The drive as drawn, and the form of its flanks.
+    series
+        As in `values_over_sweep`.
     """
     assert task.robust is not None
     torque = tuple(load for load in loads_of(task, None) if load != 0.0)
@@ -628,7 +637,7 @@ def sampled_figures(
                 along = np.interp(places[0], places[1], drawn[0, 0, :, 0])
                 drawn = made.gear_deviation + along[:, None]
             made = made.replace(gear_deviation=drawn)
-        swept = values_over_sweep(task, Candidate(pair, made), names, angles)
+        swept = values_over_sweep(task, Candidate(pair, made), names, angles, series)
         return [worst_of(n, swept[n]) for n in names]
 
     with ThreadPoolExecutor(workers) as pool:
@@ -735,6 +744,9 @@ def _check(pair: Pair, task: DesignTask) -> None:
     if task.limits.wear_depth is not None:
         raise edge.InputError("[limits] wear_depth: a search does not include wear; remove it.")
 
+    if "static_safety" in (*task.goals, *task.limits.stated()):
+        pressure_limit_of(pair)
+
     def refuse(needed: str) -> NoReturn:
         raise edge.ArgumentError("goals", needed, list(task.goals))
 
@@ -769,7 +781,7 @@ def _tightened_best(
     for number in range(_ROUNDS):
         progress(f"tightening the limits ({number + 1})")
         one = candidate(search.pair, search.values_at(best))
-        figures = sampled_figures(task, one.pair, one.surface, tolerances, seed, workers)
+        figures = sampled_figures(task, one.pair, one.surface, tolerances, seed, workers, search.series)
         found = allowances(task, search.exact(best), figures)
         before, search.allowance = search.allowance, found
         best = search.best([best, *places[:1]], goal, levels)
@@ -785,12 +797,13 @@ def _designed(
     values = search.values_at(place)
     one = candidate(search.pair, values)
     angles = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
-    judged = judge_drive(one.pair, one.surface, None, task, None, angles)
+    judged = judge_drive(one.pair, one.surface, None, task, None, angles, series=search.series)
     figures = search.exact(place)
     goals = {n: max(figures[n], 0.0) for n in task.goals}
     seen: dict[str, dict[str, float]] = {}
     if tolerances is not None and search.limits:
-        fresh, limits = sampled_figures(task, one.pair, one.surface, tolerances, seed + 1, workers), search.limits
+        fresh = sampled_figures(task, one.pair, one.surface, tolerances, seed + 1, workers, search.series)
+        limits = search.limits
         seen = shares_kept({n: v >= limits[n] if n in LOWER else v <= limits[n] for n, v in fresh.items()})
     return Design(
         one.pair, one.surface, values, goals, judged.verdicts,

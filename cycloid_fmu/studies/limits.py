@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import LARGEST_PRESSURE
-from cycloid_fmu.geometry.pair import Pair, smallest_convex_radius
+from cycloid_fmu.geometry.pair import Material, Pair, smallest_convex_radius
 from cycloid_fmu.supports.figures import DutyLife
 from cycloid_fmu.surfaces import sampling
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-requirements/1"
+_STEEL = 0.1  # share by which Young's modulus of bearing steel differs from that of other steels at most
 _SUM = 1e-6  # how far the shares of time may be from 1: decimals such as 0.333333
 _ABOVE_ZERO = pydantic.Field(gt=0.0, allow_inf_nan=False)
 
@@ -43,10 +44,11 @@ class Limits(sampling.Limits):
     max_contact_pressure
         Largest allowed, Pa; at every load.
     torsional_stiffness
-        Smallest allowed over the crank angles, N·m/rad; at every load but zero.
+        Smallest allowed over the crank angles, N·m/rad; at every load but zero. With the compliance in series up to
+        [supports] catalogue_stiffness; without one that of contacts and bearings alone, or of the mesh alone.
     static_safety
         Smallest allowed static safety of the contacts, S_0 = (p_limit/p)²: the load at the pressure limit over the load
-        (line contact). The limit is the pair's `pressure_limit`, or 4 GPa (ISO 76); at every load.
+        (line contact). The limit is the pair's `pressure_limit`, or for bearing steel 4 GPa (ISO 76); at every load.
     smallest_curvature_radius
         Smallest allowed convex curvature radius of the flank as drawn, m.
     bearing_life
@@ -178,6 +180,8 @@ class Verdict:
         "max" where the limit is the largest value allowed, "min" where it is the smallest.
     where
         Place of the worst value: `torque` (N·m), `crank_angle` (rad), `disc`, `pin`, `bearing` and so on.
+    basis
+        What the value includes or is held against, such as "mesh alone" for a stiffness; mostly empty.
     """
 
     figure: str
@@ -186,6 +190,7 @@ class Verdict:
     limit: float
     side: Literal["min", "max"]
     where: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    basis: str = ""
 
     @property
     def margin(self) -> float:
@@ -206,11 +211,11 @@ class Verdict:
         """Return the verdict for scripts, SI."""
         return {
             "figure": self.figure, "unit": self.unit, "value": self.value, self.side: self.limit, "met": self.met,
-            "margin": self.margin, "margin_share": self.share, "where": dict(self.where),
+            "margin": self.margin, "margin_share": self.share, "where": dict(self.where), "basis": self.basis,
         }  # fmt: skip
 
 
-def verdict(name: str, value: float, limit: float, where: Mapping[str, Any] | None = None) -> Verdict:
+def verdict(name: str, value: float, limit: float, where: Mapping[str, Any] | None = None, basis: str = "") -> Verdict:
     """Return the verdict on one figure of `Limits`, SI.
 
     Examples
@@ -220,18 +225,62 @@ def verdict(name: str, value: float, limit: float, where: Mapping[str, Any] | No
     (True, 400, 0.267)
     """
     unit = edge.unit_of_field(Limits.model_fields[name]) or "1"
-    return Verdict(name, unit, float(value), float(limit), "min" if name in LOWER else "max", where or {})
+    return Verdict(name, unit, float(value), float(limit), "min" if name in LOWER else "max", where or {}, basis)
 
 
 def static_safety(pair: Pair, pressure: float) -> float:
     """Return S_0 = (p_limit/p)² of the contacts: the load at the pressure limit over the load (1).
 
     The pressure of a line contact grows with the root of its load (Hertz), and ISO 76 rates by load. The limit is the
-    pair's `pressure_limit`, or ISO 76's 4 GPa of roller bearings, at which the permanent deformation is 1e-4 of the
-    roller's diameter. Infinite without contact.
+    pair's `pressure_limit`, or ISO 76's 4 GPa of hardened bearing steel, at which the permanent deformation is 1e-4 of
+    the roller's diameter. Infinite without contact.
+
+    Raises
+    ------
+    edge.InputError
+        If the pair states no limit and a body is of another material.
     """
-    limit = LARGEST_PRESSURE if pair.pressure_limit is None else pair.pressure_limit
+    limit = pressure_limit_of(pair)
     return (limit / pressure) ** 2 if pressure > 0.0 else math.inf
+
+
+def pressure_limit_of(pair: Pair, source: str = "the pair") -> float:
+    """Return the contact pressure that a pair may have at most, Pa: stated, or ISO 76's of hardened bearing steel.
+
+    Raises
+    ------
+    edge.InputError
+        If none is stated and Young's modulus of gear or pin is not that of steel, 206 GPa within 10 %.
+    """
+    if pair.pressure_limit is not None:
+        return pair.pressure_limit
+    for body, material in (("gear", pair.material.gear), ("pin", pair.material.pin)):
+        if not abs(material.youngs_modulus / Material().youngs_modulus - 1.0) <= _STEEL:
+            raise edge.InputError(
+                f"{source}: [pair] pressure_limit is missing; state it for static_safety: the "
+                f"{LARGEST_PRESSURE * 1e-9:g} GPa of ISO 76 are those of hardened bearing steel, and "
+                f"[material.{body}] youngs_modulus is {material.youngs_modulus * 1e-9:.4g} GPa."
+            )
+    return LARGEST_PRESSURE
+
+
+def whole_stiffness(stiffness: Array, series: float) -> Array:
+    """Return stiffnesses of contacts and bearings (N·m/rad) with a compliance in series (rad/(N·m)), N·m/rad."""
+    return stiffness / (1.0 + stiffness * series)
+
+
+def series_lost_motion(pair: Pair, series: float) -> float:
+    """Return what a compliance in series (rad/(N·m)) adds to the lost motion, rad; 0 without a rated torque."""
+    return series * float(np.ptp(pair.lost_motion_loads)) if pair.lost_motion_loads else 0.0
+
+
+def what_is_elastic(pair: Pair, series: float) -> str:
+    """Return what a stiffness includes, as text."""
+    if pair.supports is None:
+        return "mesh alone"
+    if series == 0.0:
+        return "contacts and bearings alone"
+    return f"with {series * 1e6:.3g} µrad/(N·m) in series, up to the catalogue's stiffness"
 
 
 def flank_curvature_radius(pair: Pair) -> float:
@@ -240,7 +289,7 @@ def flank_curvature_radius(pair: Pair) -> float:
     return path - pair.generating_pin_radius
 
 
-def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
+def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any], series: float = 0.0) -> list[Verdict]:
     """Return the verdicts on an analysis: on every stated limit whose figure is in its arrays, at the worst load.
 
     Parameters
@@ -253,6 +302,9 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
         Arrays by name, SI: a dataset `cycloid-analysis/1`, or a mapping with `torque`, `crank_angle`,
         `transmission_error`, `backlash`, `interference`, `torsional_stiffness` (torque, crank_angle) and `pin_pressure`
         (torque, crank_angle, disc, pin). With `lost_motion` (crank_angle) it is judged too.
+    series
+        Compliance in series with contacts and bearings, rad/(N·m), for stiffness and lost motion
+        (`reducer.transmission.series_compliance`).
 
     Examples
     --------
@@ -269,9 +321,9 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
     torque, angle = np.atleast_1d(np.asarray(data["torque"])), np.asarray(data["crank_angle"])
     loaded = np.flatnonzero(torque != 0.0)
 
-    def add(name: str, value: float, **where: Any) -> None:
+    def add(name: str, value: float, basis: str = "", **where: Any) -> None:
         if name in stated:
-            found.append(verdict(name, value, stated[name], where))
+            found.append(verdict(name, value, stated[name], where, basis))
 
     def at(values: Array, place: int, torques: Array = torque) -> dict[str, Any]:
         """Return the place of a flat index over torque, crank angle, disc and pin."""
@@ -291,8 +343,8 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
     backlash = np.nan_to_num(np.atleast_2d(np.asarray(data["backlash"])))[0]
     add("backlash", backlash.max(), crank_angle=float(angle[backlash.argmax()]))
     if "lost_motion" in data:
-        lost = np.asarray(data["lost_motion"])
-        add("lost_motion", lost.max(), crank_angle=float(angle[lost.argmax()]))
+        lost = np.asarray(data["lost_motion"]) + series_lost_motion(pair, series)
+        add("lost_motion", lost.max(), what_is_elastic(pair, series), crank_angle=float(angle[lost.argmax()]))
     interference = np.atleast_2d(np.asarray(data["interference"]))[0]
     pressed = {"crank_angle": float(angle[interference.argmax()])} if interference.max() > 0.0 else {}
     add("interference", interference.max(), **pressed)
@@ -300,10 +352,14 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
     if pressure.size:
         where = at(pressure, int(pressure.argmax()))
         add("max_contact_pressure", pressure.max(), **where)
-        add("static_safety", static_safety(pair, float(pressure.max())), **where)
+        if "static_safety" in stated:
+            limit = f"at {pressure_limit_of(pair) * 1e-6:.5g} MPa"
+            limit += " of hardened bearing steel (ISO 76)" if pair.pressure_limit is None else ""
+            add("static_safety", static_safety(pair, float(pressure.max())), limit, **where)
     if loaded.size:
-        stiffness = np.asarray(data["torsional_stiffness"])[loaded]
-        add("torsional_stiffness", stiffness.min(), **at(stiffness, int(stiffness.argmin()), torque[loaded]))
+        stiffness = whole_stiffness(np.asarray(data["torsional_stiffness"])[loaded], series)
+        place = at(stiffness, int(stiffness.argmin()), torque[loaded])
+        add("torsional_stiffness", stiffness.min(), what_is_elastic(pair, series), **place)
     add("smallest_curvature_radius", flank_curvature_radius(pair))
     order = list(stated)
     return sorted(found, key=lambda one: order.index(one.figure))
@@ -398,9 +454,9 @@ def not_judged(limits: Limits, verdicts: Iterable[Verdict]) -> list[str]:
     return [name for name in limits.stated() if name not in judged]
 
 
-def all_met(verdicts: Iterable[Verdict]) -> bool:
-    """Return whether all limits are met."""
-    return all(one.met for one in verdicts)
+def all_met(verdicts: Iterable[Verdict], not_judged: Iterable[str] = ()) -> bool:
+    """Return whether all limits are met; those that are not judged are not."""
+    return not list(not_judged) and all(one.met for one in verdicts)
 
 
 HEAD = ("limit", "allowed", "found", "verdict", "margin", "where")
@@ -420,7 +476,7 @@ def row_of(one: Verdict) -> list[str]:
 
 
 def place_of(one: Verdict) -> str:
-    """Return the place of a verdict's value, as text."""
+    """Return the place of a verdict's value and what it includes, as text."""
     said = []
     for name, value in one.where.items():
         text = name.replace("_", " ")
@@ -436,7 +492,7 @@ def place_of(one: Verdict) -> str:
             said.append(str(value))
         else:
             said.append(f"{text} {value:.4g}" if isinstance(value, float) else f"{text} {value}")
-    return ", ".join(said)
+    return ", ".join([*said, one.basis] if one.basis else said)
 
 
 def line_of(one: Verdict) -> str:

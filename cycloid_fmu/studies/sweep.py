@@ -21,8 +21,9 @@ from cycloid_fmu.contact.transmission import slices_needed
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory
+from cycloid_fmu.studies.limits import whole_stiffness
 from cycloid_fmu.studies.machines import Solved, complete, versions
 from cycloid_fmu.studies.tolerance import FIGURES as OF_STUDIES
 from cycloid_fmu.studies.tolerance import free_figures, loaded_figures
@@ -39,7 +40,7 @@ LOADED: Mapping[str, tuple[str, str]] = {
     "angular_transmission_error": OF_STUDIES["angular_transmission_error"],
     "ripple": ("rad", "root mean square of the transmission error about its mean over the crank angles"),
     "mean_transmission_error": OF_STUDIES["mean_transmission_error"],
-    "torsional_stiffness": ("N*m/rad", "mean torsional stiffness over the crank angles"),
+    "torsional_stiffness": ("N*m/rad", "mean torsional stiffness over the crank angles, up to a catalogue's stiffness"),
     "max_contact_pressure": OF_STUDIES["max_contact_pressure"],
     "loaded_pins": ("1", "mean share of the pins that carry more than 1 % of the most loaded one's force"),
 }
@@ -146,10 +147,13 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
     try:
         pair, surface = drive_with(sweep.pair, sweep.surface, sweep.stated(number))
         angle = np.linspace(0.0, 2.0 * np.pi * sweep.turns, sweep.angles, endpoint=False)
-        found.update(free_figures(pair, surface, sweep.first_stage, angle))
+        series = series_compliance(sweep.pair, sweep.first_stage)
+        found.update(free_figures(pair, surface, sweep.first_stage, angle, series))
         if found["interference"] > 0.0:
-            reasons.append(f"no free position: interference of {found['interference'] * 1e6:.3g} um, so no backlash")
-            found["mean_backlash"] = found["backlash"] = math.nan
+            reasons.append(f"no free position: interference of {found['interference'] * 1e6:.3g} um")
+            if pair.supports is None:  # in clearances of bearings the output moves all the same
+                found["mean_backlash"] = found["backlash"] = math.nan
+                reasons[-1] += ", so no backlash"
         for k, torque in enumerate(sweep.torque):
             try:
                 one = solve(
@@ -160,7 +164,7 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
                 continue
             figures = {
                 **loaded_figures(one), "ripple": one.transmission_error.std(axis=1),
-                "torsional_stiffness": one.torsional_stiffness.mean(axis=1),
+                "torsional_stiffness": whole_stiffness(one.torsional_stiffness, series).mean(axis=1),
                 "loaded_pins": one.contact_count.mean(axis=1) / (pair.discs * pair.pins),
             }  # fmt: skip
             for name, values in figures.items():

@@ -24,8 +24,9 @@ from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory
+from cycloid_fmu.studies.limits import series_lost_motion
 from cycloid_fmu.studies.machines import Points, Solved, complete, solved, versions
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
@@ -47,7 +48,7 @@ FIGURES = {
     "max_contact_pressure": ("Pa", "largest contact pressure over the crank angles"),
     "mean_backlash": ("rad", "mean backlash over the crank angles, 0 where there is no free position"),
     "backlash": ("rad", "largest backlash over the crank angles"),
-    "lost_motion": ("rad", f"largest over the crank angles of the {LOST_MOTION}"),
+    "lost_motion": ("rad", f"largest over the crank angles of the {LOST_MOTION}, up to a catalogue's stiffness"),
     "interference": ("m", "largest interference over the crank angles"),
 }
 
@@ -230,10 +231,13 @@ def loaded_figures(found: Transmission) -> dict[str, Array]:
     }
 
 
-def free_figures(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None, angles: Array) -> dict[str, float]:
+def free_figures(
+    pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None, angles: Array, series: float
+) -> dict[str, float]:
     """Return the figures of play and lost motion, by their names in `FIGURES`, at one of `PLAY_STEP` angles (rad).
 
-    There is no lost motion without a rated torque.
+    There is no lost motion without a rated torque; a compliance in series with contacts and bearings, rad/(N·m), adds
+    to it.
     """
     free = solve(
         pair, surface, first_stage, pair.lost_motion_loads, angles[::PLAY_STEP], slices_needed(surface),
@@ -243,6 +247,7 @@ def free_figures(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | No
     found = {"mean_backlash": backlash.mean(), "backlash": backlash.max(), "interference": free.interference.max()}
     if pair.lost_motion_loads:
         found["lost_motion"] = (free.transmission_error[0] - free.transmission_error[1]).max()
+        found["lost_motion"] += series_lost_motion(pair, series)
     return found
 
 
@@ -280,7 +285,8 @@ def _figures_alone(study: Study, surface: ErrorSurface) -> Array:
     loaded = solve(
         study.pair, surface, first, study.torque, angles, slices_needed(surface), with_play=False, with_stiffness=False
     )
-    found: dict[str, Any] = {**loaded_figures(loaded), **free_figures(study.pair, surface, first, angles)}
+    series = series_compliance(study.pair, first)
+    found: dict[str, Any] = {**loaded_figures(loaded), **free_figures(study.pair, surface, first, angles, series)}
     return np.array([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 

@@ -15,7 +15,7 @@ from cycloid_fmu.contact.transmission import Transmission, slices_needed
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies import limits as judging
 from cycloid_fmu.studies.limits import DutyLoad, Requirements, Verdict
 from cycloid_fmu.supports.figures import DutyLife, bearing_loads, lives_over_duty
@@ -55,8 +55,8 @@ class Judged:
 
     @property
     def met(self) -> bool:
-        """Whether all judged limits are met."""
-        return judging.all_met(self.verdicts)
+        """Whether all limits are judged and met."""
+        return judging.all_met(self.verdicts, self.not_judged)
 
     def numbers(self) -> dict[str, Any]:
         """Return everything for scripts, SI; for sliding the largest value of each pin."""
@@ -115,6 +115,8 @@ def loads_of(requirements: Requirements, torque: Sequence[float] | None) -> list
 def check(requirements: Requirements, pair: Pair, source: str, pair_source: str) -> None:
     """Raise `edge.InputError` for limits that need a value that the pair lacks; it names both files."""
     limits = requirements.limits
+    if limits.static_safety is not None:
+        judging.pressure_limit_of(pair, pair_source)
     if limits.lost_motion is not None and pair.rated_torque is None:
         raise edge.InputError(
             f"{pair_source}: [pair] rated_torque is missing; state it: [limits] lost_motion of {source} is taken at a "
@@ -129,6 +131,7 @@ def judge_sweep(
     requirements: Requirements,
     found: Transmission,
     workers: int = 1,
+    series: float | None = None,
 ) -> Judged:
     """Judge a sweep that was solved at the torques of `loads_of`.
 
@@ -142,7 +145,12 @@ def judge_sweep(
         Its sweep, with play and stiffness.
     workers
         Threads for the lost motion, which is solved here if it has a limit.
+    series
+        Compliance in series with contacts and bearings, rad/(N·m); None for that of this drive
+        (`reducer.transmission.series_compliance`).
     """
+    if series is None:
+        series = series_compliance(pair, first_stage)
     data: dict[str, Any] = {**vars(found), "backlash": found.backlash}
     if requirements.limits.lost_motion is not None:
         loads, slices = pair.lost_motion_loads, slices_needed(surface)
@@ -151,7 +159,7 @@ def judge_sweep(
             workers=workers,
         ).transmission_error  # fmt: skip
         data["lost_motion"] = up - down
-    verdicts = judging.judge(requirements.limits, pair, data)
+    verdicts = judging.judge(requirements.limits, pair, data, series)
     lives, sliding = list[DutyLife](), list[tuple[DutyLoad, Sliding]]()
     duty = [load for load in requirements.duty if load.output_speed > 0.0]
     row = [int(np.flatnonzero(found.torque == load.torque)[0]) for load in duty]
@@ -187,8 +195,9 @@ def judge_drive(
     *,
     workers: int = 1,
     progress: Callable[[int], None] = lambda angles: None,
+    series: float | None = None,
 ) -> Judged:
-    """Solve a drive at the torques given and those of the duty, and judge it.
+    """Solve a drive at the torques given and those of the duty, and judge it; `series` is that of `judge_sweep`.
 
     Raises
     ------
@@ -200,7 +209,7 @@ def judge_drive(
     found = solve(
         pair, surface, first_stage, loads, crank_angle, slices_needed(surface), workers=workers, progress=progress
     )
-    return judge_sweep(pair, surface, first_stage, requirements, found, workers)
+    return judge_sweep(pair, surface, first_stage, requirements, found, workers, series)
 
 
 def judge_worn(

@@ -14,7 +14,7 @@ import numpy as np
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import slices_needed
 from cycloid_fmu.reducer.drive_file import parts_of_file
-from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies import limits as judging
 from cycloid_fmu.studies.checkpoint import Checkpoint
 from cycloid_fmu.studies.tolerance import (
@@ -138,9 +138,10 @@ def judged(result: Result) -> list[judging.Verdict]:
         data = {**vars(again), "backlash": again.backlash}
         if name == "lost_motion":
             data["lost_motion"] = again.transmission_error[0] - again.transmission_error[1]
-        (place,) = judging.judge(judging.Limits(**{name: limit}), study.pair, data)
+        series = series_compliance(study.pair, study.first_stage)
+        (place,) = judging.judge(judging.Limits(**{name: limit}), study.pair, data, series)
         where = {"sample": int(result.sample[row]), **place.where}
-        found.append(judging.verdict(name, float(values.max()), limit, where))
+        found.append(judging.verdict(name, float(values.max()), limit, where, place.basis))
     return found
 
 

@@ -81,7 +81,7 @@ def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found:
 
 @compiled
 def sweep_supported(
-    problem: Problem, assembly: Assembly, thetas: Array, torques: Array, with_forces: bool, found: Found, work: Work,
+    problem: Problem, assembly: Assembly, thetas: Array, torques: Array, found: Found, work: Work,
     lines: contact.ContactLines,
 ) -> None:  # fmt: skip
     """Solve crank angles, each at its torque and starting from its neighbour, and write contact lines on request."""
@@ -100,9 +100,34 @@ def sweep_supported(
         for k in range(q.size):
             found.place[i, k] = q[k]
         found.stiffness[i] = torsional_stiffness(problem, assembly, work)
-        if with_forces:
-            found.crank_torque[i] = _forces(problem, assembly, theta, q, found, i)
-            count, pressure = contact.load_sharing(problem, contacts, found.pin_force[i], found.pin_pressure[i])
-            found.contact_count[i], found.max_contact_pressure[i] = count, pressure
-            if lines.slice_force.size > 0:
-                write_contact_lines(problem, lines, 0, i, theta, q[0], contacts)
+        found.crank_torque[i] = _forces(problem, assembly, theta, q, found, i)
+        count, pressure = contact.load_sharing(problem, contacts, found.pin_force[i], found.pin_pressure[i])
+        found.contact_count[i], found.max_contact_pressure[i] = count, pressure
+        if lines.slice_force.size > 0:
+            write_contact_lines(problem, lines, 0, i, theta, q[0], contacts)
+
+
+@compiled
+def sweep_interference(problem: Problem, thetas: Array, place: Array, pressed: Array, interference: Array) -> None:
+    """Write how far flanks and pins overlap that no rotation of the output frees, at solved positions of the bodies.
+
+    Parameters
+    ----------
+    thetas, place
+        Crank angles, shape (angles,), rad; the unknowns without a torque, shape (angles, unknowns).
+    pressed
+        Largest pin force there, shape (angles,), N: where it is 0, nothing overlaps.
+    interference
+        Zeros, overwritten, shape (angles,), m.
+    """
+    contacts = contact.contact_rows(problem)
+    for i in range(thetas.size):
+        if pressed[i] > 0.0:
+            x = place[i, 0]
+            for disc in range(problem.shift_x.size):
+                at = FIRST_DISC + 3 * disc
+                problem.shift_x[disc], problem.shift_y[disc] = place[i, at], place[i, at + 1]
+                problem.turn[disc] = place[i, at + 2] - x
+            _, _, overlap = contact.play(problem, thetas[i], x, contacts, True)
+            # A pin first takes up the clearance of its seat.
+            interference[i] = max(overlap - problem.seat_gap, 0.0)

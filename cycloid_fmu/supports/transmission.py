@@ -20,7 +20,7 @@ from cycloid_fmu.supports import bearing
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import work_of
 from cycloid_fmu.supports.sensitivity import sweep_supported_sensitivities
-from cycloid_fmu.supports.sweeps import Found, sweep_supported
+from cycloid_fmu.supports.sweeps import Found, sweep_interference, sweep_supported
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacements, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 PLAY_LOAD = 1e-3  # of the rated torque: the play is that between the tangents at this torque in both directions
+_CENTRED = 1e-4 * bearing.CENTRING  # N: at most what the centring springs press without a torque
 _PART = 64  # crank angles that one thread solves at a time
 
 _LABELS = {
@@ -106,8 +107,9 @@ def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
 class OnBearings(Transmission):
     """Results of a crank sweep of a drive on its bearings, SI: `Transmission` with the motion of the bodies.
 
-    The play is extrapolated to zero torque by the tangents at ± `PLAY_LOAD` of the rated torque; there is no
-    interference.
+    The play is extrapolated to zero torque by the tangents at ± `PLAY_LOAD` of the rated torque. The interference is
+    how far flanks and pins overlap that no rotation of the output frees, with the discs where they stand without a
+    torque: bearings give way, so it differs from that on rigid bearings.
 
     Attributes
     ----------
@@ -195,9 +197,8 @@ def solve(
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
     at_angles = transmission.along_sweep(torques, angles)
-    first = 2 if with_play or 0.0 in at_angles else 0
-    if first:
-        at_angles = np.concatenate([transmission.along_sweep(np.array(play_loads(pair)), angles), at_angles])
+    rest = [0.0, *play_loads(pair)] if with_play or 0.0 in at_angles else []
+    at_angles = np.concatenate([transmission.along_sweep(np.array(rest), angles), at_angles])
 
     places = (len(torques), angles.size, pair.discs, pair.pins)
     lines = transmission.no_lines(len(torques))
@@ -207,11 +208,16 @@ def solve(
 
     def result(done: slice) -> OnBearings:
         kept = lines._replace(slice_force=lines.slice_force[:, done], slice_direction=lines.slice_direction[:, done])
-        return _result(pair, torques, angles[done], at_angles[:, done], first, _of(found, np.s_[:, done]), kept)
+        of_done = _of(found, np.s_[:, done])
+        _clear_centred(of_done, at_angles[:, done])
+        interference = np.full(of_done.steps.shape[1], np.nan)
+        if rest:
+            interference = _interference(problem_of(pair, surface, slices), angles[done], of_done)
+        return _result(pair, torques, angles[done], at_angles[:, done], len(rest), of_done, kept, interference)
 
     try:
         _solve(
-            pair, surface, at_angles, angles, slices, found, first, workers,
+            pair, surface, at_angles, angles, slices, found, len(rest), workers,
             lambda size: progress(size * len(torques)), lines,
         )  # fmt: skip
     except Stopped as stopped:
@@ -223,7 +229,7 @@ def _solve(
     pair: Pair, surface: ErrorSurface, torques: Array, angles: Array, slices: int, found: Found, first: int = 0,
     workers: int = 1, progress: Callable[[int], None] = lambda angles: None, lines: ContactLines | None = None,
 ) -> None:  # fmt: skip
-    """Find solutions at every torque except 0, shape (torques, angles), and forces of the torques from `first` on."""
+    """Find solutions at every torque, shape (torques, angles); contact lines of the torques from `first` on."""
     merging, none = threading.Lock(), transmission.no_lines(1)
     assembly = assembly_of(pair, surface)
     mesh = problem_of(pair, surface, slices)
@@ -233,20 +239,19 @@ def _solve(
         shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
         problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
         for k, torque in enumerate(torques):
-            if torque.any():
-                here = _of(found, np.s_[k, start:last])
-                work = work_of(here.place.shape[-1], pair.discs)
-                mine = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
-                sweep_supported(problem, assembly, angles[start:last], torque[start:last], k >= first, here, work, mine)
-                if lines is not None and k >= first:
-                    with merging:
-                        gear, pin = lines.gear_pressure[k - first], lines.pin_pressure[k - first]
-                        np.maximum(gear, mine.gear_pressure[0], out=gear)
-                        np.maximum(pin, mine.pin_pressure[0], out=pin)
+            here = _of(found, np.s_[k, start:last])
+            work = work_of(here.place.shape[-1], pair.discs)
+            mine = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
+            sweep_supported(problem, assembly, angles[start:last], torque[start:last], here, work, mine)
+            if lines is not None and k >= first:
+                with merging:
+                    gear, pin = lines.gear_pressure[k - first], lines.pin_pressure[k - first]
+                    np.maximum(gear, mine.gear_pressure[0], out=gear)
+                    np.maximum(pin, mine.pin_pressure[0], out=pin)
 
     solve_in_parts(part, angles.size, _PART, workers, progress)
     for k, torque in enumerate(torques):
-        if torque.any() and not found.steps[k].all():
+        if not found.steps[k].all():
             at = int(np.argmin(found.steps[k]))
             raise _unbalanced(torque[at], angles[at])
 
@@ -276,25 +281,49 @@ def play_loads(pair: Pair) -> list[float]:
     return [-PLAY_LOAD * pair.rated_torque, PLAY_LOAD * pair.rated_torque]
 
 
+def _clear_centred(found: Found, torques: Array) -> None:
+    """Set to zero what only the centring springs press where there is no torque, shape (torques, angles)."""
+    free = (torques == 0.0) & (found.pin_force.max(axis=(-1, -2)) <= _CENTRED)
+    for pressed in (found.pin_force, found.pin_pressure, found.contact_count, found.max_contact_pressure):
+        pressed[free] = 0
+
+
+def _interference(mesh: Problem, angles: Array, found: Found) -> Array:
+    """Return the interference, shape (angles,), m, of a sweep whose first torque is 0."""
+    interference = np.zeros(angles.size)
+    shift_x, shift_y, turn = (np.zeros_like(mesh.shift_x) for _ in range(3))
+    sweep_interference(
+        mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn), angles, np.ascontiguousarray(found.place[0]),
+        found.pin_force[0].max(axis=(-1, -2)), interference,
+    )  # fmt: skip
+    return interference
+
+
 def _result(
-    pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found, lines: ContactLines
+    pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found, lines: ContactLines,
+    interference: Array,
 ) -> OnBearings:  # fmt: skip
-    """Return the results; if `first` is 2, the play's two torques precede the others."""
-    deviation = found.place[..., 0]
+    """Return the results; if `first` is 3, no torque and the play's two torques precede the others."""
+    deviation, stiffness = found.place[..., 0], found.stiffness
     low = high = np.full(angles.size, np.nan)
+    preload = count = None
     if first:
         # The ends of the play are where the tangents at a small torque in either direction reach zero torque. Without
         # clearance but with errors every position stores energy, yet the output still moves freely.
-        ends = deviation[:2] - at_angles[:2] / found.stiffness[:2]
+        ends = deviation[1:3] - at_angles[1:3] / stiffness[1:3]
         middle = ends.mean(axis=0)
         low, high = np.minimum(ends[0], middle), np.maximum(ends[1], middle)
         deviation = np.where(at_angles == 0.0, middle, deviation)
+        stiffness = np.where((at_angles == 0.0) & (interference == 0.0), 0.0, stiffness)
+        preload, count = found.pin_force[0].max(axis=(-1, -2)), found.contact_count[0].copy()
     kept = _of(found, np.s_[first:])
     discs = pair.discs
     return OnBearings(
-        torques, angles, deviation[first:], kept.stiffness, kept.contact_count, kept.max_contact_pressure,
-        kept.pin_force, kept.pin_pressure, low, high, np.zeros(angles.size),
+        torques, angles, deviation[first:], stiffness[first:], kept.contact_count, kept.max_contact_pressure,
+        kept.pin_force, kept.pin_pressure, low, high, interference,
         *lines[:4],
+        preload=preload,
+        preload_count=count,
         disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
         disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
         disc_turn=kept.place[..., 5 : 3 + 3 * discs : 3] - kept.place[..., :1],
@@ -398,6 +427,9 @@ def error_sensitivity(
 def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int, *, complete: bool) -> xr.Dataset:
     """Return results as a dataset (format `cycloid-analysis/1`), with the additional results of `OnBearings`."""
     data = transmission.labelled(pair, surface, found, slices, complete=complete)
+    if found.preload is not None:
+        label = {"units": "N", "long_name": "largest pin force without a torque"}
+        data["preload"] = ("crank_angle", found.preload, label)
     if isinstance(found, OnBearings):
         for name, (dimensions, unit, text) in _LABELS.items():
             values = getattr(found, name)
@@ -410,4 +442,8 @@ def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int
         data["backlash"].attrs["long_name"] = (
             f"play at zero torque, extrapolated from {PLAY_LOAD:g} of the rated torque"
         )
+        data["interference"].attrs["long_name"] = (
+            "overlap of flanks and pins that no rotation frees, the discs where they stand without a torque"
+        )
+        data["torsional_stiffness"].attrs["long_name"] += ", contacts and bearings alone"
     return data

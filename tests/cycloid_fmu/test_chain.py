@@ -120,13 +120,13 @@ def test_every_fmu_says_how_stiff_it_is(tmp_path):
     build_fmu(PAIR, tmp_path / "3.fmu", fmi_version="3.0", interface=Interface("compliant", stiffness=1e5))
     for name, more in (("2", ""), ("3", ", 29.09 with the start value of series_compliance")):
         description = fmpy.read_model_description(str(tmp_path / f"{name}.fmu"))
-        text = f"mesh only, rigid bodies: {number}{more}"
+        text = f"mesh alone, rigid bodies: {number}{more}"
         assert told(tmp_path / f"{name}.fmu").endswith(text)
         (variable,) = (v for v in description.modelVariables if v.name == "torsional_stiffness")
         assert variable.description.endswith(text)
     held = read_pair(EXAMPLES / "drive-39-40-bearings.toml")
     said = native_build.stiffness_text(held, completed("kinematic", held, surface_of_pair(held), None))
-    assert said.startswith("mesh and bearings: ")
+    assert said.startswith("contacts and bearings alone: ")
 
 
 def test_the_page_says_how_stiff_the_example_is():

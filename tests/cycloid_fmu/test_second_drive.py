@@ -77,3 +77,23 @@ def test_a_disc_that_floats(load):
     away = np.abs(found - wanted[there]) / ARCSEC
     assert np.quantile(away, 0.97) < 1e-4
     assert np.count_nonzero(~there) < 3
+
+
+def test_a_jammed_disc_that_floats():
+    """Without a torque the pins press as far as bearings let them: here the mean of a small torque in both directions.
+
+    A force depends on the torque of the other direction alike, to first order.
+    """
+    pair = read_pair(EXAMPLES / "drive-39-40.toml").replace(**SMALL, offset=25e-6, isometric=0.0)
+    second, surface = both(pair, 4)
+    floating, surface = on_bearings(pair, surface)
+    held, angles = dataclasses.replace(second, **springs()), ANGLES[:20]
+    wanted = np.zeros((angles.size, pair.pins))
+    for torque in (-0.05, 0.05):
+        row, pin, _, _, force, _, _ = second_drive.contacts(held, angles, torque)
+        np.add.at(wanted, (row, pin), 0.5 * force)
+    found = solve_on_bearings(floating, surface, 0.0, angles)
+    assert wanted.max() > 100.0
+    assert found.pin_force[0, :, 0] == pytest.approx(wanted, abs=1e-4 * wanted.max())
+    assert found.preload == pytest.approx(wanted.max(axis=1), rel=1e-4)
+    assert (found.preload_count == (wanted > 0.01 * wanted.max(axis=1)[:, None]).sum(axis=1)).all()

@@ -99,6 +99,42 @@ def test_rigid_supports_are_the_drive_on_rigid_bearings():
     assert found.transmission_error == pytest.approx(want.transmission_error, abs=1e-3 * ARCSEC)
     assert found.pin_force == pytest.approx(want.pin_force, abs=0.01)
     assert found.torsional_stiffness == pytest.approx(want.torsional_stiffness, rel=1e-4)
+    jammed = {"offset": 20e-6, "isometric": 0.0}
+    want = on_rigid.solve(rigid.replace(**jammed), surface_of_pair(rigid.replace(**jammed)), 0.0, ANGLES)
+    found = solved(held.replace(**jammed), 0.0)
+    assert found.interference == pytest.approx(want.interference, abs=1e-9)
+    assert found.pin_force == pytest.approx(want.pin_force, abs=1e-4 * want.pin_force.max())
+    assert found.preload == pytest.approx(want.pin_force.max(axis=(0, 2, 3)), rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_interference_is_that_of_a_rigid_drive_where_the_disc_then_stands(kind):
+    """A disc that bearings hold off its place by a shift is a disc on rigid bearings with that centre distance."""
+    supports = {"cranks": CRANKS, "output_rollers": {**ROLLERS, "output_roller": {"stiffness": 2e8}}}[kind] | SOFT
+    supports["turning_arm"] = {"stiffness": 4e8, "clearance": 4e-6}
+    errors = {"pin_radial": {"order_1": ["5 um", "40 deg"]}, "pin_radius": "12 um"}
+    pair = cy.Pair(**SIZES, supports=supports, errors=errors).replace(offset=-15e-6)
+    angles = ANGLES[::8]
+    found = solved(pair, 0.0, angles)
+    assert found.interference.min() > 1e-6
+    assert np.abs(found.disc_shift_x).max() > 1e-6
+    for i, angle in enumerate(angles):
+        here = {"centre_distance_x": found.disc_shift_x[0, i, 0], "centre_distance_y": found.disc_shift_y[0, i, 0]}
+        placed = cy.Drive(pair.replace(supports=None)).replace(errors=here)
+        assert float(placed.analyze(0.0, crank_angle=[angle]).interference[0, 0]) == pytest.approx(
+            found.interference[i], abs=1e-10
+        )
+
+
+def test_a_drive_with_play_presses_nothing_without_a_torque():
+    """Its discs stand free in clearances that the centring springs of the solution alone decide."""
+    pair = cy.Pair(**SIZES, discs=2, supports={**CRANKS, **SOFT, "turning_arm": {"rollers": 15, "roller_length": 9e-3,
+                   "clearance": 8e-6}})  # fmt: skip
+    found = solved(pair, [0.0, 181.0])
+    assert found.interference.max() == found.preload.max() == found.preload_count.max() == 0.0
+    assert found.pin_force[0].max() == found.max_contact_pressure[0].max() == 0.0
+    assert found.torsional_stiffness[0].max() == 0.0
+    assert found.backlash.min() > 0.0
 
 
 @pytest.mark.parametrize("discs", [1, 2])
@@ -438,7 +474,7 @@ def test_sensitivities_are_differences(kind):
         found = _empty(pair, 1, at.size)
         here = type(found)(*(array[0] for array in found))
         sweep_supported(
-            problem, assembly, at, np.full(at.size, torque), False, here, work_of(here.place.shape[-1], 2),
+            problem, assembly, at, np.full(at.size, torque), here, work_of(here.place.shape[-1], 2),
             on_rigid.no_lines(1),
         )  # fmt: skip
         return here.place[:, 0]
