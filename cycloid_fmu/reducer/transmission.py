@@ -230,7 +230,8 @@ def solve(
 
 
 def _of_no_torque(found: Transmission) -> Transmission:
-    empty = {f.name: getattr(found, f.name)[:0] for f in dataclasses.fields(found) if f.name != "crank_angle"}
+    values: dict[str, Any] = {f.name: getattr(found, f.name) for f in dataclasses.fields(found)}
+    empty: dict[str, Any] = {name: None if v is None else v[:0] for name, v in values.items() if name != "crank_angle"}
     return dataclasses.replace(found, **empty)
 
 

@@ -346,8 +346,9 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any], series: float = 0
         lost = np.asarray(data["lost_motion"]) + series_lost_motion(pair, series)
         add("lost_motion", lost.max(), what_is_elastic(pair, series), crank_angle=float(angle[lost.argmax()]))
     interference = np.atleast_2d(np.asarray(data["interference"]))[0]
-    pressed = {"crank_angle": float(angle[interference.argmax()])} if interference.max() > 0.0 else {}
-    add("interference", interference.max(), **pressed)
+    pressed = interference.max() > 0.0
+    place: dict[str, Any] = {"crank_angle": float(angle[interference.argmax()])} if pressed else {}
+    add("interference", interference.max(), **place)
     pressure = np.asarray(data["pin_pressure"])
     if pressure.size:
         where = at(pressure, int(pressure.argmax()))
