@@ -27,7 +27,7 @@ from pyarrow import parquet
 import drivers
 from cycloid_fmu import edge
 from cycloid_fmu.edge.commands import print_table
-from cycloid_fmu.fmu.run import read_motion, units_of
+from cycloid_fmu.fmu.run import described, read_motion, units_of
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.studies.checkpoint import Checkpoint
 from drivers.can.bus import open_bus
@@ -613,14 +613,42 @@ LAUGHS = (
 @pytest.mark.parametrize(
     "text", [LAUGHS, '<!DOCTYPE a [<!ENTITY b SYSTEM "/etc/passwd">]><fmiModelDescription fmiVersion="2.0">&b;</a>']
 )
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-be", "utf-32", "utf-32-be", "cp037", "utf-7"])
 def test_an_fmu_s_description_defines_nothing(tmp_path, text, encoding):
     with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", text.encode(encoding))
-    with pytest.raises(edge.InputError, match=r"modelDescription.xml has a document type"):
+        declared = b'<?xml version="1.0" encoding="UTF-7"?>' if encoding == "utf-7" else b""
+        archive.writestr("modelDescription.xml", declared + text.encode(encoding))
+    said = r"modelDescription.xml(: this is not XML in UTF-8| has a document type)"
+    with pytest.raises(edge.InputError, match=said):
         units_of(tmp_path / "a.fmu", "input")
-    with pytest.raises(edge.InputError, match=r"modelDescription.xml has a document type"):
+    with pytest.raises(edge.InputError, match=said):
         drivers.simulate_bench(tmp_path / "a.fmu", torque=1.0, ratio=-39, turns=1)
+
+
+def fmu_with(folder, variables, structure=""):
+    text = (
+        '<fmiModelDescription fmiVersion="2.0" modelName="a" guid="a" variableNamingConvention="structured">'
+        '<CoSimulation modelIdentifier="a"/>'
+        f"<ModelVariables>{variables}</ModelVariables><ModelStructure>{structure}</ModelStructure>"
+        "</fmiModelDescription>"
+    )
+    with zipfile.ZipFile(folder / "a.fmu", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("modelDescription.xml", text)
+    return folder / "a.fmu"
+
+
+@tries(FMU)
+def test_a_description_of_too_many_variables_is_refused(tmp_path, monkeypatch):
+    """Six hundred thousand took 38 s and 2 GB; validation takes the square of the number of outputs."""
+    one = '<ScalarVariable name="v{0}" valueReference="{0}" causality="output"><Real/></ScalarVariable>'
+    many = fmu_with(tmp_path, "".join(one.format(i) for i in range(200_000)))
+    with pytest.raises(edge.InputError, match=r"a.fmu: its modelDescription.xml is longer than 16 MiB\."):
+        described(many)
+    unknown = "".join(f'<Unknown index="{i + 1}" dependencies="1"/>' for i in range(8000))
+    square = f"<Outputs>{unknown}</Outputs><InitialUnknowns>{unknown}</InitialUnknowns>"
+    monkeypatch.setattr("cycloid_fmu.edge.limited._SECONDS", 4.0)
+    with pytest.raises(edge.InputError, match=r"a.fmu: this file is damaged or too complex"):
+        described(fmu_with(tmp_path, "".join(one.format(i) for i in range(8000)), square))
 
 
 @tries(FMU)
