@@ -26,6 +26,7 @@ from pyarrow import parquet
 
 import drivers
 from cycloid_fmu import edge
+from cycloid_fmu.draw.figure import new_figure
 from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.fmu.run import described, read_motion, units_of
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
@@ -670,6 +671,31 @@ def test_a_report_shows_names_as_names():
     assert "<script" not in page[plotly : page.index("</script>", plotly)]
 
 
+@posix
+def test_names_are_no_formulas_in_pictures(tmp_path, command):
+    """A file's name and a channel's, in every picture of a recording."""
+    time, name = np.arange(4000) / 200.0, r"a$\frac{$"
+    rows = np.column_stack([time, 40.0 * time, -40.0 / 39.0 * time + 1e-5 * np.sin(40.0 * time), 20.0 + 0.0 * time])
+    header = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"
+    np.savetxt(tmp_path / f"{name}.csv", rows, "%.12g", ",", header=header, comments="")
+    np.savetxt(tmp_path / "other.csv", rows, "%.12g", ",", header=header.replace("torque", name), comments="")
+    for words in (
+        ("report", f"{name}.csv", "--ratio", "-39", "-o", "y.pdf"),
+        ("metrics", f"{name}.csv", "--ratio", "-39", "--plot", "y.png"),
+        ("inspect", "other.csv", "--plot", "z.png"),
+    ):
+        done = command("cycloid-fit", *words)
+        assert (done.returncode, done.stderr) == (0, ""), words
+    figure, (axis,) = new_figure()
+    axis.loglog([1e-3, 1.0], [1e-3, 1.0], label=name)
+    axis.set_title(name)
+    axis.legend(title=name)
+    axis.set_xticks([1e-3, 1.0], [name, "b"])
+    figure.savefig(tmp_path / "d.png")
+    assert axis.get_yticklabels()[0].get_parse_math(), "powers of ten stay powers"
+    assert not axis.get_xticklabels()[0].get_parse_math()
+
+
 # --- written files ------------------------------------------------------------------------------------------------
 
 
@@ -761,6 +787,7 @@ def test_a_result_has_its_format_s_ending(command, tmp_path, words, said):
 WRITER = """
 import sys
 from cycloid_fmu import edge
+from cycloid_fmu.draw.figure import new_figure
 with edge.written_whole(sys.argv[1]) as temporary:
     temporary.write_text("half")
     print(temporary, flush=True)
