@@ -46,6 +46,7 @@ from cycloid_fmu.edge.files import (
     written_whole,
     zip_archive,
 )
+from cycloid_fmu.edge.limited import call_limited, each_limited
 from cycloid_fmu.edge.netcdf_files import hdf5_target, netcdf, write_netcdf
 from cycloid_fmu.edge.problems import (
     BAD_INPUT,
@@ -107,9 +108,11 @@ __all__ = [
     "TorsionalStiffness",
     "Velocity",
     "WearCoefficient",
+    "call_limited",
     "check_format",
     "csv_rows",
     "did_you_mean",
+    "each_limited",
     "existing",
     "finite",
     "first_line",

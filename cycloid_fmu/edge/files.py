@@ -24,7 +24,7 @@ from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, parsed_by_
 from cycloid_fmu.edge.quantities import unit_scale
 
 MOST_BYTES = 4 << 30  # largest size of data unpacked or loaded as a whole
-_LONGEST_XML = 64 << 20
+_LONGEST_XML = 16 << 20  # about 150,000 variables of an FMU, read in 10 s
 PICTURES = (".png", ".pdf")
 """Endings of plot files."""
 
@@ -349,8 +349,8 @@ def zip_archive(path: str | os.PathLike[str], what: str, description: str | None
     Raises
     ------
     InputError
-        If it is not an archive, unpacks to more than 4 GiB, or its XML file is longer than 64 MiB or has a document
-        type declaration, whose entities can expand without limit or include other files.
+        If it is not an archive, unpacks to more than 4 GiB, or its XML file is longer than 16 MiB, can't be parsed, or
+        has a document type declaration, whose entities can expand without limit or include other files.
     """
     if not zipfile.is_zipfile(existing(path)):
         raise InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
@@ -370,7 +370,8 @@ def _check_xml(data: bytes, what: str) -> None:
 
     parser = xml.parsers.expat.ParserCreate()
     parser.StartDoctypeDeclHandler = refuse
-    with contextlib.suppress(xml.parsers.expat.ExpatError):  # reported when it is read
+    # What this parser can't read, such as UTF-32, no other one sees: its declarations were not checked.
+    with parsed_by_others(what, "this is not XML in UTF-8, or it is damaged"):
         parser.Parse(data, True)
 
 

@@ -51,7 +51,8 @@ def described(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[
         }
         for v in description.modelVariables
     ]
-    return variables, validate_fmu(str(path))
+    with edge.parsed_by_others(path, "this is not an FMU"):
+        return variables, edge.call_limited(path, validate_fmu, str(path))
 
 
 def told(path: str | os.PathLike[str]) -> str:

@@ -15,13 +15,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.tooth_contact import LoadedContacts, loaded_contacts
 from cycloid_fmu.contact.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS, drive_of, slices_needed, solve
+from cycloid_fmu.edge.kernels import kept_njit
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.geometry.profile import flank_points, flank_speed
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
@@ -381,7 +381,7 @@ def _part_of_rate(model: WearModel, drive: contact.Problem, load: Load, crank_an
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kept_njit(nogil=True, error_model="numpy")
 def _deposit(rows: Array, row: NDArray[np.int64], middle: Array, reach: Array, amount: Array, around: bool) -> None:
     """Distribute amounts over elements by the ellipse of the Hertz pressure; all lengths in elements."""
     size = rows.shape[1]

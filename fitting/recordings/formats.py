@@ -109,9 +109,9 @@ READERS = {
     "arrows": "fitting.recordings.recorder_files:RecorderFile",
     **dict.fromkeys(("csv", "txt", "tsv", "dat"), "fitting.recordings.scope:open_table"),
     "parquet": "fitting.recordings.tables:ParquetFile",
-    **dict.fromkeys(("mf4", "mdf"), "fitting.recordings.loggers:MdfFile"),
-    "tdms": "fitting.recordings.loggers:TdmsFile",
-    **dict.fromkeys(("blf", "asc", "trc"), "fitting.recordings.can_logs:CanLog"),
+    **dict.fromkeys(("mf4", "mdf"), "fitting.recordings.limited_files:mdf_file"),
+    "tdms": "fitting.recordings.limited_files:tdms_file",
+    **dict.fromkeys(("blf", "asc", "trc"), "fitting.recordings.limited_files:can_log"),
 }
 GROUP = "cycloid.recordings"
 

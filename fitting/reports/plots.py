@@ -199,11 +199,6 @@ def plot_curves(curves: Sequence[Curve]) -> Figure:
     return figure
 
 
-def _plain(name: str) -> str:
-    """Return a text escaped for matplotlib, so that it is not read as a formula."""
-    return name.replace("$", r"\$")
-
-
 def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
     """Plot channels of a bench file over time, those with a proposed role first."""
     role_of = {one.channel.name: role for role, one in roles.items()}
@@ -215,9 +210,9 @@ def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
         step = max(1, one.values.size // 20000)
         across = np.arange(one.values.size) if time is None else time
         axis.plot(across[::step], one.values[::step], lw=0.8)
-        axis.set(xlabel="sample" if time is None else "time [s]", ylabel=_plain(one.channel.unit) or "no unit")
+        axis.set(xlabel="sample" if time is None else "time [s]", ylabel=one.channel.unit or "no unit")
         role = role_of.get(one.channel.name)
-        axis.set_title(_plain(one.channel.name) + (f": {role}?" if role else ""), fontsize=9, loc="left")
+        axis.set_title(one.channel.name + (f": {role}?" if role else ""), fontsize=9, loc="left")
     return figure
 
 

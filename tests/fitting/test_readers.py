@@ -300,8 +300,8 @@ def test_the_last_line_of_a_cut_table_is_left_out(tmp_path):
 
 def test_a_missing_package_names_its_extra(tmp_path):
     (tmp_path / "a.tdms").write_bytes(b"x")
-    hide = "import sys; sys.modules['nptdms'] = None; from fitting.recordings import formats as f; "
-    hide += "f.open_bench_file('a.tdms')"
+    hide = "import sys; sys.modules['nptdms'] = None; from fitting.recordings.loggers import TdmsFile; "
+    hide += "TdmsFile('a.tdms')"
     run = subprocess.run([sys.executable, "-c", hide], cwd=tmp_path, capture_output=True, text=True)
     assert "pip install 'cycloid-fmu[bench-files]'" in run.stderr
 

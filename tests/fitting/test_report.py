@@ -13,6 +13,7 @@ from test_metrics import ARCMIN, ARCSEC, KNOWN, loop, recording, run_with
 from cycloid_fmu.geometry.pair import read_pair
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
+from fitting.reports.page import html_page
 from fitting.reports.panels import Panel, Trace, names_above, order_name, panels_of
 from fitting.reports.report import report
 
@@ -58,6 +59,21 @@ def page(found, tmp_path_factory):
         opened.wait_for_selector(".panel >> nth=-1 >> .main-svg >> nth=0")
         yield opened
         browser.close()
+
+
+def test_a_name_is_no_link(page, tmp_path):
+    """Plotly makes links and bold words of tags in names."""
+    name = '<a href="https://example.org/">run</a> <b>1</b> & co'
+    line = Trace(name, np.arange(3.0), np.arange(3.0), "points", texts=(name, "", ""))
+    rows = Panel(name, name, name, (Trace("", np.arange(2.0), -np.arange(2.0)),), name, y_names=(name, "b"))
+    (tmp_path / "a.html").write_text(html_page(name, name, "", [Panel(name, name, name, (line,), name), rows], ""))
+    opened = page.context.browser.new_page()
+    opened.goto((tmp_path / "a.html").as_uri())
+    opened.wait_for_selector(".panel >> nth=-1 >> .main-svg >> nth=0")
+    assert opened.locator("a[href*=example]").count() == 0
+    assert opened.locator("svg a").count() == 0
+    assert opened.locator("svg text", has_text=name).count() >= 6
+    opened.close()
 
 
 def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):

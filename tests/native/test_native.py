@@ -887,6 +887,19 @@ def test_beyond_the_tables_all_goes_on_near_the_exact_model_and_it_is_said_once(
     assert "beyond the 452.5 N.m of the FMU's tables" in native.said[0]
 
 
+@pytest.mark.skipif(os.name == "nt", reason="needs a path that can't be a folder")
+@pytest.mark.parametrize("compiler", ["cc", pytest.param("", marks=pytest.mark.slow(30))])
+def test_a_library_is_compiled_where_no_cache_can_be_written(tmp_path, monkeypatch, compiler):
+    monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
+    monkeypatch.delenv("ZIG_GLOBAL_CACHE_DIR", raising=False)
+    monkeypatch.setenv("CC", compiler)
+    source = {"a.c": b'__attribute__((visibility("default"))) double answer(double x) { return 6.0 * x; }'}
+    (tmp_path / "made").write_bytes(native_build.library(native_build.this_platform(), source, ["a.c"]))
+    answer = ctypes.CDLL(str(tmp_path / "made")).answer
+    answer.restype, answer.argtypes = ctypes.c_double, [ctypes.c_double]
+    assert answer(7.0) == 42.0
+
+
 def test_tables_reach_as_far_as_asked(drive, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(tables, "compute", lambda *a, largest_load, **k: asked.append(largest_load) or drive.tables)
