@@ -660,6 +660,15 @@ def loops_of(
         Rated torque T_N, N·m; None: the largest torque of the recording, with a note.
     """
     torque, notes = recording.torque, []
+    locked = float(np.ptp(recording.input_angle)) < LOCKED
+    at_rest = "the input is at rest" if recording.has_input_angle else "no input angle is mapped"
+    # A drive with a locked input does not move its output as far as a turn of the input would.
+    turned = float(np.ptp(recording.output_angle)) / (2.0 * np.pi)
+    if locked and turned * abs(ratio or 1.0) > 1.0:
+        return None, [
+            f"{recording.source}: {at_rest}, but the output turns by {turned:.3g} turns, more than that of a drive "
+            "with a locked input: there is neither a loop nor a transmission error."
+        ]
     largest = float(np.abs(torque).max())
     if largest == 0.0:
         return None, []
@@ -671,16 +680,17 @@ def loops_of(
     ]
     # A load that is switched on or fluctuates around zero is no loop: each branch must have many samples.
     lobes = [lobe for lobe, count in zip(lobes, inside, strict=True) if count >= 8]
-    locked = float(np.ptp(recording.input_angle)) < LOCKED
     if not lobes or (not locked and len({lobe.sign for lobe in lobes}) < 2):
         if locked and not lobes:
             notes.append(
-                f"{recording.source}: the input is locked, but the torque does not exceed a fifth of the rated "
-                f"{rated:.4g} N·m and return; there is no loop."
+                f"{recording.source}: {at_rest}, and the torque does not exceed a fifth of the rated {rated:.4g} N·m "
+                "and return; there is no loop."
             )
         return None, notes
     if ratio is None and not locked:
         return None, notes
+    if not recording.has_input_angle:
+        notes.append(f"{recording.source}: no input angle is mapped; the output angle is taken as the windup.")
     if rated_torque is None:
         notes.append(
             f"{recording.source}: the rated torque is unknown; figures are evaluated at fractions of the largest "

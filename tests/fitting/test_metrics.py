@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fitting
-from fitting.figures.figure import Figure, in_field_units
+from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
 from fitting.figures.hysteresis import find_lobes, fit_line, loop_marks
 from fitting.figures.metrics import figures_of
 from fitting.figures.spectrum import Spectrum, angular_transmission_error, range_of, spectrum, synthesised
@@ -475,8 +475,71 @@ def test_a_few_points_that_were_never_recorded_leave_the_orders_as_they_are():
 def test_a_locked_input_without_a_loop_is_said_and_no_other():
     torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0)
     small, whole = figures_from(0.1 * torque, angle), figures_from(torque, angle)
-    assert any("the input is locked, but the torque does not exceed a fifth" in note for note in small.notes)
+    assert any("the input is at rest, and the torque does not exceed a fifth" in note for note in small.notes)
     assert not any("there is no loop" in note for note in whole.notes)
+
+
+def ramp_of_speed(turns=26.0, samples=6400):
+    """Time, output angle and torque of a drive that runs up and down both ways, against dry and viscous friction."""
+    time = np.arange(samples) / 64.0
+    speed = np.sin(2.0 * np.pi * time / time[-1])
+    angle = turns * np.pi * (1.0 - np.cos(2.0 * np.pi * time / time[-1]))
+    return time, angle, 3.8 * np.tanh(20.0 * speed) + 2.0 * speed
+
+
+@pytest.mark.parametrize("ratio", [None, -13, 13])
+@pytest.mark.parametrize("gap", [False, True])
+@pytest.mark.parametrize("stuck", [False, True])
+def test_an_output_that_turns_has_no_figure_without_the_angle_of_the_input(command, tmp_path, ratio, gap, stuck):
+    """Neither without a column for it nor with an encoder that is not connected: no loop, and no transmission error."""
+    time, angle, torque = ramp_of_speed()
+    if gap:
+        time, angle, torque = (v[np.abs(time - 46.0) > 0.05] for v in (time, angle, torque))
+    rows = [f"{t:.4f},{a:.6f},{m:.4f}{',0' * stuck}" for t, a, m in zip(time, angle, torque, strict=True)]
+    header = "time [s],output_angle [rad],torque [N*m]" + ",input_angle [rad]" * stuck
+    (tmp_path / "ramp.csv").write_text("\n".join([header, *rows]) + "\n")
+    mapping = [f'[{role}]\ncolumn = "{role}"' for role in ("time", "output_angle", "torque", *["input_angle"] * stuck)]
+    (tmp_path / "map.toml").write_text("\n".join(['format = "cycloid-mapping/1"', *mapping]) + "\n")
+    words = ["ramp.csv", "--mapping", "map.toml", *([] if ratio is None else ["--ratio", ratio])]
+    run = command("cycloid-fit", "metrics", *words, "-o", "figures.json")
+    assert (run.returncode, run.stdout) == (3, "")
+    assert run.stderr.endswith(("No figure could be computed.\n", "Fewer than two samples remain.\n"))
+    assert "locked" not in run.stderr.replace("more than that of a drive with a locked input", "")
+    if not stuck:
+        assert "no input angle is mapped, but the output turns by 26 turns" in run.stderr
+        assert "implausible" not in run.stderr
+        assert json.loads((tmp_path / "figures.json").read_text()).keys().isdisjoint(DEFINITIONS)
+    assert command("cycloid-fit", "report", *words, "-o", "report.html").returncode == 3
+
+
+def test_a_loop_without_an_input_angle_has_the_figures_of_one_at_rest(command, tmp_path):
+    torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, loops=2)
+    rows = [f"{i / 100:.2f},{a:.12f},{t:.9f},1.5" for i, (t, a) in enumerate(zip(torque, angle, strict=True))]
+    (tmp_path / "loop.csv").write_text("time [s],output_angle [rad],torque [N*m],input_angle [rad]\n" + "\n".join(rows))
+    found = {}
+    for roles in (("output_angle", "torque"), ("output_angle", "torque", "input_angle")):
+        mapping = [f'[{role}]\ncolumn = "{role}"' for role in ("time", *roles)]
+        (tmp_path / "map.toml").write_text("\n".join(['format = "cycloid-mapping/1"', *mapping]) + "\n")
+        run = command(
+            "cycloid-fit", "metrics", "loop.csv", "--mapping", "map.toml", "--rated-torque", "167 N*m", "--json"
+        )
+        assert run.returncode == 0, run.stderr
+        found[len(roles)] = json.loads(run.stdout)
+        assert any("taken as the windup" in n for n in found[len(roles)]["notes"]) == (len(roles) == 2)
+    for name in ("hysteresis_loss", "backlash", "lost_motion", "torsional_stiffness"):
+        assert found[2][name]["value"] == pytest.approx(found[3][name]["value"], rel=1e-6), name
+
+
+@pytest.mark.parametrize("each", [1, 2, 2.5, 3, 8])
+def test_a_curve_shows_the_orders_of_the_input_only_with_more_than_two_samples_per_turn_of_it(each):
+    """Nyquist: with two or fewer the order 39 of the output is unknown, and so is the range; with more it is known."""
+    made = run_with({39: (10 * ARCSEC, 0.3)}, turns=1, each=round(39 * each), noise=0.0, seed=0)
+    found = figures_of([survey(made, -39.0, None)], -39.0, None)
+    if each <= 2:
+        assert not found.figures
+        assert any("at most two per turn of the input" in n for n in found.notes)
+    else:
+        assert found.figures["angular_transmission_error"].value == pytest.approx(20 * ARCSEC, rel=1e-3)
 
 
 def test_an_overview_keeps_as_many_samples_as_it_may(monkeypatch):
