@@ -220,7 +220,7 @@ def run(app: typer.Typer) -> NoReturn:
         if debug:
             raise
         _say(str(problem))
-        sys.exit(BAD_INPUT)
+        sys.exit(problem.status)
     except _USAGE_ERROR as problem:
         if sentence := _usage(problem):
             _say(sentence)

@@ -7,7 +7,7 @@ import difflib
 import os
 from collections.abc import Callable, Iterable, Iterator
 
-DONE, FAILED, BAD_INPUT, SILENT, NOT_MET, INTERRUPTED = 0, 1, 2, 3, 4, 130
+DONE, FAILED, BAD_INPUT, NO_DATA, NOT_MET, INTERRUPTED = 0, 1, 2, 3, 4, 130
 _NOTHING = object()
 _LONGEST = 2000  # characters of a sentence
 _CONTROLS = frozenset([*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)])
@@ -23,8 +23,16 @@ class InputError(ValueError):
     Several problems have one line each; very long lines are cut.
     """
 
+    status = BAD_INPUT
+
     def __init__(self, text: str = "") -> None:
         super().__init__("\n".join(cut(line, _LONGEST) for line in text.split("\n")))
+
+
+class NoDataError(InputError):
+    """Valid input without the data that a result needs; the text is as that of `InputError`."""
+
+    status = NO_DATA
 
 
 class ArgumentError(InputError):

@@ -67,12 +67,12 @@ def finish(found: Figures, *, as_json: bool) -> None:
             rows.append([label, *in_field_units(one), f"{one.count:.4g} {one.counted}"])
     if as_json:
         commands.print_json(figures_json(found))
-    else:
+    elif rows:
         commands.print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
         for name, budget in found.budgets.items():
             commands.print_table(f"Uncertainty budget of {name}", BUDGET_HEAD, budget_rows(budget))
     print_notes(found.problems if as_json and found.figures else found.notes)
-    if not found.figures:
-        raise edge.InputError("No figure could be computed.")
     if found.problems:
         raise typer.Exit(edge.INTERRUPTED if found.interrupted else edge.BAD_INPUT)
+    if not found.figures:
+        raise edge.NoDataError("No figure could be computed.")

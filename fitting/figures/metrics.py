@@ -156,7 +156,7 @@ def figures_of(
             figures[name] = dataclasses.replace(largest, definition=DEFINITIONS[name])
     started: dict[str, list[Start]] = {"starting_torque": [], "back_driving_torque": []}
     for one in surveyed:
-        if one.loops is not None:
+        if one.loops is not None or not one.overview.has_input_angle:
             continue
         for name, starts_by in (("starting_torque", starting_torques), ("back_driving_torque", back_driving_torques)):
             starts, added = starts_by(one.overview, ratio if ratio is not None else one.overview.ratio)
@@ -244,6 +244,8 @@ def metrics(
         try:
             surveyed.append(survey(open_source(source, ratio), ratio, rated, report))
         except edge.InputError as problem:
+            if len(given) == 1:
+                raise
             problems.append(str(problem))
         except KeyboardInterrupt:
             if not surveyed:

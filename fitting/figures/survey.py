@@ -144,7 +144,7 @@ def survey(
     """
     ratio = stream.ratio if ratio is None else ratio
     overview = _Overview()
-    folding = None if ratio is None else Folding(ratio, stream.source, evenly=True)
+    folding = Folding(ratio, stream.source, evenly=True) if ratio is not None and stream.has_input_angle else None
     blocks = PlausibleBlocks(stream, ratio)
     for block in blocks:
         overview.add(block)

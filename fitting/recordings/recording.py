@@ -69,6 +69,8 @@ class Recording(Block):
         Speed of the run, rad/s, of the shaft to which the bench's speed refers, if stated.
     timed
         Whether the times are seconds; otherwise they count samples.
+    has_input_angle
+        Whether the input angle is measured or stated; otherwise it is zero, and only the output angle is known.
     """
 
     source: str
@@ -83,6 +85,7 @@ class Recording(Block):
     limits: Limits = dataclasses.field(default_factory=Limits)
     speed: float | None = None
     timed: bool = True
+    has_input_angle: bool = True
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
@@ -110,7 +113,7 @@ class RecordingStream:
 
     Attributes
     ----------
-    source, ratio, pair, common_zero, known_index, limits, timed
+    source, ratio, pair, common_zero, known_index, limits, timed, has_input_angle
         As in `Recording`; the source is the file's name, followed by a comma and the run's name if there is one.
     notes, alignment, torque_alignment, speed
         As in `Recording`; complete when all blocks have been read.
@@ -136,6 +139,7 @@ class RecordingStream:
         self.timed = self._file.timed or self._mapping.time is not None
         if self._file.timed and self._mapping.last_row_first:
             raise edge.InputError(f"{self.source}: last_row_first: the file's own times determine the first sample.")
+        self.has_input_angle = self._mapping.input_angle is not None or self._mapping.transmission_error is not None
         self._stated = stated_in_name(path, self._mapping)
         own = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
         self.ratio = own if ratio is None else ratio
@@ -226,8 +230,6 @@ class RecordingStream:
             self.speed = float(speed[0] / speed[1])
         if not self.timed:
             self.notes.append(f"{self.source}: no time is mapped; times count samples, and speeds are unknown.")
-        if self._mapping.input_angle is None and self._mapping.transmission_error is None:
-            self.notes.append(f"{self.source}: no input angle is mapped; the input is assumed to be locked.")
         if kept < 2:
             raise edge.InputError(
                 " ".join([*self.notes, f"{self.source}: the recording has {kept or 'no'} samples; a curve needs more."])
@@ -251,7 +253,7 @@ class RecordingStream:
             **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
             common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
             alignment=self.alignment, torque_alignment=self.torque_alignment, limits=self.limits,
-            speed=self.speed, timed=self.timed,
+            speed=self.speed, timed=self.timed, has_input_angle=self.has_input_angle,
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:

@@ -434,8 +434,10 @@ class Folding:
         Raises
         ------
         edge.InputError
-            If the crank turns by no more than `LOCKED`, or the two angles do not match the ratio.
+            If the input angle is unknown or turns by no more than `LOCKED`, or the two angles do not match the ratio.
         """
+        if not stream.has_input_angle:
+            raise edge.NoDataError(f"{self.source}: no input angle is mapped; a transmission error needs both angles.")
         if self._waiting:
             self._fold()
         folds = sorted(self._folds.values(), key=lambda f: -f.way)
@@ -445,7 +447,7 @@ class Folding:
         kept = [f for f in folds if f.way > 0.01 * folds[0].way and f.samples > 1]
         if folds[0].way <= LOCKED or not kept:
             raise edge.InputError(
-                f"{self.source}: the input turns by only {np.degrees(folds[0].way):.3g}°, as if it were locked; a "
+                f"{self.source}: the input turns by only {np.degrees(folds[0].way):.3g}°; a "
                 f"curve needs a run in which it turns by more than {np.degrees(LOCKED):g}°."
             )
         few = sum(f.samples for f in folds if f not in kept)

@@ -143,7 +143,7 @@ def test_report_from_the_command_line(command, tmp_path):
     assert run.returncode == 0, run.stderr
     assert "Angular transmission error" in (tmp_path / "r.html").read_text(encoding="utf-8")
     run = command("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--ratio", "39", "-o", "wrong.html")
-    assert run.returncode == 2
+    assert run.returncode == 3
     assert "sign" in (tmp_path / "wrong.html").read_text(encoding="utf-8")
     run = command("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--ratio", "39", "-o", "r.docx")
     assert run.returncode == 2
