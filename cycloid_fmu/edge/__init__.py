@@ -28,9 +28,11 @@ from cycloid_fmu.edge.config import (
     validated,
 )
 from cycloid_fmu.edge.files import (
+    MOST_BYTES,
     PICTURES,
     check_format,
     csv_rows,
+    decoded,
     existing,
     finite,
     format_of,
@@ -69,6 +71,7 @@ from cycloid_fmu.edge.problems import (
 from cycloid_fmu.edge.quantities import (
     ARCMIN,
     ARCSEC,
+    RATIO,
     format_quantity,
     parse_quantity,
     parse_unit,
@@ -83,8 +86,10 @@ __all__ = [
     "DONE",
     "FAILED",
     "INTERRUPTED",
+    "MOST_BYTES",
     "NOT_MET",
     "PICTURES",
+    "RATIO",
     "SILENT",
     "Angle",
     "ArgumentError",
@@ -109,6 +114,7 @@ __all__ = [
     "WearCoefficient",
     "check_format",
     "csv_rows",
+    "decoded",
     "did_you_mean",
     "existing",
     "finite",
