@@ -661,7 +661,7 @@ def loops_of(
     """
     torque, notes = recording.torque, []
     largest = float(np.abs(torque).max())
-    if largest == 0.0:
+    if not largest > 0.0:  # none, or unknown
         return None, []
     rated = rated_torque or largest
     lobes = find_lobes(torque, rated)
