@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
 import errno
@@ -75,11 +76,44 @@ def format_of(path: str | os.PathLike[str]) -> object:
 def read_text(path: str | os.PathLike[str]) -> str:
     """Return the text of a UTF-8 file; raise an `InputError` if it can't be read or is a device, a pipe or a socket."""
     try:
-        return existing(path).read_text(encoding="utf-8")
+        return existing(path).read_text(encoding="utf-8-sig")  # Windows editors begin UTF-8 with a byte order mark
     except UnicodeDecodeError:
         raise InputError(f"{path}: this is not a UTF-8 text file.") from None
     except OSError as problem:
         raise InputError(f"{path}: {problem.strerror or problem}.") from None
+
+
+_MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+
+
+def decoded(data: bytes, source: object) -> tuple[str, str]:
+    """Return encoding and text of a table or of its first bytes.
+
+    The encoding is that of the byte order mark, else UTF-8, else Windows-1252, which has the characters of Latin-1.
+
+    Parameters
+    ----------
+    data
+        The bytes; a character that is cut at their end is left out.
+    source
+        The file's name, for messages.
+
+    Raises
+    ------
+    InputError
+        If it is not text in one of these encodings.
+    """
+    for mark, encoding in _MARKS:
+        if data.startswith(mark):
+            return encoding, codecs.getincrementaldecoder(encoding)(errors="replace").decode(data)
+    if b"\0" in data:
+        raise InputError(f"{source}: this is not a text table; it contains zero bytes.")
+    for encoding in ("utf-8", "cp1252"):
+        try:
+            return encoding, codecs.getincrementaldecoder(encoding)().decode(data)
+        except UnicodeDecodeError:
+            continue
+    raise InputError(f"{source}: this is not a text table; its encoding is none of UTF-8, UTF-16, Windows-1252.")
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -158,8 +192,12 @@ def finite(cell: str, field: str) -> float:
 
 
 def csv_rows(path: str | os.PathLike[str]) -> Iterator[list[str]]:
-    """Yield the cells of a CSV file's lines; raise an `InputError` if it can't be read."""
-    rows = csv.reader(read_text(path).splitlines())
+    """Yield the cells of a CSV file's lines, encoded as in `decoded`; raise an `InputError` if it can't be read."""
+    try:
+        text = decoded(existing(path).read_bytes(), path)[1]
+    except OSError as problem:
+        raise InputError(f"{path}: {problem.strerror or problem}.") from None
+    rows = csv.reader(text.splitlines())
     while True:
         with parsed_by_others(path, "this is not a CSV table"):
             row = next(rows, None)

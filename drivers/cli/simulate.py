@@ -20,7 +20,7 @@ def simulate(
     drive: Annotated[
         Path | None, typer.Option("--fmu", metavar="DRIVE.fmu", help="The drive. Default: an ideal one.")
     ] = None,
-    ratio: Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39.")] = None,
+    ratio: Annotated[float | None, typer.Option(help=f"Ratio input/output, such as -39: {edge.RATIO}.")] = None,
     turns: Annotated[int, typer.Option(min=1, help="Crank turns.")] = 39,
     samples_per_turn: Annotated[int, typer.Option(min=3, help="Samples per crank turn.")] = 96,
     direction: Annotated[Any, choice_option(("forward", "backward"), "Direction of the crank's rotation.")] = "forward",

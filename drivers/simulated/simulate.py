@@ -98,7 +98,7 @@ def simulate_bench(
     if drive is None and ratio is None:
         raise edge.ArgumentError("ratio", "is missing: give a drive, or the signed ratio of an ideal one")
     if ratio is not None and not (math.isfinite(ratio) and ratio):
-        raise edge.ArgumentError("ratio", "write the signed ratio input/output, such as -39", ratio)
+        raise edge.ArgumentError("ratio", f"write the signed ratio input/output: {edge.RATIO}", ratio)
     if speed_factor is not None and not speed_factor > 0:
         raise edge.ArgumentError("speed_factor", "the factor must be above zero", speed_factor)
     if serial is not None and serial not in SERIAL_BENCHES:

@@ -35,7 +35,7 @@ def forecast(
             show_default=False,
         ),
     ] = None,
-    mapping: options.MappingFile = None,
+    mapping: options.MappingFiles = None,
     output: Annotated[
         Path | None, commands.output_option((".json",), "FORECAST.json", "Write the forecast (JSON).")
     ] = None,

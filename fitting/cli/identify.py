@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def identify(
     files: options.Recordings,
     drive: options.PairFile,
-    mapping: options.MappingFile = None,
+    mapping: options.MappingFiles = None,
     output: Annotated[Path | None, commands.output_option((".json",), "FIT.json", "Write the fit (JSON).")] = None,
     surface: Annotated[
         Path | None, commands.output_option((".nc",), "S.nc", "Write the identified surface (netCDF).", "--surface")

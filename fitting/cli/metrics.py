@@ -16,7 +16,7 @@ def metrics(
     rated_torque: options.RatedTorque = None,
     stiffness_limits: options.StiffnessLimits = None,
     instruments: options.InstrumentsFile = None,
-    mapping: options.MappingFile = None,
+    mapping: options.MappingFiles = None,
     output: Annotated[
         Path | None, commands.output_option((".json",), "FIGURES.json", "Write the figures (JSON).")
     ] = None,

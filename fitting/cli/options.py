@@ -21,7 +21,10 @@ HeadFile = Annotated[
     Path | None,
     typer.Option(metavar="HEAD.toml", help="Correct the output angle for the coaxiality error of a single read head."),
 ]
-Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, instead of a pair.")]
+Ratio = Annotated[
+    float | None,
+    typer.Option(help=f"Ratio input/output, such as -39, instead of a pair: {edge.RATIO}."),
+]
 RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]
 InstrumentsFile = Annotated[
     Path | None,
@@ -37,7 +40,14 @@ StiffnessLimits = Annotated[
         help='Torque limits of the stiffness ranges K1, K2, ..., such as "5 N*m, 25 N*m, 80 N*m, 167 N*m".',
     ),
 ]
-MappingFile = Annotated[Path | None, typer.Option(metavar="MAP.toml", help="Mapping of the channels; see inspect.")]
+MappingFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--mapping",
+        metavar="MAP.toml",
+        help="Mapping of the channels, see inspect; repeatable: each file takes the one whose columns it has.",
+    ),
+]
 FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
 

@@ -34,7 +34,7 @@ def recalibrate(
     after: Annotated[
         Path | None, typer.Option(metavar="LAST.json", help="The last recalibration; its history is continued.")
     ] = None,
-    mapping: options.MappingFile = None,
+    mapping: options.MappingFiles = None,
     bits: Annotated[
         int | None, typer.Option(min=8, max=32, help="Resolution of the output encoder, bits per turn.")
     ] = None,

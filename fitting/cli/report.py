@@ -25,7 +25,7 @@ def report(
             metavar="DRIVE.toml", help="Add a certificate: device, limits, decision rule; with --instruments."
         ),
     ] = None,
-    mapping: options.MappingFile = None,
+    mapping: options.MappingFiles = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Write a report as one file, HTML or PDF: figures, curves, orders, loops, and excluded data with the reason.

@@ -741,7 +741,7 @@ def loops_of(
             "with a locked input: there is neither a loop nor a transmission error."
         ]
     largest = float(np.abs(torque).max())
-    if largest == 0.0:
+    if not largest > 0.0:  # none, or unknown
         return None, []
     rated = rated_torque or largest
     lobes = find_lobes(torque, rated)

@@ -223,7 +223,7 @@ def metrics(
     if drive is not None and ratio is not None:
         raise edge.ArgumentError("ratio", "the drive states its ratio; give one of the two", ratio)
     if ratio is not None and not (math.isfinite(ratio) and ratio):
-        raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
+        raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", ratio)
     rated = None if rated_torque is None else positive(rated_torque, "N*m", "rated_torque")
     limits = None if stiffness_limits is None else [positive(v, "N*m", "stiffness_limits") for v in stiffness_limits]
     if limits is not None and (len(limits) < 2 or sorted(set(limits)) != limits):

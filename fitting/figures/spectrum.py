@@ -148,7 +148,8 @@ def spectrum(curve: Curve) -> Spectrum:
 
 def run_label(source: str, curve: Curve) -> str:
     """Return the label of a run: recording, load and direction."""
-    return f"{source}, {curve.torque:.4g} N*m, {'forward' if curve.direction > 0 else 'backward'}"
+    load = "unknown load" if np.isnan(curve.torque) else f"{curve.torque:.4g} N*m"
+    return f"{source}, {load}, {'forward' if curve.direction > 0 else 'backward'}"
 
 
 def without_orders(orders: Spectrum, left_out: Sequence[int]) -> Spectrum:

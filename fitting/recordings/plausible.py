@@ -99,7 +99,8 @@ class PlausibleBlocks:
         """Return one sentence on the samples left out, if any."""
         if not self.count:
             return []
-        said = [f"{one.text} (from {one.time:.6g} s)" for one in self._found]
+        place = "from {:.6g} s" if self._stream.timed else "from sample {:.6g}"
+        said = [f"{one.text} ({place.format(one.time)})" for one in self._found]
         if self._faults > _SAID:
             said.append(f"{self._faults - _SAID} more such faults")
         if self._marked:

@@ -71,7 +71,8 @@ def sources_of(found: Figures) -> list[dict[str, str]]:
         kind = "loops" if one.loops is not None else "run"
         rows.append(
             {"name": Path(one.source).name, "kind": kind, "samples": f"{one.samples:,}",
-             "time": f"{one.duration:.4g} s", "temperature": warm, "checksum": one.checksum}
+             "time": f"{one.duration:.4g} s" if one.overview.timed else "unknown", "temperature": warm,
+             "checksum": one.checksum}
         )  # fmt: skip
     return rows
 
