@@ -83,6 +83,26 @@ def test_the_version_is_shown(command, name):
         (["cycloid-bench", "recrod"], "recrod is not a command; did you mean record?"),
         (["cycloid-fmu", "xyz"], "xyz is not a command; see cycloid-fmu --help."),
         (
+            ["cycloid-fit", "compensate", "p.toml", "--pair", "p.toml"],
+            "--pair is not an option of cycloid-fit compensate; write PAIR.toml without an option.",
+        ),
+        (
+            ["cycloid-fmu", "analyze", "p.toml", "--angles", "3", "--angles=4"],
+            '--angles takes one value; it is given 2 times: "3", "4".',
+        ),
+        (
+            ["cycloid-fmu", "surface", "nominal", "p.toml", "-o", "a.nc", "-ob.nc"],
+            '--output takes one value; it is given 2 times: "a.nc", "b.nc".',
+        ),
+        (
+            ["cycloid-bench", "record", "b.toml", "--idle", "2 s", "--idle", "3 s"],
+            '--idle takes one value; it is given 2 times: "2 s", "3 s".',
+        ),
+        (
+            ["cycloid-fit", "metrics", "a.csv", "--ratio", "-39", "--ratio", "-40"],
+            '--ratio takes one value; it is given 2 times: "-39", "-40".',
+        ),
+        (
             ["cycloid-fmu", "analyze", "p.toml", "--tourque", "3 Nm"],
             "--tourque is not an option of cycloid-fmu analyze; did you mean --torque?",
         ),
@@ -94,7 +114,6 @@ def test_the_version_is_shown(command, name):
             ["cycloid-bench", "record", "b.toml", "--ouput", "r"],
             "--ouput is not an option of cycloid-bench record; did you mean --output?",
         ),
-        (["cycloid-fmu", "analyze", "p.toml"], "--torque is missing; give it, or --limits with a duty."),
     ],
 )
 def test_unknown_words_are_answered_in_a_sentence(command, words, sentence):
@@ -214,7 +233,8 @@ def test_what_is_no_fmu_is_refused(command, tmp_path):
     (tmp_path / "d.toml").write_text(PAIR)
     for words in (["simulate", "d.toml", "--torque", "1 Nm"], ["inspect", "d.toml"], ["compare", "d.toml", "d.toml"]):
         run = command("cycloid-fmu", *words)
-        assert (run.returncode, run.stderr) == (2, "d.toml: this is not an FMU: it must be a ZIP archive.\n")
+        what = "a gear pair (cycloid-pair/1), for cycloid-fmu analyze, draw, build and --pair"
+        assert (run.returncode, run.stderr) == (2, f"d.toml: this is {what}; an FMU is needed here.\n")
 
 
 def test_the_first_answer_waits_for_no_package_that_it_does_not_need(tmp_path):

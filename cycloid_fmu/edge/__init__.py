@@ -27,9 +27,9 @@ from cycloid_fmu.edge.config import (
     unit_of_field,
     validated,
 )
+from cycloid_fmu.edge.file_kinds import check_format, wrong_kind
 from cycloid_fmu.edge.files import (
     PICTURES,
-    check_format,
     csv_rows,
     existing,
     finite,
@@ -141,5 +141,6 @@ __all__ = [
     "writable",
     "write_netcdf",
     "written_whole",
+    "wrong_kind",
     "zip_archive",
 ]

@@ -18,8 +18,9 @@ import sys
 import textwrap
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, MutableMapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -38,6 +39,7 @@ from cycloid_fmu.edge.problems import (
     InputError,
     InputWarning,
     did_you_mean,
+    listed,
     shown,
     without_controls,
 )
@@ -53,16 +55,26 @@ _SETTINGS: dict[str, Any] = {
 _QUIET, _LONGEST_QUIET = 10.0, 30.0  # seconds between the lines of a progress that is written to a file
 _SHORT = 0.5  # seconds: shorter computations show no bar, as its package is slow to load
 _WIDE = 40  # characters; longer cells may be wrapped at spaces in a narrow terminal
+_FEW, _MAIN = 8, 6  # the help of a command with more than 8 options shows 6 of them first
 
 
 class _Group(typer.core.TyperGroup):
     """A group of commands; errors of the library name options here, not function arguments."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        command = super().get_command(ctx, cmd_name)
+        options = [p for p in getattr(command, "params", ()) if p.param_type_name == "option" and p.name != "help"]
+        for option in options[_MAIN:] if len(options) > _FEW else ():
+            option.rich_help_panel = "More options"
+        return command
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         if args[0] not in self.commands and not args[0].startswith("-"):
             near = did_you_mean(args[0], self.commands)
             raise InputError(f"{args[0]} is not a command; {near or f'see {ctx.command_path} --help.'}")
         name, command, rest = super().resolve_command(ctx, args)
+        if not isinstance(command, typer.core.TyperGroup):
+            _refuse_repeated(ctx, command, rest)
         ctx.meta["cycloid.command"], ctx.meta["cycloid.words"] = command, (*rest,)
         return name, command, rest
 
@@ -79,6 +91,16 @@ class _Group(typer.core.TyperGroup):
             raise typer.Exit(getattr(interrupt, "exit_status", INTERRUPTED)) from None
 
 
+def _refuse_repeated(ctx: Any, command: Any, words: Sequence[str]) -> None:
+    """Refuse a second value of an option that takes one: Click would take the last without a word."""
+    with suppress(_USAGE_ERROR):  # which the command itself reports
+        _, _, given = command.make_parser(command.context_class(command, ctx)).parse_args(args=[*words])
+        for option, count in Counter(given).items():
+            if count > 1 and option.param_type_name == "option" and not (option.multiple or option.is_flag):
+                values = listed(shown(value) for value in _values(words, option.opts))
+                raise InputError(f"{option.opts[0]} takes one value; it is given {count} times: {values}.")
+
+
 def _flag(command: Any, argument: str) -> str:
     """Return the option or argument of a command that sets an argument of the library."""
     for parameter in command.params:
@@ -88,10 +110,21 @@ def _flag(command: Any, argument: str) -> str:
     return argument
 
 
+def _values(words: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return the values of an option as typed: --name VALUE, --name=VALUE, -n VALUE or -nVALUE."""
+    found = []
+    for word, after in pairwise([*words, ""]):
+        name, equals, value = word.partition("=")
+        if word in names or (equals and name in names):
+            found.append(value if equals else after)
+        elif word[:1] == "-" != word[1:2] and word[:2] in names:
+            found.append(word[2:])
+    return found
+
+
 def _typed(words: Sequence[str], flag: str) -> str | None:
     """Return the value of an option as typed, if it is given exactly once and ends in a unit; otherwise None."""
-    given = [after for word, after in pairwise(words) if word == flag]
-    given += [word.removeprefix(f"{flag}=") for word in words if word.startswith(f"{flag}=")]
+    given = _values(words, [flag])
     return given[0] if len(given) == 1 and re.search(r"\d.*[a-z]$", given[0]) else None
 
 
@@ -249,12 +282,22 @@ def _usage(problem: Any) -> str:
         return f"{problem.param.opts[0]} = {shown(problem.given)}: {reason}"
     unknown = getattr(problem, "option_name", None)
     if unknown is not None and getattr(problem, "possibilities", unknown) is not unknown:
-        options = [o for p in problem.ctx.command.params for o in p.opts if o.startswith("--")]
-        near = did_you_mean(unknown, options)
-        return f"{unknown} is not an option of {where}; {near or f'see {where} --help.'}"
+        instead = _instead(unknown, problem.ctx.command) or f"see {where} --help."
+        return f"{unknown} is not an option of {where}; {instead}"
     if "\n" in said or not said:  # a help page, or a message that is already printed
         return said
     return f"{said.rstrip('.')}; see {where} --help."
+
+
+def _instead(unknown: str, command: Any) -> str:
+    """Return what to write in place of an unknown option: an argument of that name, or the nearest option; or ""."""
+    word = unknown.strip("-")
+    for parameter in command.params:
+        name = parameter.metavar or ""
+        if parameter.param_type_name == "argument" and word in name.lower().split("."):
+            return f"write {name} without an option."
+    options = [o.strip("-") for p in command.params for o in p.opts if o.startswith("--")]
+    return did_you_mean(word, options, "--")
 
 
 def _say(text: str) -> None:
@@ -299,6 +342,12 @@ def quantity_option(si: str, help: str, *names: str, **settings: Any) -> Any:
 
     parse.__name__ = "quantity"
     return typer.Option(*names, parser=parse, metavar=f'"{EXAMPLES.get(si, f"1 {si}")}"', help=help, **settings)
+
+
+def ratio_option(help: str = "") -> Any:
+    """Return an option for the signed ratio of a drive whose pair is not given."""
+    said = "Signed ratio input/output: -gear_teeth with a fixed ring, +pins with a fixed carrier, such as -39."
+    return typer.Option("--ratio", metavar="RATIO", help=f"{said} {help}".strip())
 
 
 def choice_option(choices: Collection[str], help: str, *names: str, **settings: Any) -> Any:

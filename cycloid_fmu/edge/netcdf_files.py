@@ -9,7 +9,8 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cycloid_fmu.edge.files import MOST_BYTES, check_format, existing, written_whole
+from cycloid_fmu.edge.file_kinds import check_format, needed, wrong_kind
+from cycloid_fmu.edge.files import MOST_BYTES, existing, written_whole
 from cycloid_fmu.edge.problems import InputError, parsed_by_others, shown
 
 if TYPE_CHECKING:
@@ -30,7 +31,9 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
     import xarray as xr
     from xarray.backends import H5NetCDFStore
 
-    existing(path)
+    with existing(path).open("rb") as file:
+        if file.read(4) != b"\x89HDF" and (refused := wrong_kind(path, needed(wanted_format))) is not None:
+            raise refused
     # Read in pure Python: on a damaged file HDF5's own library may hang or crash.
     refusing = parsed_by_others(path, "this is not a netCDF file, or it is damaged")
     with refusing, h5netcdf.File(str(path), "r", backend="pyfive") as file:

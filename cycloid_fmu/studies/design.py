@@ -107,7 +107,7 @@ class DesignTask(Requirements):
         Pair file of everything that does not change, and the first start; relative to the design file. In Python the
         drive is given separately.
     duty
-        Duty as in a requirements file; the search is at its torques.
+        Duty as in a requirements file; the search is at its torques, without a duty at the rated torque.
     goals
         One figure of `GOALS` or a size, to be as good as possible, or two for a Pareto front.
     vary
@@ -117,7 +117,7 @@ class DesignTask(Requirements):
     """
 
     drive: str = ""
-    duty: tuple[DutyLoad, ...] = pydantic.Field(min_length=1)
+    duty: tuple[DutyLoad, ...] = ()
     goals: tuple[str, ...] = pydantic.Field(min_length=1, max_length=2)
     vary: dict[str, tuple[float, float]] = pydantic.Field(min_length=1)
     robust: Robust | None = None
@@ -251,7 +251,7 @@ def values_over_sweep(
         one array, whose largest value counts, or for those in `LOWER` the smallest.
     """
     pair, limits = one.pair, set(names)
-    loads = np.array(loads_of(task, None))
+    loads = np.array(loads_of(task, None, pair))
     found = solve(pair, one.surface, None, loads, angles, with_play=bool(limits & {"backlash", "interference"}))
     loaded = loads != 0.0
     every: dict[str, list[Array]] = {"angular_transmission_error": list(found.transmission_error)}
@@ -612,7 +612,7 @@ def sampled_figures(
         The drive as drawn, and the form of its flanks.
     """
     assert task.robust is not None
-    torque = tuple(load for load in loads_of(task, None) if load != 0.0)
+    torque = tuple(load for load in loads_of(task, None, pair) if load != 0.0)
     study = Study(pair, tolerances, samples=task.robust.samples, seed=seed, torque=torque)
     check_study(study, task.drive, task.robust.tolerances)
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
@@ -732,6 +732,8 @@ def _words(name: str) -> str:
 
 
 def _check(pair: Pair, task: DesignTask) -> None:
+    if not task.duty and pair.rated_torque is None:
+        raise edge.InputError("[[duty]] is missing; state it, or rated_torque of the pair.")
     if task.limits.wear_depth is not None:
         raise edge.InputError("[limits] wear_depth: a search does not include wear; remove it.")
 

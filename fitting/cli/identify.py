@@ -23,6 +23,10 @@ def identify(
     surface: Annotated[
         Path | None, commands.output_option((".nc",), "S.nc", "Write the identified surface (netCDF).", "--surface")
     ] = None,
+    report: Annotated[
+        Path | None, commands.output_option((".html",), "FIT.html", "Write a report of the fit.", "--report")
+    ] = None,
+    plot: commands.PlotFile = None,
     read_head: options.HeadFile = None,
     tolerances: Annotated[
         Path | None,
@@ -41,10 +45,6 @@ def identify(
         str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
     ] = "1 um",
     bootstrap: Annotated[int, typer.Option(min=0, help="Number of bootstrap resamples of output turns.")] = 0,
-    report: Annotated[
-        Path | None, commands.output_option((".html",), "FIT.html", "Write a report of the fit.", "--report")
-    ] = None,
-    plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Fit the drive's errors to recordings at one or more loads, and list the errors that the data cannot resolve.

@@ -135,6 +135,8 @@ def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | 
     ending = Path(path).suffix.lower().removeprefix(".")
     reader = READERS.get(ending) or next((e.value for e in metadata.entry_points(group=GROUP, name=ending)), None)
     if reader is None:
+        if (refused := edge.wrong_kind(path, "a recording", tables=True)) is not None:
+            raise refused
         known = sorted({*READERS, *(e.name for e in metadata.entry_points(group=GROUP))})
         raise edge.InputError(f"{path}: the ending must be one of {', '.join('.' + one for one in known)}.")
     module, name = reader.split(":")

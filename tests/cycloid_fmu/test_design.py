@@ -208,12 +208,13 @@ ROW = '[[duty]]\ntorque = "1 N*m"\noutput_speed = "1 rpm"\nshare = 1.0'
             "[limits] bearing_life: no bearing of the pair's [supports] states its dynamic_capacity",
         ),
         ({"drive": "nowhere.toml"}, 'drive = "nowhere.toml": there is no '),
-        ({"row": ""}, "duty is missing"),
+        ({"row": "", "drive": "unrated.toml"}, "[[duty]] is missing; state it, or rated_torque of the pair."),
         ({"row": '[[duty]]\ntorque = "1 N"\noutput_speed = "1 rpm"\nshare = 1.0'}, 'duty[0].torque = "1 N": the unit'),
     ],
 )
 def test_a_task_that_cannot_be_is_refused_in_a_sentence(tmp_path, change, said):
     drive = f"{EXAMPLES.as_posix()}/drive-39-40.toml"
+    (tmp_path / "unrated.toml").write_text((EXAMPLES / "wear-39-40.toml").read_text())
     table = {"drive": drive, "goals": ["backlash"], "vary": {"offset": ["-60 um", "0 um"]}, "row": ROW, **change}
     lines = ['format = "cycloid-design/1"', f'drive = "{table["drive"]}"']
     lines += [f"goals = {json.dumps(table['goals'])}", "[vary]"]
