@@ -10,6 +10,7 @@ import atexit
 import gc
 import importlib
 import logging
+import math
 import os
 import re
 import shutil
@@ -53,7 +54,9 @@ _SETTINGS: dict[str, Any] = {
     "no_args_is_help": True, "add_completion": False, "pretty_exceptions_enable": False, "rich_markup_mode": "rich",
 }  # fmt: skip
 _QUIET, _LONGEST_QUIET = 10.0, 30.0  # seconds between the lines of a progress that is written to a file
+_FORESEEN, _LONG = 3.0, 20.0  # seconds after which a computation is announced that takes at least so long
 _SHORT = 0.5  # seconds: shorter computations show no bar, as its package is slow to load
+_AT_ONCE = 0.1  # seconds in which only results of an interrupted run are ready
 _WIDE = 40  # characters; longer cells may be wrapped at spaces in a narrow terminal
 _FEW, _MAIN = 8, 6  # the help of a command with more than 8 options shows 6 of them first
 
@@ -427,7 +430,10 @@ def _is_number(cell: str) -> bool:
 
 
 class Bar:
-    """Progress of a computation on standard error: a bar on a terminal, otherwise a line every ten seconds or more.
+    """Progress of a computation on standard error, with the time left once it can be estimated.
+
+    On a terminal it is a bar. Otherwise it is lines, at least ten seconds apart: the first as soon as a long
+    computation can be foreseen.
 
     Parameters
     ----------
@@ -439,8 +445,9 @@ class Bar:
 
     def __init__(self, what: str, total: float | None) -> None:
         self._what, self._total, self._done = what, total, 0.0
-        self._began = self._said = time.monotonic()
-        self._said_share = 0.0
+        self._began = time.monotonic()
+        self._from = (self._began, 0.0)  # time and items from which the speed is measured
+        self._said, self._said_share = self._began, 0.0
         self._rich: Progress | None = None
 
     def advance(self, done: float = 1.0) -> None:
@@ -451,33 +458,53 @@ class Bar:
         self, *, completed: float | None = None, total: float | None = None, description: str | None = None
     ) -> None:
         """Set the number of items done, their total or their name."""
-        self._done = self._done if completed is None else completed
+        before, self._done = self._done, self._done if completed is None else completed
         self._total = self._total if total is None else total
         self._what = self._what if description is None else description
+        now = time.monotonic()
+        if self._done < before or now - self._began < _AT_ONCE:  # other items, or those of an interrupted run
+            self._from = (now, self._done)
         if sys.stderr.isatty():
             self._draw()
         elif self._done != self._total:
             self._print()
+
+    def left(self) -> float | None:
+        """Return the time left, s, at the mean speed; None if it is not known."""
+        began, before = self._from
+        done = self._done - before
+        if self._total is None or done <= 0.0:
+            return None
+        return (self._total - self._done) * (time.monotonic() - began) / done
 
     def _draw(self) -> None:
         if self._rich is None:
             if time.monotonic() - self._began < _SHORT:
                 return
             from rich.console import Console
-            from rich.progress import Progress
+            from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-            self._rich = Progress(console=Console(stderr=True), transient=True)
-            self._task = self._rich.add_task(self._what, total=self._total)
+            shown = "{task.description}", "{task.fields[left]}"
+            self._rich = Progress(
+                TextColumn(shown[0]), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn(shown[1]),
+                console=Console(stderr=True), transient=True,
+            )  # fmt: skip
+            self._task = self._rich.add_task(self._what, total=self._total, left="")
             self._rich.start()
-        self._rich.update(self._task, completed=self._done, total=self._total, description=self._what)
+        self._rich.update(
+            self._task, completed=self._done, total=self._total, description=self._what, left=_left(self.left())
+        )
 
     def _print(self) -> None:
-        now = time.monotonic()
+        now, left = time.monotonic(), self.left()
         quiet = now - self._said
         share = self._done / self._total if self._total else 0.0
-        if quiet >= _LONGEST_QUIET or (quiet >= _QUIET and share >= self._said_share + 0.1):
-            known = f" of {self._total:.6g} ({share:.0%})" if self._total else ""
-            _say(f"{self._what}: {self._done:.6g}{known} after {now - self._began:.0f} s")
+        first = self._said == self._began and left is not None and left > _LONG and quiet >= _FORESEEN
+        if first or quiet >= _LONGEST_QUIET or (quiet >= _QUIET and share >= self._said_share + 0.1):
+            known = f": {self._done:.6g} of {self._total:.6g} ({share:.0%})" if self._total else ""
+            counted = f": {self._done:.6g}" if self._done and not known else known
+            coming = f", {_left(left)}" if left else ""
+            _say(f"{self._what}{counted} after {now - self._began:.0f} s{coming}")
             self._said, self._said_share = now, share
 
     def __enter__(self) -> Bar:
@@ -486,6 +513,17 @@ class Bar:
     def __exit__(self, *problem: object) -> None:
         if self._rich is not None:
             self._rich.stop()
+
+
+def _left(seconds: float | None) -> str:
+    """Return a remaining time as words, as coarse as its estimate; "" if it is not known."""
+    if seconds is None:
+        return ""
+    if seconds < 60.0:
+        return f"about {math.ceil(seconds)} s left"
+    minutes = round(seconds / 60.0)
+    hours, rest = divmod(minutes, 60)
+    return f"about {minutes} min left" if minutes < 60 else f"about {hours} h {rest} min left"
 
 
 @contextmanager
@@ -497,8 +535,6 @@ def progress(what: str, total: float | None) -> Iterator[Callable[[float], None]
 
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
-    """Show the current stage on a terminal; yields the function for a `progress` argument."""
-    from rich.console import Console
-
-    with Console(stderr=True).status("starting …") as shown:
-        yield lambda step: shown.update(f"{step} …")
+    """Show the current stage of a computation; yields the function for a `progress` argument."""
+    with Bar("starting", None) as bar:
+        yield lambda step: bar.update(description=step)

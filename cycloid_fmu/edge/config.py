@@ -80,7 +80,7 @@ WearCoefficient = Annotated[float, *_in_unit("m^2/N")]
 
 
 _COUNT = re.compile(r"\w+ should have (at \w+ \d+) items? after validation, not (\d+)")
-_DEEPEST = 4  # tables in tables
+_DEEPEST, _MOST_TABLES = 4, 5  # tables in tables; tables that a sentence lists
 _LIST = "a list in square brackets"
 _NUMBER = "a number without quotes"
 _WORDS = {
@@ -151,7 +151,9 @@ def _tables_with(model: type[pydantic.BaseModel], key: str) -> str:
             seen.add(below)
 
     look(model, ())
-    *others, last = dict.fromkeys(found) or [""]
+    *others, last = tables = list(dict.fromkeys(found)) or [""]
+    if len(tables) > _MOST_TABLES:
+        return f"it belongs to a table such as {tables[0]}."
     return f"it belongs to {', '.join(others)}{' or ' if others else ''}{last}." if found else ""
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 DONE, FAILED, BAD_INPUT, SILENT, NOT_MET, INTERRUPTED = 0, 1, 2, 3, 4, 130
 _NOTHING = object()
 _LONGEST = 2000  # characters of a sentence
-_NEAR_PART = 0.8  # similarity of a word to a part of a known one
+_NEAR_PART = 0.9  # similarity of a word to a part of a known one
 _CONTROLS = frozenset([*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)])
 
 
