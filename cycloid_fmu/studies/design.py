@@ -75,6 +75,7 @@ _EVALUATIONS = 200  # largest number in a search, per variable
 _STEP = 1e-3  # of differences, relative to the range
 _SPARE = 1e-4  # margin of the search relative to a limit, because it ends slightly off
 _BINDS = 5e-3  # a limit with a smaller relative margin is binding
+_DIGITS = {"m": 9, "rad": 6}  # decimals of a drawing's values: whole nanometres, whole microradians
 _ROUNDS, _SETTLED = 6, 0.02  # rounds of tightening, and the relative change of a limit that ends them
 _GIVEN_WAY = 1e-3
 
@@ -531,6 +532,32 @@ class Search:
             )
         return min(ends, key=lambda end: self.rank(end, goal, levels))
 
+    def drawn(self, place: Array) -> dict[str, float]:
+        """Return a point's values as a drawing states them, SI: rounded to `_DIGITS`, on the side that keeps limits."""
+        digits = np.array([_DIGITS[VARIABLES[n]] for n in self.names])
+        wanted = np.array([*self.values_at(place).values()]) * 10.0**digits
+        whole = np.round(wanted)
+        other = whole + np.where(wanted > whole, 1.0, -1.0)
+
+        def values_of(numbers: Array) -> Array:
+            rounded = [round(n / 10.0**d, int(d)) for n, d in zip(numbers.tolist(), digits.tolist(), strict=True)]
+            values: Array = np.clip(rounded, self.low, self.low + self.width)
+            return values
+
+        def missed(numbers: Array) -> float:
+            figures = self.figures((values_of(numbers) - self.low) / self.width, math.inf)
+            if figures is None:
+                return math.inf
+            return max(0.0, -float(self.margins(figures, {}).min(initial=0.0)))
+
+        least = missed(whole)
+        while least > 0.0:
+            best = min((np.where(np.arange(whole.size) == k, other, whole) for k in range(whole.size)), key=missed)
+            if missed(best) >= least:
+                break
+            other, whole, least = whole + other - best, best, missed(best)
+        return dict(zip(self.names, values_of(whole).tolist(), strict=True))
+
     def binding(self, place: Array, goal: str, levels: Mapping[str, float]) -> tuple[Relaxed, ...]:
         """Return the binding constraints at an optimum: multipliers of limits and ends of ranges.
 
@@ -784,7 +811,8 @@ def _designed(
     search: Search, task: DesignTask, tolerances: Tolerances | None, place: Array, levels: Mapping[str, float], *,
     seed: int, workers: int,
 ) -> Design:  # fmt: skip
-    values = search.values_at(place)
+    values = search.drawn(place)
+    place = (np.array([*values.values()]) - search.low) / search.width
     one = candidate(search.pair, values)
     angles = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     judged = judge_drive(one.pair, one.surface, None, task, None, angles)

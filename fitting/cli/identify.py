@@ -55,6 +55,7 @@ def identify(
     """
     import fitting
     from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.geometry.pair import write_pair
     from fitting.estimation.result import as_json as content
 
     options.check_report(report)
@@ -78,7 +79,7 @@ def identify(
         if result.bearings:
             # A surface belongs to one pair, and the bearings of this one differ from the file's.
             made = surface.with_suffix(".toml")
-            result.drive.write(made)
+            write_pair(result.drive.pair.nominal, made)
             written.append(f"{made}: the pair with its identified bearings, to which {surface} belongs.")
     if plot is not None:
         fitting.plot(result, plot)

@@ -79,6 +79,7 @@ def recalibrate(
     """
     import fitting
     from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.geometry.pair import write_pair
     from fitting.recalibration.files import as_json as content
     from fitting.recalibration.files import read_recalibration, write_recalibration
     from fitting.recalibration.plan import plan_visit
@@ -115,8 +116,8 @@ def recalibrate(
         if result.drive.pair.supports is not None or result.drive.first_stage is not None:
             # A surface belongs to one pair, and the bearings of this one differ from the file's.
             made = surface.with_suffix(".toml")
-            result.drive.write(made)
-            notes.append(f"{made}: the drive with its updated bearings; {surface} belongs to it.")
+            write_pair(result.drive.pair.nominal, made)
+            notes.append(f"{made}: the pair with its updated bearings, to which {surface} belongs.")
     if plot is not None:
         fitting.plot(result, plot)
     if as_json:

@@ -2,10 +2,12 @@
 
 import json
 import math
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
 import pytest
+from common import lengths_of
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -18,7 +20,16 @@ from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.drive import read_drive
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
-from cycloid_fmu.studies.design import DesignTask, candidate, read_design_task, rotation_form, search, worst_of
+from cycloid_fmu.studies.design import (
+    DesignTask,
+    candidate,
+    read_design_task,
+    rotation_form,
+    search,
+    worst_of,
+    write_designs,
+)
+from cycloid_fmu.studies.limits import Requirements
 from cycloid_fmu.studies.tolerance import Study, run
 from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -182,6 +193,25 @@ def test_the_command_writes_drives_that_are_ready(tmp_path):
     play = float(np.nan_to_num(made.analyze(181.0, angles=48).backlash).max())
     assert play == pytest.approx(numbers["goals"]["backlash"], rel=1e-3, abs=1e-8)
     assert (tmp_path / "found.png").stat().st_size > 10000
+
+
+def test_a_found_drive_has_sizes_that_a_drawing_can_state(pair, tmp_path):
+    """Whole nanometres, still on the side of a limit that leaves no room, and judged as they are written."""
+    vary = {"pin_radius": ("2.7 mm", "3.3 mm"), "offset": ("-60 um", "0 um"), "isometric": ("-30 um", "0 um")}
+    drive = cy.Drive(pair).replace(rated_torque="181 N*m")
+    found = drive.design(
+        ["max_contact_pressure", "backlash"], vary, limits={"interference": "0 um"}, starts=0, points=3
+    )
+    write_designs(found, tmp_path)
+    for number, one in enumerate(found, 1):
+        text = (tmp_path / f"design-{number}.toml").read_text()
+        assert all(length % Decimal("1e-9") == 0 for length in lengths_of(text)), text
+        written = read_drive(tmp_path / f"design-{number}.toml")
+        assert written.pair == one.pair
+        judged = written.judge(Requirements(limits={"interference": "0 um"}))
+        assert one.met == judged.met is True
+        pressure = float(written.analyze().pin_pressure.max())
+        assert pressure == pytest.approx(one.goals["max_contact_pressure"], rel=1e-3)
 
 
 ROW = '[[duty]]\ntorque = "1 N*m"\noutput_speed = "1 rpm"\nshare = 1.0'
