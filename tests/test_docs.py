@@ -34,7 +34,7 @@ SHORTER = (
     (r"( budget .*)", r"\g<1> --samples 100"),
     (r"( wear .*--crank-turns) \S+", r"\g<1> 2e4"),
 )
-SIMULATE = "cycloid-bench simulate --fmu as-made.fmu --ratio -39 --noise '0.5 arcsec'"
+SIMULATE = "cycloid-bench simulate --fmu as-made.fmu --noise '0.5 arcsec'"
 RUNS = f"""
 cp examples/drive-39-40.toml drive.toml
 cycloid-fmu build examples/drive-39-40-as-made.toml -o as-made.fmu

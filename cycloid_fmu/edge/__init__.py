@@ -27,10 +27,10 @@ from cycloid_fmu.edge.config import (
     unit_of_field,
     validated,
 )
+from cycloid_fmu.edge.file_kinds import check_format, wrong_kind
 from cycloid_fmu.edge.files import (
     MOST_BYTES,
     PICTURES,
-    check_format,
     csv_rows,
     decoded,
     existing,
@@ -152,5 +152,6 @@ __all__ = [
     "writable",
     "write_netcdf",
     "written_whole",
+    "wrong_kind",
     "zip_archive",
 ]

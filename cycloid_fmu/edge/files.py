@@ -21,7 +21,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, parsed_by_others, shown
+from cycloid_fmu.edge.file_kinds import check_format, needed, wrong_kind
+from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, first_line, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
 MOST_BYTES = 4 << 30  # largest size of data unpacked or loaded as a whole
@@ -30,18 +31,13 @@ PICTURES = (".png", ".pdf")
 """Endings of plot files."""
 
 
-def check_format(given: object, wanted: str, source: str) -> None:
-    """Raise an `InputError` if a file's `format` is not the one that this version reads."""
-    if given is None:
-        raise InputError(f'{source}: format is missing; the first line must be format = "{wanted}".')
-    if given != wanted:
-        raise InputError(f'{source}: format = {shown(given)}: this version reads "{wanted}".')
-
-
 def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
     """Return the table of a TOML text of the wanted format, without its `format` key."""
-    with parsed_by_others(source, "this is not TOML"):
+    try:
         table = tomllib.loads(text)
+    except (ValueError, RecursionError) as problem:
+        refused = wrong_kind(source, needed(wanted_format))
+        raise refused or InputError(f"{source}: this is not TOML ({first_line(problem)}).") from None
     check_format(table.pop("format", None), wanted_format, source)
     return table
 
@@ -55,8 +51,11 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
         If it can't be read, is not a JSON object, or has another format.
     """
     text = read_text(path)
-    with parsed_by_others(path, "this is not JSON"):
+    try:
         data = json.loads(text)
+    except (ValueError, RecursionError) as problem:
+        refused = wrong_kind(path, needed(wanted_format))
+        raise refused or InputError(f"{path}: this is not JSON ({first_line(problem)}).") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: it holds no {what}; it must be a JSON object.")
     check_format(data.get("format"), wanted_format, str(path))
@@ -78,7 +77,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
     try:
         return existing(path).read_text(encoding="utf-8-sig")  # Windows editors begin UTF-8 with a byte order mark
     except UnicodeDecodeError:
-        raise InputError(f"{path}: this is not a UTF-8 text file.") from None
+        raise wrong_kind(path, "a text file") or InputError(f"{path}: this is not a UTF-8 text file.") from None
     except OSError as problem:
         raise InputError(f"{path}: {problem.strerror or problem}.") from None
 
@@ -193,6 +192,8 @@ def finite(cell: str, field: str) -> float:
 
 def csv_rows(path: str | os.PathLike[str]) -> Iterator[list[str]]:
     """Yield the cells of a CSV file's lines, encoded as in `decoded`; raise an `InputError` if it can't be read."""
+    if (refused := wrong_kind(path, "a table (CSV)", tables=True)) is not None:
+        raise refused
     try:
         text = decoded(existing(path).read_bytes(), path)[1]
     except OSError as problem:
@@ -391,7 +392,7 @@ def zip_archive(path: str | os.PathLike[str], what: str, description: str | None
         has a document type declaration, whose entities can expand without limit or include other files.
     """
     if not zipfile.is_zipfile(existing(path)):
-        raise InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
+        raise wrong_kind(path, f"an {what}") or InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
     with parsed_by_others(path, f"this is not an {what}, or it is damaged"), zipfile.ZipFile(path) as archive:
         if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
             raise InputError(f"{path}: it unpacks to more than {MOST_BYTES >> 30} GiB.")

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from cycloid_fmu.edge.files import check_format, existing, written_whole
+from cycloid_fmu.edge.file_kinds import check_format, needed, wrong_kind
+from cycloid_fmu.edge.files import existing, written_whole
 from cycloid_fmu.edge.limited import call_limited, limits_of
 from cycloid_fmu.edge.problems import InputError, parsed_by_others, shown
 
@@ -45,7 +46,9 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> Netcdf:
     InputError
         If it can't be read, is not netCDF, or has another format.
     """
-    existing(path)
+    with existing(path).open("rb") as file:
+        if file.read(4) != b"\x89HDF" and (refused := wrong_kind(path, needed(wanted_format))) is not None:
+            raise refused
     with parsed_by_others(path, "this is not a netCDF file, or it is damaged"):
         data = call_limited(path, parsed_netcdf, str(path), limits_of(path).memory / 2)
     texts = {"format": data.attrs.get("format"), "pair": data.attrs.get("pair")}

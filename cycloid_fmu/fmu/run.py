@@ -83,6 +83,20 @@ def stated_drive(path: str | os.PathLike[str]) -> str:
         return archive.read(DRIVE).decode().split("\n", 1)[0].removeprefix("# drive ")
 
 
+def rated_load(path: str | os.PathLike[str]) -> float:
+    """Return the rated torque that an FMU states, N·m: the load where none is given.
+
+    Raises
+    ------
+    edge.InputError
+        If it states none, or the file is not an FMU.
+    """
+    for variable in _description(path).modelVariables:
+        if variable.name == "rated_torque":
+            return float(variable.start)
+    raise edge.ArgumentError("torque", f"is missing; give it: {path} states no rated_torque")
+
+
 def _description(path: str | os.PathLike[str]) -> Any:
     import fmpy
 

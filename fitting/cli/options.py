@@ -21,10 +21,7 @@ HeadFile = Annotated[
     Path | None,
     typer.Option(metavar="HEAD.toml", help="Correct the output angle for the coaxiality error of a single read head."),
 ]
-Ratio = Annotated[
-    float | None,
-    typer.Option(help=f"Ratio input/output, such as -39, instead of a pair: {edge.RATIO}."),
-]
+Ratio = Annotated[float | None, commands.ratio_option("Instead of a pair.")]
 RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]
 InstrumentsFile = Annotated[
     Path | None,

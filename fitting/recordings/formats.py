@@ -159,6 +159,8 @@ def _reader(path: str | os.PathLike[str], source: object) -> tuple[str, str]:
     ending = Path(path).suffix.lower().removeprefix(".")
     reader = READERS.get(ending) or next((e.value for e in metadata.entry_points(group=GROUP, name=ending)), None)
     if reader is None:
+        if (refused := edge.wrong_kind(path, "a recording", tables=True)) is not None:
+            raise refused
         known = sorted({*READERS, *(e.name for e in metadata.entry_points(group=GROUP))})
         raise edge.InputError(
             f"{source}: the ending must be one of {', '.join('.' + one for one in known)}; {COMPRESSED} may follow it."

@@ -214,7 +214,7 @@ def test_other_bad_input_is_one_sentence(command):
         assert done.returncode == 2
         assert done.stderr.startswith(said), done.stderr
         assert done.stderr.count("\n") == 1
-    with pytest.raises(edge.InputError, match="torque is missing; give it, or state the pair's rated torque"):
+    with pytest.raises(edge.InputError, match=r"torque is missing; give it, or state \[pair\] rated_torque"):
         cy.Drive(make_pair()).sweep({"pin_radius": ["3 mm"]})
     listed = cy.Drive(make_pair()).replace(errors={"pin_radial": [1e-6] * 40})
     with pytest.raises(edge.InputError, match="the drive states single values of pin_radial, not its orders"):

@@ -521,17 +521,20 @@ def test_bad_duty_cycles_get_a_sentence(table, sentence, tmp_path):
 
 def test_duty_cycles_come_from_one_place(tmp_path):
     (tmp_path / "duty.csv").write_text("torque [kN*m],crank_turns [1]\n-0.4,1e6\n0.1,2e6\n\n")
-    loads, turns = duty_cycle(law(), None, None, tmp_path / "duty.csv", "w.toml")
+    pair = make_pair(rated_torque="181 N*m")
+    loads, turns = duty_cycle(law(), None, None, tmp_path / "duty.csv", "w.toml", pair)
     assert [(one.torque, one.crank_turns) for one in loads] == [(-400.0, 1e6), (100.0, 2e6)]
     assert turns == 3e6
     stated = LAW.replace("[wear.reg", '[[wear.duty]]\ntorque = "-400 N*m"\ncrank_turns = 1e6\n[wear.reg')
-    assert duty_cycle(law(stated), None, 5e6, None, "w.toml")[1] == 5e6
-    with pytest.raises(edge.InputError, match="it comes from 2"):
-        duty_cycle(law(stated), -400.0, 5e6, None, "w.toml")
-    with pytest.raises(edge.InputError, match="it comes from 0"):
-        duty_cycle(law(), None, 5e6, None, "w.toml")
+    assert duty_cycle(law(stated), None, 5e6, None, "w.toml", pair)[1] == 5e6
+    assert duty_cycle(law(), None, 5e6, None, "w.toml", pair) == ((Load(torque=181.0, crank_turns=1.0),), 5e6)
+    twice = r"^w\.toml: a torque and \[\[wear\.duty\]\] both state the load; keep one of them\.$"
+    with pytest.raises(edge.InputError, match=twice):
+        duty_cycle(law(stated), -400.0, 5e6, None, "w.toml", pair)
+    with pytest.raises(edge.InputError, match=r"^torque is missing; give it, or state \[pair\] rated"):
+        duty_cycle(law(), None, 5e6, None, "w.toml", make_pair())
     with pytest.raises(edge.InputError, match=r"^crank_turns = -1\.0: it must be zero or above"):
-        duty_cycle(law(), -400.0, -1.0, None, "w.toml")
+        duty_cycle(law(), -400.0, -1.0, None, "w.toml", pair)
 
 
 def test_absurd_coefficients_are_named():

@@ -797,7 +797,13 @@ def test_what_can_not_be_set_is_an_error_with_a_message_that_says_why(slave, val
     [
         ("kinematic", {"flange_b_tau": 1e9}, 1e-3, "1e+09 N.m, which turns the output by more than 0.01 rad"),
         ("kinematic", {}, -1e-3, "a step of -0.001 s: it must be finite and not below 0"),
-        ("compliant", {"flange_b_phi": 0.1}, 1e-3, "it must stay within 0.01 rad"),
+        ("compliant", {"flange_b_phi": 0.1}, 1e-4, "rad from flange_a.phi/ratio: it must stay within 0.01 rad"),
+        (
+            "compliant",
+            {"flange_b_phi": 0.1},
+            2e-3,
+            "after a step of 0.002 s: it must stay within 0.01 rad; make shorter steps (0.0001 s is suggested), or",
+        ),
         ("compliant", {"flange_a_w": 1e9, "flange_b_w": 1e9 / -39, "mesh_damping": 1.0}, 1e3, "divided into more than"),
         ("inertia", {"flange_b_tau": 1e9}, 1e-3, "rad"),
         ("inertia", {"flange_a_w": 1e9}, 1e-3, "divided into more than"),
