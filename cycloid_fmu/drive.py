@@ -57,8 +57,10 @@ def _torque(given: Any) -> float:
     return _quantity("torque", given, "N*m")
 
 
-def _torques(given: Any) -> list[float]:
-    """One torque or several, as numbers or text."""
+def _torques(given: Any, pair: Pair) -> list[float]:
+    """One torque or several, as numbers or text; the rated torque for None."""
+    if given is None:
+        return [pair.rated_load()]
     return [_torque(one) for one in ([given] if isinstance(given, str) or np.ndim(given) == 0 else given)]
 
 
@@ -194,7 +196,7 @@ class Drive:
 
     def analyze(
         self,
-        torque: ArrayLike | str | Sequence[float | str],
+        torque: ArrayLike | str | Sequence[float | str] | None = None,
         *,
         crank_angle: ArrayLike | None = None,
         angles: int = ANGLES,
@@ -209,7 +211,7 @@ class Drive:
         ----------
         torque
             Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or
-            several. At 0 the transmission error is the middle of the play.
+            several; by default the rated torque. At 0 the transmission error is the middle of the play.
         crank_angle
             Crank angles, rad; by default `angles` of them, evenly spaced over `turns` crank turns from 0, end excluded.
         slices
@@ -228,7 +230,7 @@ class Drive:
         Raises
         ------
         edge.InputError
-            If a torque can't be carried.
+            If there is neither a torque nor a rated torque, or a torque can't be carried.
         """
         from cycloid_fmu.contact.transmission import slices_needed
         from cycloid_fmu.reducer.transmission import analyze
@@ -236,14 +238,14 @@ class Drive:
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
         return analyze(
-            self.pair, self.surface, self.first_stage, _torques(torque), crank_angle,
+            self.pair, self.surface, self.first_stage, _torques(torque, self.pair), crank_angle,
             slices or slices_needed(self.surface), with_elements=slices is not None,
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
 
     def motion(
         self,
-        torque: ArrayLike | str | Sequence[float | str],
+        torque: ArrayLike | str | Sequence[float | str] | None = None,
         crank_angle: ArrayLike | str = 0.0,
         *,
         exaggeration: float | None = None,
@@ -255,8 +257,8 @@ class Drive:
         ----------
         torque
             Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or
-            several. At 0 the output is in the middle of its play. Behind a first stage it is the torque on the cycloid
-            stage's output, and only that stage is included.
+            several; by default the rated torque. At 0 the output is in the middle of its play. Behind a first stage it
+            is the torque on the cycloid stage's output, and only that stage is included.
         crank_angle
             Crank angle, rad or text with a unit; one, or several for an animated page.
         exaggeration
@@ -273,7 +275,8 @@ class Drive:
         Raises
         ------
         edge.InputError
-            If a torque can't be carried, or the crank angle or exaggeration is out of range.
+            If there is neither a torque nor a rated torque, a torque can't be carried, or the crank angle or
+            exaggeration is out of range.
 
         Examples
         --------
@@ -296,7 +299,9 @@ class Drive:
             crank_angle = _quantity("crank_angle", crank_angle, "rad")
         if not np.isfinite(crank_angle).all():
             raise edge.ArgumentError("crank_angle", "it must be finite", crank_angle)
-        found = motion_of(self.pair, self.surface, _torques(torque), crank_angle, exaggeration, progress=progress)
+        found = motion_of(
+            self.pair, self.surface, _torques(torque, self.pair), crank_angle, exaggeration, progress=progress
+        )
         return dataclasses.replace(found, behind_first_stage=self.first_stage is not None)
 
     def judge(
@@ -317,7 +322,7 @@ class Drive:
             The requirements of the application, or their file (cycloid-requirements/1).
         torque
             Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or
-            several. Those of the duty are added.
+            several. Those of the duty are added; without either it is the rated torque.
         angles, turns
             Number of crank angles, and of the crank turns that they span.
         workers, progress
@@ -346,7 +351,7 @@ class Drive:
         stated = requirements if isinstance(requirements, Requirements) else read_requirements(requirements)
         return judge_drive(
             self.pair, self.surface, self.first_stage, stated,
-            [] if torque is None else _torques(torque),
+            [] if torque is None else _torques(torque, self.pair),
             np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False), workers=workers or os.cpu_count() or 1,
             progress=progress,
         )  # fmt: skip
@@ -379,13 +384,16 @@ class Drive:
 
         return compliance(self.pair, self.first_stage, progress=progress)
 
-    def bearing_loads(self, torque: float | str, *, angles: int = ANGLES, turns: int = 1) -> list[BearingLoad]:
+    def bearing_loads(
+        self, torque: float | str | None = None, *, angles: int = ANGLES, turns: int = 1
+    ) -> list[BearingLoad]:
         """Largest and equivalent load of every bearing over whole crank turns, and its basic rating life (ISO 281).
 
         Parameters
         ----------
         torque
-            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit.
+            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; by default
+            the rated torque.
         angles, turns
             Number of crank angles, and of the crank turns that they span.
 
@@ -397,13 +405,14 @@ class Drive:
         from cycloid_fmu.reducer.transmission import solve
         from cycloid_fmu.supports.figures import bearing_loads
 
+        loads = _torques(torque, self.pair)
         crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
-        found = solve(self.pair, self.surface, self.first_stage, [_torque(torque)], crank_angle, with_play=False)
+        found = solve(self.pair, self.surface, self.first_stage, loads, crank_angle, with_play=False)
         return bearing_loads(self.pair, found)
 
     def sensitivity(
         self,
-        torque: float | str,
+        torque: float | str | None = None,
         errors: Sequence[str] | None = None,
         *,
         crank_angle: ArrayLike | None = None,
@@ -414,7 +423,8 @@ class Drive:
         Parameters
         ----------
         torque
-            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; not 0.
+            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit, not 0; by
+            default the rated torque.
         errors
             Names of errors: kinds with one value, waves such as `pin_radial_1_cos`, orders such as
             `profile_deviation_1`; by default the kinds with one value and the orders 1 to 3. With supports also
@@ -455,8 +465,9 @@ class Drive:
         for name in names:
             if name not in known and kind_of(name) is None and profile_wave(name, 1) is None:
                 raise edge.ArgumentError("errors", f"no structured error; {edge.did_you_mean(name, known)}", name)
+        (load,) = _torques(torque, self.pair)
         _, jacobian = error_sensitivity(
-            self.pair, self.surface, self.first_stage, _torque(torque), crank_angle, names, slices_needed(self.surface)
+            self.pair, self.surface, self.first_stage, load, crank_angle, names, slices_needed(self.surface)
         )
         units = {"units": "rad/m, rad/rad", "long_name": "derivative of the transmission error", "drive": self.hash}
         places = {"error": names, "crank_angle": np.atleast_1d(crank_angle)}
@@ -538,12 +549,11 @@ class Drive:
         from cycloid_fmu.studies import yields
         from cycloid_fmu.studies.tolerance import Study
 
-        rated = self.pair.rated_torque
-        if torque is None and rated is None:
-            raise edge.ArgumentError("torque", "is missing; give it, or state the pair's rated torque")
-        loads = [rated, -rated] if torque is None and rated is not None else torque
+        loads = _torques(torque, self.pair)
+        if torque is None:
+            loads.append(-loads[0])
         study = Study(
-            self.pair, _tolerances(tolerances), samples, seed, tuple(_torques(loads)),
+            self.pair, _tolerances(tolerances), samples, seed, tuple(loads),
             angles=angles, first_stage=self.first_stage,
         )  # fmt: skip
         yields.check(study, "pair", "tolerances", to_first_order=first_order is not None)
@@ -606,12 +616,9 @@ class Drive:
         from cycloid_fmu.studies.sweep import Sweep, vary_of
         from cycloid_fmu.studies.sweep_files import conduct
 
-        rated = self.pair.rated_torque
-        loads = rated if torque is None else torque
         sweep = Sweep(
-            self.pair, self.surface, self.first_stage, vary_of(vary),
-            () if loads is None else tuple(_torques(loads)), angles, turns,
-        )  # fmt: skip
+            self.pair, self.surface, self.first_stage, vary_of(vary), tuple(_torques(torque, self.pair)), angles, turns
+        )
         return conduct(sweep, output, workers=workers or os.cpu_count() or 1, progress=progress)
 
     def wear(
@@ -733,8 +740,6 @@ class Drive:
         refuse_first_stage(self, "a search")
         if self.pair.errors or self.surface != surface_of_pair(self.pair):
             raise edge.ArgumentError("drive", "has errors; a search needs the drive as drawn: give it without errors")
-        if not duty and self.pair.rated_torque is not None:
-            duty = ({"torque": self.pair.rated_torque, "output_speed": 0.0, "share": 1.0},)
         task = DesignTask(
             goals=(goals,) if isinstance(goals, str) else tuple(goals), vary=dict(vary), limits=dict(limits or {}),
             duty=tuple(duty), friction_coefficient=friction_coefficient,

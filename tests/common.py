@@ -5,6 +5,7 @@ import json
 import posixpath
 import re
 import zipfile
+from decimal import Decimal
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -120,3 +121,9 @@ def smoke_tested(path, kind="CoSimulation"):
             <= float(experiment.get("tolerance")) * np.abs(references[name]).max()
         ), name
     return references.size
+
+
+def lengths_of(text):
+    """The lengths in the text of a pair file, m, as exact decimal numbers."""
+    scale = {"m": 0, "mm": -3, "um": -6}
+    return [Decimal(number).scaleb(scale[unit]) for number, unit in re.findall(r'"([-+.\de]+) (m|mm|um)"', text)]

@@ -83,6 +83,26 @@ def test_the_version_is_shown(command, name):
         (["cycloid-bench", "recrod"], "recrod is not a command; did you mean record?"),
         (["cycloid-fmu", "xyz"], "xyz is not a command; see cycloid-fmu --help."),
         (
+            ["cycloid-fit", "compensate", "p.toml", "--pair", "p.toml"],
+            "--pair is not an option of cycloid-fit compensate; write PAIR.toml without an option.",
+        ),
+        (
+            ["cycloid-fmu", "analyze", "p.toml", "--angles", "3", "--angles=4"],
+            '--angles takes one value; it is given 2 times: "3", "4".',
+        ),
+        (
+            ["cycloid-fmu", "surface", "nominal", "p.toml", "-o", "a.nc", "-ob.nc"],
+            '--output takes one value; it is given 2 times: "a.nc", "b.nc".',
+        ),
+        (
+            ["cycloid-bench", "record", "b.toml", "--idle", "2 s", "--idle", "3 s"],
+            '--idle takes one value; it is given 2 times: "2 s", "3 s".',
+        ),
+        (
+            ["cycloid-fit", "metrics", "a.csv", "--ratio", "-39", "--ratio", "-40"],
+            '--ratio takes one value; it is given 2 times: "-39", "-40".',
+        ),
+        (
             ["cycloid-fmu", "analyze", "p.toml", "--tourque", "3 Nm"],
             "--tourque is not an option of cycloid-fmu analyze; did you mean --torque?",
         ),
@@ -94,7 +114,6 @@ def test_the_version_is_shown(command, name):
             ["cycloid-bench", "record", "b.toml", "--ouput", "r"],
             "--ouput is not an option of cycloid-bench record; did you mean --output?",
         ),
-        (["cycloid-fmu", "analyze", "p.toml"], "--torque is missing; give it, or --limits with a duty."),
     ],
 )
 def test_unknown_words_are_answered_in_a_sentence(command, words, sentence):
@@ -187,8 +206,41 @@ def test_a_long_computation_is_not_silent_in_a_log(monkeypatch, capsys):
             progress(10)
             now[0] += 2.0
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "drives: 100 of 1000 (10%) after 18 s"
-    assert len(lines) == 9
+    assert lines[0] == "drives: 30 of 1000 (3%) after 4 s, about 3 min left", "announced at once"
+    assert lines[-1] == "drives: 940 of 1000 (94%) after 186 s, about 12 s left"
+    assert len(lines) == 10
+
+
+def test_the_time_left_is_that_at_the_measured_speed(monkeypatch, capsys):
+    """Drives that an interrupted run left do not count as speed, nor do items of an earlier stage."""
+    now = [0.0]
+    monkeypatch.setattr(commands.time, "monotonic", lambda: now[0])
+    with commands.Bar("drives", 1000) as bar:
+        bar.advance(400)  # from a checkpoint
+        now[0] = 50.0
+        bar.advance(100)
+        assert bar.left() == pytest.approx(500 / 2.0)
+        bar.update(completed=0, total=2000, description="crank angles")
+        assert bar.left() is None
+        now[0] = 60.0
+        bar.advance(1000)
+        assert bar.left() == pytest.approx(10.0)
+
+
+def test_a_stage_of_unknown_length_is_named_in_a_log(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr(commands.time, "monotonic", lambda: now[0])
+    with commands.status() as stage:
+        for number in range(4):
+            stage(f"finding a start ({number + 1})")
+            now[0] += 20.0
+    assert capsys.readouterr().err == "finding a start (3) after 40 s\n"
+
+
+def test_times_left_are_words():
+    assert [commands._left(s) for s in (None, 8.2, 59.0, 100.0, 3599.0, 8000.0)] == [
+        "", "about 9 s left", "about 59 s left", "about 2 min left", "about 1 h 0 min left", "about 2 h 13 min left",
+    ]  # fmt: skip
 
 
 def test_a_short_computation_says_nothing_in_a_log(capsys):
@@ -214,7 +266,8 @@ def test_what_is_no_fmu_is_refused(command, tmp_path):
     (tmp_path / "d.toml").write_text(PAIR)
     for words in (["simulate", "d.toml", "--torque", "1 Nm"], ["inspect", "d.toml"], ["compare", "d.toml", "d.toml"]):
         run = command("cycloid-fmu", *words)
-        assert (run.returncode, run.stderr) == (2, "d.toml: this is not an FMU: it must be a ZIP archive.\n")
+        what = "a gear pair (cycloid-pair/1), for cycloid-fmu analyze, draw, build and --pair"
+        assert (run.returncode, run.stderr) == (2, f"d.toml: this is {what}; an FMU is needed here.\n")
 
 
 def test_the_first_answer_waits_for_no_package_that_it_does_not_need(tmp_path):

@@ -26,8 +26,9 @@ from pyarrow import parquet
 
 import drivers
 from cycloid_fmu import edge
+from cycloid_fmu.draw.figure import new_figure
 from cycloid_fmu.edge.commands import print_table
-from cycloid_fmu.fmu.run import read_motion, units_of
+from cycloid_fmu.fmu.run import described, read_motion, units_of
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.studies.checkpoint import Checkpoint
 from drivers.can.bus import open_bus
@@ -42,6 +43,7 @@ from fitting.estimation.result import read_lmfit_parameters
 from fitting.recordings.formats import open_bench_file
 from fitting.recordings.formulas import Formula
 from fitting.recordings.inspection import inspect
+from fitting.recordings.loggers import MdfFile
 from fitting.recordings.mapping import read_mapping
 from fitting.recordings.recording import RecordingStream
 from fitting.reports.page import html_page
@@ -419,7 +421,7 @@ def test_no_formula_of_an_mdf_file_is_evaluated(tmp_path, asammdf, monkeypatch, 
         monkeypatch.setattr(module, "evaluate", evaluated)
         monkeypatch.setattr(module, "lambdify", evaluated)
         monkeypatch.setattr(module, "symbols", evaluated)
-    file = open_bench_file(f"a.{ending}")
+    file = MdfFile(f"a.{ending}")  # in this process, whose asammdf is patched
     found = {
         name: np.concatenate([p.values[name] for p in file.pieces([name])]) for name in [c.name for c in file.channels]
     }
@@ -573,7 +575,7 @@ def test_a_netcdf_file_holds_its_data_itself(tmp_path):
                 file["x"].make_scale("x")
         refused = contextlib.nullcontext() if name == "whole" else pytest.raises(edge.InputError, match=f"{name}.nc: ")
         with refused:
-            assert edge.netcdf(tmp_path / f"{name}.nc", "f")["x"].values.tolist() == list(range(10))
+            assert edge.netcdf(tmp_path / f"{name}.nc", "f").variables["x"].values.tolist() == list(range(10))
 
 
 JSON = "JSON: figures, results, checkpoints of studies"
@@ -612,14 +614,42 @@ LAUGHS = (
 @pytest.mark.parametrize(
     "text", [LAUGHS, '<!DOCTYPE a [<!ENTITY b SYSTEM "/etc/passwd">]><fmiModelDescription fmiVersion="2.0">&b;</a>']
 )
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-be", "utf-32", "utf-32-be", "cp037", "utf-7"])
 def test_an_fmu_s_description_defines_nothing(tmp_path, text, encoding):
     with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
-        archive.writestr("modelDescription.xml", text.encode(encoding))
-    with pytest.raises(edge.InputError, match=r"modelDescription.xml has a document type"):
+        declared = b'<?xml version="1.0" encoding="UTF-7"?>' if encoding == "utf-7" else b""
+        archive.writestr("modelDescription.xml", declared + text.encode(encoding))
+    said = r"modelDescription.xml(: this is not XML in UTF-8| has a document type)"
+    with pytest.raises(edge.InputError, match=said):
         units_of(tmp_path / "a.fmu", "input")
-    with pytest.raises(edge.InputError, match=r"modelDescription.xml has a document type"):
+    with pytest.raises(edge.InputError, match=said):
         drivers.simulate_bench(tmp_path / "a.fmu", torque=1.0, ratio=-39, turns=1)
+
+
+def fmu_with(folder, variables, structure=""):
+    text = (
+        '<fmiModelDescription fmiVersion="2.0" modelName="a" guid="a" variableNamingConvention="structured">'
+        '<CoSimulation modelIdentifier="a"/>'
+        f"<ModelVariables>{variables}</ModelVariables><ModelStructure>{structure}</ModelStructure>"
+        "</fmiModelDescription>"
+    )
+    with zipfile.ZipFile(folder / "a.fmu", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("modelDescription.xml", text)
+    return folder / "a.fmu"
+
+
+@tries(FMU)
+def test_a_description_of_too_many_variables_is_refused(tmp_path, monkeypatch):
+    """Six hundred thousand took 38 s and 2 GB; validation takes the square of the number of outputs."""
+    one = '<ScalarVariable name="v{0}" valueReference="{0}" causality="output"><Real/></ScalarVariable>'
+    many = fmu_with(tmp_path, "".join(one.format(i) for i in range(200_000)))
+    with pytest.raises(edge.InputError, match=r"a.fmu: its modelDescription.xml is longer than 16 MiB\."):
+        described(many)
+    unknown = "".join(f'<Unknown index="{i + 1}" dependencies="1"/>' for i in range(8000))
+    square = f"<Outputs>{unknown}</Outputs><InitialUnknowns>{unknown}</InitialUnknowns>"
+    monkeypatch.setattr("cycloid_fmu.edge.limited._SECONDS", 4.0)
+    with pytest.raises(edge.InputError, match=r"a.fmu: this file is damaged or too complex"):
+        described(fmu_with(tmp_path, "".join(one.format(i) for i in range(8000)), square))
 
 
 @tries(FMU)
@@ -639,6 +669,31 @@ def test_a_report_shows_names_as_names():
     plotly = page.index("const panels")
     assert hostile not in page
     assert "<script" not in page[plotly : page.index("</script>", plotly)]
+
+
+@posix
+def test_names_are_no_formulas_in_pictures(tmp_path, command):
+    """A file's name and a channel's, in every picture of a recording."""
+    time, name = np.arange(4000) / 200.0, r"a$\frac{$"
+    rows = np.column_stack([time, 40.0 * time, -40.0 / 39.0 * time + 1e-5 * np.sin(40.0 * time), 20.0 + 0.0 * time])
+    header = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"
+    np.savetxt(tmp_path / f"{name}.csv", rows, "%.12g", ",", header=header, comments="")
+    np.savetxt(tmp_path / "other.csv", rows, "%.12g", ",", header=header.replace("torque", name), comments="")
+    for words in (
+        ("report", f"{name}.csv", "--ratio", "-39", "-o", "y.pdf"),
+        ("metrics", f"{name}.csv", "--ratio", "-39", "--plot", "y.png"),
+        ("inspect", "other.csv", "--plot", "z.png"),
+    ):
+        done = command("cycloid-fit", *words)
+        assert (done.returncode, done.stderr) == (0, ""), words
+    figure, (axis,) = new_figure()
+    axis.loglog([1e-3, 1.0], [1e-3, 1.0], label=name)
+    axis.set_title(name)
+    axis.legend(title=name)
+    axis.set_xticks([1e-3, 1.0], [name, "b"])
+    figure.savefig(tmp_path / "d.png")
+    assert axis.get_yticklabels()[0].get_parse_math(), "powers of ten stay powers"
+    assert not axis.get_xticklabels()[0].get_parse_math()
 
 
 # --- written files ------------------------------------------------------------------------------------------------
@@ -732,6 +787,7 @@ def test_a_result_has_its_format_s_ending(command, tmp_path, words, said):
 WRITER = """
 import sys
 from cycloid_fmu import edge
+from cycloid_fmu.draw.figure import new_figure
 with edge.written_whole(sys.argv[1]) as temporary:
     temporary.write_text("half")
     print(temporary, flush=True)

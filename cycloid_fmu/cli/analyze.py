@@ -25,11 +25,14 @@ def analyze(
     torque: Annotated[
         list[float] | None,
         commands.quantity_option(
-            "N*m", 'Torque on the output, such as "-181 N*m"; repeatable. Those of a duty are added.'
+            "N*m", "Torque on the output; repeatable. Those of a duty are added.", show_default="the rated torque"
         ),
     ] = None,
+    limits_file: LimitsFile = None,
     output: Annotated[Path | None, commands.output_option((".nc",), "OUT.nc", "Write the dataset (netCDF).")] = None,
+    plot: commands.PlotFile = None,
     surface_file: SurfaceFile = None,
+    as_json: commands.AsJson = False,
     angles: Annotated[int, typer.Option(min=1, help="Number of crank angles from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
     slices: Annotated[
@@ -45,9 +48,6 @@ def analyze(
             help="Temperatures of ring, pins, discs, carrier and crank, or one for all. Default: as in the file.",
         ),
     ] = None,
-    limits_file: LimitsFile = None,
-    plot: commands.PlotFile = None,
-    as_json: commands.AsJson = False,
 ) -> None:
     """Transmission error, backlash, stiffness, load sharing and pressure over a crank sweep.
 
@@ -58,9 +58,6 @@ def analyze(
         from cycloid_fmu.studies import limits, verdicts
 
         asked = limits.read_requirements(limits_file)
-        torque = verdicts.loads_of(asked, torque)
-    elif not torque:
-        raise edge.ArgumentError("torque", "is missing; give it, or --limits with a duty")
     import numpy as np
 
     from cycloid_fmu.contact.transmission import Interrupted, notes, slices_needed
@@ -71,8 +68,11 @@ def analyze(
     drive = read_drive(pair_file, surface_file)
     if temperature is not None:
         drive = drive.replace(temperature=parse_temperatures(temperature, drive.pair.temperature))
-    if asked is not None:
+    if asked is None:
+        torque = torque or [drive.pair.rated_load(str(pair_file))]
+    else:
         verdicts.check(asked, drive.pair, str(limits_file), str(pair_file))
+        torque = verdicts.loads_of(asked, torque, drive.pair, str(pair_file))
     used = slices or slices_needed(drive.surface)
     angle = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
     with commands.progress("crank angles", angles * len(torque)) as progress:

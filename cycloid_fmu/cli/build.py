@@ -31,6 +31,19 @@ def build(
             "kinematic: crank motion and load in, output motion out; compliant: both motions in, both torques out.",
         ),
     ] = "kinematic",
+    native: Annotated[
+        bool,
+        typer.Option("--native", help="Build an FMU that needs no Python: C code with tables of the contact model."),
+    ] = False,
+    fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.", "--fmi")] = "2.0",
+    stiffness: Annotated[
+        float | None,
+        commands.quantity_option(
+            "N*m/rad",
+            'Stiffness of the whole drive, such as a catalogue\'s "49 N*m/arcmin"; sets the compliance in series.',
+            show_default=False,
+        ),
+    ] = None,
     output_inertia: Annotated[
         float,
         commands.quantity_option(
@@ -61,14 +74,6 @@ def build(
         Path | None,
         typer.Option("--friction", metavar="FRICTION.toml", help="Friction at both flanges (cycloid-friction/1)."),
     ] = None,
-    stiffness: Annotated[
-        float | None,
-        commands.quantity_option(
-            "N*m/rad",
-            'Stiffness of the whole drive, such as a catalogue\'s "49 N*m/arcmin"; sets the compliance in series.',
-            show_default=False,
-        ),
-    ] = None,
     loop: Annotated[
         Path | None,
         typer.Option(
@@ -76,11 +81,6 @@ def build(
             help="Stiffness and dry friction of a measured loop: figures written by cycloid-fit metrics -o.",
         ),
     ] = None,
-    fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.", "--fmi")] = "2.0",
-    native: Annotated[
-        bool,
-        typer.Option("--native", help="Build an FMU that needs no Python: C code with tables of the contact model."),
-    ] = False,
     largest_torque: Annotated[
         float | None,
         commands.quantity_option(
@@ -95,7 +95,6 @@ def build(
             show_default=False,
         ),
     ] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="With --draws: the same seed draws the same drives.")] = 0,
     platforms: Annotated[
         list[str] | None,
         typer.Option(
@@ -140,7 +139,7 @@ def build(
         kind, output_inertia, table, crank_inertia=crank_inertia, stiffness=stiffness, support_flange=support_flange,
         input_friction=friction.input, output_friction=friction.output,
     )  # fmt: skip
-    options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version, "draws": draws, "seed": seed}
+    options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version, "draws": draws}
     turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     free = solve(drive.pair, drive.surface, drive.first_stage, [], turn, slices_needed(drive.surface))
     for note in interference_notes(free):

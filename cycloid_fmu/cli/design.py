@@ -23,7 +23,6 @@ def design(
     starts: Annotated[int, typer.Option(min=0, help="Number of starting points besides the drive itself.")] = 4,
     points: Annotated[int, typer.Option(min=3, help="Number of drives on the Pareto front, with two goals.")] = 7,
     seed: Annotated[int, typer.Option(min=0, help="The same seed finds the same drive.")] = 1,
-    workers: Annotated[int, typer.Option(min=1, help="Threads that solve sampled drives.")] = os.cpu_count() or 1,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -43,8 +42,9 @@ def design(
     pair, task, tolerances = searching.read_design_task(design_file)
     with commands.status() as progress:
         found = searching.search(
-            pair, task, tolerances, starts=starts, seed=seed, points=points, workers=workers, progress=progress
-        )
+            pair, task, tolerances, starts=starts, seed=seed, points=points, workers=os.cpu_count() or 1,
+            progress=progress,
+        )  # fmt: skip
     if output is not None:
         searching.write_designs(found, output)
     if plot is not None:

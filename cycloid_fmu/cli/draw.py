@@ -54,10 +54,7 @@ def draw(
     from cycloid_fmu.drive import read_drive
 
     drive = read_drive(pair_file, surface_file)
-    if not torque:
-        if drive.pair.rated_torque is None:
-            raise edge.ArgumentError("torque", "is missing; give it, or state rated_torque in the pair file")
-        torque = [drive.pair.rated_torque]
+    torque = torque or [drive.pair.rated_load(str(pair_file))]
     moves = output.suffix.lower() == ".html"
     if len(torque) > 1 and not moves:
         raise edge.ArgumentError(

@@ -14,7 +14,10 @@ from cycloid_fmu.edge import commands
 
 def simulate(
     fmu_file: FmuFile,
-    torque: Annotated[float | None, commands.quantity_option("N*m", 'Torque on the output, such as "100 N*m".')] = None,
+    torque: Annotated[
+        float | None,
+        commands.quantity_option("N*m", 'Torque on the output, such as "100 N*m".', show_default="the rated torque"),
+    ] = None,
     turns: Annotated[float, typer.Option(help="Crank turns; a negative number turns backwards.")] = 1.0,
     speed: Annotated[
         float, commands.quantity_option("rad/s", "Crank speed.", show_default="600 rpm")
@@ -33,15 +36,16 @@ def simulate(
 
     from cycloid_fmu.fmu import run
 
-    if (torque is None) == (motion is None):
-        raise edge.InputError("simulate needs --torque, or --input with inputs over time.")
-    if torque is not None:
+    if torque is not None and motion is not None:
+        raise edge.InputError("--torque and --input both state the load; give one of them.")
+    if motion is None:
         if speed <= 0.0:
             raise edge.ArgumentError("speed", "it must be above zero; turn backwards with turns below zero", speed)
         if turns == 0.0:
             raise edge.ArgumentError("turns", "it must not be zero", turns)
+        torque = run.rated_load(fmu_file) if torque is None else torque
         results = run.turn_crank(fmu_file, torque, turns, speed, samples)
-    elif motion is not None:
+    else:
         time, inputs = run.read_inputs(motion, fmu_file)
         with commands.progress("samples", time.size) as progress:
             found = run.simulate(fmu_file, inputs, list(run.units_of(fmu_file, "output")), time, progress=progress)

@@ -29,7 +29,8 @@ def sweep(
         ),
     ],
     torque: Annotated[
-        list[float] | None, commands.quantity_option("N*m", "Torque on the output; repeatable. Default: rated.")
+        list[float] | None,
+        commands.quantity_option("N*m", "Torque on the output; repeatable.", show_default="the rated torque"),
     ] = None,
     output: Annotated[
         Path | None,
@@ -39,11 +40,11 @@ def sweep(
             "Output file; until it is complete, partial results are in a file next to it.",
         ),
     ] = None,
+    plot: commands.PlotFile = None,
     surface_file: SurfaceFile = None,
     angles: Annotated[int, typer.Option(min=20, help="Number of crank angles from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
-    plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Solve a drive for every combination of several values of its pair file; gives a table, lines and maps.
@@ -63,10 +64,11 @@ def sweep(
             raise edge.ArgumentError("vary", problem, each)
         given[name.strip()] = values.strip()
     drive = read_drive(pair_file, surface_file)
+    torque = torque or [drive.pair.rated_load(str(pair_file))]
     size = math.prod(len(one.values) for one in vary_of(given))  # type: ignore[arg-type]
     with commands.progress("drives", size) as progress:
         data = drive.sweep(
-            given, torque or None, output, angles=angles, turns=turns, workers=workers, progress=progress
+            given, torque, output, angles=angles, turns=turns, workers=workers, progress=progress
         )  # fmt: skip
     if plot is not None:
         from cycloid_fmu.draw import plots, sweeps

@@ -24,9 +24,17 @@ def tolerance(
     tolerances_file: TolerancesFile,
     torque: Annotated[
         list[float] | None,
-        commands.quantity_option("N*m", "Torque on the output; repeatable. Default: ± rated."),
+        commands.quantity_option("N*m", "Torque on the output; repeatable.", show_default="± the rated torque"),
     ] = None,
     samples: Annotated[int, typer.Option(min=2, help="Number of drives.")] = 1000,
+    limits_file: LimitsFile = None,
+    output: Annotated[
+        Path | None,
+        commands.output_option(
+            (".nc",), "STUDY.nc", "Write the study (netCDF); until it is complete, partial results are next to it."
+        ),
+    ] = None,
+    plot: commands.PlotFile = None,
     seed: Annotated[int, typer.Option(help="The same seed draws the same drives.")] = 1,
     design: Annotated[
         str,
@@ -48,14 +56,6 @@ def tolerance(
         float | None,
         typer.Option("--allocate", metavar="YIELD", help="Find the cheapest tolerances that reach this yield."),
     ] = None,
-    output: Annotated[
-        Path | None,
-        commands.output_option(
-            (".nc",), "STUDY.nc", "Write the study (netCDF); until it is complete, partial results are next to it."
-        ),
-    ] = None,
-    limits_file: LimitsFile = None,
-    plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Solve many drives within their tolerances: distributions, yields against limits, sensitivities.

@@ -18,7 +18,8 @@ def wear(
     pair_file: PairFile,
     wear_file: Annotated[Path, typer.Option("--wear", metavar="WEAR.toml", help="The wear law (cycloid-wear/1).")],
     torque: Annotated[
-        float | None, commands.quantity_option("N*m", 'Torque on the output, such as "-400 N*m".')
+        float | None,
+        commands.quantity_option("N*m", 'Torque on the output, such as "-400 N*m".', show_default="the rated torque"),
     ] = None,
     crank_turns: Annotated[
         float | None, typer.Option(help="Crank turns. Default: those of the duty cycle.", show_default=False)
@@ -32,9 +33,9 @@ def wear(
     output: Annotated[
         Path | None, commands.output_option((".nc",), "WORN.nc", "Write the worn surface and its life (netCDF).")
     ] = None,
+    plot: commands.PlotFile = None,
     surface_file: SurfaceFile = None,
     limits_file: LimitsFile = None,
-    plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Wear of flanks and pins over a life, with the profile updated as it wears.
@@ -47,8 +48,8 @@ def wear(
     from cycloid_fmu.wear.law import duty_cycle, read_wear_law
 
     law = read_wear_law(wear_file)
-    loads, turns = duty_cycle(law, torque, crank_turns, duty_file, str(wear_file))
     drive = read_drive(pair_file, surface_file)
+    loads, turns = duty_cycle(law, torque, crank_turns, duty_file, str(wear_file), drive.pair, str(pair_file))
     refuse_first_stage(drive, "wear")
     asked = None
     if limits_file is not None:

@@ -36,6 +36,8 @@ from numba.core.untyped_passes import (
 from numba.extending import models, register_model
 from numpy.typing import NDArray
 
+from cycloid_fmu.edge.kernels import kept_njit
+
 Array = NDArray[np.float64]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -197,8 +199,8 @@ def compiled(function: _Function) -> _Function:
 
     Inside another kernel it is a `part` of that one. What numba compiled for Python's calls is its `dispatcher`.
     """
-    entry = njit(cache=True, error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
-    if not config.DISABLE_JIT:
+    entry = kept_njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
+    if not config.DISABLE_JIT and entry._cache.cache_path is not None:
         _Compilation(entry)
 
     @functools.wraps(function)

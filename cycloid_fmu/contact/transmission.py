@@ -585,8 +585,8 @@ def notes(pair: Pair, found: Transmission) -> list[str]:
     half = 2.0 * found.pin_force[pressed] / (math.pi * pair.face_width * found.pin_pressure[pressed])
     if half.max(initial=0.0) > _LARGEST_HALF_WIDTH * pair.pin_radius:
         said.append(
-            f"The contact's half width reaches {half.max() * 1e3:.3g} mm beside a pin radius of "
-            f"{pair.pin_radius * 1e3:.3g} mm: Hertz's law takes it for small."
+            f"The contact's half width reaches {half.max() * 1e3:.3g} mm with a pin radius of "
+            f"{pair.pin_radius * 1e3:.3g} mm: Hertz's law holds only for contacts that are narrow beside the pin."
         )
     if pair.rated_torque is not None and np.abs(found.torque).max(initial=0.0) > pair.rated_torque:
         torque = found.torque[np.abs(found.torque).argmax()]

@@ -305,11 +305,7 @@ def look(desk: Desk, values: Mapping[str, str]) -> View:
 
 def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
     asked = Requirements() if desk.requirements is None else desk.requirements
-    if not torque and not asked.duty:
-        if pair.rated_torque is None:
-            raise edge.ArgumentError("torque", 'is missing; write one, such as "181 N*m", or state a rated torque')
-        torque = [pair.rated_torque]
-    loads = tuple(loads_of(asked, torque))
+    loads = tuple(loads_of(asked, torque, pair))
     # That of the file: what is stated of its bodies holds for variants too.
     series = series_compliance(pair_of_tables(desk.tables, desk.source), None)
     found, judged = _swept(pair, asked, loads, series)

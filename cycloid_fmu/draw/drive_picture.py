@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cycloid_fmu.draw.figure import show_legend
+from cycloid_fmu.draw.figure import figure_of_names, show_legend
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.motion import Motion, Points, along, round_number, tooth_turns
 
@@ -249,9 +249,7 @@ def draw_tooth(axis: Axes, motion: Motion) -> None:
 
 def plot_motion(motion: Motion, load: int = 0, angle: int = 0) -> Figure:
     """Drive at a load and crank angle, its transmission error over a crank turn, and one tooth close up."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.4, 6.6), layout="constrained")
+    figure = figure_of_names()(figsize=(10.4, 6.6), layout="constrained")
     left, right = np.asarray(figure.subfigures(1, 2, width_ratios=(1.45, 1.0)))
     drive = left.subplots()
     draw_drive(drive, motion, load, angle)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
@@ -22,11 +23,36 @@ def save(figure: Figure, path: str | os.PathLike[str], endings: Collection[str] 
         figure.savefig(temporary, dpi=150)
 
 
+@functools.cache
+def figure_of_names() -> type[Figure]:
+    """Return matplotlib's class of figures, but with dollar signs as such: a name from a file is no formula.
+
+    The numbers on axes stay formulas, such as powers of ten.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
+    from matplotlib.ticker import FixedFormatter, FuncFormatter
+
+    class FigureOfNames(Figure):
+        def draw(self, renderer: Any) -> None:
+            axes = [axis for one in self.axes for axis in (one.xaxis, one.yaxis)]
+            numbers = {
+                text for axis in axes if not isinstance(axis.get_major_formatter(), FixedFormatter | FuncFormatter)
+                for text in (*axis.get_majorticklabels(), *axis.get_minorticklabels())
+            }  # fmt: skip
+            for text in self.findobj(Text):
+                if text not in numbers:
+                    text.set_parse_math(False)
+            super().draw(renderer)
+
+    return FigureOfNames
+
+
 def new_figure(rows: int = 1, columns: int = 1, *, sharex: bool = False) -> tuple[Figure, NDArray[np.object_]]:
     """Return a figure that needs no screen, and its axes as a flat array."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0 if columns == 1 else 4.8 * columns + 1.2, 2.4 * rows + 0.8), layout="constrained")
+    figure = figure_of_names()(
+        figsize=(9.0 if columns == 1 else 4.8 * columns + 1.2, 2.4 * rows + 0.8), layout="constrained"
+    )
     axes = np.atleast_1d(figure.subplots(rows, columns, sharex=sharex))
     for axis in axes.flat:
         axis.grid(alpha=0.3)

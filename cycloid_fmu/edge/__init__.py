@@ -27,10 +27,12 @@ from cycloid_fmu.edge.config import (
     unit_of_field,
     validated,
 )
+from cycloid_fmu.edge.file_kinds import check_format, wrong_kind
 from cycloid_fmu.edge.files import (
+    MOST_BYTES,
     PICTURES,
-    check_format,
     csv_rows,
+    decoded,
     existing,
     finite,
     format_of,
@@ -46,17 +48,19 @@ from cycloid_fmu.edge.files import (
     written_whole,
     zip_archive,
 )
+from cycloid_fmu.edge.limited import call_limited, each_limited
 from cycloid_fmu.edge.netcdf_files import hdf5_target, netcdf, write_netcdf
 from cycloid_fmu.edge.problems import (
     BAD_INPUT,
     DONE,
     FAILED,
     INTERRUPTED,
+    NO_DATA,
     NOT_MET,
-    SILENT,
     ArgumentError,
     InputError,
     InputWarning,
+    NoDataError,
     did_you_mean,
     first_line,
     listed,
@@ -69,6 +73,7 @@ from cycloid_fmu.edge.problems import (
 from cycloid_fmu.edge.quantities import (
     ARCMIN,
     ARCSEC,
+    RATIO,
     format_quantity,
     parse_quantity,
     parse_unit,
@@ -83,9 +88,11 @@ __all__ = [
     "DONE",
     "FAILED",
     "INTERRUPTED",
+    "MOST_BYTES",
     "NOT_MET",
+    "NO_DATA",
     "PICTURES",
-    "SILENT",
+    "RATIO",
     "Angle",
     "ArgumentError",
     "Config",
@@ -93,6 +100,7 @@ __all__ = [
     "InputError",
     "InputWarning",
     "Length",
+    "NoDataError",
     "PowerDensity",
     "Pressure",
     "PressureViscosity",
@@ -107,9 +115,12 @@ __all__ = [
     "TorsionalStiffness",
     "Velocity",
     "WearCoefficient",
+    "call_limited",
     "check_format",
     "csv_rows",
+    "decoded",
     "did_you_mean",
+    "each_limited",
     "existing",
     "finite",
     "first_line",
@@ -141,5 +152,6 @@ __all__ = [
     "writable",
     "write_netcdf",
     "written_whole",
+    "wrong_kind",
     "zip_archive",
 ]

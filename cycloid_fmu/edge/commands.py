@@ -10,6 +10,7 @@ import atexit
 import gc
 import importlib
 import logging
+import math
 import os
 import re
 import shutil
@@ -18,8 +19,9 @@ import sys
 import textwrap
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, MutableMapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -38,10 +40,11 @@ from cycloid_fmu.edge.problems import (
     InputError,
     InputWarning,
     did_you_mean,
+    listed,
     shown,
     without_controls,
 )
-from cycloid_fmu.edge.quantities import EXAMPLES, parse_quantity
+from cycloid_fmu.edge.quantities import EXAMPLES, RATIO, parse_quantity
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -51,18 +54,30 @@ _SETTINGS: dict[str, Any] = {
     "no_args_is_help": True, "add_completion": False, "pretty_exceptions_enable": False, "rich_markup_mode": "rich",
 }  # fmt: skip
 _QUIET, _LONGEST_QUIET = 10.0, 30.0  # seconds between the lines of a progress that is written to a file
+_FORESEEN, _LONG = 3.0, 20.0  # seconds after which a computation is announced that takes at least so long
 _SHORT = 0.5  # seconds: shorter computations show no bar, as its package is slow to load
+_AT_ONCE = 0.1  # seconds in which only results of an interrupted run are ready
 _WIDE = 40  # characters; longer cells may be wrapped at spaces in a narrow terminal
+_FEW, _MAIN = 8, 6  # the help of a command with more than 8 options shows 6 of them first
 
 
 class _Group(typer.core.TyperGroup):
     """A group of commands; errors of the library name options here, not function arguments."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        command = super().get_command(ctx, cmd_name)
+        options = [p for p in getattr(command, "params", ()) if p.param_type_name == "option" and p.name != "help"]
+        for option in options[_MAIN:] if len(options) > _FEW else ():
+            option.rich_help_panel = "More options"
+        return command
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         if args[0] not in self.commands and not args[0].startswith("-"):
             near = did_you_mean(args[0], self.commands)
             raise InputError(f"{args[0]} is not a command; {near or f'see {ctx.command_path} --help.'}")
         name, command, rest = super().resolve_command(ctx, args)
+        if not isinstance(command, typer.core.TyperGroup):
+            _refuse_repeated(ctx, command, rest)
         ctx.meta["cycloid.command"], ctx.meta["cycloid.words"] = command, (*rest,)
         return name, command, rest
 
@@ -79,6 +94,16 @@ class _Group(typer.core.TyperGroup):
             raise typer.Exit(getattr(interrupt, "exit_status", INTERRUPTED)) from None
 
 
+def _refuse_repeated(ctx: Any, command: Any, words: Sequence[str]) -> None:
+    """Refuse a second value of an option that takes one: Click would take the last without a word."""
+    with suppress(_USAGE_ERROR):  # which the command itself reports
+        _, _, given = command.make_parser(command.context_class(command, ctx)).parse_args(args=[*words])
+        for option, count in Counter(given).items():
+            if count > 1 and option.param_type_name == "option" and not (option.multiple or option.is_flag):
+                values = listed(shown(value) for value in _values(words, option.opts))
+                raise InputError(f"{option.opts[0]} takes one value; it is given {count} times: {values}.")
+
+
 def _flag(command: Any, argument: str) -> str:
     """Return the option or argument of a command that sets an argument of the library."""
     for parameter in command.params:
@@ -88,10 +113,21 @@ def _flag(command: Any, argument: str) -> str:
     return argument
 
 
+def _values(words: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return the values of an option as typed: --name VALUE, --name=VALUE, -n VALUE or -nVALUE."""
+    found = []
+    for word, after in pairwise([*words, ""]):
+        name, equals, value = word.partition("=")
+        if word in names or (equals and name in names):
+            found.append(value if equals else after)
+        elif word[:1] == "-" != word[1:2] and word[:2] in names:
+            found.append(word[2:])
+    return found
+
+
 def _typed(words: Sequence[str], flag: str) -> str | None:
     """Return the value of an option as typed, if it is given exactly once and ends in a unit; otherwise None."""
-    given = [after for word, after in pairwise(words) if word == flag]
-    given += [word.removeprefix(f"{flag}=") for word in words if word.startswith(f"{flag}=")]
+    given = _values(words, [flag])
     return given[0] if len(given) == 1 and re.search(r"\d.*[a-z]$", given[0]) else None
 
 
@@ -220,7 +256,7 @@ def run(app: typer.Typer) -> NoReturn:
         if debug:
             raise
         _say(str(problem))
-        sys.exit(BAD_INPUT)
+        sys.exit(problem.status)
     except _USAGE_ERROR as problem:
         if sentence := _usage(problem):
             _say(sentence)
@@ -249,12 +285,22 @@ def _usage(problem: Any) -> str:
         return f"{problem.param.opts[0]} = {shown(problem.given)}: {reason}"
     unknown = getattr(problem, "option_name", None)
     if unknown is not None and getattr(problem, "possibilities", unknown) is not unknown:
-        options = [o for p in problem.ctx.command.params for o in p.opts if o.startswith("--")]
-        near = did_you_mean(unknown, options)
-        return f"{unknown} is not an option of {where}; {near or f'see {where} --help.'}"
+        instead = _instead(unknown, problem.ctx.command) or f"see {where} --help."
+        return f"{unknown} is not an option of {where}; {instead}"
     if "\n" in said or not said:  # a help page, or a message that is already printed
         return said
     return f"{said.rstrip('.')}; see {where} --help."
+
+
+def _instead(unknown: str, command: Any) -> str:
+    """Return what to write in place of an unknown option: an argument of that name, or the nearest option; or ""."""
+    word = unknown.strip("-")
+    for parameter in command.params:
+        name = parameter.metavar or ""
+        if parameter.param_type_name == "argument" and word in name.lower().split("."):
+            return f"write {name} without an option."
+    options = [o.strip("-") for p in command.params for o in p.opts if o.startswith("--")]
+    return did_you_mean(word, options, "--")
 
 
 def _say(text: str) -> None:
@@ -299,6 +345,13 @@ def quantity_option(si: str, help: str, *names: str, **settings: Any) -> Any:
 
     parse.__name__ = "quantity"
     return typer.Option(*names, parser=parse, metavar=f'"{EXAMPLES.get(si, f"1 {si}")}"', help=help, **settings)
+
+
+def ratio_option(help: str = "") -> Any:
+    """Return an option for the signed ratio of a drive whose pair is not given."""
+    return typer.Option(
+        "--ratio", metavar="RATIO", help=f"Signed ratio input/output: {RATIO}, such as -39. {help}".strip()
+    )
 
 
 def choice_option(choices: Collection[str], help: str, *names: str, **settings: Any) -> Any:
@@ -378,7 +431,10 @@ def _is_number(cell: str) -> bool:
 
 
 class Bar:
-    """Progress of a computation on standard error: a bar on a terminal, otherwise a line every ten seconds or more.
+    """Progress of a computation on standard error, with the time left once it can be estimated.
+
+    On a terminal it is a bar. Otherwise it is lines, at least ten seconds apart: the first as soon as a long
+    computation can be foreseen.
 
     Parameters
     ----------
@@ -390,8 +446,9 @@ class Bar:
 
     def __init__(self, what: str, total: float | None) -> None:
         self._what, self._total, self._done = what, total, 0.0
-        self._began = self._said = time.monotonic()
-        self._said_share = 0.0
+        self._began = time.monotonic()
+        self._from = (self._began, 0.0)  # time and items from which the speed is measured
+        self._said, self._said_share = self._began, 0.0
         self._rich: Progress | None = None
 
     def advance(self, done: float = 1.0) -> None:
@@ -402,33 +459,53 @@ class Bar:
         self, *, completed: float | None = None, total: float | None = None, description: str | None = None
     ) -> None:
         """Set the number of items done, their total or their name."""
-        self._done = self._done if completed is None else completed
+        before, self._done = self._done, self._done if completed is None else completed
         self._total = self._total if total is None else total
         self._what = self._what if description is None else description
+        now = time.monotonic()
+        if self._done < before or now - self._began < _AT_ONCE:  # other items, or those of an interrupted run
+            self._from = (now, self._done)
         if sys.stderr.isatty():
             self._draw()
         elif self._done != self._total:
             self._print()
+
+    def left(self) -> float | None:
+        """Return the time left, s, at the mean speed; None if it is not known."""
+        began, before = self._from
+        done = self._done - before
+        if self._total is None or done <= 0.0:
+            return None
+        return (self._total - self._done) * (time.monotonic() - began) / done
 
     def _draw(self) -> None:
         if self._rich is None:
             if time.monotonic() - self._began < _SHORT:
                 return
             from rich.console import Console
-            from rich.progress import Progress
+            from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-            self._rich = Progress(console=Console(stderr=True), transient=True)
-            self._task = self._rich.add_task(self._what, total=self._total)
+            shown = "{task.description}", "{task.fields[left]}"
+            self._rich = Progress(
+                TextColumn(shown[0]), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn(shown[1]),
+                console=Console(stderr=True), transient=True,
+            )  # fmt: skip
+            self._task = self._rich.add_task(self._what, total=self._total, left="")
             self._rich.start()
-        self._rich.update(self._task, completed=self._done, total=self._total, description=self._what)
+        self._rich.update(
+            self._task, completed=self._done, total=self._total, description=self._what, left=_left(self.left())
+        )
 
     def _print(self) -> None:
-        now = time.monotonic()
+        now, left = time.monotonic(), self.left()
         quiet = now - self._said
         share = self._done / self._total if self._total else 0.0
-        if quiet >= _LONGEST_QUIET or (quiet >= _QUIET and share >= self._said_share + 0.1):
-            known = f" of {self._total:.6g} ({share:.0%})" if self._total else ""
-            _say(f"{self._what}: {self._done:.6g}{known} after {now - self._began:.0f} s")
+        first = self._said == self._began and left is not None and left > _LONG and quiet >= _FORESEEN
+        if first or quiet >= _LONGEST_QUIET or (quiet >= _QUIET and share >= self._said_share + 0.1):
+            known = f": {self._done:.6g} of {self._total:.6g} ({share:.0%})" if self._total else ""
+            counted = f": {self._done:.6g}" if self._done and not known else known
+            coming = f", {_left(left)}" if left else ""
+            _say(f"{self._what}{counted} after {now - self._began:.0f} s{coming}")
             self._said, self._said_share = now, share
 
     def __enter__(self) -> Bar:
@@ -437,6 +514,17 @@ class Bar:
     def __exit__(self, *problem: object) -> None:
         if self._rich is not None:
             self._rich.stop()
+
+
+def _left(seconds: float | None) -> str:
+    """Return a remaining time as words, as coarse as its estimate; "" if it is not known."""
+    if seconds is None:
+        return ""
+    if seconds < 60.0:
+        return f"about {math.ceil(seconds)} s left"
+    minutes = round(seconds / 60.0)
+    hours, rest = divmod(minutes, 60)
+    return f"about {minutes} min left" if minutes < 60 else f"about {hours} h {rest} min left"
 
 
 @contextmanager
@@ -448,8 +536,6 @@ def progress(what: str, total: float | None) -> Iterator[Callable[[float], None]
 
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
-    """Show the current stage on a terminal; yields the function for a `progress` argument."""
-    from rich.console import Console
-
-    with Console(stderr=True).status("starting …") as shown:
-        yield lambda step: shown.update(f"{step} …")
+    """Show the current stage of a computation; yields the function for a `progress` argument."""
+    with Bar("starting", None) as bar:
+        yield lambda step: bar.update(description=step)

@@ -80,6 +80,7 @@ WearCoefficient = Annotated[float, *_in_unit("m^2/N")]
 
 
 _COUNT = re.compile(r"\w+ should have (at \w+ \d+) items? after validation, not (\d+)")
+_DEEPEST, _MOST_TABLES = 4, 5  # tables in tables; tables that a sentence lists
 _LIST = "a list in square brackets"
 _NUMBER = "a number without quotes"
 _WORDS = {
@@ -136,6 +137,26 @@ def _keys(model: type[pydantic.BaseModel], place: Sequence[int | str]) -> list[s
     return [field.alias or name for one in models for name, field in one.model_fields.items()]
 
 
+def _tables_with(model: type[pydantic.BaseModel], key: str) -> str:
+    """Return "it belongs to …" with the tables of a file that have a key, or "" if none has it."""
+    found, seen = list[str](), set[tuple[str, ...]]()
+
+    def look(one: type[pydantic.BaseModel], place: tuple[str, ...]) -> None:
+        for name, field in one.model_fields.items():
+            below = (*place, field.alias or name)
+            if place and below[-1] == key:
+                found.append(f"[{'.'.join(place)}]")
+            for table in _models(field.annotation) if below not in seen and len(below) < _DEEPEST else ():
+                look(table, below)
+            seen.add(below)
+
+    look(model, ())
+    *others, last = tables = list(dict.fromkeys(found)) or [""]
+    if len(tables) > _MOST_TABLES:
+        return f"it belongs to a table such as {tables[0]}."
+    return f"it belongs to {', '.join(others)}{' or ' if others else ''}{last}." if found else ""
+
+
 def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
     """Return one of pydantic's errors as a sentence that names file, field, value and allowed values."""
     place, kind, message = error["loc"], error["type"], error["msg"]
@@ -147,7 +168,8 @@ def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
     if kind == "missing":
         return f"{source}: {field} is missing."
     if kind == "extra_forbidden":
-        near = did_you_mean(str(place[-1]), _keys(model, place[:-1])) or "check its spelling or remove it."
+        near = _tables_with(model, str(place[-1])) or did_you_mean(str(place[-1]), _keys(model, place[:-1]))
+        near = near or "check its spelling or remove it."
         return f"{source}: {field} is not a known key; {near}"
     message = message.removeprefix("Value error, ").removeprefix("Input should be ").removesuffix(".")
     message = _WORDS.get(kind, message)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
 import errno
@@ -20,27 +21,23 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, parsed_by_others, shown
+from cycloid_fmu.edge.file_kinds import check_format, needed, wrong_kind
+from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, first_line, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
 MOST_BYTES = 4 << 30  # largest size of data unpacked or loaded as a whole
-_LONGEST_XML = 64 << 20
+_LONGEST_XML = 16 << 20  # about 150,000 variables of an FMU, read in 10 s
 PICTURES = (".png", ".pdf")
 """Endings of plot files."""
 
 
-def check_format(given: object, wanted: str, source: str) -> None:
-    """Raise an `InputError` if a file's `format` is not the one that this version reads."""
-    if given is None:
-        raise InputError(f'{source}: format is missing; the first line must be format = "{wanted}".')
-    if given != wanted:
-        raise InputError(f'{source}: format = {shown(given)}: this version reads "{wanted}".')
-
-
 def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
     """Return the table of a TOML text of the wanted format, without its `format` key."""
-    with parsed_by_others(source, "this is not TOML"):
+    try:
         table = tomllib.loads(text)
+    except (ValueError, RecursionError) as problem:
+        refused = wrong_kind(source, needed(wanted_format))
+        raise refused or InputError(f"{source}: this is not TOML ({first_line(problem)}).") from None
     check_format(table.pop("format", None), wanted_format, source)
     return table
 
@@ -54,8 +51,11 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
         If it can't be read, is not a JSON object, or has another format.
     """
     text = read_text(path)
-    with parsed_by_others(path, "this is not JSON"):
+    try:
         data = json.loads(text)
+    except (ValueError, RecursionError) as problem:
+        refused = wrong_kind(path, needed(wanted_format))
+        raise refused or InputError(f"{path}: this is not JSON ({first_line(problem)}).") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: it holds no {what}; it must be a JSON object.")
     check_format(data.get("format"), wanted_format, str(path))
@@ -75,11 +75,44 @@ def format_of(path: str | os.PathLike[str]) -> object:
 def read_text(path: str | os.PathLike[str]) -> str:
     """Return the text of a UTF-8 file; raise an `InputError` if it can't be read or is a device, a pipe or a socket."""
     try:
-        return existing(path).read_text(encoding="utf-8")
+        return existing(path).read_text(encoding="utf-8-sig")  # Windows editors begin UTF-8 with a byte order mark
     except UnicodeDecodeError:
-        raise InputError(f"{path}: this is not a UTF-8 text file.") from None
+        raise wrong_kind(path, "a text file") or InputError(f"{path}: this is not a UTF-8 text file.") from None
     except OSError as problem:
         raise InputError(f"{path}: {problem.strerror or problem}.") from None
+
+
+_MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+
+
+def decoded(data: bytes, source: object) -> tuple[str, str]:
+    """Return encoding and text of a table or of its first bytes.
+
+    The encoding is that of the byte order mark, else UTF-8, else Windows-1252, which has the characters of Latin-1.
+
+    Parameters
+    ----------
+    data
+        The bytes; a character that is cut at their end is left out.
+    source
+        The file's name, for messages.
+
+    Raises
+    ------
+    InputError
+        If it is not text in one of these encodings.
+    """
+    for mark, encoding in _MARKS:
+        if data.startswith(mark):
+            return encoding, codecs.getincrementaldecoder(encoding)(errors="replace").decode(data)
+    if b"\0" in data:
+        raise InputError(f"{source}: this is not a text table; it contains zero bytes.")
+    for encoding in ("utf-8", "cp1252"):
+        try:
+            return encoding, codecs.getincrementaldecoder(encoding)().decode(data)
+        except UnicodeDecodeError:
+            continue
+    raise InputError(f"{source}: this is not a text table; its encoding is none of UTF-8, UTF-16, Windows-1252.")
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -158,8 +191,14 @@ def finite(cell: str, field: str) -> float:
 
 
 def csv_rows(path: str | os.PathLike[str]) -> Iterator[list[str]]:
-    """Yield the cells of a CSV file's lines; raise an `InputError` if it can't be read."""
-    rows = csv.reader(read_text(path).splitlines())
+    """Yield the cells of a CSV file's lines, encoded as in `decoded`; raise an `InputError` if it can't be read."""
+    if (refused := wrong_kind(path, "a table (CSV)", tables=True)) is not None:
+        raise refused
+    try:
+        text = decoded(existing(path).read_bytes(), path)[1]
+    except OSError as problem:
+        raise InputError(f"{path}: {problem.strerror or problem}.") from None
+    rows = csv.reader(text.splitlines())
     while True:
         with parsed_by_others(path, "this is not a CSV table"):
             row = next(rows, None)
@@ -349,11 +388,11 @@ def zip_archive(path: str | os.PathLike[str], what: str, description: str | None
     Raises
     ------
     InputError
-        If it is not an archive, unpacks to more than 4 GiB, or its XML file is longer than 64 MiB or has a document
-        type declaration, whose entities can expand without limit or include other files.
+        If it is not an archive, unpacks to more than 4 GiB, or its XML file is longer than 16 MiB, can't be parsed, or
+        has a document type declaration, whose entities can expand without limit or include other files.
     """
     if not zipfile.is_zipfile(existing(path)):
-        raise InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
+        raise wrong_kind(path, f"an {what}") or InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
     with parsed_by_others(path, f"this is not an {what}, or it is damaged"), zipfile.ZipFile(path) as archive:
         if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
             raise InputError(f"{path}: it unpacks to more than {MOST_BYTES >> 30} GiB.")
@@ -370,7 +409,8 @@ def _check_xml(data: bytes, what: str) -> None:
 
     parser = xml.parsers.expat.ParserCreate()
     parser.StartDoctypeDeclHandler = refuse
-    with contextlib.suppress(xml.parsers.expat.ExpatError):  # reported when it is read
+    # What this parser can't read, such as UTF-32, no other one sees: its declarations were not checked.
+    with parsed_by_others(what, "this is not XML in UTF-8, or it is damaged"):
         parser.Parse(data, True)
 
 

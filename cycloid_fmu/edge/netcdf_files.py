@@ -1,4 +1,4 @@
-"""netCDF files: read in pure Python, written so that a full disk raises an `OSError`."""
+"""netCDF files: read in a process of their own, written so that a full disk raises an `OSError`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ import io
 import os
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from cycloid_fmu.edge.files import MOST_BYTES, check_format, existing, written_whole
+import numpy as np
+import numpy.typing as npt
+
+from cycloid_fmu.edge.file_kinds import check_format, needed, wrong_kind
+from cycloid_fmu.edge.files import existing, written_whole
+from cycloid_fmu.edge.limited import call_limited, limits_of
 from cycloid_fmu.edge.problems import InputError, parsed_by_others, shown
 
 if TYPE_CHECKING:
@@ -18,24 +23,34 @@ if TYPE_CHECKING:
 _CONTIGUOUS, _NOWHERE = 1, (1 << 64) - 1  # HDF5's code for contiguous layout, and its undefined address
 
 
-def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
-    """Return the variables of a netCDF file of the wanted format, loaded.
+class Variable(NamedTuple):
+    """A variable of a netCDF file: names of its dimensions, values and attributes."""
+
+    dims: tuple[str, ...]
+    values: npt.NDArray[Any]
+    attrs: dict[str, Any]
+
+
+class Netcdf(NamedTuple):
+    """Attributes and variables of a netCDF file."""
+
+    attrs: dict[str, Any]
+    variables: dict[str, Variable]
+
+
+def netcdf(path: str | os.PathLike[str], wanted_format: str) -> Netcdf:
+    """Return the content of a netCDF file of the wanted format.
 
     Raises
     ------
     InputError
         If it can't be read, is not netCDF, or has another format.
     """
-    import h5netcdf
-    import xarray as xr
-    from xarray.backends import H5NetCDFStore
-
-    existing(path)
-    # Read in pure Python: on a damaged file HDF5's own library may hang or crash.
-    refusing = parsed_by_others(path, "this is not a netCDF file, or it is damaged")
-    with refusing, h5netcdf.File(str(path), "r", backend="pyfive") as file:
-        _check_contained(Path(path), file.variables)
-        data = xr.open_dataset(H5NetCDFStore(file)).load()
+    with existing(path).open("rb") as file:
+        if file.read(4) != b"\x89HDF" and (refused := wrong_kind(path, needed(wanted_format))) is not None:
+            raise refused
+    with parsed_by_others(path, "this is not a netCDF file, or it is damaged"):
+        data = call_limited(path, parsed_netcdf, str(path), limits_of(path).memory / 2)
     texts = {"format": data.attrs.get("format"), "pair": data.attrs.get("pair")}
     texts |= {f"the unit of {name}": one.attrs.get("units") for name, one in data.variables.items()}
     for name, text in texts.items():
@@ -45,19 +60,43 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
     return data
 
 
-def _check_contained(path: Path, names: Collection[str]) -> None:
+def parsed_netcdf(path: str, most_bytes: float) -> Netcdf:
+    """Return the content of a netCDF file; to be called by `call_limited`.
+
+    It is read in pure Python: what HDF5's own library does on a damaged file, nobody knows.
+
+    Raises
+    ------
+    InputError
+        If a variable is packed, its data are in another file, or they take more than `most_bytes`.
+    """
+    import h5netcdf
+
+    with h5netcdf.File(path, "r", backend="pyfive") as file:
+        _check_contained(path, file.variables, most_bytes)
+        variables = {n: Variable(v.dimensions, v[...], dict(v.attrs)) for n, v in file.variables.items()}
+        attributes = dict(file.attrs)
+    for name, (_, values, about) in variables.items():
+        if packed := {"scale_factor", "add_offset"} & about.keys():
+            raise InputError(f"{path}: {name} has a {min(packed)}; write its values themselves.")
+        if values.dtype.kind == "f" and "_FillValue" in about:
+            values[values == about["_FillValue"]] = np.nan
+    return Netcdf(attributes, variables)
+
+
+def _check_contained(path: str, names: Collection[str], most_bytes: float) -> None:
     """Refuse variables whose data are not in the file, which would be read as zeros, and implausibly large ones."""
     import pyfive
 
     total = 0
-    with pyfive.File(str(path)) as file:
+    with pyfive.File(path) as file:
         for name in names:
             stored = file[name]
             if stored.size and stored.id.layout_class == _CONTIGUOUS and stored.id.data_offset == _NOWHERE:
                 raise InputError(f"{path}: it holds no data of {name}; data in other files are not read.")
             total += stored.size * stored.dtype.itemsize
-    if total > MOST_BYTES:
-        raise InputError(f"{path}: its variables take more than {MOST_BYTES >> 30} GiB.")
+    if total > most_bytes:
+        raise InputError(f"{path}: its variables take more than {most_bytes / 1e9:.1f} GB.")
 
 
 def write_netcdf(

@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import difflib
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator
 
-DONE, FAILED, BAD_INPUT, SILENT, NOT_MET, INTERRUPTED = 0, 1, 2, 3, 4, 130
+DONE, FAILED, BAD_INPUT, NO_DATA, NOT_MET, INTERRUPTED = 0, 1, 2, 3, 4, 130
 _NOTHING = object()
 _LONGEST = 2000  # characters of a sentence
+_NEAR_PART = 0.9  # similarity of a word to a part of a known one
 _CONTROLS = frozenset([*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)])
 
 
@@ -23,8 +25,16 @@ class InputError(ValueError):
     Several problems have one line each; very long lines are cut.
     """
 
+    status = BAD_INPUT
+
     def __init__(self, text: str = "") -> None:
         super().__init__("\n".join(cut(line, _LONGEST) for line in text.split("\n")))
+
+
+class NoDataError(InputError):
+    """Valid input without the data that a result needs; the text is as that of `InputError`."""
+
+    status = NO_DATA
 
 
 class ArgumentError(InputError):
@@ -140,15 +150,20 @@ def without_controls(text: str) -> str:
     return "".join(c if c == "\n" or ord(c) not in _CONTROLS else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return "did you mean …?" with the known word nearest to `word`, or "" if none is near.
+def did_you_mean(word: str, known: Iterable[str], prefix: str = "") -> str:
+    """Return "did you mean …?" with the known word nearest to `word`, or one with a part near it; "" if none is near.
 
     Examples
     --------
     >>> did_you_mean("eccentricty", ["eccentricity", "pins"])
     'did you mean eccentricity?'
+    >>> did_you_mean("stifness", ["torsional_stiffness", "backlash"])
+    'did you mean torsional_stiffness?'
     >>> did_you_mean("speed", ["eccentricity", "pins"])
     ''
     """
-    near = difflib.get_close_matches(word, list(known), n=1)
-    return f"did you mean {near[0]}?" if near else ""
+    names = list(known)
+    parts = {part: name for name in names[::-1] for part in re.split(r"[-_.]", name)}
+    near = difflib.get_close_matches(word, names, n=1)
+    near = near or [parts[part] for part in difflib.get_close_matches(word, parts, n=1, cutoff=_NEAR_PART)]
+    return f"did you mean {prefix}{near[0]}?" if near else ""

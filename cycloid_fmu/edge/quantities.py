@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 ARCSEC = 648000.0 / math.pi
 """Arcseconds in a radian, for reports."""
 ARCMIN = ARCSEC / 60.0
+RATIO = "−gear_teeth with a fixed ring, +pins with a fixed carrier"
+"""The ratio input/output of a single stage, for questions and messages."""
 
 _NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"((?>{_NUMBER}))(?: |(?=[^\W\d]|[°%]))(\S.*)")
@@ -35,7 +37,7 @@ USUAL = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
     "rad": {
         "rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "µrad": 1e-6, "deg": math.pi / 180.0, "°": math.pi / 180.0,
-        "arcmin": 0.00029088820866572163, "arcsec": 4.84813681109536e-06,
+        "arcmin": 0.00029088820866572163, "arcsec": 4.84813681109536e-06, "rev": 2.0 * math.pi, "turn": 2.0 * math.pi,
     },
     "N": {"N": 1.0, "kN": 1e3},
     "N*m": {
@@ -66,7 +68,9 @@ def units() -> pint.UnitRegistry[Any]:
     """Return the shared unit registry (pint, imported on first use because this takes half a second)."""
     import pint
 
-    return pint.UnitRegistry()
+    registry: pint.UnitRegistry[Any] = pint.UnitRegistry()
+    registry.define("@alias turn = rev")  # drives and controllers write it so; pint itself knows "revolution"
+    return registry
 
 
 def _factors(text: str) -> list[tuple[str, int]]:

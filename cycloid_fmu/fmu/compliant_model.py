@@ -29,6 +29,7 @@ from cycloid_fmu.fmu.constants import (
     SAME_PLACE,
     STEP_TOLERANCE,
     SUB_STEP,
+    SUGGESTED_STEP,
 )
 from cycloid_fmu.fmu.friction import UNSTRAINED, Pressed, Slid
 from cycloid_fmu.fmu.mesh import StepError
@@ -142,13 +143,18 @@ class CompliantModel(SteppedModel, CompliantState):
         self._solved_at = self._solved = ()
         self._stiffest = 0.0
 
-    @staticmethod
-    def _check_deviation(deviation: float) -> None:
-        if not -LARGEST_TRANSMISSION_ERROR < deviation < LARGEST_TRANSMISSION_ERROR:
-            raise StepError(
-                f"flange_b.phi is {deviation:g} rad from flange_a.phi/ratio: it must stay within "
-                f"{LARGEST_TRANSMISSION_ERROR:g} rad"
-            )
+    def _check_deviation(self, deviation: float) -> None:
+        if -LARGEST_TRANSMISSION_ERROR < deviation < LARGEST_TRANSMISSION_ERROR:
+            return
+        said, step = f"flange_b.phi is {deviation:g} rad from flange_a.phi/ratio", self._step
+        allowed = f"it must stay within {LARGEST_TRANSMISSION_ERROR:g} rad"
+        if not (self._held and step > SUGGESTED_STEP):
+            raise StepError(f"{said}: {allowed}")
+        raise StepError(
+            f"{said} after a step of {step:g} s: {allowed}; make shorter "
+            f"steps ({SUGGESTED_STEP:g} s is suggested), or build the FMU with the inertias inside (--output-inertia, "
+            "--crank-inertia)"
+        )
 
     def _gear_compliance(self) -> float:
         """The compliance in series, referred to the gear's torque and angle, rad/(N·m)."""

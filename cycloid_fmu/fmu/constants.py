@@ -16,6 +16,7 @@ MOST_LOAD_SHARE = 0.9  # largest load_share at flange_b: above, the drive would 
 FRICTION_ROUNDING = 1e-9  # of the torque or angle at which elements slide: nearer ones count as sliding
 FRICTION_ITERATIONS = 40  # for the output angle of the kinematic interface
 FRICTION_SHARE = 1e-10  # of the friction torque: its last change in these iterations
+SUGGESTED_STEP = 1e-4  # s: of the compliant interface with both inertias outside
 DAMPING_TIME = 1e-4  # s: default mesh damping over the stiffness at the rated torque
 LOSS_COLUMNS = 5  # columns of the loss table
 LARGEST_TRANSMISSION_ERROR = 0.01  # rad: a larger deviation of the flanges is an error of the surrounding model

@@ -51,7 +51,8 @@ def described(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[
         }
         for v in description.modelVariables
     ]
-    return variables, validate_fmu(str(path))
+    with edge.parsed_by_others(path, "this is not an FMU"):
+        return variables, edge.call_limited(path, validate_fmu, str(path))
 
 
 def told(path: str | os.PathLike[str]) -> str:
@@ -80,6 +81,20 @@ def stated_drive(path: str | os.PathLike[str]) -> str:
         if DRIVE not in archive.namelist():
             return ""
         return archive.read(DRIVE).decode().split("\n", 1)[0].removeprefix("# drive ")
+
+
+def rated_load(path: str | os.PathLike[str]) -> float:
+    """Return the rated torque that an FMU states, N·m: the load where none is given.
+
+    Raises
+    ------
+    edge.InputError
+        If it states none, or the file is not an FMU.
+    """
+    for variable in _description(path).modelVariables:
+        if variable.name == "rated_torque":
+            return float(variable.start)
+    raise edge.ArgumentError("torque", f"is missing; give it: {path} states no rated_torque")
 
 
 def _description(path: str | os.PathLike[str]) -> Any:

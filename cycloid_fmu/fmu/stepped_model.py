@@ -140,6 +140,7 @@ class SteppedModel(State, FrictionState):
 
     def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
         super().__init__()
+        self._step = 0.0  # being made, s, for its message; 0 outside a step
         self._fields = tuple(one.name for one in dataclasses.fields(self))
         self._values = operator.attrgetter(*self._fields)
         self.pair, self.surface = pair, surface
@@ -396,7 +397,7 @@ class SteppedModel(State, FrictionState):
         """
         if not 0.0 <= step < math.inf:
             raise StepError(f"a step of {step:g} s: it must be finite and not below 0")
-        kept = self._values(self)
+        kept, self._step = self._values(self), step
         self._teeth.begin()
         try:
             self._move(step)
@@ -405,6 +406,8 @@ class SteppedModel(State, FrictionState):
             for name, value in zip(self._fields, kept, strict=True):
                 setattr(self, name, value)
             raise
+        finally:
+            self._step = 0.0
 
     @property
     def ratio(self) -> float:

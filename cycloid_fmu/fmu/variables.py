@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of, wave_of
-from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, REFERENCE_TEMPERATURE
+from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, REFERENCE_TEMPERATURE, SUGGESTED_STEP
 from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.friction_file import LIMITS, Friction
 from cycloid_fmu.geometry.pair import Pair
@@ -137,7 +137,7 @@ class Interface:
     @property
     def step(self) -> float:
         """Suggested communication step, s; shorter if stiff contacts connect external inertias."""
-        return 1e-4 if self.kind == "compliant" and self.output_inertia == 0.0 else 1e-3
+        return SUGGESTED_STEP if self.kind == "compliant" and self.output_inertia == 0.0 else 1e-3
 
 
 @dataclass(frozen=True)

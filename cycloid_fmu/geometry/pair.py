@@ -283,6 +283,18 @@ class Pair(Config):
         """Signed ratio φ_a/φ_b of the ideal drive: -z_c with the gear as output, +z_p with the ring."""
         return float(-self.gear_teeth if self.output == "gear" else self.pins)
 
+    def rated_load(self, source: str = "the pair") -> float:
+        """Return the rated torque, N·m: the load wherever none is given.
+
+        Raises
+        ------
+        edge.ArgumentError
+            If the pair has none; `source` is the name of its file.
+        """
+        if self.rated_torque is None:
+            raise edge.ArgumentError("torque", f"is missing; give it, or state [pair] rated_torque in {source}")
+        return self.rated_torque
+
     @property
     def lost_motion_loads(self) -> list[float]:
         """Torques of the lost motion, ± `LOST_MOTION_LOAD` times the rated one, N·m; empty without a rated torque."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import importlib.metadata
@@ -199,20 +200,37 @@ def library(name: str, files: Mapping[str, bytes], sources: Sequence[str]) -> by
     digest = hashlib.sha256(origin.encode()).hexdigest()
     kept = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "native"
     target = kept / f"{digest}-{name}{PLATFORMS[name].suffix}"
-    if not target.exists():
+    with contextlib.suppress(OSError):
+        return target.read_bytes()
+    with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder:
+        place, made = Path(folder), Path(folder) / f"made{PLATFORMS[name].suffix}"
+        for file, data in files.items():
+            (place / file).write_bytes(data)
+        done = subprocess.run(
+            [*command, "-o", made.name, *sources, *runtime], cwd=place, capture_output=True, text=True, check=False,
+            env=_environment(place) if zig else None,
+        )  # fmt: skip
+        if done.returncode != 0:
+            raise RuntimeError(f"the compiler for {name} failed: {done.stderr.strip().splitlines()[-1:]}")
+        library = made.read_bytes()
+    with contextlib.suppress(OSError, edge.InputError):  # without a writable cache it is not kept
         kept.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder:
-            place, made = Path(folder), Path(folder) / f"made{PLATFORMS[name].suffix}"
-            for file, data in files.items():
-                (place / file).write_bytes(data)
-            done = subprocess.run(
-                [*command, "-o", made.name, *sources, *runtime], cwd=place, capture_output=True, text=True, check=False
-            )  # fmt: skip
-            if done.returncode != 0:
-                raise RuntimeError(f"the compiler for {name} failed: {done.stderr.strip().splitlines()[-1:]}")
-            with edge.written_whole(target) as temporary:
-                temporary.write_bytes(made.read_bytes())
-    return target.read_bytes()
+        with edge.written_whole(target) as temporary:
+            temporary.write_bytes(library)
+    return library
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    """Return the environment of zig, with a cache in `folder` if its own can't be written."""
+    import platformdirs
+
+    own = Path(os.environ.get("ZIG_GLOBAL_CACHE_DIR") or platformdirs.user_cache_dir("zig", appauthor=False))
+    try:
+        own.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=own):
+            return dict(os.environ)
+    except OSError:
+        return {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(folder / "zig")}
 
 
 def universal(parts: dict[str, bytes]) -> bytes:

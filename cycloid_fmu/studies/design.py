@@ -78,6 +78,7 @@ _EVALUATIONS = 200  # largest number in a search, per variable
 _STEP = 1e-3  # of differences, relative to the range
 _SPARE = 1e-4  # margin of the search relative to a limit, because it ends slightly off
 _BINDS = 5e-3  # a limit with a smaller relative margin is binding
+_DIGITS = {"m": 9, "rad": 6}  # decimals of a drawing's values: whole nanometres, whole microradians
 _ROUNDS, _SETTLED = 6, 0.02  # rounds of tightening, and the relative change of a limit that ends them
 _GIVEN_WAY = 1e-3
 
@@ -110,7 +111,7 @@ class DesignTask(Requirements):
         Pair file of everything that does not change, and the first start; relative to the design file. In Python the
         drive is given separately.
     duty
-        Duty as in a requirements file; the search is at its torques.
+        Duty as in a requirements file; the search is at its torques, without a duty at the rated torque.
     goals
         One figure of `GOALS` or a size, to be as good as possible, or two for a Pareto front.
     vary
@@ -120,7 +121,7 @@ class DesignTask(Requirements):
     """
 
     drive: str = ""
-    duty: tuple[DutyLoad, ...] = pydantic.Field(min_length=1)
+    duty: tuple[DutyLoad, ...] = ()
     goals: tuple[str, ...] = pydantic.Field(min_length=1, max_length=2)
     vary: dict[str, tuple[float, float]] = pydantic.Field(min_length=1)
     robust: Robust | None = None
@@ -256,7 +257,7 @@ def values_over_sweep(
         one array, whose largest value counts, or for those in `LOWER` the smallest.
     """
     pair, limits = one.pair, set(names)
-    loads = np.array(loads_of(task, None))
+    loads = np.array(loads_of(task, None, pair))
     found = solve(pair, one.surface, None, loads, angles, with_play=bool(limits & {"backlash", "interference"}))
     loaded = loads != 0.0
     every: dict[str, list[Array]] = {"angular_transmission_error": list(found.transmission_error)}
@@ -538,6 +539,32 @@ class Search:
             )
         return min(ends, key=lambda end: self.rank(end, goal, levels))
 
+    def drawn(self, place: Array) -> dict[str, float]:
+        """Return a point's values as a drawing states them, SI: rounded to `_DIGITS`, on the side that keeps limits."""
+        digits = np.array([_DIGITS[VARIABLES[n]] for n in self.names])
+        wanted = np.array([*self.values_at(place).values()]) * 10.0**digits
+        whole = np.round(wanted)
+        other = whole + np.where(wanted > whole, 1.0, -1.0)
+
+        def values_of(numbers: Array) -> Array:
+            rounded = [round(n / 10.0**d, int(d)) for n, d in zip(numbers.tolist(), digits.tolist(), strict=True)]
+            values: Array = np.clip(rounded, self.low, self.low + self.width)
+            return values
+
+        def missed(numbers: Array) -> float:
+            figures = self.figures((values_of(numbers) - self.low) / self.width, math.inf)
+            if figures is None:
+                return math.inf
+            return max(0.0, -float(self.margins(figures, {}).min(initial=0.0)))
+
+        least = missed(whole)
+        while least > 0.0:
+            best = min((np.where(np.arange(whole.size) == k, other, whole) for k in range(whole.size)), key=missed)
+            if missed(best) >= least:
+                break
+            other, whole, least = whole + other - best, best, missed(best)
+        return dict(zip(self.names, values_of(whole).tolist(), strict=True))
+
     def binding(self, place: Array, goal: str, levels: Mapping[str, float]) -> tuple[Relaxed, ...]:
         """Return the binding constraints at an optimum: multipliers of limits and ends of ranges.
 
@@ -621,7 +648,7 @@ def sampled_figures(
         As in `values_over_sweep`.
     """
     assert task.robust is not None
-    torque = tuple(load for load in loads_of(task, None) if load != 0.0)
+    torque = tuple(load for load in loads_of(task, None, pair) if load != 0.0)
     study = Study(pair, tolerances, samples=task.robust.samples, seed=seed, torque=torque)
     check_study(study, task.drive, task.robust.tolerances)
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
@@ -741,6 +768,8 @@ def _words(name: str) -> str:
 
 
 def _check(pair: Pair, task: DesignTask) -> None:
+    if not task.duty and pair.rated_torque is None:
+        raise edge.InputError("[[duty]] is missing; state it, or rated_torque of the pair.")
     if task.limits.wear_depth is not None:
         raise edge.InputError("[limits] wear_depth: a search does not include wear; remove it.")
 
@@ -794,7 +823,8 @@ def _designed(
     search: Search, task: DesignTask, tolerances: Tolerances | None, place: Array, levels: Mapping[str, float], *,
     seed: int, workers: int,
 ) -> Design:  # fmt: skip
-    values = search.values_at(place)
+    values = search.drawn(place)
+    place = (np.array([*values.values()]) - search.low) / search.width
     one = candidate(search.pair, values)
     angles = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     judged = judge_drive(one.pair, one.surface, None, task, None, angles, series=search.series)

@@ -25,7 +25,7 @@ _TASK = 7e-3  # s: cost of a task in dask's scheduler, 2 to 7 ms were measured
 _OVERHEAD = 0.02  # largest share of this cost in the time of a task
 _BUSY = 0.5  # largest share of its time that the scheduler is busy with the tasks of all workers
 _LONGEST = 8  # most usual tasks in one, if workers wait for a slow scheduler; a kill loses running tasks
-_FIRST = 16  # drives of a task before a time is measured
+_FIRST = 4  # drives of a task before a time is measured
 _REMEMBERED = 400  # tasks, at most four per worker, over which the times of drives and tasks are averaged
 _LOOK = 1.0  # s: how often the workers of a cluster are counted
 

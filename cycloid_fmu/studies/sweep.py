@@ -121,8 +121,6 @@ def check_sweep(sweep: Sweep) -> None:
         raise edge.ArgumentError("vary", "it is varied twice", twice[0])
     if sweep.drives > MOST:
         raise edge.ArgumentError("vary", f"these are {sweep.drives} drives; a sweep has at most {MOST}")
-    if not sweep.torque:
-        raise edge.ArgumentError("torque", "is missing; give it, or state the pair's rated torque")
     if 0.0 in sweep.torque:
         raise edge.ArgumentError("torque", "a sweep's loads must not be zero; the play has its own figures", 0.0)
     if len(set(sweep.torque)) != len(sweep.torque):

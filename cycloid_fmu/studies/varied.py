@@ -114,9 +114,11 @@ def varied(name: str, given: str | Iterable[float | str]) -> Varied:
     wave = _WAVE.fullmatch(name)
     of_waves = {kind.file_key: kind.unit for kind in KINDS.values() if kind.waves}
     if name not in known and not (wave and wave[1] in of_waves):
-        why = "pins are one more than gear_teeth; vary these" if name == "pins" else "not a number of a pair file"
+        if name == "pins":
+            raise edge.ArgumentError("vary", "pins are one more than gear_teeth; vary these", name)
         near = edge.did_you_mean(name, known)
-        raise edge.ArgumentError("vary", f"{why}{f'; {near}' if near else ''}".rstrip(".?"), name)
+        why = f"not a number of a pair file{f'; {near}' if near else ''}"
+        raise edge.ArgumentError("vary", why.rstrip("?"), name)
     si, whole = (of_waves[wave[1]], False) if wave else known[name]
     try:
         texts, unit = _texts(given, si)

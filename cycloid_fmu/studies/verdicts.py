@@ -98,18 +98,18 @@ _LABELS = {
 }
 
 
-def loads_of(requirements: Requirements, torque: Sequence[float] | None) -> list[float]:
-    """Return the torques to solve, N·m: the given ones, and those of the duty that are not among them.
+def loads_of(
+    requirements: Requirements, torque: Sequence[float] | None, pair: Pair, source: str = "the pair"
+) -> list[float]:
+    """Return the torques to solve, N·m: the given ones and those of the duty; the rated torque if there are neither.
 
     Raises
     ------
     edge.InputError
-        If there are none.
+        If there are none; `source` is the name of the pair's file.
     """
     found = list(dict.fromkeys([*(torque or ()), *(load.torque for load in requirements.duty)]))
-    if not found:
-        raise edge.ArgumentError("torque", "is missing; give it, or state [[duty]] in the requirements")
-    return found
+    return found or [pair.rated_load(source)]
 
 
 def check(requirements: Requirements, pair: Pair, source: str, pair_source: str) -> None:
@@ -205,7 +205,7 @@ def judge_drive(
         If there is no torque, or the pair lacks something that a limit needs.
     """
     check(requirements, pair, "the requirements", "the pair")
-    loads = loads_of(requirements, torque)
+    loads = loads_of(requirements, torque, pair)
     found = solve(
         pair, surface, first_stage, loads, crank_angle, slices_needed(surface), workers=workers, progress=progress
     )

@@ -100,9 +100,8 @@ def read_study(
     """
     (pair, _, first_stage), tolerances = parts_of_file(pair_file), read_tolerances(tolerances_file)
     if not torque:
-        if pair.rated_torque is None:
-            raise edge.ArgumentError("torque", f"is missing; give it, or state [pair] rated_torque in {pair_file}")
-        torque = (pair.rated_torque, -pair.rated_torque)
+        rated = pair.rated_load(str(pair_file))
+        torque = (rated, -rated)
     return Study(pair, tolerances, torque=tuple(torque), first_stage=first_stage, **settings)
 
 

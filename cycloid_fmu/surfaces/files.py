@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -71,11 +72,11 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
     >>> cy.read_surface("made.nc") == made.surface
     True
     """
-    data = edge.netcdf(path, FORMAT)
-    for name, variable in data.variables.items():
-        if name != "parameter" and variable.dtype.kind not in "fiu":
+    attributes, data = edge.netcdf(path, FORMAT)
+    for name, variable in data.items():
+        if name != "parameter" and variable.values.dtype.kind not in "fiu":
             raise edge.InputError(f"{path}: {name} must hold numbers.")
-    pair = parse_pair(data.attrs.get("pair", ""), f"{path} (its pair)")
+    pair = parse_pair(attributes.get("pair", ""), f"{path} (its pair)")
     for name in FIRST_KINDS:
         # A kind that was added later is zero in older files.
         if name not in data:
@@ -97,17 +98,17 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
             pair,
             {name: data[name].values for name in KINDS if name in data},
             **{name: data[name].values for name in DEVIATIONS if name in data},
-            life=_life_of(data, str(path)),
-            origin=str(data.attrs.get("origin")),
+            life=_life_of(data, attributes.get(_AGEING), str(path)),
+            origin=str(attributes.get("origin")),
             covariance_of=names,
             covariance=covariance,
-            attributes={k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair", _AGEING)},
+            attributes={k: v for k, v in attributes.items() if k not in ("format", "origin", "pair", _AGEING)},
         )
     except edge.InputError as problem:
         raise edge.InputError(f"{path}: {problem}") from None
 
 
-def _life_of(data: Any, source: str) -> Life | None:
+def _life_of(data: Mapping[str, Any], stated: Any, source: str) -> Life | None:
     if "life_crank_turns" not in data:
         return None
     for name in DEVIATIONS:
@@ -115,7 +116,7 @@ def _life_of(data: Any, source: str) -> Life | None:
             raise edge.InputError(
                 f"{source}: life_{name} is missing or its shape is not that of {name} for each state."
             )
-    stated, ageing = data.attrs.get(_AGEING), None
+    ageing = None
     if stated is not None:
         try:
             given = json.loads(stated)

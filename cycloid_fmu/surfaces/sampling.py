@@ -21,11 +21,11 @@ from typing import Annotated, Any, Literal, Self, TypeVar, cast
 
 import numpy as np
 import pydantic
-from numba import njit
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import Angle, Config, Length
+from cycloid_fmu.edge.kernels import kept_njit
 from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION, LARGEST_MISALIGNMENT, ErrorKind
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface
@@ -329,7 +329,7 @@ _Function = TypeVar("_Function", bound=Callable[..., None])
 
 def _compiled(function: _Function) -> _Function:
     # Without NaN and signed zeros, minimum and maximum use vector instructions.
-    return cast(_Function, njit(cache=True, fastmath={"nnan", "nsz"})(function))
+    return cast(_Function, kept_njit(fastmath={"nnan", "nsz"})(function))
 
 
 @_compiled

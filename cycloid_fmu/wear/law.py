@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import pydantic
 
 from cycloid_fmu import edge
-from cycloid_fmu.geometry.pair import PositiveLength
+from cycloid_fmu.geometry.pair import Pair, PositiveLength
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT
 
 FORMAT = "cycloid-wear/1"
@@ -96,22 +96,26 @@ def duty_cycle(
     crank_turns: float | None,
     duty_file: str | os.PathLike[str] | None,
     source: str,
+    pair: Pair,
+    pair_source: str = "the pair",
 ) -> tuple[tuple[Load, ...], float]:
-    """Return the loads of a run and its crank turns, from one torque, from a file, or from the wear file.
+    """Return the loads of a run and its crank turns: one torque, or the duty cycle of a file or of the wear file.
 
-    A duty cycle is repeated so many times that its loads wear together, each by its share of the turns.
+    Without any of them the load is the rated torque. A duty cycle is repeated so many times that its loads wear
+    together, each by its share of the turns.
 
     Raises
     ------
     edge.InputError
-        If there are no loads or more than one source of them, or the turns are missing, negative or not finite.
+        If loads are stated twice or not at all, or the turns are missing, negative or not finite.
     """
-    given = [torque is not None, duty_file is not None, bool(law.duty)]
-    if sum(given) != 1:
-        raise edge.InputError(
-            f"{source}: the load must come from one place, a torque, a file with a duty cycle or [[wear.duty]]; "
-            f"it comes from {sum(given)}."
-        )
+    stated = {"a torque": torque is not None, f"the duty cycle {duty_file}": duty_file is not None,
+              "[[wear.duty]]": bool(law.duty)}  # fmt: skip
+    places = [name for name, given in stated.items() if given]
+    if len(places) > 1:
+        raise edge.InputError(f"{source}: {' and '.join(places)} both state the load; keep one of them.")
+    if not places:
+        torque = pair.rated_load(pair_source)
     if crank_turns is not None and not 0.0 <= crank_turns < math.inf:
         raise edge.ArgumentError("crank_turns", "it must be zero or above, and finite", crank_turns)
     if torque is not None:

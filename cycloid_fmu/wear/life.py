@@ -60,7 +60,7 @@ class WearRun:
     @property
     def surface(self) -> ErrorSurface:
         """The worn drive with its life."""
-        return surface_of_run(self.model, self.states, self.new.half_width)
+        return surface_of_run(self.model, self.states)
 
 
 def run_wear(
@@ -122,10 +122,10 @@ def run_wear(
     return WearRun(model, new, states, figures, notes)
 
 
-def surface_of_run(model: WearModel, states: list[WearState], half_width: float) -> ErrorSurface:
+def surface_of_run(model: WearModel, states: list[WearState]) -> ErrorSurface:
     """Return the worn surface at the end of a run, with at most `LARGEST_LIFE` states of its life."""
     chosen = np.unique(np.linspace(0, len(states) - 1, LARGEST_LIFE).round().astype(int))
-    surfaces = [worn_surface(model, states[k].depth, half_width) for k in chosen]
+    surfaces = [worn_surface(model, states[k].depth) for k in chosen]
     turns = np.array([states[k].crank_turns for k in chosen])
     life = Life(turns, *(np.stack([getattr(s, name) for s in surfaces]) for name in DEVIATIONS))
     loads = ", ".join(f"{load.torque:g} N*m x {load.crank_turns:g}" for load in model.loads)
@@ -150,12 +150,13 @@ def _figures_of(model: WearModel, depth: Depth) -> dict[str, float]:
 def wear_figures(model: WearModel, states: list[WearState], new: WearRate, workers: int = 1) -> dict[str, Any]:
     """Return the figures of a run, SI.
 
-    `linear` is without profile update, `updated` the end of the history, `as_printed` by the paper's slip distance at
-    the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` has the number of steps and the
-    effect of halving all of them: largest difference anywhere, and the depths in whole steps; `life` has the history.
+    `linear` is without profile update, `updated` the written surface at the end of the history, `as_printed` by the
+    paper's slip distance at the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` has the
+    number of steps and the effect of halving all of them: largest difference anywhere, and the depths in whole steps;
+    `life` has the history.
     """
     turns = states[-1].crank_turns
-    curve = accuracy(model, [s.depth for s in states], new.half_width, workers)
+    curve = accuracy(model, [s.depth for s in states], workers)
     found: dict[str, Any] = {
         "crank_turns": turns,
         "linear": _figures_of(model, new.depth * turns),

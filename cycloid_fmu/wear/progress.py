@@ -15,13 +15,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.tooth_contact import LoadedContacts, loaded_contacts
 from cycloid_fmu.contact.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS, drive_of, slices_needed, solve
+from cycloid_fmu.edge.kernels import kept_njit
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.geometry.profile import flank_points, flank_speed
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
@@ -254,54 +254,61 @@ def _finer(values: Array, axis: int, count: int) -> Array:
     return np.asarray((1.0 - share) * values.take(low, axis) + share * values.take(high, axis))
 
 
-def worn_surface(model: WearModel, depth: Depth, half_width: float) -> ErrorSurface:
-    """Return the error surface of a worn drive, smoothed over the contacts' width.
+def surface_loss(model: WearModel, depth: Depth, half_width: float) -> Depth:
+    """Return the depth that the surfaces lose: what Hertz's pressure removes, averaged along the arc of a contact.
 
     Parameters
     ----------
     model, depth
-        The wear problem and the lost depth.
+        The wear problem and what contacts removed from each element, of `wear_rate`, m.
     half_width
         Hertz's a of the widest contact, m.
 
     Notes
     -----
-    A contact extends over its width: the depth is averaged with the weight (15/16L)(1 - s²/L²)² over L = 1.5 a,
-    and the curvature is the second derivative of that mean, which is the curvature of the parabola that fits best over
-    the same arc. So gap and curvature are those of one smooth profile, and no volume is lost.
+    The weight is (15/16L)(1 - s²/L²)² over L = 1.5 a: a smooth profile that no volume is lost to. Across the width
+    nothing is averaged.
+    """
+    # The flanks of neighbouring teeth are continuous at the roots.
+    gear = np.moveaxis(depth.gear, 3, 1)
+    flanks = gear.reshape(*gear.shape[:2], -1)
+    averaged = correlate1d(flanks, _weights(model.gear_element, half_width), axis=2, mode="wrap")
+    pin = correlate1d(depth.pin, _weights(model.pin_element, half_width), axis=1, mode="reflect")
+    return Depth(np.moveaxis(averaged.reshape(gear.shape), 1, 3), pin)
+
+
+def _weights(element: float, half_width: float) -> Array:
+    """Shares of the neighbouring elements in the mean along the arc of a contact."""
+    length = max(_FELT * half_width / element, 2.0)
+    reach = math.ceil(length - 0.5)
+    u = np.clip(np.arange(-reach - 0.5, reach + 1.0) / length, -1.0, 1.0)
+    return np.asarray(np.diff(15.0 / 16.0 * (u - 2.0 / 3.0 * u**3 + 0.2 * u**5)))
+
+
+def worn_surface(model: WearModel, depth: Depth) -> ErrorSurface:
+    """Return the error surface of a worn drive: its deviations less the depth, and the curvature that the loss adds.
+
+    Parameters
+    ----------
+    model, depth
+        The wear problem and the depth that the surfaces lost (`WearState.depth`, or `surface_loss`), m.
     """
     assert model.surface.gear_deviation is not None
     assert model.surface.pin_deviation is not None
-    # The flanks of neighbouring teeth are continuous at the roots.
-    flanks = np.moveaxis(depth.gear, 3, 1).reshape(depth.gear.shape[0], depth.gear.shape[3], -1)
-    gear, gear_bend = (
-        np.moveaxis(felt.reshape(np.moveaxis(depth.gear, 3, 1).shape), 1, 3)
-        for felt in _felt(flanks, 2, model.gear_element, half_width, "wrap")
-    )
-    pin, pin_bend = _felt(depth.pin, 1, model.pin_element, half_width, "reflect")
+    gear = np.moveaxis(depth.gear, 3, 1)
+    bend = _second_difference(gear.reshape(*gear.shape[:2], -1), 2, "wrap") / model.gear_element**2
     return dataclasses.replace(
         model.surface,
-        gear_deviation=model.surface.gear_deviation - gear,
-        pin_deviation=model.surface.pin_deviation - pin,
-        gear_curvature=gear_bend,
-        pin_curvature=pin_bend,
+        gear_deviation=model.surface.gear_deviation - depth.gear,
+        pin_deviation=model.surface.pin_deviation - depth.pin,
+        gear_curvature=np.moveaxis(bend.reshape(gear.shape), 1, 3),
+        pin_curvature=_second_difference(depth.pin, 1, "reflect") / model.pin_element**2,
         origin="worn",
     )
 
 
-def _felt(depth: Array, axis: int, element: float, half_width: float, beyond: str) -> tuple[Array, Array]:
-    """Mean depth over the arc of a contact, and the added curvature h'', > 0 convex, 1/m.
-
-    `depth` holds the elements' means; the weight is integrated over each element.
-    """
-    length = max(_FELT * half_width / element, 2.0)
-    reach = math.ceil(length - 0.5)
-    place = np.arange(-reach, reach + 1.0)
-    u = np.clip(np.arange(-reach - 0.5, reach + 1.0) / length, -1.0, 1.0)
-    mean = np.diff(15.0 / 16.0 * (u - 2.0 / 3.0 * u**3 + 0.2 * u**5))
-    bend = np.diff(-u * (1.0 - u * u))
-    bend *= 2.0 / (bend @ place**2) / element**2
-    return tuple(correlate1d(depth, weight, axis=axis, mode=beyond) for weight in (mean, bend))  # type: ignore[return-value]
+def _second_difference(values: Array, axis: int, beyond: str) -> Array:
+    return np.asarray(correlate1d(values, [1.0, -2.0, 1.0], axis=axis, mode=beyond))
 
 
 def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> WearRate:
@@ -381,7 +388,7 @@ def _part_of_rate(model: WearModel, drive: contact.Problem, load: Load, crank_an
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@kept_njit(nogil=True, error_model="numpy")
 def _deposit(rows: Array, row: NDArray[np.int64], middle: Array, reach: Array, amount: Array, around: bool) -> None:
     """Distribute amounts over elements by the ellipse of the Hertz pressure; all lengths in elements."""
     size = rows.shape[1]
@@ -405,9 +412,9 @@ class WearState:
     crank_turns
         Turns since new.
     depth
-        Lost depth, m.
+        Depth that the surfaces lost, m: `surface_loss` of all that contacts removed.
     whole
-        Lost depth with whole steps instead of two halves, from new on, m.
+        The same with whole steps instead of two halves, from new on, m.
     reach
         Largest depth of the next step, m.
     """
@@ -446,7 +453,8 @@ def wear_states(model: WearModel, crank_turns: float, workers: int = 1) -> Itera
     periods = _periods(model, new)
 
     def rate_at(loaded: WearModel, depth: Depth) -> Depth:
-        return wear_rate(loaded, worn_surface(model, depth, new.half_width), workers).depth
+        removed = wear_rate(loaded, worn_surface(model, depth), workers).depth
+        return surface_loss(model, removed, new.half_width)
 
     def leading_rate(loaded: WearModel, depth: Depth) -> Depth:
         sweep = dataclasses.replace(loaded.sweep, crank_angle=loaded.sweep.crank_angle[::_LEADING].copy())
@@ -561,14 +569,14 @@ class Accuracy:
     lost_motion_range: Array
 
 
-def accuracy(model: WearModel, depths: Sequence[Depth], half_width: float, workers: int = 1) -> Accuracy:
-    """Return the accuracy of worn states."""
+def accuracy(model: WearModel, depths: Sequence[Depth], workers: int = 1) -> Accuracy:
+    """Return the accuracy of worn states, by the depth that their surfaces lost."""
     angle = model.sweep.crank_angle[: 3 * PART]
     rated = model.pair.rated_torque or abs(model.heaviest_torque)
     torques = [model.heaviest_torque, LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
     rows = []
     for depth in depths:
-        surface = worn_surface(model, depth, half_width)
+        surface = worn_surface(model, depth)
         found = solve(model.pair, surface, torques, angle, model.unworn.gear.shape[3], workers=workers)
         error, up, down = found.transmission_error
         backlash = np.nan_to_num(found.backlash)

@@ -147,6 +147,6 @@ def report(done: Recorded) -> None:
     _print(done)
     if done.ended == "idle" and not done.failures:
         typer.echo("It ended because no more samples arrived.", err=True)
-        raise typer.Exit(edge.SILENT)
+        raise typer.Exit(edge.NO_DATA)
     if done.failures or not any(done.samples.values()):
         raise typer.Exit(edge.FAILED)

@@ -9,62 +9,57 @@ import typer
 
 import drivers
 from cycloid_fmu import edge
-from cycloid_fmu.edge.commands import choice_option, output_option, quantity_option
+from cycloid_fmu.edge.commands import choice_option, output_option, quantity_option, ratio_option
 from drivers.cli.shown import LiveLine, recording, report
 
 _BUS = "CAN interface of python-can; loopback reaches other processes on this machine."
 
 
 def simulate(
-    torque: Annotated[float, quantity_option("N*m", "Signed torque on the output.")],
     drive: Annotated[
         Path | None, typer.Option("--fmu", metavar="DRIVE.fmu", help="The drive. Default: an ideal one.")
     ] = None,
-    ratio: Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39.")] = None,
+    torque: Annotated[
+        float | None,
+        quantity_option("N*m", "Signed torque on the output.", show_default="the rated torque of the FMU"),
+    ] = None,
+    ratio: Annotated[float | None, ratio_option("Default: that of the FMU.")] = None,
     turns: Annotated[int, typer.Option(min=1, help="Crank turns.")] = 39,
-    samples_per_turn: Annotated[int, typer.Option(min=3, help="Samples per crank turn.")] = 96,
-    direction: Annotated[Any, choice_option(("forward", "backward"), "Direction of the crank's rotation.")] = "forward",
-    speed: Annotated[float, quantity_option("rad/s", "Crank speed.", show_default="60 rpm")] = 6.283185307179586,
-    noise: Annotated[float, quantity_option("rad", "RMS noise of each encoder.")] = 0.0,
-    torque_noise: Annotated[float, quantity_option("N*m", "RMS noise of the torque.")] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the noise.")] = 0,
-    interface: Annotated[str, typer.Option("--bus", help=_BUS)] = "loopback",
-    channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
-    trigger: Annotated[
-        Any, choice_option(("controller", "sync", "timer"), "Trigger of the encoders on CAN.")
-    ] = "controller",
-    serial: Annotated[
-        Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
-    ] = None,
-    plc: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="A Beckhoff PLC at this address, such as 127.0.0.1.")
-    ] = None,
-    clock_drift: Annotated[
-        float,
-        typer.Option(help="Relative drift of the clock of the ASCII counter, CAN bus or PLC, such as 50e-6."),
-    ] = 0.0,
-    hysteresis: Annotated[
-        bool,
-        typer.Option(
-            "--hysteresis", help="Lock the input and cycle the torque through 0, +T, 0, -T, 0, --turns times."
-        ),
-    ] = False,
-    faults: Annotated[
-        Path | None, typer.Option(metavar="FAULTS.toml", help="Faults to simulate, with their times.")
-    ] = None,
-    speed_factor: Annotated[
-        float | None, typer.Option(help="Speed relative to real time. Default: as fast as the bus permits.")
-    ] = None,
     write_bench: Annotated[Path, output_option((".toml",), "BENCH.toml", "Wiring to write.", "--write-bench")] = Path(
         "BENCH.toml"
     ),
     output: Annotated[
         Path | None, output_option((".arrows",), "RUN.arrows", "Record the simulated run here directly.")
     ] = None,
+    direction: Annotated[Any, choice_option(("forward", "backward"), "Direction of the crank's rotation.")] = "forward",
+    speed: Annotated[float, quantity_option("rad/s", "Crank speed.", show_default="60 rpm")] = 6.283185307179586,
+    noise: Annotated[float, quantity_option("rad", "RMS noise of each encoder.")] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the noise.")] = 0,
+    samples_per_turn: Annotated[int, typer.Option(min=3, help="Samples per crank turn.")] = 96,
+    hysteresis: Annotated[
+        bool,
+        typer.Option(
+            "--hysteresis", help="Lock the input and cycle the torque through 0, +T, 0, -T, 0, --turns times."
+        ),
+    ] = False,
+    interface: Annotated[str, typer.Option("--bus", help=_BUS)] = "loopback",
+    channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
+    serial: Annotated[
+        Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
+    ] = None,
+    plc: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Beckhoff PLC at this address, such as 127.0.0.1.")
+    ] = None,
+    faults: Annotated[
+        Path | None, typer.Option(metavar="FAULTS.toml", help="Faults to simulate, with their times.")
+    ] = None,
+    speed_factor: Annotated[
+        float | None, typer.Option(help="Speed relative to real time. Default: as fast as the bus permits.")
+    ] = None,
 ) -> None:
     """Simulate a bench: wait for a recorder, then send the signals of a motion as real sensors do.
 
-    Example: [cyan]cycloid-bench simulate --fmu drive.fmu --ratio -39 --torque "20 N*m" --write-bench BENCH.toml[/],
+    Example: [cyan]cycloid-bench simulate --fmu drive.fmu --torque "20 N*m" --write-bench BENCH.toml[/],
     and in a second terminal [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/].
     The virtual bus cannot be reached from other processes: with [cyan]--bus virtual[/] add [cyan]-o run.arrows[/].
     """
@@ -74,9 +69,8 @@ def simulate(
         )
     bench = drivers.simulate_bench(
         drive, torque=torque, ratio=ratio, turns=turns, samples_per_turn=samples_per_turn, direction=direction,
-        speed=speed, noise=noise, torque_noise=torque_noise, seed=seed, hysteresis=hysteresis, interface=interface,
-        channel=channel, trigger=trigger, serial=serial, plc=plc, clock_drift=clock_drift, faults=faults,
-        speed_factor=speed_factor,
+        speed=speed, noise=noise, seed=seed, hysteresis=hysteresis, interface=interface, channel=channel,
+        serial=serial, plc=plc, faults=faults, speed_factor=speed_factor,
     )  # fmt: skip
     with recording(), bench:
         if output is not None:

@@ -30,11 +30,13 @@ from drivers.encoder import (
     channel_of,
     device_counts,
 )
-from drivers.recording_format import RESET, ROLLOVER, Samples
+from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
 
 POSITION, SPEED, COUNTS_PER_TURN, TURNS = 0x6004, 0x6030, 0x6501, 0x6502
 HEARTBEAT_TIME = 0x1017
 _HEARTBEAT_ID = 0x700
+_NMT_ID = 0
+_SILENCING = {0x02: "stopped", 0x80: "pre-operational"}  # NMT commands
 TPDOS = 4  # predefined by CiA 301
 _MISSED_HEARTBEATS = 3
 _NO_SUCH_OBJECT = (0x06020000, 0x06090011, 0x060A0023)
@@ -144,6 +146,7 @@ class CanopenEncoder(CanEncoder):
         self.reader = FrameReader(hub, identifier, length, step, self.name, timer / 1000 or None)
         self._node.emcy.add_callback(self._on_emergency)
         hub.network.subscribe(_HEARTBEAT_ID + self.config.node, self._on_heartbeat)
+        hub.network.subscribe(_NMT_ID, self._on_command)
         self._listening = True
 
     def _uploaded(self, index: int, subindex: int, *, optional: bool) -> bytes | None:
@@ -244,6 +247,11 @@ class CanopenEncoder(CanEncoder):
             self.reader.say(time.time(), "the node restarted", RESET)
             self._restarted = True
 
+    def _on_command(self, identifier: int, data: bytearray, stamp: float) -> None:
+        """Handle an NMT command of another master; runs in the reader's thread."""
+        if len(data) == 2 and data[1] in (0, self.config.node) and data[0] in _SILENCING:
+            self.reader.say(stamp, f"another program set the node {_SILENCING[data[0]]}; it sends no more", GAP)
+
     def start(self) -> None:
         """Set the node operational, so that it sends."""
         self._node.nmt.state = "OPERATIONAL"
@@ -253,6 +261,8 @@ class CanopenEncoder(CanEncoder):
 
     def leave(self, hub: CanHub) -> None:
         """Set the node back to pre-operational, if it was started, and release it."""
+        if self._listening:
+            hub.network.unsubscribe(_NMT_ID, self._on_command)
         if self._started:
             with contextlib.suppress(Exception):  # the bus may have failed
                 self._node.nmt.state = "PRE-OPERATIONAL"

@@ -70,7 +70,7 @@ class DbcSensor(CanEncoder):
         path = folder / config.file
         text = edge.read_text(path)
         with edge.parsed_by_others(path, "this is not a DBC file"):
-            database = cantools.database.load_string(text, "dbc")
+            database = edge.call_limited(path, cantools.database.load_string, text, "dbc")
         messages = {m.name: m for m in database.messages}
         if config.message not in messages:
             raise edge.InputError(

@@ -52,7 +52,7 @@ class _BenchFile(edge.Config):
     @classmethod
     def _ratio(cls, value: float | None) -> float | None:
         if value is not None and not 0 < abs(value) < float("inf"):
-            raise ValueError("write the signed ratio input/output of the ideal drive, such as -39")
+            raise ValueError(f"write the signed ratio input/output of the ideal drive: {edge.RATIO}")
         return value
 
     @pydantic.field_validator("channel")

@@ -1,4 +1,4 @@
-"""Detection of a bench in use: locks between the runs on one machine, and listening on the buses."""
+"""Detection of a bench in use: locks between the recordings and runs on one machine, and listening on the buses."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ import contextlib
 import itertools
 import os
 import sys
+import tempfile
 import time
+import warnings
 import zlib
 from pathlib import Path
 from typing import IO, Self
 
 import platformdirs
 
+from cycloid_fmu import edge
 from drivers.can.bus import SYNC_ID, open_bus
 from drivers.encoder import BusConfig, EncoderSetupError, PortConfig, Wiring
 
@@ -24,7 +27,7 @@ _FEWEST = 3  # positions needed
 
 
 class Claims:
-    """The buses and ports reserved by a run on this machine; a context manager that releases them.
+    """The buses and ports reserved by a recording or run on this machine; a context manager that releases them.
 
     A claim is a file lock, which the system releases when the last process that holds it ends.
     """
@@ -48,19 +51,30 @@ class Claims:
         return tuple(file.fileno() for file, _ in self._files.values())
 
     def claim(self, wiring: Wiring) -> None:
-        """Claim all buses and ports of a wiring.
+        """Claim all buses and ports of a wiring, except virtual buses, which belong to one process.
+
+        Where no folder for locks can be written, an `edge.InputWarning` says that nothing is reserved.
 
         Raises
         ------
         EncoderSetupError
-            If another run still holds one of them after `WAIT_SECONDS`.
+            If another one still holds one of them after `WAIT_SECONDS`.
         """
         lines: list[BusConfig | PortConfig] = [*wiring.buses.values(), *wiring.ports.values()]
         for line in lines:
+            if isinstance(line, BusConfig) and line.interface == "virtual":
+                continue
             what = f"{'CAN bus' if isinstance(line, BusConfig) else 'serial port'} {line.place}"
             if what not in self._files:
                 folder = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "in-use"
-                folder.mkdir(parents=True, exist_ok=True)
+                try:
+                    folder.mkdir(parents=True, exist_ok=True)
+                    with tempfile.TemporaryFile(dir=folder):
+                        pass
+                except OSError as problem:
+                    said = f"{folder}: {problem.strerror}; another recording of the same {what} is not noticed."
+                    warnings.warn(said, edge.InputWarning, stacklevel=2)
+                    return
                 path = folder / f"{zlib.crc32(what.encode()):08x}"
                 self._files[what] = _locked(path, what), path
 
@@ -79,7 +93,9 @@ def _locked(path: Path, what: str) -> IO[str]:
         who = file.read().strip() or "?"
         file.close()
         if time.monotonic() >= end:
-            raise EncoderSetupError(f"The {what} is in use by another run, process {who}; end it and run again.")
+            raise EncoderSetupError(
+                f"The {what} is in use by another recording or run, process {who}; end that one first."
+            )
         time.sleep(0.05)
 
 

@@ -26,6 +26,7 @@ from drivers.encoder import (
 )
 from drivers.recorder.bench import Bench, open_encoders, read_bench
 from drivers.recorder.clock import ClockEstimate
+from drivers.recorder.in_use import Claims
 from drivers.recorder.supervision import Supervised
 from drivers.recording_format import MARKS, Event, Header, RecordingWriter, Samples, check_new
 
@@ -457,7 +458,7 @@ def record(
     edge.InputError
         If the wiring is invalid or the file exists.
     EncoderError
-        If a bus, port or device does not answer.
+        If a bus, port or device does not answer, or another recording uses it.
     RecordingError
         If the disk is full; the file keeps all earlier data.
     RecordingInterrupted
@@ -476,8 +477,10 @@ def record(
     duration = None if duration is None else in_si(duration, "s", "duration", above=0.0)
     idle = None if idle is None else in_si(idle, "s", "idle", above=0.0)
     check_new(edge.output_path(path, "path", (".arrows",)))  # before any device is started
-    with open_encoders(wired) as encoders:
-        return record_encoders(
-            encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, duration=duration,
-            samples=samples, idle=idle, stop=stop, progress=progress,
-        )  # fmt: skip
+    with Claims() as claims:
+        claims.claim(wired.wiring)  # two recordings would stop each other's nodes
+        with open_encoders(wired) as encoders:
+            return record_encoders(
+                encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, duration=duration,
+                samples=samples, idle=idle, stop=stop, progress=progress,
+            )  # fmt: skip

@@ -87,8 +87,7 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header
         raise edge.InputError(f"{source}: the recording's header is damaged; it is not text.") from None
     if "format" not in text:
         raise edge.InputError(f"{source}: this is an Arrow stream but not a recording; it states no format.")
-    if text["format"] != FORMAT:
-        raise edge.InputError(f'{source}: format = {edge.shown(text["format"])}: this version reads "{FORMAT}".')
+    edge.check_format(text["format"], FORMAT, source)
     with edge.parsed_by_others(source, "the recording's header can't be understood"):
         said = {name: json.loads(text[name]) for name in ("channels", "conditions", "ratio")}
         header = pydantic.TypeAdapter(Header).validate_python({**said, "pair": text["pair"], "start": text["start"]})
@@ -136,12 +135,15 @@ class RecordingReader:
         if self._path.stat().st_size == 0:
             raise edge.InputError(f"{self.source}: the file is empty; it was cut before the header of a recording.")
         self._file = pa.OSFile(self.source, "rb")
-        with edge.parsed_by_others(self.source, "this is not a recording, or it was cut within its header"):
+        try:
             message = pa.ipc.read_message(self._file)
             if message.type != "schema":  # Arrow does not check this, and would end the process
-                raise ValueError(f"it begins with {message.type}, not with a schema")
+                raise ValueError
             schema = pa.ipc.read_schema(message)
             names = edge.listed(schema.names)
+        except Exception:  # Arrow raises exceptions of any class, whose reasons are those of its format
+            cut = f"{self.source}: this is not a recording, or it was cut within its header."
+            raise edge.wrong_kind(self.source, "a recording") or edge.InputError(cut) from None
         self.header, self.problems = _header(schema.metadata, self.source)
         expected = recording_schema(self.header)
         if not schema.equals(expected):

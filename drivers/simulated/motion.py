@@ -7,7 +7,7 @@ import math
 import os
 import shutil
 from collections.abc import Callable
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -102,6 +102,26 @@ def _measured(output_angle: OutputAngle, run: SimulatedRun, angle: FloatArray, t
     )
 
 
+def stated_in_fmu(path: str | os.PathLike[str]) -> dict[str, float]:
+    """Return the ratio and the rated torque, N*m, that a drive's FMU states, by these names; what it lacks is left out.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is not an FMU.
+    """
+    constants = {v.name: v.start for v in _description(path).modelVariables if v.variability == "constant"}
+    return {name: float(constants[name]) for name in ("ratio", "rated_torque") if name in constants}
+
+
+def _description(path: str | os.PathLike[str]) -> Any:
+    from fmpy import read_model_description
+
+    edge.zip_archive(path, "FMU", "modelDescription.xml")
+    with edge.parsed_by_others(path, "this is not an FMU"):
+        return read_model_description(str(path))
+
+
 def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> OutputAngle:
     """Return the function for the output angle of a drive's FMU, with one step of `step` seconds per sample.
 
@@ -111,12 +131,10 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
         If it is no FMI 2.0 co-simulation FMU with the inputs `flange_a.phi`, `flange_b.tau` and the output
         `flange_b.phi`.
     """
-    from fmpy import extract, read_model_description
+    from fmpy import extract
     from fmpy.fmi2 import FMU2Slave
 
-    edge.zip_archive(path, "FMU", "modelDescription.xml")
-    with edge.parsed_by_others(path, "this is not an FMU"):
-        description = read_model_description(str(path))
+    description = _description(path)
     references = {v.name: v.valueReference for v in description.modelVariables}
     missing = [n for n in ("flange_a.phi", "flange_b.tau", "flange_b.phi") if n not in references]
     if description.fmiVersion != "2.0" or description.coSimulation is None or missing:

@@ -13,14 +13,21 @@ from drivers.simulated.ads_bench import SimulatedAdsBench
 from drivers.simulated.bench import SimulatedBench
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import read_faults
-from drivers.simulated.motion import OutputAngle, SimulatedRun, fmu_output_angle, simulate_hysteresis, simulate_motion
+from drivers.simulated.motion import (
+    OutputAngle,
+    SimulatedRun,
+    fmu_output_angle,
+    simulate_hysteresis,
+    simulate_motion,
+    stated_in_fmu,
+)
 from drivers.simulated.serial_bench import SERIAL_BENCHES
 
 
 def simulate_bench(
     drive: OutputAngle | str | os.PathLike[str] | None = None,
     *,
-    torque: float | str,
+    torque: float | str | None = None,
     ratio: float | None = None,
     pair: str = "",
     turns: int = 39,
@@ -52,8 +59,10 @@ def simulate_bench(
         time, that returns output angles, rad. None: an ideal drive of the `ratio`.
     torque
         Torque on the output, N*m, counter-clockwise positive for both directions of rotation, or text such as "20 N*m".
+        By default the rated torque that the drive's FMU states.
     ratio
-        Signed ratio input/output, such as -39.
+        Signed ratio input/output: -gear_teeth with a fixed ring, +pins with a fixed carrier, such as -39. By default
+        the ratio that the drive's FMU states.
     pair
         Name or fingerprint of the gear pair for the wiring and the recording; default: the FMU's name.
     turns, samples_per_turn
@@ -97,8 +106,14 @@ def simulate_bench(
     """
     if drive is None and ratio is None:
         raise edge.ArgumentError("ratio", "is missing: give a drive, or the signed ratio of an ideal one")
+    stated = stated_in_fmu(drive) if isinstance(drive, str | os.PathLike) else {}
+    ratio = stated.get("ratio") if ratio is None else ratio
+    torque = stated.get("rated_torque") if torque is None else torque
+    if torque is None:
+        problem = f"{drive} states no rated_torque" if stated else "only a drive's FMU states a rated_torque"
+        raise edge.ArgumentError("torque", f"is missing; give it: {problem}")
     if ratio is not None and not (math.isfinite(ratio) and ratio):
-        raise edge.ArgumentError("ratio", "write the signed ratio input/output, such as -39", ratio)
+        raise edge.ArgumentError("ratio", f"write the signed ratio input/output: {edge.RATIO}", ratio)
     if speed_factor is not None and not speed_factor > 0:
         raise edge.ArgumentError("speed_factor", "the factor must be above zero", speed_factor)
     if serial is not None and serial not in SERIAL_BENCHES:

@@ -212,7 +212,7 @@ def forecast(
     >>> 1900 < found.remaining["lost_motion"].ages[0.5] / 3600.0 < 2300
     True
     """
-    loads, _ = duty_cycle(law, history.torque, 1.0, None, source)
+    loads, _ = duty_cycle(law, history.torque, 1.0, None, source, drive.pair)
     per_second = history.crank_turns_per_hour / HOUR
     now = max((m.crank_turns for m in measured), default=0.0) / per_second
     end = until if until is not None else 2.0 * now

@@ -19,8 +19,7 @@ from fitting.ageing.posterior import Measured
 from fitting.figures.comparison import read_figures
 from fitting.figures.figure import Figure
 from fitting.figures.metrics import metrics
-from fitting.recordings.mapping import FileMapping
-from fitting.recordings.sources import read_recordings
+from fitting.recordings.sources import Mappings, read_recordings
 
 FORMAT = "cycloid-history/1"
 HOUR = 3600.0
@@ -172,7 +171,7 @@ def measured(
     drive: Drive,
     folder: str | os.PathLike[str] = ".",
     *,
-    mapping: FileMapping | str | os.PathLike[str] | None = None,
+    mapping: Mappings | None = None,
     source: str = "history",
     progress: Callable[[str], None] = lambda step: None,
 ) -> list[Measured]:
@@ -185,7 +184,7 @@ def measured(
     folder
         Folder of the history's file, to which its paths are relative.
     mapping
-        Of the channels, for recordings of other benches.
+        Of the channels, for recordings of other benches, as in `read_recordings`.
     source
         The history's file, for messages.
     progress

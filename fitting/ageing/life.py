@@ -23,7 +23,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.supports.transmission import solve
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, alike
 from cycloid_fmu.wear.law import Load, WearLaw
-from cycloid_fmu.wear.progress import WearState, wear_model, wear_rate, wear_states, worn_surface
+from cycloid_fmu.wear.progress import WearState, wear_model, wear_states, worn_surface
 
 Array = NDArray[np.float64]
 FIGURES = ("lost_motion", "backlash", "angular_transmission_error")
@@ -184,13 +184,12 @@ def life_figures(
         step: float, most: float, share: float
     ) -> tuple[list[WearState], list[ErrorSurface], list[dict[str, Array]]]:
         model = wear_model(bare, made, unit.replace(largest_step=step), shares)
-        width = wear_rate(model, model.surface, cores).half_width
         states: list[WearState] = []
         surfaces: list[ErrorSurface] = []
         found: list[dict[str, Array]] = []
         try:
             for state in wear_states(model, most / scale, cores):
-                worn = worn_surface(model, state.depth, width)
+                worn = worn_surface(model, state.depth)
                 surfaces.append(drive.surface.replace(**{n: getattr(worn, n) for n in DEVIATIONS}, origin="worn"))
                 states.append(state)
                 found.append(figures_of(bare, worn, heaviest, cores))

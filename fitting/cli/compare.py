@@ -17,7 +17,7 @@ def compare(
     drive: options.MaybePair = None,
     ratio: options.Ratio = None,
     rated_torque: options.RatedTorque = None,
-    mapping: options.MappingFile = None,
+    mapping: options.MappingFiles = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:

@@ -19,7 +19,7 @@ ENDINGS = (".c", ".h", ".st", ".csv", ".fmu")
 
 
 def compensate(
-    drive_file: Annotated[Path, typer.Argument(metavar="DRIVE.toml", help="The gear pair, or an RV reducer.")],
+    drive_file: Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The gear pair, or an RV reducer.")],
     output: Annotated[
         Path,
         commands.output_option(
@@ -41,6 +41,7 @@ def compensate(
             "N*m/rad", "Stiffness of the whole drive; determines the compliance in series.", show_default=False
         ),
     ] = None,
+    plot: commands.PlotFile = None,
     loop: Annotated[
         Path | None,
         typer.Option(metavar="FIGURES.json", help="Stiffness and dry friction of a measured loop (metrics -o)."),
@@ -56,15 +57,6 @@ def compensate(
         float | None,
         commands.quantity_option(
             "N*m", "Standard deviation of the controller's torque. Default: 1 % of rated_torque.", show_default=False
-        ),
-    ] = None,
-    torque_share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Relative standard deviation of that torque's scale, for the band.")
-    ] = 0.05,
-    largest_torque: Annotated[
-        float | None,
-        commands.quantity_option(
-            "N*m", "Largest torque of the tables. Default: 2.5 times rated_torque.", show_default=False
         ),
     ] = None,
     residual: Annotated[
@@ -88,11 +80,10 @@ def compensate(
             "--platform", help="Platform of an FMU: x86_64-linux, aarch64-darwin, ...; repeatable. Default: all."
         ),
     ] = None,
-    plot: commands.PlotFile = None,
 ) -> None:
     """Write a compensator: the motor angle for each desired output angle of a known drive.
 
-    Example: [cyan]cycloid-fit compensate drive.toml --surface identified.nc --fit fit.json -o joint.c[/]
+    Example: [cyan]cycloid-fit compensate pair.toml --surface identified.nc --fit fit.json -o joint.c[/]
     """
     from cycloid_fmu.compensation.compensator import Memory, step
     from cycloid_fmu.compensation.forms.numbers import name_of
@@ -128,9 +119,7 @@ def compensate(
         made = drive.compensator(
             friction=friction, stiffness=stiffness, series_compliance=compliance,
             temperatures=None if between is None else (between[0], between[1]), torque_accuracy=torque_accuracy,
-            torque_share=torque_share,
-            largest_torque=largest_torque, residual=residual, sensor=sensor,
-            tolerances=tolerances_file,
+            residual=residual, sensor=sensor, tolerances=tolerances_file,
             total=lambda count: bar.update(completed=0, total=count), progress=bar.advance,
         )  # fmt: skip
         if names:

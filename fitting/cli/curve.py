@@ -5,20 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCSEC, commands
 from fitting.cli import options
 
 
 def curve(
     files: options.Recordings,
-    drive: options.PairFile,
-    mapping: options.MappingFile = None,
+    drive: options.MaybePair = None,
+    ratio: options.Ratio = None,
+    mapping: options.MappingFiles = None,
     output: Annotated[Path | None, commands.output_option((".nc",), "CURVES.nc", "Write the curves (netCDF).")] = None,
     read_head: options.HeadFile = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Compute transmission error curves over one output turn, averaged over turns, by recording and direction.
+
+    Without --pair and --ratio, the ratio is that of the mapping or the recording.
 
     Example: [cyan]cycloid-fit curve 20Nm.arrows 200Nm.arrows --pair pair.toml -o curves.nc --plot curves.png[/]
     """
@@ -29,7 +33,10 @@ def curve(
     from fitting.reports.panels import label_of
     from fitting.transmission_error.curve import curves_json, noise_of
 
-    curves = fitting.curves(fitting.read_recordings(files, mapping, read_head), read_drive(drive))
+    if drive is not None and ratio is not None:
+        raise edge.InputError("--pair and --ratio: give one of the two; the pair states its ratio.")
+    nominal = ratio if drive is None else read_drive(drive)
+    curves = fitting.curves(fitting.read_recordings(files, mapping, read_head), nominal)
     if output is not None:
         fitting.write_curves(curves, output)
     if plot is not None:

@@ -19,7 +19,10 @@ def ensemble(
     count: Annotated[int, typer.Option(min=1, max=10000, help="Number of surfaces.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Random seed; the same seed draws the same surfaces.")] = 0,
     torque: Annotated[
-        float | None, commands.quantity_option("N*m", "Torque at which --plot draws the band of transmission errors.")
+        float | None,
+        commands.quantity_option(
+            "N*m", "Torque at which --plot draws the band of transmission errors.", show_default="the rated torque"
+        ),
     ] = None,
     plot: commands.PlotFile = None,
 ) -> None:
@@ -31,9 +34,10 @@ def ensemble(
     from cycloid_fmu.drive import read_drive
     from fitting.reports.plots import plot_band
 
-    if (plot is None) != (torque is None):
-        raise edge.InputError("--plot and --torque: give both or neither; the band is drawn at this torque.")
+    if plot is None and torque is not None:
+        raise edge.InputError("--torque is only for --plot, which draws the band at this torque.")
     identified = read_drive(drive, surface)
+    load = identified.pair.rated_load(str(drive)) if plot is not None and torque is None else torque
     drawn = fitting.ensemble(identified, count, seed)
     try:
         output.mkdir(parents=True, exist_ok=True)
@@ -43,6 +47,6 @@ def ensemble(
         for number, one in enumerate(drawn):
             one.write(output / f"{surface.stem}-{number:04d}.nc")
             written(1.0)
-    if plot is not None and torque is not None:
-        plot_band(identified, drawn, torque, plot)
+    if plot is not None and load is not None:
+        plot_band(identified, drawn, load, plot)
     typer.echo(f"{output}: {count} error surfaces written.")

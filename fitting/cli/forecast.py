@@ -35,17 +35,17 @@ def forecast(
             show_default=False,
         ),
     ] = None,
-    mapping: options.MappingFile = None,
     output: Annotated[
         Path | None, commands.output_option((".json",), "FORECAST.json", "Write the forecast (JSON).")
     ] = None,
+    plot: commands.PlotFile = None,
+    mapping: options.MappingFiles = None,
     twin: Annotated[
         Path | None,
         commands.output_option(
             (".nc",), "TWIN.nc", "Write the drive with its life (netCDF); its FMUs have the parameter age.", "--twin"
         ),
     ] = None,
-    plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Estimate the wear coefficient from dated recordings, and predict lost motion, backlash and transmission error.

@@ -18,11 +18,15 @@ if TYPE_CHECKING:
 def identify(
     files: options.Recordings,
     drive: options.PairFile,
-    mapping: options.MappingFile = None,
+    mapping: options.MappingFiles = None,
     output: Annotated[Path | None, commands.output_option((".json",), "FIT.json", "Write the fit (JSON).")] = None,
     surface: Annotated[
         Path | None, commands.output_option((".nc",), "S.nc", "Write the identified surface (netCDF).", "--surface")
     ] = None,
+    report: Annotated[
+        Path | None, commands.output_option((".html",), "FIT.html", "Write a report of the fit.", "--report")
+    ] = None,
+    plot: commands.PlotFile = None,
     read_head: options.HeadFile = None,
     tolerances: Annotated[
         Path | None,
@@ -41,10 +45,6 @@ def identify(
         str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
     ] = "1 um",
     bootstrap: Annotated[int, typer.Option(min=0, help="Number of bootstrap resamples of output turns.")] = 0,
-    report: Annotated[
-        Path | None, commands.output_option((".html",), "FIT.html", "Write a report of the fit.", "--report")
-    ] = None,
-    plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Fit the drive's errors to recordings at one or more loads, and list the errors that the data cannot resolve.
@@ -55,6 +55,7 @@ def identify(
     """
     import fitting
     from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.geometry.pair import write_pair
     from fitting.estimation.result import as_json as content
 
     options.check_report(report)
@@ -78,7 +79,7 @@ def identify(
         if result.bearings:
             # A surface belongs to one pair, and the bearings of this one differ from the file's.
             made = surface.with_suffix(".toml")
-            result.drive.write(made)
+            write_pair(result.drive.pair.nominal, made)
             written.append(f"{made}: the pair with its identified bearings, to which {surface} belongs.")
     if plot is not None:
         fitting.plot(result, plot)

@@ -25,8 +25,6 @@ def inspect(
     Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and use it with
     [cyan]--mapping map.toml[/]
     """
-    import numpy as np
-
     import fitting
     from fitting.recordings.inspection import LOOKED_AT, inspection_json
 
@@ -44,11 +42,11 @@ def inspect(
             roles[run.output_angle.channel.name] = "output_angle"
             roles[run.transmission_error.channel.name] = f"transmission_error, {run.name}"
     rows = [
-        [o.channel.name, o.channel.unit, str(o.values.size), f"{np.nanmin(o.values):.6g}",
-         f"{np.nanmax(o.values):.6g}",
+        [o.channel.name, o.channel.unit, str(o.values.size), *(f"{value:.6g}" for value in o.extremes),
          roles.get(o.channel.name, "")]
         for o in found.looks
     ]  # fmt: skip
+    rows += [[name, "", "", "", "", "(text)"] for name in found.file.texts]
     commands.print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
     if max(one.values.size for one in found.looks) >= LOOKED_AT:
         typer.echo(f"Based on the first {LOOKED_AT} samples.")

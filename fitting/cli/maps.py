@@ -16,7 +16,7 @@ def maps(
     files: options.Recordings,
     drive: options.MaybePair = None,
     ratio: options.Ratio = None,
-    mapping: options.MappingFile = None,
+    mapping: options.MappingFiles = None,
     output: Annotated[Path | None, commands.output_option((".nc",), "MAPS.nc", "Write the maps (netCDF).")] = None,
     report: Annotated[
         Path | None, commands.output_option((".html",), "MAPS.html", "Write the maps as a page.", "--report")
@@ -33,11 +33,11 @@ def maps(
     from fitting.figures.maps import write_maps
 
     if (drive is None) == (ratio is None):
-        raise edge.InputError("--pair or --ratio: give one of the two.")
+        raise edge.InputError(f"--pair or --ratio: give one of the two; the ratio is {edge.RATIO}.")
     options.check_report(report)
     nominal = read_drive(drive) if drive is not None else float(ratio or 0.0)
     if not nominal:
-        raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
+        raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", ratio)
     with commands.status() as progress:
         found = fitting.maps(fitting.read_recordings(files, mapping), nominal, progress=progress)
     if output is not None:

@@ -14,13 +14,13 @@ def metrics(
     drive: options.MaybePair = None,
     ratio: options.Ratio = None,
     rated_torque: options.RatedTorque = None,
-    stiffness_limits: options.StiffnessLimits = None,
-    instruments: options.InstrumentsFile = None,
-    mapping: options.MappingFile = None,
+    mapping: options.MappingFiles = None,
     output: Annotated[
         Path | None, commands.output_option((".json",), "FIGURES.json", "Write the figures (JSON).")
     ] = None,
     plot: commands.PlotFile = None,
+    stiffness_limits: options.StiffnessLimits = None,
+    instruments: options.InstrumentsFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Compute the standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torques.

@@ -21,7 +21,7 @@ HeadFile = Annotated[
     Path | None,
     typer.Option(metavar="HEAD.toml", help="Correct the output angle for the coaxiality error of a single read head."),
 ]
-Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, instead of a pair.")]
+Ratio = Annotated[float | None, commands.ratio_option("Instead of a pair.")]
 RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]
 InstrumentsFile = Annotated[
     Path | None,
@@ -37,7 +37,14 @@ StiffnessLimits = Annotated[
         help='Torque limits of the stiffness ranges K1, K2, ..., such as "5 N*m, 25 N*m, 80 N*m, 167 N*m".',
     ),
 ]
-MappingFile = Annotated[Path | None, typer.Option(metavar="MAP.toml", help="Mapping of the channels; see inspect.")]
+MappingFiles = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--mapping",
+        metavar="MAP.toml",
+        help="Mapping of the channels, see inspect; repeatable: each file takes the one whose columns it has.",
+    ),
+]
 FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
 
@@ -67,12 +74,12 @@ def finish(found: Figures, *, as_json: bool) -> None:
             rows.append([label, *in_field_units(one), f"{one.count:.4g} {one.counted}"])
     if as_json:
         commands.print_json(figures_json(found))
-    else:
+    elif rows:
         commands.print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
         for name, budget in found.budgets.items():
             commands.print_table(f"Uncertainty budget of {name}", BUDGET_HEAD, budget_rows(budget))
     print_notes(found.problems if as_json and found.figures else found.notes)
-    if not found.figures:
-        raise edge.InputError("No figure could be computed.")
     if found.problems:
         raise typer.Exit(edge.INTERRUPTED if found.interrupted else edge.BAD_INPUT)
+    if not found.figures:
+        raise edge.NoDataError("No figure could be computed.")

@@ -14,7 +14,12 @@ from fitting.cli import options
 
 def plan(
     drive: Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The nominal gear pair.")],
-    torque: Annotated[list[float], commands.quantity_option("N*m", "Torque that the bench can apply; repeatable.")],
+    torque: Annotated[
+        list[float] | None,
+        commands.quantity_option(
+            "N*m", "Torque that the bench can apply; repeatable.", show_default="the rated torque"
+        ),
+    ] = None,
     turns: Annotated[float, typer.Option(min=0.05, help="Output turns of each run.")] = 2.0,
     samples: Annotated[int, typer.Option(min=6, help="Samples per crank turn.")] = 24,
     noise: Annotated[
@@ -23,6 +28,11 @@ def plan(
             "rad", "Standard deviation of one sample's transmission error.", show_default="0.5 arcsec"
         ),
     ] = 0.5 / ARCSEC,
+    loop: Annotated[
+        float | None,
+        commands.quantity_option("N*m", "Add a hysteresis loop to this torque, with the crank locked at pin 0."),
+    ] = None,
+    plot: commands.PlotFile = None,
     scatter: Annotated[
         float,
         commands.quantity_option(
@@ -32,11 +42,6 @@ def plan(
     form: Annotated[
         str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
     ] = "1 um",
-    loop: Annotated[
-        float | None,
-        commands.quantity_option("N*m", "Add a hysteresis loop to this torque, with the crank locked at pin 0."),
-    ] = None,
-    plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Predict before a measurement which errors each set of loads and directions identifies, and how accurately.
@@ -49,9 +54,11 @@ def plan(
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.surfaces.structured import unit_of
 
+    nominal = read_drive(drive)
     plans = fitting.plan(
-        read_drive(drive), torque, turns=turns, samples=samples, noise=noise, scatter=scatter, form=form, loop=loop
-    )
+        nominal, torque or nominal.pair.rated_load(str(drive)), turns=turns, samples=samples, noise=noise,
+        scatter=scatter, form=form, loop=loop,
+    )  # fmt: skip
     if plot is not None:
         fitting.plot(plans, plot)
     if as_json:

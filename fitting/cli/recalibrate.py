@@ -28,16 +28,22 @@ def recalibrate(
     drive: options.PairFile,
     before: Annotated[Path, typer.Option(metavar="S.nc", help="The last surface that identify or recalibrate wrote.")],
     crank_turns: Annotated[float, typer.Option(min=0.0, help="Crank turns since that surface's date.")],
+    bits: Annotated[
+        int | None, typer.Option(min=8, max=32, help="Resolution of the output encoder, bits per turn.")
+    ] = None,
+    output: Annotated[
+        Path | None, commands.output_option((".json",), "NOW.json", "Write the recalibration (JSON).")
+    ] = None,
+    surface: Annotated[
+        Path | None, commands.output_option((".nc",), "NOW.nc", "Write the updated surface.", "--surface")
+    ] = None,
     files: Annotated[
         list[Path] | None, typer.Argument(metavar="[FILE...]", help="Recordings against the joint's output encoder.")
     ] = None,
     after: Annotated[
         Path | None, typer.Option(metavar="LAST.json", help="The last recalibration; its history is continued.")
     ] = None,
-    mapping: options.MappingFile = None,
-    bits: Annotated[
-        int | None, typer.Option(min=8, max=32, help="Resolution of the output encoder, bits per turn.")
-    ] = None,
+    mapping: options.MappingFiles = None,
     lost_motion: Annotated[
         list[str] | None,
         typer.Option(
@@ -49,15 +55,6 @@ def recalibrate(
         float,
         commands.quantity_option("m", "Standard deviation of uniform wear in 10^7 crank turns.", show_default="1 um"),
     ] = 1e-6,
-    torque_share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Relative standard deviation of the torque's scale.")
-    ] = 0.05,
-    output: Annotated[
-        Path | None, commands.output_option((".json",), "NOW.json", "Write the recalibration (JSON).")
-    ] = None,
-    surface: Annotated[
-        Path | None, commands.output_option((".nc",), "NOW.nc", "Write the updated surface.", "--surface")
-    ] = None,
     plan: Annotated[
         list[float] | None,
         commands.quantity_option("N*m", "Only plan, for this possible load of the joint; repeatable.", "--plan"),
@@ -82,6 +79,7 @@ def recalibrate(
     """
     import fitting
     from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.geometry.pair import write_pair
     from fitting.recalibration.files import as_json as content
     from fitting.recalibration.files import read_recalibration, write_recalibration
     from fitting.recalibration.plan import plan_visit
@@ -92,10 +90,7 @@ def recalibrate(
     if plan:
         if bits is None:
             raise edge.InputError("--plan needs --bits: the resolution of the output encoder.")
-        visits = plan_visit(
-            last, plan, crank_turns=crank_turns, bits=bits, wanted=wanted, mark=mark, drift=drift,
-            torque_share=torque_share,
-        )  # fmt: skip
+        visits = plan_visit(last, plan, crank_turns=crank_turns, bits=bits, wanted=wanted, mark=mark, drift=drift)
         if plot is not None:
             fitting.plot(visits, plot)
         if as_json:
@@ -112,7 +107,6 @@ def recalibrate(
         crank_turns=crank_turns,
         bits=bits,
         drift=drift,
-        torque_share=torque_share,
     )
     if output is not None:
         write_recalibration(result, output)
@@ -122,8 +116,8 @@ def recalibrate(
         if result.drive.pair.supports is not None or result.drive.first_stage is not None:
             # A surface belongs to one pair, and the bearings of this one differ from the file's.
             made = surface.with_suffix(".toml")
-            result.drive.write(made)
-            notes.append(f"{made}: the drive with its updated bearings; {surface} belongs to it.")
+            write_pair(result.drive.pair.nominal, made)
+            notes.append(f"{made}: the pair with its updated bearings, to which {surface} belongs.")
     if plot is not None:
         fitting.plot(result, plot)
     if as_json:

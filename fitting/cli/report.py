@@ -17,15 +17,15 @@ def report(
     drive: options.MaybePair = None,
     ratio: options.Ratio = None,
     rated_torque: options.RatedTorque = None,
-    stiffness_limits: options.StiffnessLimits = None,
+    mapping: options.MappingFiles = None,
     instruments: options.InstrumentsFile = None,
+    stiffness_limits: options.StiffnessLimits = None,
     certificate: Annotated[
         Path | None,
         typer.Option(
             metavar="DRIVE.toml", help="Add a certificate: device, limits, decision rule; with --instruments."
         ),
     ] = None,
-    mapping: options.MappingFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
     """Write a report as one file, HTML or PDF: figures, curves, orders, loops, and excluded data with the reason.

@@ -123,7 +123,7 @@ def planned_curve(ratio: float, torque: float, direction: int, turns: float, sam
 
 def plan(
     drive: Drive,
-    torque: float | str | Sequence[float | str],
+    torque: float | str | Sequence[float | str] | None = None,
     *,
     turns: float = 2.0,
     samples: int = 24,
@@ -142,7 +142,8 @@ def plan(
     drive
         The nominal drive.
     torque
-        The torques that the bench can hold, N·m; it opposes the motion, so its sign changes with the direction.
+        The torques that the bench can hold, N·m; it opposes the motion, so its sign changes with the direction. By
+        default the rated torque.
     turns, samples
         Output turns of each run, and samples per crank turn.
     noise
@@ -171,6 +172,7 @@ def plan(
     >>> len(last.standard_error) > len(first.standard_error)
     True
     """
+    torque = drive.pair.rated_load() if torque is None else torque
     given = [torque] if isinstance(torque, float | int | str) else torque
     loads = {positive(one, "N*m", "torque") for one in given}
     level = positive(noise, "rad", "noise")

@@ -275,7 +275,7 @@ def result_of(
         at = slice(len(every) - spread.size - len(own), len(every) - spread.size)
         deviations = np.hypot(deviations, np.linalg.norm(moved_by[at], axis=1))
     bearings = bearings_found(pair, observed, state.bearings, deviations)
-    made = pair_with(pair, state.bearings)
+    made = pair_with(pair, state.bearings, rounded=True)
     lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
     every = every[np.ix_(lasting, lasting)]
     covariance = every[: len(chosen), : len(chosen)]

@@ -118,7 +118,7 @@ def compare(
     changes, missing = changes_between(*sides)
     notes += missing
     if not changes:
-        raise edge.InputError("\n".join([*notes, "before and after have no figure that can be compared."]))
+        raise edge.NoDataError("\n".join([*notes, "before and after have no figure that can be compared."]))
     return Comparison(tuple(changes), tuple(notes))
 
 

@@ -30,8 +30,11 @@ UNLOADING = (0.03, 0.10)  # of the straight lines extrapolated to zero torque fo
 FRICTION = 0.50
 STIFFNESS = (0.50, 1.00)
 SEGMENTS = (LOST_MOTION_LOAD, 0.15, 0.50, 1.00)  # limits of K1, K2 and K3
-NEAR = 0.01  # a value "at" a torque is from the line through samples within this distance
+NEAR = 0.01  # a value "at" a torque is from samples within this distance at most; see `value_at`
 FRICTION_NEAR = 0.05
+_FEWEST = 6  # samples through which a cubic is fitted; through fewer, a straight line
+_FEWER = 1.5  # factor between the numbers of samples from which values at a torque are compared
+_AGREEING = 3.0  # standard deviations within which such values agree
 SIDES = (("positive", 1), ("negative", -1))
 DRIFT = (0.30, 0.80)  # of the peak: branches between these are beyond the friction band and before the reversal
 _GROUPS = 10000  # most groups of neighbours, whose means determine a drift
@@ -141,11 +144,7 @@ def fit_line(torque: Array, windup: Array) -> Line | None:
     x, y = torque - centre, windup - windup.mean()
     spread = float(x @ x)
     slope = float(x @ y) / spread
-    left = y - slope * x
-    variance = float(left @ left) / (n - 2)
-    alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300) if n > 3 else 0.0
-    alike = min(max(alike, 0.0), 1.0 - 2.0 / n)
-    variance *= (1.0 + alike) / (1.0 - alike)
+    variance = _variance(y - slope * x, n - 2)
     return Line(centre, float(windup.mean()), slope, variance / n, variance / spread, n)
 
 
@@ -157,6 +156,75 @@ def branch_line(torque: Array, windup: Array, part: slice, low: float, high: flo
 
 
 _Value = tuple[float, float]  # and its variance
+
+
+def value_at(torque: Array, windup: Array, part: slice, at: float, near: float) -> _Value | None:
+    """Return the windup, rad, of a branch at a torque, N·m, and its variance, rad²; None with fewer than three samples.
+
+    It is from the cubic through the branch's samples within `near`, or through the nearest of them where the branch is
+    no cubic so far: through as many as agree with all smaller numbers within the noise (Lepskii, Theory Probab. Appl.
+    35 (1990) 454). The noise is from each sample and its two neighbours (Gasser, Sroka and Jennen-Steinmetz, Biometrika
+    73 (1986) 625). The variance is from what a parabola leaves, so that a bend counts even where the cubic follows it;
+    with few samples it is larger by the square of Student's t over the normal quantile.
+
+    Parameters
+    ----------
+    torque, windup
+        Of the recording, N·m and rad, shape (samples,).
+    part
+        Samples of the branch.
+    at, near
+        Signed torque, and the largest distance from it, N·m.
+    """
+    place = part.start + np.flatnonzero(np.abs(torque[part] - at) <= near)
+    if place.size < 3 or np.ptp(torque[place]) == 0.0:
+        return None
+    noise = _noise(torque[place], windup[place])
+    nearest = place[np.argsort(np.abs(torque[place] - at), kind="stable")]
+    sizes = [place.size]
+    while sizes[-1] / _FEWER >= _FEWEST:
+        sizes.append(int(sizes[-1] / _FEWER))
+    rounding = 1e-12 * float(np.ptp(windup[place]))
+    agreed: list[tuple[float, float]] = []
+    scatter = math.inf
+    for size in reversed(sizes):
+        chosen = np.sort(nearest[:size])
+        x, y = (torque[chosen] - at) / near, windup[chosen]
+        torques = np.unique(x).size
+        if torques < 2:
+            continue
+        terms = 4 if size >= _FEWEST and torques >= 4 else 2
+        q, r = np.linalg.qr(np.vander(x, terms, increasing=True))
+        weights = np.linalg.solve(r.T, np.eye(terms)[0])  # of the orthogonal terms in the value at the torque
+        value, share = float(weights @ (q.T @ y)), float(weights @ weights)
+        if any(abs(value - v) > _AGREEING * noise * math.sqrt(max(s - share, 0.0)) + rounding for v, s in agreed):
+            break
+        agreed.append((value, share))
+        parabola = q[:, :3]
+        degrees = size - parabola.shape[1]
+        variance = max(_variance(y - parabola @ (parabola.T @ y), degrees), noise**2)
+        scatter = variance * (float(stdtrit(degrees, 0.975)) / 1.96) ** 2
+    return agreed[-1][0], agreed[-1][1] * scatter
+
+
+def _noise(torque: Array, windup: Array) -> float:
+    """Return the standard deviation of the noise, rad, from the lines between the two neighbours of each sample."""
+    order = np.argsort(torque, kind="stable")
+    (before, here, after), (first, middle, last) = (
+        (v[order][:-2], v[order][1:-1], v[order][2:]) for v in (torque, windup)
+    )
+    wide = np.where(after > before, after - before, 1.0)
+    share = np.where(after > before, (after - here) / wide, 0.5)
+    left = share * first + (1.0 - share) * last - middle
+    return float(np.sqrt(np.mean(left**2 / (share**2 + (1.0 - share) ** 2 + 1.0))))
+
+
+def _variance(left: Array, degrees: int) -> float:
+    """Return the variance of a fit's residuals, increased for the correlation of neighbours; 0 without a residual."""
+    n, square = left.size, float(left @ left)
+    alike = float(left[1:] @ left[:-1]) / max(square, 1e-300) if n > 3 else 0.0
+    alike = min(max(alike, 0.0), 1.0 - 2.0 / n)
+    return square / degrees * (1.0 + alike) / (1.0 - alike)
 
 
 @dataclass(frozen=True)
@@ -194,13 +262,13 @@ def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> _Loo
     def both(share: float, near: float) -> list[tuple[_Value, _Value]] | None:
         found = []
         for side in sides:
-            pair = [
-                branch_line(torque, windup, b, (share - near) * rated, (share + near) * rated)
-                for b in (side.loading, side.unloading)
-            ]
-            if pair[0] is None or pair[1] is None:
+            loading, unloading = (
+                value_at(torque, windup, branch, side.sign * share * rated, near * rated)
+                for branch in (side.loading, side.unloading)
+            )
+            if loading is None or unloading is None:
                 return None
-            found.append((pair[0].at(side.sign * share * rated), pair[1].at(side.sign * share * rated)))
+            found.append((loading, unloading))
         return found
 
     widths = both(FRICTION, FRICTION_NEAR)
@@ -228,14 +296,13 @@ def _behind_the_virgin_branch(torque: Array, windup: Array, loop: Loop, rated: f
     first side's unloading branch and the second side's loading branch is its lost motion.
     """
     first, second = sorted((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
-    low, high = (LOST_MOTION_LOAD - NEAR) * rated, (LOST_MOTION_LOAD + NEAR) * rated
-    lines = [branch_line(torque, windup, part, low, high) for part in (first.unloading, second.loading)]
-    if lines[0] is None or lines[1] is None:
-        return None
-    (one, one_variance), (other, other_variance) = (
-        line.at(side.sign * LOST_MOTION_LOAD * rated) for line, side in zip(lines, (first, second), strict=True) if line
+    one, other = (
+        value_at(torque, windup, part, sign * LOST_MOTION_LOAD * rated, NEAR * rated)
+        for part, sign in ((first.unloading, first.sign), (second.loading, second.sign))
     )
-    return first.sign * (one - other), one_variance + other_variance
+    if one is None or other is None:
+        return None
+    return first.sign * (one[0] - other[0]), one[1] + other[1]
 
 
 def _mean(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, float, float]:
@@ -393,24 +460,23 @@ def _closed(data: LoopData) -> bool:
     """Return whether a single loop, without its drift, ends where it began: then it was steady from the start."""
     loop, near = data.loops[0], NEAR * data.rated_torque
     first, second = sorted((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
-    lines = [branch_line(data.torque, data.windup, part, 0.0, near) for part in (first.loading, second.unloading)]
+    begin, end = (value_at(data.torque, data.windup, part, 0.0, near) for part in (first.loading, second.unloading))
     loss = _loop_values(data.torque, data.windup, loop, data.rated_torque).hysteresis_loss
-    if lines[0] is None or lines[1] is None or loss is None:
+    if begin is None or end is None or loss is None:
         return False
-    (begin, begin_variance), (end, end_variance) = (line.at(0.0) for line in lines if line is not None)
-    return abs(end - begin) < 0.02 * abs(loss[0]) + 3.0 * math.sqrt(begin_variance + end_variance)
+    return abs(end[0] - begin[0]) < 0.02 * abs(loss[0]) + 3.0 * math.sqrt(begin[1] + end[1])
 
 
 def _friction_band(values: dict[str, list[_Value]], rated: float) -> tuple[bool, float | None]:
     """Return whether the load of lost motion is inside the friction band, and the dry friction, N·m, if known.
 
-    It is if friction exceeds the torque of the samples used for lost motion, or if the branches are further apart there
-    than at half the rated torque: the loading branch has then not yet passed the play.
+    It is if friction exceeds that load, or if the branches are further apart there than at half the rated torque: the
+    loading branch has then not yet passed all of the play.
     """
     stiffness = [v for side in ("positive", "negative") for v, _ in values[side]]
     width = values["width"]
     friction = 0.5 * float(np.mean([v for v, _ in width])) * float(np.mean(stiffness)) if width and stiffness else None
-    if friction is not None and friction > (LOST_MOTION_LOAD - NEAR) * rated:
+    if friction is not None and friction > LOST_MOTION_LOAD * rated:
         return True, friction
     wider, lost = values["wider"], values["lost_motion"]
     if not wider or not lost:
@@ -593,12 +659,18 @@ def _loop_notes(
             )
         )
     if band:
-        known = "" if friction is None else f", whose mean half width is {friction:.3g} N·m"
-        notes.append(
-            f"{data.source}: ±{100.0 * LOST_MOTION_LOAD:g} % of the rated torque, "
-            f"±{LOST_MOTION_LOAD * data.rated_torque:.3g} N·m, is inside the friction band{known}: lost motion there "
-            "may not include the play; backlash does."
-        )
+        load = LOST_MOTION_LOAD * data.rated_torque
+        at = f"{data.source}: ±{100.0 * LOST_MOTION_LOAD:g} % of the rated torque, ±{load:.3g} N·m,"
+        if friction is not None and friction > load:
+            notes.append(
+                f"{at} is inside the friction band, whose mean half width is {friction:.3g} N·m: lost motion there may "
+                "not include the play; backlash does."
+            )
+        else:
+            notes.append(
+                f"{at} is inside the knee of the loop: the branches are further apart there than at "
+                f"±{100.0 * FRICTION:g} %, so lost motion does not include all of the play; backlash does."
+            )
     return notes
 
 
@@ -638,9 +710,8 @@ def loop_marks(data: LoopData) -> dict[str, list[Array]]:
         at = []
         for side in (loop.negative, loop.positive):
             t = side.sign * LOST_MOTION_LOAD * rated
-            near = ((LOST_MOTION_LOAD - NEAR) * rated, (LOST_MOTION_LOAD + NEAR) * rated)
-            pair = [branch_line(torque, windup, b, *near) for b in (side.loading, side.unloading)]
-            at.append((t, float(np.mean([one.at(t)[0] for one in pair if one is not None]))))
+            both = [value_at(torque, windup, b, t, NEAR * rated) for b in (side.loading, side.unloading)]
+            at.append((t, float(np.mean([one[0] for one in both if one is not None]))))
         marks["lost_motion"] = [np.array(at)]
     return marks
 
@@ -660,8 +731,17 @@ def loops_of(
         Rated torque T_N, N·m; None: the largest torque of the recording, with a note.
     """
     torque, notes = recording.torque, []
+    locked = float(np.ptp(recording.input_angle)) < LOCKED
+    at_rest = "the input is at rest" if recording.has_input_angle else "no input angle is mapped"
+    # A drive with a locked input does not move its output as far as a turn of the input would.
+    turned = float(np.ptp(recording.output_angle)) / (2.0 * np.pi)
+    if locked and turned * abs(ratio or 1.0) > 1.0:
+        return None, [
+            f"{recording.source}: {at_rest}, but the output turns by {turned:.3g} turns, more than that of a drive "
+            "with a locked input: there is neither a loop nor a transmission error."
+        ]
     largest = float(np.abs(torque).max())
-    if largest == 0.0:
+    if not largest > 0.0:  # none, or unknown
         return None, []
     rated = rated_torque or largest
     lobes = find_lobes(torque, rated)
@@ -671,16 +751,17 @@ def loops_of(
     ]
     # A load that is switched on or fluctuates around zero is no loop: each branch must have many samples.
     lobes = [lobe for lobe, count in zip(lobes, inside, strict=True) if count >= 8]
-    locked = float(np.ptp(recording.input_angle)) < LOCKED
     if not lobes or (not locked and len({lobe.sign for lobe in lobes}) < 2):
         if locked and not lobes:
             notes.append(
-                f"{recording.source}: the input is locked, but the torque does not exceed a fifth of the rated "
-                f"{rated:.4g} N·m and return; there is no loop."
+                f"{recording.source}: {at_rest}, and the torque does not exceed a fifth of the rated {rated:.4g} N·m "
+                "and return; there is no loop."
             )
         return None, notes
     if ratio is None and not locked:
         return None, notes
+    if not recording.has_input_angle:
+        notes.append(f"{recording.source}: no input angle is mapped; the output angle is taken as the windup.")
     if rated_torque is None:
         notes.append(
             f"{recording.source}: the rated torque is unknown; figures are evaluated at fractions of the largest "

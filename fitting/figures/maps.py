@@ -112,7 +112,7 @@ def maps(
         points += found
         notes += said
     if not points:
-        raise edge.InputError(" ".join(["no recording has a curve over a whole output turn.", *notes[:3]]))
+        raise edge.NoDataError(" ".join(["no recording has a curve over a whole output turn.", *notes[:3]]))
     return _dataset(points, ratio, drive if isinstance(drive, Drive) else None, notes)
 
 

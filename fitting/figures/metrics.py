@@ -156,7 +156,7 @@ def figures_of(
             figures[name] = dataclasses.replace(largest, definition=DEFINITIONS[name])
     started: dict[str, list[Start]] = {"starting_torque": [], "back_driving_torque": []}
     for one in surveyed:
-        if one.loops is not None:
+        if one.loops is not None or not one.overview.has_input_angle:
             continue
         for name, starts_by in (("starting_torque", starting_torques), ("back_driving_torque", back_driving_torques)):
             starts, added = starts_by(one.overview, ratio if ratio is not None else one.overview.ratio)
@@ -223,7 +223,7 @@ def metrics(
     if drive is not None and ratio is not None:
         raise edge.ArgumentError("ratio", "the drive states its ratio; give one of the two", ratio)
     if ratio is not None and not (math.isfinite(ratio) and ratio):
-        raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
+        raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", ratio)
     rated = None if rated_torque is None else positive(rated_torque, "N*m", "rated_torque")
     limits = None if stiffness_limits is None else [positive(v, "N*m", "stiffness_limits") for v in stiffness_limits]
     if limits is not None and (len(limits) < 2 or sorted(set(limits)) != limits):
@@ -244,6 +244,8 @@ def metrics(
         try:
             surveyed.append(survey(open_source(source, ratio), ratio, rated, report))
         except edge.InputError as problem:
+            if len(given) == 1:
+                raise
             problems.append(str(problem))
         except KeyboardInterrupt:
             if not surveyed:

@@ -93,7 +93,8 @@ def spectrum(curve: Curve) -> Spectrum:
     Raises
     ------
     edge.InputError
-        If the curve is incomplete: less than a turn was recorded, or gaps are always at the same angles.
+        If the curve is incomplete: less than a turn was recorded, gaps are always at the same angles, or the samples
+        are too few for the order of the input turn, the lowest of a drive's own.
     """
     turn = 2.0 * np.pi * abs(curve.ratio)
     points, shift = curve.grid
@@ -115,6 +116,11 @@ def spectrum(curve: Curve) -> Spectrum:
         raise edge.InputError(
             f"{curve.source}: {np.count_nonzero(filled) / points:.1%} of an output turn was recorded; its orders need "
             "all of it."
+        )
+    if points <= 2.0 * abs(curve.ratio):
+        raise edge.InputError(
+            f"{curve.source}: an output turn has {points} samples, at most two per turn of the input; its orders need "
+            "more."
         )
     # Highest order for which two terms of the series in the angle suffice; evenly sampled turns have the full band.
     reach = float(np.max(np.abs(inside[filled]) + np.sqrt(spread[filled])))
@@ -142,7 +148,8 @@ def spectrum(curve: Curve) -> Spectrum:
 
 def run_label(source: str, curve: Curve) -> str:
     """Return the label of a run: recording, load and direction."""
-    return f"{source}, {curve.torque:.4g} N*m, {'forward' if curve.direction > 0 else 'backward'}"
+    load = "unknown load" if np.isnan(curve.torque) else f"{curve.torque:.4g} N*m"
+    return f"{source}, {load}, {'forward' if curve.direction > 0 else 'backward'}"
 
 
 def without_orders(orders: Spectrum, left_out: Sequence[int]) -> Spectrum:

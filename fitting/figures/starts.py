@@ -93,6 +93,8 @@ def starting_torques(recording: Recording, ratio: float | None) -> tuple[list[St
         return [], [
             f"{recording.source}: no starting_torque: without a ratio it is unknown whether the output is loaded."
         ]
+    if np.isnan(recording.torque).all():
+        return [], [f"{recording.source}: no starting_torque: the torque on the output is unknown."]
     free = [s for s in starts if float(np.abs(recording.torque[s.part]).max()) < _UNLOADED * abs(ratio) * s.torque]
     if len(free) == len(starts):
         return free, []

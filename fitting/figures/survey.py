@@ -33,7 +33,7 @@ class Surveyed:
     source, checksum
         Name and SHA-256 of the recording.
     samples, duration
-        Number of samples, and their time span, s.
+        Number of samples, and their time span, s; NaN without times.
     overview
         The recording; if it is long, each sample is the mean of `averaged` consecutive samples.
     averaged
@@ -144,7 +144,7 @@ def survey(
     """
     ratio = stream.ratio if ratio is None else ratio
     overview = _Overview()
-    folding = None if ratio is None else Folding(ratio, stream.source, evenly=True)
+    folding = Folding(ratio, stream.source, evenly=True) if ratio is not None and stream.has_input_angle else None
     blocks = PlausibleBlocks(stream, ratio)
     for block in blocks:
         overview.add(block)
@@ -165,8 +165,10 @@ def survey(
         except edge.InputError as problem:
             notes.append(str(problem))
     elif loops is None and np.ptp(shortened.input_angle) > 0.0:
-        notes.append(f"{stream.source}: the input turns but the ratio is unknown; give the drive or its ratio.")
-    duration = float(table["time"][-1] - table["time"][0])
+        notes.append(
+            f"{stream.source}: the input turns but the ratio is unknown; give the drive or its ratio: {edge.RATIO}."
+        )
+    duration = float(table["time"][-1] - table["time"][0]) if stream.timed else np.nan
     speed = float(np.abs(np.diff(table["output_angle"])).sum()) / duration if duration > 0.0 else 0.0
     return Surveyed(
         stream.source, shortened.checksum, overview.samples, duration, shortened, overview.averaged, tuple(curves),

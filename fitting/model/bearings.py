@@ -76,7 +76,7 @@ def lowest_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
     return np.array([-np.inf if n.endswith("_stiffness") else -v for n, v in zip(names, values, strict=True)])
 
 
-def pair_with(pair: Pair, changes: Array) -> Pair:
+def pair_with(pair: Pair, changes: Array, *, rounded: bool = False) -> Pair:
     """Return a pair with changed bearings.
 
     Parameters
@@ -87,6 +87,9 @@ def pair_with(pair: Pair, changes: Array) -> Pair:
         In the order of `unknown_bearings`: logarithm of a stiffness over the stated one, increase of a clearance (m);
         the play of a first stage may follow. If empty, the pair is unchanged. A clearance stays within the limits of a
         pair file.
+    rounded
+        Whether changed values are those that a file should state: lengths in whole nanometres, stiffnesses with six
+        digits.
     """
     names = unknown_bearings(pair)
     if not names or changes.size == 0:
@@ -102,6 +105,8 @@ def pair_with(pair: Pair, changes: Array) -> Pair:
             value = {"stiffness": one.stiffness * math.exp(change)}
         else:
             value = {"roller_length": one.roller_length * math.exp(_OF_LENGTH * change)}
+        if rounded and change != 0.0:
+            value = {n: float(f"{v:.6g}") if n == "stiffness" else round(v, 9) for n, v in value.items()}
         given.setdefault(bearing, {}).update(value)
     changed = {name: getattr(pair.supports, name).model_copy(update=values) for name, values in given.items()}
     return pair.replace(supports=pair.supports.model_copy(update=changed))

@@ -108,6 +108,11 @@ def observed_curves(
     )
     for one in itertools.compress(sources, locked):
         found += branches_of(survey(open_source(one, ratio), ratio, pair.rated_torque), ratio)
+    if loadless := next((one for one in found if np.isnan(one.torque)), None):
+        raise edge.InputError(
+            f"{loadless.source}: the torque is unknown; a model needs the load. State a constant one as value of "
+            "[torque] in the mapping."
+        )
     return [of_cranks(one, drive) for one in found]
 
 

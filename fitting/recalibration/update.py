@@ -346,7 +346,7 @@ def _result(
     # The means of bearings and first stage are in the returned drive.
     bench_mean[[rows.bench.index(n) for n in rows.lowest]] = 0.0
     found = Known(known.errors, tuple(rows.bench), bench_mean, covariance)
-    pair, stage = pair_with(drive.pair, state.bearings), drive.first_stage
+    pair, stage = pair_with(drive.pair, state.bearings, rounded=True), drive.first_stage
     if stage is not None:
         stage = with_play(stage, float(state.bearings[-1]))
     surface = state.surface.replace(

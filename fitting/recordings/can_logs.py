@@ -19,12 +19,9 @@ class CanLog(BenchFile):
     """A log of CAN frames; the channels are the signals of its DBC."""
 
     def __init__(self, source: str, dbc: str | os.PathLike[str] | None) -> None:
-        import cantools
-
         if dbc is None:
             raise edge.InputError(f"{source}: a CAN log needs the DBC of its frames; name it as dbc in the mapping.")
-        with edge.parsed_by_others(dbc, "this is not a DBC file"):
-            self._database: Any = cantools.database.load_string(edge.read_text(dbc), "dbc")
+        self._database = read_dbc(dbc)
         channels = [
             RawChannel(f"{m.name}.{s.name}", s.unit or "") for m in self._database.messages for s in m.signals
         ]  # fmt: skip
@@ -80,6 +77,15 @@ class CanLog(BenchFile):
         yield from flush()
         if failed:
             self.problems.append(f"{self.source}: {failed} frames do not match the DBC and were left out.")
+
+
+def read_dbc(path: str | os.PathLike[str]) -> Any:
+    """Return the database of a DBC file; raise an `edge.InputError` if it can't be read."""
+    import cantools
+
+    text = edge.read_text(path)
+    with edge.parsed_by_others(path, "this is not a DBC file"):
+        return cantools.database.load_string(text, "dbc")
 
 
 def _binary_log(source: str) -> Any:

@@ -15,6 +15,7 @@ from fitting.recordings.one_clock import GAP_STEPS
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 _TURN = 2.0 * np.pi
+_STILL = np.radians(1.0)  # of the crank: samples with one time stamp are averaged within this motion
 
 
 @dataclass(frozen=True)
@@ -103,19 +104,38 @@ class _Angle:
 
 
 class Cleaning:
-    """Leaves out invalid samples, marks gaps and unwraps angles, block by block.
+    """Leaves out invalid samples, marks gaps, unwraps angles and resolves a coarse clock, block by block.
 
-    Given the ratio, it converts a measured transmission error to the input angle.
+    Samples with one time stamp are averaged if the crank turns by less than 1° among them; otherwise they get
+    even times up to the next stamp, as a mean would smooth the transmission error.
+
+    Parameters
+    ----------
+    rollover
+        {angle: its rollover, rad, or None if it is unknown} of every recorded angle.
+    source
+        The recording, for messages.
+    ratio
+        Signed ratio input/output, to convert a measured transmission error to the input angle.
+    pulley
+        Ratio of the output's encoder to the output.
+    timed
+        Whether the times are seconds; otherwise they count samples.
     """
 
-    def __init__(self, rollover: Mapping[str, float | None], source: str, ratio: float | None = None) -> None:
-        self._ratio = ratio
+    def __init__(
+        self, rollover: Mapping[str, float | None], source: str, ratio: float | None = None, *,
+        pulley: float = 1.0, timed: bool = True,
+    ) -> None:  # fmt: skip
+        self._ratio, self._pulley, self._timed = ratio, pulley, timed
         self._angles = {name: _Angle(period, name, source) for name, period in rollover.items()}
         self._usual = np.nan
         self._last = -np.inf
         self._seen = 0
         self._not_finite: dict[str, tuple[int, int]] = {}
-        self._duplicates = self._backwards = self._gaps = 0
+        self._backwards = self._gaps = 0
+        self._averaged = self._spread = 0
+        self._waiting: tuple[dict[str, Array], Bytes] | None = None
         self._longest = self._longest_at = 0.0
         self._mark_next = False
 
@@ -134,28 +154,82 @@ class Cleaning:
             bits[0] |= GAP
             self._mark_next = False
         self._seen += keep.size if keep is not None else time.size
+        repeated = False
         if time.size:
             steps = np.diff(time, prepend=self._last)
-            if steps.min() <= 0.0:
+            if (least := float(steps.min())) < 0.0 or (least == 0.0 and time[0] == self._last and not self._waiting):
                 furthest = np.maximum.accumulate(np.concatenate([[self._last], time]))
-                onward = time > furthest[:-1]
-                same = ~onward & (time == furthest[:-1])
-                self._duplicates += int(np.count_nonzero(same))
-                self._backwards += int(np.count_nonzero(~onward & ~same))
+                onward = time >= furthest[:-1]
+                if not self._waiting:
+                    onward &= time > self._last
+                self._backwards += int(np.count_nonzero(~onward))
                 table, bits, time = {n: v[onward] for n, v in table.items()}, bits[onward], time[onward]
                 steps = np.diff(time, prepend=self._last)
+            repeated = bool((steps == 0.0).any()) if least <= 0.0 else False
         if not time.size:
             table.pop("transmission_error", None)
-            return Block(**{"input_angle": time, **table}, status=bits)  # type: ignore[arg-type]
+            return self._block(table, bits)
         self._gaps_in(time, steps, bits)
         self._last = float(time[-1])
         for name, angle in self._angles.items():
             table[name], rolled = angle.add(table[name])
             if rolled is not None:
                 bits[rolled] |= ROLLOVER
+        if self._pulley != 1.0:
+            table["output_angle"] = table["output_angle"] / self._pulley
         if self._ratio is not None and "transmission_error" in table:
             table["input_angle"] = (table["output_angle"] - table.pop("transmission_error")) * self._ratio
-        return Block(**{"input_angle": np.zeros(time.size), **table}, status=bits)  # type: ignore[arg-type]
+        if repeated or self._waiting:
+            table, bits = self._resolved(table, bits)
+        return self._block(table, bits)
+
+    def finish(self) -> Block | None:
+        """Return the samples of the last time stamp, if they were held back for more of them."""
+        if self._waiting is None:
+            return None
+        (table, bits), self._waiting = self._waiting, None
+        return self._block(*self._resolved(table, bits, last=True))
+
+    def _block(self, table: dict[str, Array], bits: Bytes) -> Block:
+        """Return a block; an input that is not recorded is at rest, and a torque that is not recorded is unknown."""
+        size = table["time"].size
+        return Block(**{"input_angle": np.zeros(size), "torque": np.full(size, np.nan), **table}, status=bits)  # type: ignore[arg-type]
+
+    def _resolved(self, table: dict[str, Array], bits: Bytes, *, last: bool = False) -> tuple[dict[str, Array], Bytes]:
+        """Return samples with one time each; those of the last stamp are held back unless they are the `last`."""
+        if self._waiting is not None:
+            held, before = self._waiting
+            table, bits = {n: np.concatenate([held[n], v]) for n, v in table.items()}, np.concatenate([before, bits])
+        time = table["time"]
+        begins = np.flatnonzero(np.concatenate([[True], time[1:] != time[:-1]]))
+        stamps = time[begins]
+        if last:
+            stamps = np.append(stamps, np.inf)
+        else:
+            end = int(begins[-1])
+            self._waiting = {n: v[end:] for n, v in table.items()}, bits[end:]
+            table, bits, begins = {n: v[:end] for n, v in table.items()}, bits[:end], begins[:-1]
+            if not end:
+                return table, bits
+        count = np.diff(begins, append=bits.size)
+        width = np.diff(stamps)
+        width = np.where(width > GAP_STEPS * self._usual, self._usual, width)
+        within = np.arange(bits.size) - np.repeat(begins, count)
+        pitch = np.divide(width, count, out=np.zeros(count.size), where=count > 1)
+        table["time"] = table["time"] + within * np.repeat(pitch, count)
+        crank = table.get("input_angle", np.zeros(bits.size))
+        still = np.maximum.reduceat(crank, begins) - np.minimum.reduceat(crank, begins) < _STILL
+        self._averaged += int(count[still & (count > 1)].sum())
+        self._spread += int(count[~still].sum())
+        keep = ~np.repeat(still, count)
+        keep[begins[still]] = True
+        for name, values in table.items():
+            means = values.copy()
+            means[begins[still]] = (np.add.reduceat(values, begins) / count)[still]
+            table[name] = means[keep]
+        joined = bits.copy()
+        joined[begins[still]] = np.bitwise_or.reduceat(bits, begins)[still]
+        return table, joined[keep]
 
     def _finite(self, table: dict[str, Array]) -> NDArray[np.bool_] | None:
         """Return the mask of samples that are finite in all needed channels, or None if all are."""
@@ -173,7 +247,8 @@ class Cleaning:
 
     def _gaps_in(self, time: Array, steps: Array, bits: Bytes) -> None:
         if np.isnan(self._usual) and time.size > 2:
-            self._usual = float(np.median(np.diff(time)))
+            onward = np.diff(time)
+            self._usual = float(np.median(onward if onward.all() else onward[onward > 0.0]))
         if not np.isfinite(self._last):
             steps = steps[1:]
         largest = float(steps.max(initial=0.0))
@@ -191,13 +266,20 @@ class Cleaning:
         for name, (count, first) in self._not_finite.items():
             also = f" and {count - 1} more" if count > 1 else ""
             notes.append(f"{name} is not a finite number in sample {first}{also}; left out.")
-        if self._duplicates:
-            notes.append(f"{self._duplicates} samples with the time of the previous one were left out.")
+        stamps = f"share their time stamp with others (the clock's usual step is {self._usual:.3g} s)"
+        if self._averaged:
+            notes.append(f"{self._averaged} samples {stamps}; those of each stamp were averaged.")
+        if self._spread:
+            notes.append(
+                f"{self._spread} samples {stamps} while the crank turns; they were given even times up to the next "
+                "stamp."
+            )
         if self._backwards:
             notes.append(f"{self._backwards} samples older than a previous one were left out.")
         if self._gaps:
+            longest = "{:.3g} s at {:.6g} s" if self._timed else "{:.3g} samples at sample {:.6g}"
             notes.append(
-                f"{self._gaps} gaps, the longest {self._longest:.3g} s at {self._longest_at:.6g} s; they were not "
+                f"{self._gaps} gaps, the longest {longest.format(self._longest, self._longest_at)}; they were not "
                 "interpolated."
             )
         return notes

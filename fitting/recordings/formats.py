@@ -6,10 +6,14 @@ Every reader yields pieces of bounded size, so that files may be larger than mem
 from __future__ import annotations
 
 import abc
+import contextlib
+import gzip
 import heapq
 import importlib
 import os
 import re
+import tempfile
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -25,6 +29,7 @@ from drivers.recording_format import Clock, Limits
 Array = NDArray[np.float64]
 
 LONGEST_NAME = 200  # characters kept of a channel's name; searching longer ones takes too long
+_BLOCK = 1 << 20  # bytes unpacked at a time
 PIECE = 1 << 17  # samples per piece, whose arrays then fit into a processor's cache
 
 
@@ -88,6 +93,8 @@ class BenchFile(abc.ABC):
         {channel: clock of its time stamps against the host's} for channels with a device clock.
     limits
         Limits of the encoders, as far as the file states them.
+    texts
+        Names of columns that hold text; they can have no role.
     """
 
     source: str
@@ -98,6 +105,7 @@ class BenchFile(abc.ABC):
     problems: list[str] = field(default_factory=list)
     clocks: dict[str, Clock] = field(default_factory=dict)
     limits: Limits = field(default_factory=Limits)
+    texts: tuple[str, ...] = ()
 
     @abc.abstractmethod
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
@@ -109,11 +117,20 @@ READERS = {
     "arrows": "fitting.recordings.recorder_files:RecorderFile",
     **dict.fromkeys(("csv", "txt", "tsv", "dat"), "fitting.recordings.scope:open_table"),
     "parquet": "fitting.recordings.tables:ParquetFile",
-    **dict.fromkeys(("mf4", "mdf"), "fitting.recordings.loggers:MdfFile"),
-    "tdms": "fitting.recordings.loggers:TdmsFile",
-    **dict.fromkeys(("blf", "asc", "trc"), "fitting.recordings.can_logs:CanLog"),
+    **dict.fromkeys(("mf4", "mdf"), "fitting.recordings.limited_files:mdf_file"),
+    "tdms": "fitting.recordings.limited_files:tdms_file",
+    **dict.fromkeys(("blf", "asc", "trc"), "fitting.recordings.limited_files:can_log"),
 }
 GROUP = "cycloid.recordings"
+
+
+COMPRESSED = ".gz"
+
+
+def stem_of(path: str | os.PathLike[str]) -> str:
+    """Return the name of a file without its ending, that of compression included."""
+    name = Path(path)
+    return name.with_suffix("").stem if name.suffix.lower() == COMPRESSED else name.stem
 
 
 def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = None) -> BenchFile:
@@ -122,7 +139,7 @@ def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | 
     Parameters
     ----------
     path
-        The file.
+        The file; `.gz` after the ending if it is compressed.
     dbc
         The DBC file that describes the frames of a CAN log.
 
@@ -132,16 +149,105 @@ def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | 
         If the file can't be read or parsed, or a package that reads it is missing.
     """
     edge.existing(path)
+    if Path(path).suffix.lower() == COMPRESSED:
+        return UnpackedFile(str(path), dbc)
+    return _opened(path, path, dbc)
+
+
+def _reader(path: str | os.PathLike[str], source: object) -> tuple[str, str]:
+    """Return a file's ending and the reader for it, `module:name`; `source`: the file's name in messages."""
     ending = Path(path).suffix.lower().removeprefix(".")
     reader = READERS.get(ending) or next((e.value for e in metadata.entry_points(group=GROUP, name=ending)), None)
     if reader is None:
+        if (refused := edge.wrong_kind(path, "a recording", tables=True)) is not None:
+            raise refused
         known = sorted({*READERS, *(e.name for e in metadata.entry_points(group=GROUP))})
-        raise edge.InputError(f"{path}: the ending must be one of {', '.join('.' + one for one in known)}.")
+        raise edge.InputError(
+            f"{source}: the ending must be one of {', '.join('.' + one for one in known)}; {COMPRESSED} may follow it."
+        )
+    return ending, reader
+
+
+def _opened(path: str | os.PathLike[str], source: object, dbc: str | os.PathLike[str] | None) -> BenchFile:
+    """Open a file by its ending; `source` as for `_reader`."""
+    ending, reader = _reader(path, source)
     module, name = reader.split(":")
     kind = getattr(importlib.import_module(module), name)
-    with edge.parsed_by_others(path, f"this is not a .{ending} file, or it is truncated or damaged"):
+    with edge.parsed_by_others(source, f"this is not a .{ending} file, or it is truncated or damaged"):
         opened: BenchFile = kind(str(path), dbc)
     return opened
+
+
+class UnpackedFile(BenchFile):
+    """A file compressed by gzip, read from an unpacked copy, which is removed with this object.
+
+    Parameters
+    ----------
+    source
+        The compressed file; the ending before `.gz` determines its reader.
+    dbc
+        As in `open_bench_file`.
+
+    Raises
+    ------
+    edge.InputError
+        If it is no such file, or unpacks to more than `edge.MOST_BYTES`.
+    """
+
+    def __init__(self, source: str, dbc: str | os.PathLike[str] | None = None) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="cycloid-")
+        self._copy = Path(self._folder.name) / Path(source).with_suffix("").name
+        _reader(self._copy, source)
+        self._lost = self._unpack(source)
+        with self._named(source):
+            self._file = file = _opened(self._copy, source, dbc)
+        super().__init__(
+            source, file.channels, file.timed, file.ratio, file.pair, [], file.clocks, file.limits, file.texts
+        )
+        self._tell()
+
+    def _unpack(self, source: str) -> list[str]:
+        """Write the copy; return a sentence if the compressed file is damaged after its beginning."""
+        size = 0
+        with gzip.open(source) as packed, edge.naming(self._copy), self._copy.open("wb") as copy:
+            while True:
+                try:
+                    block = packed.read1(_BLOCK)
+                except (EOFError, OSError, zlib.error) as problem:
+                    reason = edge.first_line(problem)
+                    if not size:
+                        raise edge.InputError(
+                            f"{source}: this is not a {COMPRESSED} file, or it is damaged ({reason})."
+                        ) from None
+                    return [f"{source}: it is truncated or damaged after {size} bytes of its contents ({reason})."]
+                if not block:
+                    return []
+                size += len(block)
+                if size > edge.MOST_BYTES:
+                    raise edge.InputError(f"{source}: it unpacks to more than {edge.MOST_BYTES >> 30} GiB.")
+                copy.write(block)
+
+    @contextlib.contextmanager
+    def _named(self, source: str) -> Iterator[None]:
+        """Name the compressed file instead of its copy in errors."""
+        try:
+            yield
+        except edge.InputError as problem:
+            raise edge.InputError(str(problem).replace(str(self._copy), source)) from None
+
+    def _tell(self) -> None:
+        """Take over the problems of the copy."""
+        self.problems = [*self._lost, *(one.replace(str(self._copy), self.source) for one in self._file.problems)]
+
+    def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
+        """Yield pieces of these channels in the order of time."""
+        try:
+            with self._named(self.source):
+                for piece in self._file.pieces(names):
+                    self.clocks = self._file.clocks
+                    yield piece
+        finally:
+            self._tell()
 
 
 def pieces_of(file: BenchFile, names: Sequence[str]) -> Iterator[Piece]:
@@ -182,6 +288,26 @@ def numbers_of(column: pa.Array) -> Array:
     return np.asarray(np.from_dlpack(column))
 
 
+def seconds_of(column: pa.Array, begun: dict[str, int], name: str) -> Array:
+    """Return Arrow's time stamps as seconds since the first of their channel, NaN for missing ones.
+
+    Parameters
+    ----------
+    column
+        Time stamps, shape (n,).
+    begun
+        {name: first stamp of a channel, ns}; it is added, so that later pieces count from it too.
+    name
+        The channel.
+    """
+    known = column.is_valid()
+    stamps = np.asarray(column.cast(pa.timestamp("ns", column.type.tz)).cast(pa.int64()).fill_null(0))
+    there = np.asarray(known.to_numpy(zero_copy_only=False), bool)
+    if there.any():
+        begun.setdefault(name, int(stamps[there][0]))
+    return np.where(there, (stamps - begun.get(name, 0)) * 1e-9, np.nan)
+
+
 def name_and_unit(text: str) -> tuple[str, str]:
     """Split a column's name from its unit: `angle [deg]`, `angle (deg)` or `angle / deg`."""
     text = text.strip()[:LONGEST_NAME]
@@ -215,7 +341,7 @@ def in_order(streams: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
 _SPELLINGS = {
     "°": "deg", "º": "deg", "°c": "degC", "′": "arcmin", "'": "arcmin", "’": "arcmin", "″": "arcsec",
     '"': "arcsec", "”": "arcsec", "''": "arcsec", "′′": "arcsec", "arc sec": "arcsec", "arc min": "arcmin",
-    "r/min": "rpm", "1/min": "rpm",
+    "r/min": "rpm", "1/min": "rpm", "umdr": "rev", "umdr.": "rev",
     "min-1": "rpm", "bogensekunden": "arcsec", "bogenminuten": "arcmin", "u/min": "rpm", "sec": "s",
 }  # fmt: skip
 

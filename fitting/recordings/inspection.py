@@ -6,7 +6,7 @@ import dataclasses
 import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from fitting.recordings.cleaning import Cleaning
 from fitting.recordings.formats import BenchFile, RawChannel, open_bench_file, pieces_of, unit_text
-from fitting.recordings.mapping import BESIDE, CHANNELS, FORMAT, OPTIONAL
+from fitting.recordings.mapping import ANGLES, BESIDE, CHANNELS, FORMAT, OPTIONAL
 from fitting.recordings.proposal import ErrorRun, error_runs, name_patterns, stated_unit
 
 Array = NDArray[np.float64]
@@ -30,7 +31,16 @@ _NAMES = {
     "temperature": r"temp|°c",
     "speed": r"speed|drehzahl|rpm|veloc|^n$",
 }
+_COMMANDED = r"control(?!ler)|command|cmd|set[ _-]?(point|value|torque|pos|speed|angle)|(?<![a-z])set(?![a-z])"
+_COMMANDED += r"|soll|target|demand|desired|vorgabe|(?<![a-z])ref$"
 _ANGLE_NAMES = r"angle|winkel|pos|phi|enc|theta|rot|count|ink"
+_UNITS = {"time": "s", "torque": "N*m", "input_torque": "N*m", "temperature": "degC", "speed": "rpm"}
+_ABSENT = {
+    "input_angle": "  (omit this table if the input was locked)",
+    "torque": '  (value = "50 N*m" states a constant one; without this table the load is unknown)',
+}
+_FEWEST = 20  # samples that show a ratio
+_APART = 0.02  # largest rms of the output about a straight line over the input, relative to its range
 _KINDS = {"time": "s", "angle": "rad", "torque": "N*m", "temperature": "K", "speed": "rad/s"}
 
 
@@ -51,6 +61,12 @@ class Look:
     channel: RawChannel
     time: Array | None
     values: Array
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """Smallest and largest value; NaN without any."""
+        finite = self.values[np.isfinite(self.values)]
+        return (float(finite.min()), float(finite.max())) if finite.size else (np.nan, np.nan)
 
     @property
     def travel(self) -> float:
@@ -103,6 +119,17 @@ def _is_angle(unit: str) -> bool:
     return _measures(unit, "angle") and unit_text(unit).lower() not in ("", "%", "1", "ppm")
 
 
+def is_commanded(one: Look) -> bool:
+    """Return whether a channel's name is that of a commanded value, which is no measurement."""
+    return bool(re.search(_COMMANDED, one.channel.name, re.IGNORECASE))
+
+
+def _rises(values: Array) -> bool:
+    """Return whether values never fall and are not constant, as times; those of a coarse clock repeat."""
+    finite = values[np.isfinite(values)]
+    return finite.size > 1 and bool((np.diff(finite) >= 0.0).all()) and finite[-1] > finite[0]
+
+
 def _named(looks: Sequence[Look], role: str) -> list[Look]:
     return [one for one in looks if re.search(_NAMES[role], one.channel.name, re.IGNORECASE)]
 
@@ -132,16 +159,24 @@ class Inspection:
     runs: tuple[ErrorRun, ...] = ()
 
     @property
+    def ratio(self) -> float | None:
+        """Signed ratio input/output that the file states or its two angles have, as `ratio_of`; None if unknown."""
+        return self.file.ratio if self.file.ratio is not None else ratio_of(self.roles)
+
+    @property
     def text(self) -> str:
         """The proposed mapping file, with a comment wherever a value was inferred or is missing."""
-        return _mapping_text(self.roles, self.runs, self.file, None if self.dbc is None else str(self.dbc.resolve()))
+        return self._text(None if self.dbc is None else str(self.dbc.resolve()))
+
+    def _text(self, dbc: str | None) -> str:
+        return _mapping_text(self.roles, self.runs, self.file, self.ratio, self.looks, dbc)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the proposed mapping file, with the DBC relative to it; never a partial file."""
         folder = Path(path).resolve().parent
         dbc = None if self.dbc is None else os.path.relpath(self.dbc.resolve(), folder)
         with edge.written_whole(path) as temporary:
-            temporary.write_text(_mapping_text(self.roles, self.runs, self.file, dbc), encoding="utf-8")
+            temporary.write_text(self._text(dbc), encoding="utf-8")
 
 
 def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = None) -> Inspection:
@@ -187,8 +222,7 @@ def inspection_json(found: Inspection) -> dict[str, Any]:
     """Return the content of a file as JSON data for scripts."""
     channels = {
         o.channel.name: {
-            "unit": o.channel.unit, "samples": o.values.size, "min": float(np.nanmin(o.values)),
-            "max": float(np.nanmax(o.values)),
+            "unit": o.channel.unit, "samples": o.values.size, "min": o.extremes[0], "max": o.extremes[1],
         }
         for o in found.looks
     }  # fmt: skip
@@ -199,12 +233,18 @@ def inspection_json(found: Inspection) -> dict[str, Any]:
         }
         for run in found.runs
     }  # fmt: skip
-    return {"channels": channels, "proposed": roles, "runs": runs, "problems": found.file.problems}
+    return {
+        "channels": channels, "text": list(found.file.texts), "proposed": roles, "ratio": found.ratio, "runs": runs,
+        "problems": found.file.problems,
+    }  # fmt: skip
 
 
 def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
-    """Propose the roles of channels by names and units; of two angles the input is the one with more travel."""
-    left = [one for one in looks if np.isfinite(one.values).any()]
+    """Propose the roles of channels by names and units; of two angles the input is the one with more travel.
+
+    Commanded values are not proposed: a figure from them would be that of the controller's wishes.
+    """
+    left = [one for one in looks if np.isfinite(one.values).any() and not is_commanded(one)]
     roles: dict[str, Look] = {}
 
     def choose(role: str, candidates: Sequence[Look]) -> None:
@@ -214,7 +254,7 @@ def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
             left.remove(named[0])
 
     if not file.timed:
-        rising = [one for one in left if one.values.size > 1 and (np.diff(one.values) > 0).all()]
+        rising = [one for one in left if _rises(one.values)]
         timed = [one for one in rising if _measures(one.channel.unit, "time")] or _named(rising, "time")
         choose("time", timed)
     torques = [o for o in left if _measures(o.channel.unit, "torque")]
@@ -244,23 +284,66 @@ def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
     return roles
 
 
-def _mapping_text(roles: dict[str, Look], runs: Sequence[ErrorRun], file: BenchFile, dbc: str | None) -> str:
+def ratio_of(roles: Mapping[str, Look]) -> float | None:
+    """Return the signed ratio of the input's to the output's rotation in a file; None if it does not show one.
+
+    It is a whole number if the rotation agrees with one; a drive with a first stage or a pulley before an encoder has
+    another.
+
+    Parameters
+    ----------
+    roles
+        {role: channel}; both angles must have their unit and common samples, and the input more than a turn.
+    """
+    angles = {role: roles.get(role) for role in ANGLES}
+    columns: dict[str, Array] = {}
+    for role, one in angles.items():
+        if one is None or (scale := _angle_unit(one)[1]) is None:
+            return None
+        columns[role] = one.values * scale
+    if len({values.size for values in columns.values()}) > 1:
+        return None
+    columns["time"] = np.arange(float(columns["input_angle"].size))
+    try:
+        block = Cleaning(dict.fromkeys(ANGLES), "").add(columns, None)
+    except edge.InputError:  # an angle that is not in its stated unit
+        return None
+    if block.time.size < _FEWEST or np.ptp(block.input_angle) < 2.0 * np.pi:
+        return None
+    given, driven = (angle - angle.mean() for angle in (block.input_angle, block.output_angle))
+    slope = float(given @ driven) / float(given @ given)
+    left = float(np.std(driven - slope * given)) / float(np.ptp(driven) or 1.0)
+    if left > _APART or slope == 0.0:
+        return None
+    ratio, whole = 1.0 / slope, round(1.0 / slope)
+    return float(whole) if abs(ratio - whole) < max(3.0 * left, 1e-4) * abs(ratio) else float(f"{ratio:.6g}")
+
+
+def _ratio_line(ratio: float | None, stated: bool) -> str:
+    if ratio is None:
+        return f"# ratio = …                  # input over output: {edge.RATIO}; or --ratio, --pair"
+    if stated:
+        return f"ratio = {ratio:g}"
+    kind = (
+        edge.RATIO if ratio == round(ratio) else "not whole: is there a first stage, or a [pulley] before the encoder?"
+    )
+    return f"ratio = {ratio:g}                # from the two angles; {kind}"
+
+
+def _mapping_text(
+    roles: dict[str, Look], runs: Sequence[ErrorRun], file: BenchFile, ratio: float | None, looks: Sequence[Look],
+    dbc: str | None,
+) -> str:  # fmt: skip
     named = {role: found for role, found in name_patterns(file.source).items() if role not in roles}
     lines = [f'format = "{FORMAT}"']
-    if file.ratio is not None:
-        lines.append(f"ratio = {file.ratio:g}")
-    else:
-        lines.append("# ratio = -39                # signed, input over output; or name the drive")
+    lines.append(_ratio_line(ratio, file.ratio is not None))
     if dbc is not None:
         lines.append(f"dbc = {_quoted(dbc)}")
-    if not file.timed and (not runs or "time" in roles):
-        lines += ["", "[time]"]
-        if "time" in roles:
-            lines += _channel_lines(roles["time"], "time")
-        else:
-            lines.append(
-                'rate = 1000.0               # samples per second: no channel looks like a time; or column = "…"'
-            )
+    if "time" in roles:
+        lines += ["", "[time]", *_channel_lines(roles["time"], "time")]
+    elif not file.timed and not runs:
+        lines += ["", "# no channel looks like a time: samples are counted, and speeds are unknown", "# [time]"]
+        lines.append('# column = "…"              # or rate = …, samples per second, if it is known')
     for role in CHANNELS:
         if role in roles:
             lines += ["", f"[{role}]", *_channel_lines(roles[role], role)]
@@ -271,8 +354,9 @@ def _mapping_text(roles: dict[str, Look], runs: Sequence[ErrorRun], file: BenchF
         elif runs and role.endswith("angle"):
             continue
         elif role not in OPTIONAL and role not in BESIDE:
-            where = "  (omit this table if the input was locked)" if role == "input_angle" else ""
-            lines += ["", f"# no channel looks like {role}{where}", f"# [{role}]", '# column = "…"']
+            lines += ["", f"# no channel looks like {role}{_ABSENT.get(role, '')}", f"# [{role}]"]
+            commands = edge.listed(o.channel.name for o in _named(looks, role) if is_commanded(o))
+            lines.append('# column = "…"' + (f"              # not a command, such as {commands}" if commands else ""))
     for run in runs if len(runs) > 1 else ():
         lines += ["", "[[runs]]", f"name = {_quoted(run.name)}"]
         if run.last_row_first:
@@ -297,18 +381,29 @@ def _channel_lines(one: Look, role: str) -> list[str]:
         return [*lines, f"unit = {_quoted(unit_text(one.channel.unit))}"]
     if stated := stated_unit(one):
         return [*lines, f"unit = {_quoted(stated)}               # from its name"]
-    finite = one.values[np.isfinite(one.values)]
     if role.endswith("angle"):
-        low, high = float(finite.min()), float(finite.max())
-        whole = bool((finite == np.round(finite)).all())
-        jumps = finite.size > 1 and np.abs(np.diff(finite)).max() > 0.5 * (high - low) > 0.0
-        if jumps and 350.0 < high - low <= 360.0 and not whole:
-            return [*lines, 'unit = "deg"                # it rolls over within 360']
-        if jumps and 6.0 < high - low <= 2.0 * np.pi + 1e-9:
-            return [*lines, 'unit = "rad"                # it rolls over within 2 pi']
-        if whole and jumps:
-            counts = 1 << int(np.ceil(np.log2(high - low + 1.0)))
-            return [*lines, f"counts_per_turn = {counts}     # whole numbers that roll over within {counts}"]
-        if whole:
-            return [*lines, "counts_per_turn = 0         # integers: how many per turn? (or their unit)"]
-    return [*lines, 'unit = ""                   # not stated in the file']
+        return [*lines, _angle_unit(one)[0]]
+    return [*lines, f'unit = ""                   # not stated in the file; such as "{_UNITS.get(role, "rad")}"']
+
+
+def _angle_unit(one: Look) -> tuple[str, float | None]:
+    """Return the line of a mapping with the unit of an angle, and one of these units in rad; None if it is unknown."""
+    if stated := stated_unit(one):
+        try:
+            return f"unit = {_quoted(stated)}", edge.unit_scale(stated, "rad")
+        except ValueError:
+            return f"unit = {_quoted(stated)}", None
+    finite = one.values[np.isfinite(one.values)]
+    low, high = float(finite.min()), float(finite.max())
+    whole = bool((finite == np.round(finite)).all())
+    jumps = finite.size > 1 and np.abs(np.diff(finite)).max() > 0.5 * (high - low) > 0.0
+    if jumps and 350.0 < high - low <= 360.0 and not whole:
+        return 'unit = "deg"                # it rolls over within 360', np.radians(1.0)
+    if jumps and 6.0 < high - low <= 2.0 * np.pi + 1e-9:
+        return 'unit = "rad"                # it rolls over within 2 pi', 1.0
+    if whole and jumps:
+        counts = 1 << int(np.ceil(np.log2(high - low + 1.0)))
+        return f"counts_per_turn = {counts}     # whole numbers that roll over within {counts}", 2.0 * np.pi / counts
+    if whole:
+        return "counts_per_turn = 0         # integers: how many per turn? (or their unit)", None
+    return 'unit = ""                   # not stated in the file; such as "deg", "rad" or "rev"', None

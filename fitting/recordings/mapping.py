@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,14 +13,15 @@ import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import BenchFile, unit_text
+from fitting.recordings.formats import BenchFile, stem_of, unit_text
 
 COLUMNS = {"time": "s", "input_angle": "rad", "output_angle": "rad", "torque": "N*m"}
 OPTIONAL = {"temperature": "K", "input_torque": "N*m"}
 ANGLES = ("input_angle", "output_angle")
 BESIDE = {"transmission_error": "rad", "speed": "rad/s"}  # allowed in a file, but no column of a block
 CHANNELS = (*ANGLES, "torque", *OPTIONAL, *BESIDE)
-FROM_NAMES = ("torque", "speed", "temperature")
+SI = {**COLUMNS, **OPTIONAL, **BESIDE}
+CONSTANTS = ("torque", "speed", "temperature")
 FORMAT = "cycloid-mapping/1"
 _TURN = 2.0 * np.pi
 
@@ -32,12 +34,14 @@ class ChannelMapping(edge.Config):
     column
         The channel's name in the file.
     file_name
-        In place of a column, for `FROM_NAMES`: pattern in the file's name, with {} for the number that applies to the
+        In place of a column, for `CONSTANTS`: pattern in the file's name, with {} for the number that applies to the
         whole recording, such as "_{}Nm".
+    value
+        In place of a column, for `CONSTANTS`: the value of the whole recording, such as "50 N*m".
     unit
         Unit of the numbers; required if the file states none, and overrides that of the file.
     counts_per_turn
-        In place of a unit: the numbers are counts of an angle, with this many per turn.
+        In place of a unit: the numbers are counts of an angle, with this many per turn, which need not be whole.
     direction
         -1 if the numbers decrease while the quantity increases.
     rollover
@@ -53,13 +57,27 @@ class ChannelMapping(edge.Config):
 
     column: str | None = None
     file_name: str | None = None
+    value: str | None = None
     unit: str | None = None
-    counts_per_turn: int | None = None
+    counts_per_turn: float | None = None
     direction: Literal[1, -1] = 1
     rollover: edge.Angle | None = None
     zero_reference: Literal["absolute", "incremental"] | None = None
     delay: edge.Seconds = 0.0
     drift: Annotated[float, pydantic.Field(gt=-0.01, lt=0.01)] = 0.0
+
+
+class PulleyMapping(edge.Config):
+    """`[pulley]`: the encoder of the output angle is driven by the output through a belt or gears.
+
+    Attributes
+    ----------
+    ratio
+        Signed ratio of the encoder's rotation to the output's, < 0 if they turn in opposite directions. The output
+        angle is the encoder's angle over this ratio.
+    """
+
+    ratio: float
 
 
 class TimeMapping(edge.Config):
@@ -109,11 +127,15 @@ class FileMapping(_OneRun):
     dbc
         DBC of a CAN log, relative to the mapping file.
     time
-        Not needed if the file's channels have their own times.
+        Omitted if the file's channels have their own times, or if the times are unknown: samples are then counted.
+    pulley
+        Omitted if the encoder of the output angle is on the output itself.
     input_angle
         Omitted if the input was locked and not measured.
-    output_angle, torque
-        The channels.
+    output_angle
+        The channel.
+    torque
+        Omitted if the torque is unknown: there are then no loops, and a run has no load.
     transmission_error
         In place of the input angle, which is then (output angle - transmission error) times the ratio: its zero is
         where these two are equal.
@@ -130,6 +152,7 @@ class FileMapping(_OneRun):
     ratio: float | None = None
     dbc: str | None = None
     time: TimeMapping | None = None
+    pulley: PulleyMapping | None = None
     runs: tuple[RunMapping, ...] = ()
 
     def each(self) -> Iterator[tuple[str, FileMapping]]:
@@ -176,16 +199,58 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
             raise edge.InputError(f"{source}: [time] needs either column or rate (samples per second).")
         if mapping.time.rate is not None and not mapping.time.rate > 0.0:
             raise edge.InputError(f"{source}: [time] rate = {mapping.time.rate}: it must be above zero.")
+    if mapping.pulley is not None and not (math.isfinite(mapping.pulley.ratio) and mapping.pulley.ratio):
+        raise edge.InputError(
+            f"{source}: [pulley] ratio = {mapping.pulley.ratio}: give the signed ratio of the encoder's rotation to "
+            "the output's, such as -3.2."
+        )
     if mapping.dbc is not None:
         mapping = mapping.model_copy(update={"dbc": str(Path(path).parent / mapping.dbc)})
     return mapping
 
 
+def columns_of(mapping: FileMapping) -> set[str]:
+    """Return the columns that a mapping needs, those of its runs included."""
+    parts = [mapping.time, *(getattr(one, n) for _, one in mapping.each() for n in CHANNELS)]
+    return {part.column for part in parts if part is not None and part.column is not None}
+
+
+def chosen_mapping(given: Mapping[str, tuple[BenchFile, FileMapping]]) -> tuple[BenchFile, FileMapping]:
+    """Return the mapping whose columns a file has, and the file; if there is none, that of our names.
+
+    Parameters
+    ----------
+    given
+        {name of a mapping: the file, opened with the mapping's DBC, and the mapping}.
+
+    Raises
+    ------
+    edge.InputError
+        If no mapping suits the file, or several do.
+    """
+    held = {name: {c.name for c in file.channels} for name, (file, _) in given.items()}
+    needed = {name: columns_of(mapping) for name, (_, mapping) in given.items()}
+    suited = [name for name in given if needed[name] <= held[name]]
+    file, only = next(iter(given.values()))
+    if len(suited) > 1:
+        raise edge.InputError(
+            f"{file.source}: it has the columns of several mappings, {edge.listed(suited)}; give only one of them with "
+            "this file."
+        )
+    if suited:
+        return given[suited[0]]
+    if all({*COLUMNS} - {"time"} <= columns for columns in held.values()):
+        return file, own_names(file)
+    if len(given) > 1:
+        lacking = "; ".join(f"{name} needs {edge.listed(sorted(needed[name] - held[name]))}" for name in given)
+        raise edge.InputError(f"{file.source}: no mapping suits its columns: {lacking}.")
+    return file, only  # `scales_of` names the column that is missing
+
+
 def _check_channels(mapping: FileMapping, source: str) -> None:
     """Refuse invalid channels of one run."""
-    for name in ("output_angle", "torque"):
-        if getattr(mapping, name) is None:
-            raise edge.InputError(f"{source}: {name} is missing; a recording needs it.")
+    if mapping.output_angle is None:
+        raise edge.InputError(f"{source}: output_angle is missing; a recording needs it.")
     if mapping.last_row_first and mapping.time is not None and mapping.time.column is not None:
         raise edge.InputError(
             f"{source}: last_row_first: the [time] column determines the first sample; remove one of the two."
@@ -198,14 +263,19 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
         channel = getattr(mapping, name)
         if channel is None:
             continue
-        if (channel.column is None) == (channel.file_name is None):
-            either = " or file_name" if name in FROM_NAMES else ""
-            raise edge.InputError(f"{source}: [{name}] needs {'either ' if either else ''}column{either}.")
+        given = [key for key in ("column", "file_name", "value") if getattr(channel, key) is not None]
+        allowed = ("column", "file_name", "value") if name in CONSTANTS else ("column",)
+        if len(given) != 1:
+            raise edge.InputError(f"{source}: [{name}] needs {'one of ' if allowed[1:] else ''}{', '.join(allowed)}.")
+        if given[0] not in allowed:
+            raise edge.InputError(
+                f"{source}: [{name}] {given[0]}: only {', '.join(CONSTANTS)} can be constant in a recording."
+            )
+        if channel.value is not None:
+            if channel.unit is not None:
+                raise edge.InputError(f"{source}: [{name}] value has its own unit; remove unit.")
+            _value(channel.value, name, f"{source}: [{name}] value")
         if channel.file_name is not None:
-            if name not in FROM_NAMES:
-                raise edge.InputError(
-                    f"{source}: [{name}] file_name: only {', '.join(FROM_NAMES)} can be taken from the file's name."
-                )
             if channel.file_name.count("{}") != 1:
                 raise edge.InputError(
                     f"{source}: [{name}] file_name = {edge.shown(channel.file_name)}: write the part of the file's "
@@ -215,8 +285,21 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
                 raise edge.InputError(f"{source}: [{name}] unit: state the unit of the number in the file's name.")
         if channel.counts_per_turn is not None and name not in ANGLES:
             raise edge.InputError(f"{source}: [{name}] counts_per_turn: this is for angles; give the unit.")
-        if channel.counts_per_turn is not None and (channel.unit is not None or channel.counts_per_turn < 1):
-            raise edge.InputError(f"{source}: [{name}] counts_per_turn: give a positive integer and no unit.")
+        if channel.counts_per_turn is not None and (
+            channel.unit is not None or not 1.0 <= channel.counts_per_turn < math.inf
+        ):
+            raise edge.InputError(
+                f"{source}: [{name}] counts_per_turn = {channel.counts_per_turn:g}: give a number of at least 1 and no "
+                "unit."
+            )
+
+
+def _value(text: str, role: str, where: str) -> float:
+    """Return a stated value of a role, SI."""
+    try:
+        return edge.parse_quantity(text, SI[role])
+    except ValueError as problem:
+        raise edge.InputError(f"{where} = {edge.shown(text)}: {problem}.") from None
 
 
 def own_names(file: BenchFile) -> FileMapping:
@@ -255,6 +338,8 @@ def own_names(file: BenchFile) -> FileMapping:
 
 def _refuse_left_out(file: BenchFile, channel: str) -> None:
     """Raise the reason why the file's reader left a channel out, if it did."""
+    if channel in file.texts:
+        raise edge.InputError(f"{file.source}: the column {edge.shown(channel)} holds text, not numbers.")
     for problem in file.problems:
         if f'"{channel}" is left out' in problem:
             raise edge.InputError(problem)
@@ -277,18 +362,13 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
     Raises
     ------
     edge.InputError
-        If the file lacks a channel, its unit or the time.
+        If the file lacks a channel or its unit.
     """
     channels = {c.name: c for c in file.channels}
     found: dict[str, tuple[str, float, float]] = {}
     roles: dict[str, ChannelMapping | TimeMapping | None] = {n: getattr(mapping, n) for n in CHANNELS}
-    if not file.timed and not (mapping.time is None and mapping.transmission_error is not None):
-        if mapping.time is None:
-            raise edge.InputError(
-                f"{file.source}: the samples have no time; name a channel as [time] column in the mapping, or a rate."
-            )
-        if mapping.time.column is not None:
-            roles["time"] = mapping.time
+    if not file.timed and mapping.time is not None and mapping.time.column is not None:
+        roles["time"] = mapping.time
     for role, channel in roles.items():
         if channel is None or channel.column is None:
             continue
@@ -296,7 +376,7 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
             _refuse_left_out(file, channel.column)
             held, wanted = edge.listed(channels), edge.shown(channel.column)
             raise edge.InputError(f"{file.source}: there is no column {wanted} for {role}; it has {held}.")
-        si = {**COLUMNS, **OPTIONAL, **BESIDE}[role]
+        si = SI[role]
         if isinstance(channel, ChannelMapping) and channel.counts_per_turn is not None:
             scale, offset = _TURN / channel.counts_per_turn, 0.0
         else:
@@ -317,10 +397,10 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
 _NUMBER = r"([+\-−]?(?:\d+(?:[.,]\d+)?|[.,]\d+))(?![\d])"
 
 
-def stated_in_name(path: str | os.PathLike[str], mapping: FileMapping) -> dict[str, float]:
-    """Return the values in a file's name by the patterns of a mapping: {role: value, SI}.
+def constants_of(path: str | os.PathLike[str], mapping: FileMapping) -> dict[str, float]:
+    """Return the values that a mapping states for a whole recording or finds in its name: {role: value, SI}.
 
-    A number may have a sign, including a typographic minus, and a decimal comma.
+    A number in the name may have a sign, including a typographic minus, and a decimal comma.
 
     Parameters
     ----------
@@ -337,13 +417,15 @@ def stated_in_name(path: str | os.PathLike[str], mapping: FileMapping) -> dict[s
     Examples
     --------
     >>> torque = ChannelMapping(file_name="_{}kNm", unit="kN*m")
-    >>> stated_in_name("RV160N_-0,5kNm_10rpm.csv", FileMapping(torque=torque))
+    >>> constants_of("RV160N_-0,5kNm_10rpm.csv", FileMapping(torque=torque))
     {'torque': -500.0}
     """
-    name = Path(path).stem
+    name = stem_of(path)
     found = {}
-    for role in FROM_NAMES:
+    for role in CONSTANTS:
         channel = getattr(mapping, role)
+        if channel is not None and channel.value is not None:
+            found[role] = channel.direction * _value(channel.value, role, f"[{role}] value")
         if channel is None or channel.file_name is None:
             continue
         before, after = channel.file_name.split("{}")
@@ -359,7 +441,7 @@ def stated_in_name(path: str | os.PathLike[str], mapping: FileMapping) -> dict[s
                 "one number there."
             )
         try:
-            scale, offset = _affine(unit_text(channel.unit or ""), {**COLUMNS, **OPTIONAL, **BESIDE}[role])
+            scale, offset = _affine(unit_text(channel.unit or ""), SI[role])
         except ValueError as problem:
             raise edge.InputError(f"{path}: [{role}] in its name: {problem}.") from None
         found[role] = channel.direction * (numbers.pop() * scale + offset)

@@ -28,7 +28,7 @@ class PlausibleBlocks:
     stream
         The recording.
     ratio
-        Signed ratio of the drive; None: the angles are judged only by their steps.
+        Signed ratio of the drive; without it, or without an input angle, the angles are judged only by their steps.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class PlausibleBlocks:
     """
 
     def __init__(self, stream: Recording | RecordingStream, ratio: float | None) -> None:
-        self._stream, self._ratio = stream, ratio
+        self._stream, self._ratio = stream, ratio if stream.has_input_angle else None
         self._found: list[Finding] = []
         self._faults = 0
         self._marked = 0
@@ -50,7 +50,7 @@ class PlausibleBlocks:
         Raises
         ------
         edge.InputError
-            As the recording's `blocks`, and if fewer than two samples remain.
+            As the recording's `blocks`; `edge.NoDataError` if fewer than two samples remain.
         """
         judge: Plausibility | None = None
         before: tuple[Block, NDArray[np.bool_]] | None = None
@@ -73,7 +73,7 @@ class PlausibleBlocks:
         if before is not None:
             yield from self._left(*before)
         if self.count and self.samples - self.count < 2:
-            raise edge.InputError(" ".join([*self._stream.notes, *self.notes(), "Fewer than two samples remain."]))
+            raise edge.NoDataError(" ".join([*self._stream.notes, *self.notes(), "Fewer than two samples remain."]))
 
     def _left(self, block: Block, implausible: NDArray[np.bool_]) -> Iterator[Block]:
         self.samples += block.time.size
@@ -99,7 +99,8 @@ class PlausibleBlocks:
         """Return one sentence on the samples left out, if any."""
         if not self.count:
             return []
-        said = [f"{one.text} (from {one.time:.6g} s)" for one in self._found]
+        place = "from {:.6g} s" if self._stream.timed else "from sample {:.6g}"
+        said = [f"{one.text} ({place.format(one.time)})" for one in self._found]
         if self._faults > _SAID:
             said.append(f"{self._faults - _SAID} more such faults")
         if self._marked:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import unit_text
+from fitting.recordings.formats import stem_of, unit_text
 
 if TYPE_CHECKING:
     from fitting.recordings.inspection import Look
@@ -147,7 +147,7 @@ def name_patterns(path: str | Path) -> dict[str, tuple[str, str, str]]:
     >>> name_patterns("T=500_n=10_temp=30.txt")["torque"][:2]
     ('T={}', 'N*m')
     """
-    name = Path(path).stem
+    name = stem_of(path)
     found: dict[str, tuple[str, str, str]] = {}
     hyphens = re.findall(rf"(?<=[^\W_])-(?={_NUMBER})", name)
     for role, (unit_pattern, unit) in _BEHIND.items():

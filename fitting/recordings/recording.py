@@ -25,16 +25,17 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from drivers.recording_format import Limits
 from fitting.recordings.cleaning import Block, Cleaning
-from fitting.recordings.formats import Piece, open_bench_file, pieces_of
+from fitting.recordings.formats import BenchFile, Piece, open_bench_file, pieces_of
 from fitting.recordings.mapping import (
     ANGLES,
     CHANNELS,
     ChannelMapping,
     FileMapping,
     TimeMapping,
+    chosen_mapping,
+    constants_of,
     own_names,
     scales_of,
-    stated_in_name,
 )
 from fitting.recordings.one_clock import OneClock
 
@@ -69,6 +70,8 @@ class Recording(Block):
         Speed of the run, rad/s, of the shaft to which the bench's speed refers, if stated.
     timed
         Whether the times are seconds; otherwise they count samples.
+    has_input_angle
+        Whether the input angle is measured or stated; otherwise it is zero, and only the output angle is known.
     """
 
     source: str
@@ -83,6 +86,7 @@ class Recording(Block):
     limits: Limits = dataclasses.field(default_factory=Limits)
     speed: float | None = None
     timed: bool = True
+    has_input_angle: bool = True
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
@@ -93,6 +97,32 @@ class Recording(Block):
         return dataclasses.replace(self, **columns)  # type: ignore[arg-type]
 
 
+def open_with_mapping(
+    path: str | os.PathLike[str], mapping: FileMapping | Mapping[str, FileMapping] | None
+) -> tuple[BenchFile, FileMapping]:
+    """Return an open bench file and its mapping; parameters as in `RecordingStream`.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, or no mapping or several suit it.
+    """
+    if mapping is None:
+        file = open_bench_file(path)
+        return file, own_names(file)
+    if isinstance(mapping, FileMapping):
+        return open_bench_file(path, mapping.dbc), mapping
+    opened: dict[str | None, BenchFile] = {}  # a CAN log has the channels of its DBC
+    for dbc in dict.fromkeys(one.dbc for one in mapping.values()):
+        try:
+            opened[dbc] = open_bench_file(path, dbc)
+        except edge.InputError as problem:
+            refused = problem
+    if not opened:
+        raise refused
+    return chosen_mapping({name: (opened[one.dbc], one) for name, one in mapping.items() if one.dbc in opened})
+
+
 class RecordingStream:
     """A recording in a file, read block by block.
 
@@ -101,7 +131,8 @@ class RecordingStream:
     path
         The file; see `fitting.recordings.formats.open_bench_file` for the kinds.
     mapping
-        Roles of the channels; None if the channels have our names: time, input_angle, output_angle, torque.
+        Roles of the channels, or several mappings by name, of which the one whose columns the file has is used; None
+        if the channels have our names: time, input_angle, output_angle, torque.
     ratio
         Signed ratio input/output of the drive; by default that of the mapping or the file. A measured transmission
         error requires one.
@@ -110,7 +141,7 @@ class RecordingStream:
 
     Attributes
     ----------
-    source, ratio, pair, common_zero, known_index, limits, timed
+    source, ratio, pair, common_zero, known_index, limits, timed, has_input_angle
         As in `Recording`; the source is the file's name, followed by a comma and the run's name if there is one.
     notes, alignment, torque_alignment, speed
         As in `Recording`; complete when all blocks have been read.
@@ -118,31 +149,34 @@ class RecordingStream:
     Raises
     ------
     edge.InputError
-        If the file can't be read, or a channel, its unit or the time is missing.
+        If the file can't be read, or a channel or its unit is missing.
     """
 
     def __init__(
         self,
         path: str | os.PathLike[str],
-        mapping: FileMapping | None = None,
+        mapping: FileMapping | Mapping[str, FileMapping] | None = None,
         ratio: float | None = None,
         run: str = "",
     ) -> None:
         self._path = str(path)
         self.source = f"{path}, {run}" if run else self._path
-        self._file = open_bench_file(path, None if mapping is None else mapping.dbc)
-        self._mapping = own_names(self._file) if mapping is None else mapping
+        self._file, self._mapping = open_with_mapping(path, mapping)
+        given = mapping.values() if isinstance(mapping, Mapping) else [self._mapping]
+        self._by_names = all(self._mapping is not one for one in given)
         self._scales = scales_of(self._file, self._mapping)
         self.timed = self._file.timed or self._mapping.time is not None
+        self._pulley = 1.0 if self._mapping.pulley is None else self._mapping.pulley.ratio
         if self._file.timed and self._mapping.last_row_first:
             raise edge.InputError(f"{self.source}: last_row_first: the file's own times determine the first sample.")
-        self._stated = stated_in_name(path, self._mapping)
+        self.has_input_angle = self._mapping.input_angle is not None or self._mapping.transmission_error is not None
+        self._constants = constants_of(path, self._mapping)
         own = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
         self.ratio = own if ratio is None else ratio
         if self.ratio is None and self._mapping.transmission_error is not None:
             raise edge.InputError(
                 f"{self.source}: it contains a transmission error, whose input angle follows only with the ratio of "
-                "the drive. Give the drive, or its ratio."
+                f"the drive. Give the drive, or its ratio: {edge.RATIO}."
             )
         self.pair = self._file.pair
         self.common_zero = self._zero_reference("output_angle") == "absolute"
@@ -150,7 +184,7 @@ class RecordingStream:
         self.limits = self._limits()
         self.notes: list[str] = []
         self.alignment = self.torque_alignment = 0.0
-        self.speed: float | None = self._stated.pop("speed", None)
+        self.speed: float | None = self._constants.pop("speed", None)
         self._digest: list[str] = []
         self._digesting: threading.Thread | None = None
 
@@ -161,7 +195,11 @@ class RecordingStream:
             for role in ANGLES
             if (channel := getattr(self._mapping, role)) is not None and channel.counts_per_turn
         }
-        return dataclasses.replace(self._file.limits, **shown)
+        limits = dataclasses.replace(self._file.limits, **shown)
+        return dataclasses.replace(
+            limits, output_resolution=limits.output_resolution / abs(self._pulley),
+            output_speed=None if limits.output_speed is None else limits.output_speed / abs(self._pulley),
+        )  # fmt: skip
 
     @property
     def checksum(self) -> str:
@@ -188,6 +226,8 @@ class RecordingStream:
             return "incremental"
         if channel.zero_reference is not None:
             return channel.zero_reference
+        if name == "output_angle" and self._pulley != 1.0:  # the encoder's zero occurs several times in an output turn
+            return "incremental"
         return next(c.zero_reference for c in self._file.channels if c.name == channel.column)
 
     def blocks(self) -> Iterator[Block]:
@@ -206,28 +246,41 @@ class RecordingStream:
         clocks = {n: clock for n, clock in clocks.items() if n in self._scales}
         merge = OneClock(self._scales, self._mapping.time if self.timed else TimeMapping(rate=1.0), clocks)
         rollover = {n: m.rollover for n in ANGLES if (m := getattr(self._mapping, n))}
-        cleaning = Cleaning(rollover, self.source, self.ratio)
+        cleaning = Cleaning(rollover, self.source, self.ratio, pulley=self._pulley, timed=self.timed)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
         kept = 0
         pieces = pieces_of(self._file, names)
         merged = (merge.add(piece) for piece in (_backwards(pieces) if self._mapping.last_row_first else pieces))
         speed = np.zeros(2)
-        for table, status in itertools.chain(itertools.chain.from_iterable(merged), merge.finish()):
-            if (shown := table.pop("speed", None)) is not None:
-                speed += np.nansum(np.abs(shown)), np.count_nonzero(np.isfinite(shown))
-            table |= {role: np.full(table["time"].size, value) for role, value in self._stated.items()}
-            block = cleaning.add(table, status)
-            kept += block.time.size
-            if block.time.size:
+
+        def cleaned() -> Iterator[Block | None]:
+            for table, status in itertools.chain(itertools.chain.from_iterable(merged), merge.finish()):
+                if (shown := table.pop("speed", None)) is not None:
+                    speed[:] += np.nansum(np.abs(shown)), np.count_nonzero(np.isfinite(shown))
+                table |= {role: np.full(table["time"].size, value) for role, value in self._constants.items()}
+                yield cleaning.add(table, status)
+            yield cleaning.finish()
+
+        for block in cleaned():
+            if block is not None and block.time.size:
+                kept += block.time.size
                 yield block
         notes = [*self._clock_notes(), *merge.notes(), *cleaning.notes()]
         self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in notes)]
         if speed[1]:
             self.speed = float(speed[0] / speed[1])
+        if self._by_names:
+            self.notes.append(f"{self.source}: no mapping has its columns; they are taken by their names.")
         if not self.timed:
             self.notes.append(f"{self.source}: no time is mapped; times count samples, and speeds are unknown.")
-        if self._mapping.input_angle is None and self._mapping.transmission_error is None:
-            self.notes.append(f"{self.source}: no input angle is mapped; the input is assumed to be locked.")
+        if "torque" not in self._scales and "torque" not in self._constants:
+            self.notes.append(f"{self.source}: no torque is mapped; the load is unknown.")
+        if self._pulley != 1.0:
+            self.notes.append(
+                f"{self.source}: the output angle is that of an encoder behind a pulley of ratio {self._pulley:g}; "
+                f"errors of pulley and encoder, at multiples of order {abs(self._pulley):g} of the output, are in the "
+                "transmission error too."
+            )
         if kept < 2:
             raise edge.InputError(
                 " ".join([*self.notes, f"{self.source}: the recording has {kept or 'no'} samples; a curve needs more."])
@@ -251,7 +304,7 @@ class RecordingStream:
             **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
             common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
             alignment=self.alignment, torque_alignment=self.torque_alignment, limits=self.limits,
-            speed=self.speed, timed=self.timed,
+            speed=self.speed, timed=self.timed, has_input_angle=self.has_input_angle,
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:

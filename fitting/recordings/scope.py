@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import io
 import itertools
-import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import BenchFile, Piece, RawChannel, numbers_of, unique
-from fitting.recordings.tables import CsvFile, decoded_start
+from fitting.recordings.formats import Array, BenchFile, Piece, RawChannel, unique
+from fitting.recordings.tables import Cells, CsvFile
 
 _ROWS = 1 << 15  # rows per piece
 _START = 1 << 22  # bytes within which the header must end
@@ -33,7 +32,7 @@ _SCALES = {"Offset": 0.0, "ScaleFactor": 1.0, "Unit ScaleFactor": 1.0, "Unit Off
 def open_table(source: str, dbc: object = None) -> BenchFile:
     """Open a table of text: an export of TwinCAT Scope, or any other."""
     with Path(source).open("rb") as file:
-        lines = decoded_start(file.read(1 << 16), source)[1].split("\n")[:4]
+        lines = edge.decoded(file.read(1 << 16), source)[1].split("\n")[:4]
     named = [re.match(r"Name([\t;:,|])", line) for line in lines[:1]]
     if named and named[0] and any(line.startswith(tuple(p + named[0][1] for p in _PLACE)) for line in lines[1:]):
         return ScopeFile(source, named[0][1])
@@ -54,7 +53,7 @@ class ScopeFile(BenchFile):
     def __init__(self, source: str, delimiter: str) -> None:
         self._delimiter = delimiter
         with Path(source).open("rb") as file:
-            self._encoding, text = decoded_start(file.read(_START), source)
+            self._encoding, text = edge.decoded(file.read(_START), source)
         lines = text.split("\n")  # like the reading below; splitlines() knows more line ends
         begin = next((i for i, line in enumerate(lines) if i > 0 and self._cells(line)[0] == "Name"), None)
         if begin is None:
@@ -119,8 +118,8 @@ class ScopeFile(BenchFile):
                     f"{self.source}: {name} has a scale in TwinCAT Scope; the file does not state whether it was "
                     'exported with "Scale values before export", which is assumed.'
                 )
-        wanted = sorted({*groups, *(self._places[n][1] for n in names)})
-        number = self._skip
+        wanted = {i: "the time" for i in groups} | {self._places[n][1]: n for n in names}
+        number, cells = self._skip, Cells(self.source, self._decimal)
         with open(self.source, encoding=self._encoding, errors="strict", newline="\n") as file:
             lines = itertools.islice(file, self._skip, None)
             while True:
@@ -129,8 +128,9 @@ class ScopeFile(BenchFile):
                 except UnicodeDecodeError as problem:
                     raise edge.InputError(f"{self.source}: its text is damaged ({problem.reason}).") from None
                 if not rows:
+                    self.problems += cells.notes()
                     return
-                table = self._numbers(rows, number, wanted)
+                table = self._numbers(rows, number, wanted, cells)
                 number += len(rows)
                 for time, members in groups.items():
                     there = ~np.isnan(table[time])
@@ -143,9 +143,8 @@ class ScopeFile(BenchFile):
                     values = {n: table[self._places[n][1]][there] for n in members}
                     yield Piece(table[time][there] * 1e-3, values)
 
-    def _numbers(self, rows: list[str], number: int, wanted: Sequence[int]) -> dict[int, Any]:
+    def _numbers(self, rows: list[str], number: int, wanted: Mapping[int, str], cells: Cells) -> dict[int, Array]:
         """Return the wanted columns of some rows, NaN for blank cells."""
-        import pyarrow as pa
         from pyarrow import csv as arrow_csv
 
         if rows[-1].strip() == "EOF":
@@ -175,23 +174,11 @@ class ScopeFile(BenchFile):
                     delimiter=self._delimiter, quote_char=False, ignore_empty_lines=False
                 ),
                 convert_options=arrow_csv.ConvertOptions(
-                    column_types=dict.fromkeys(chosen, pa.float64()), include_columns=chosen,
-                    null_values=["", " "], decimal_point=self._decimal,
+                    column_types=dict.fromkeys(chosen, pa.string()), include_columns=chosen
                 ),
-            )  # fmt: skip
+            )
         except pa.ArrowException:
-            raise edge.InputError(f"{self.source}: {self._bad_cell(padded, number, wanted)}") from None
-        return {i: numbers_of(table.column(str(i)).combine_chunks()) for i in wanted}
-
-    def _bad_cell(self, rows: list[str], number: int, wanted: Sequence[int]) -> str:
-        names = {i: n for n, (_, i) in self._places.items()}
-        word = "point" if self._decimal == "." else "comma"
-        for i, row in enumerate(rows):
-            cells = row.split(self._delimiter)
-            for column in wanted:
-                cell = cells[column].strip()
-                if cell and not re.fullmatch(rf"[+-]?\d*\{self._decimal}?\d*([eE][+-]?\d+)?", cell):
-                    what = names.get(column, "the time")
-                    given = json.dumps(cell[:40], ensure_ascii=False)
-                    return f"line {number + i + 1}: {what} is {given}; it must be a number with a decimal {word}."
-        return f"lines {number + 1} to {number + len(rows)} are not a table of numbers."
+            raise edge.InputError(
+                f"{self.source}: lines {number + 1} to {number + len(rows)} are not a table of numbers."
+            ) from None
+        return {i: cells.numbers(name, table.column(str(i)).combine_chunks(), number + 1) for i, name in wanted.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -17,7 +17,7 @@ from cycloid_fmu import edge
 from fitting.recordings.cleaning import Cleaning
 from fitting.recordings.mapping import ANGLES, FileMapping, read_mapping
 from fitting.recordings.read_head import ReadHead, read_read_head, without_coaxiality_error
-from fitting.recordings.recording import Recording, RecordingStream
+from fitting.recordings.recording import Recording, RecordingStream, open_with_mapping
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class RecordingFile:
     """A recording in a file, which is opened on use; see `read_recordings`."""
 
     path: Path
-    mapping: FileMapping | None = None
+    mapping: FileMapping | Mapping[str, FileMapping] | None = None
     read_head: ReadHead | None = None
     run: str = ""
 
@@ -121,6 +121,7 @@ class Run:
 
 
 Source = RecordingFile | Run | Recording | RecordingStream
+Mappings = FileMapping | str | os.PathLike[str] | Sequence[FileMapping | str | os.PathLike[str]]
 
 
 _Given = TypeVar("_Given")
@@ -148,7 +149,7 @@ def open_source(source: Source, ratio: float | None = None) -> Recording | Recor
 
 def read_recordings(
     paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
-    mapping: FileMapping | str | os.PathLike[str] | None = None,
+    mapping: Mappings | None = None,
     read_head: ReadHead | str | os.PathLike[str] | None = None,
 ) -> list[RecordingFile]:
     """Return recordings in files, in order of their names: CSV, TwinCAT Scope, Parquet, MDF 4, TDMS, CAN, `.arrows`.
@@ -162,7 +163,8 @@ def read_recordings(
     paths
         A path, a pattern such as `*.arrows`, or several of either.
     mapping
-        Roles of the channels, or their file; None if the channels have our names: time, input_angle, output_angle,
+        Roles of the channels, or their file, or several of either: each recording has the one whose columns it has, and
+        a recording with our names needs none. None if all channels have our names: time, input_angle, output_angle,
         torque.
     read_head
         Single read head of the output encoder, or its file, to correct the coaxiality error.
@@ -170,7 +172,7 @@ def read_recordings(
     Raises
     ------
     edge.InputError
-        If a pattern matches no file, or the mapping or the read head can't be read.
+        If a pattern matches no file, or a mapping or the read head can't be read.
 
     Examples
     --------
@@ -180,13 +182,41 @@ def read_recordings(
     >>> [one.path.name for one in fitting.read_recordings("*0Nm.csv")]
     ['020Nm.csv', '200Nm.csv']
     """
-    if mapping is not None and not isinstance(mapping, FileMapping):
-        mapping = read_mapping(mapping)
     if read_head is not None and not isinstance(read_head, ReadHead):
         read_head = read_read_head(read_head)
     given = [paths] if isinstance(paths, str | os.PathLike) else paths
-    runs = [("", None)] if mapping is None else list(mapping.each())
-    return [RecordingFile(p, of_run, read_head, run) for one in given for p in _files(one) for run, of_run in runs]
+    mappings = _mappings(mapping)
+    return [
+        RecordingFile(path, one, read_head, run)
+        for pattern in given for path in _files(pattern) for run, one in _runs(path, mappings)
+    ]  # fmt: skip
+
+
+def _mappings(mapping: Mappings | None) -> dict[str, FileMapping]:
+    """Return the given mappings by name."""
+    given = [] if mapping is None else [mapping] if isinstance(mapping, FileMapping | str | os.PathLike) else mapping
+    found: dict[str, FileMapping] = {}
+    for number, one in enumerate(given, start=1):
+        if isinstance(one, FileMapping):
+            found[f"mapping {number}"] = one
+        else:
+            found[str(one)] = read_mapping(one)
+    return found
+
+
+def _runs(
+    path: Path, mappings: Mapping[str, FileMapping]
+) -> Iterator[tuple[str, FileMapping | Mapping[str, FileMapping] | None]]:
+    """Yield the runs in a file, with a mapping for each; mappings without runs are chosen when the file is opened."""
+    if not any(one.runs for one in mappings.values()):
+        yield "", mappings or None
+        return
+    try:
+        _, chosen = open_with_mapping(path, mappings)
+    except edge.InputError:  # raised again when the recording is opened
+        yield "", mappings
+        return
+    yield from chosen.each() if chosen.runs else [("", mappings)]
 
 
 def _files(pattern: str | os.PathLike[str]) -> Iterator[Path]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import __version__, edge
+from cycloid_fmu.draw.figure import figure_of_names
 from fitting.figures.budget import BUDGET_HEAD, budget_rows
 from fitting.figures.figure import Figure, in_field_units
 from fitting.figures.metrics import Figures
@@ -70,7 +71,8 @@ def sources_of(found: Figures) -> list[dict[str, str]]:
         kind = "loops" if one.loops is not None else "run"
         rows.append(
             {"name": Path(one.source).name, "kind": kind, "samples": f"{one.samples:,}",
-             "time": f"{one.duration:.4g} s", "temperature": warm, "checksum": one.checksum}
+             "time": f"{one.duration:.4g} s" if one.overview.timed else "unknown", "temperature": warm,
+             "checksum": one.checksum}
         )  # fmt: skip
     return rows
 
@@ -134,7 +136,6 @@ _LINES = 62  # lines of text per page
 
 def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
     from matplotlib.backends.backend_pdf import PdfPages
-    from matplotlib.figure import Figure as Page
 
     from fitting.reports.plots import draw_panel
 
@@ -142,7 +143,7 @@ def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
         for page in _text_pages(found):
             pdf.savefig(page)
         for begin in range(0, len(panels), 2):
-            page = Page(figsize=_A4, layout="constrained")
+            page = figure_of_names()(figsize=_A4, layout="constrained")
             page.get_layout_engine().set(rect=(0.03, 0.03, 0.94, 0.94), hspace=0.08)  # type: ignore[union-attr, call-arg]
             axes = page.subplots(2, 1)
             for axis in axes[len(panels[begin : begin + 2]) :]:
@@ -156,8 +157,6 @@ def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
 
 def _text_pages(found: Figures) -> list[Any]:
     """Return pages of text lines with the table of figures, the budgets, the notes and the recordings."""
-    from matplotlib.figure import Figure as Page
-
     lines: list[tuple[str, dict[str, Any]]] = [
         ("Test bench report", {"fontsize": 16, "weight": "bold"}), (_facts(found), {"color": "#555555"}), ("", {}),
     ]  # fmt: skip
@@ -189,9 +188,8 @@ def _text_pages(found: Figures) -> list[Any]:
         lines.append((f"    SHA-256 {s['checksum']}", {**mono, "fontsize": 6.5, "color": "#777777"}))
     pages = []
     for begin in range(0, len(lines), _LINES):
-        page = Page(figsize=_A4)
+        page = figure_of_names()(figsize=_A4)
         for number, (text, style) in enumerate(lines[begin : begin + _LINES]):
-            # A dollar sign in a note does not begin a formula.
-            page.text(0.07, 0.95 - number * 0.9 / _LINES, text.replace("$", r"\$"), **{"fontsize": 8.5, **style})
+            page.text(0.07, 0.95 - number * 0.9 / _LINES, text, **{"fontsize": 8.5, **style})
         pages.append(page)
     return pages

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import datetime
+import html
 import json
 import math
 from collections.abc import Sequence
@@ -71,10 +72,19 @@ def html_page(title: str, facts: str, above: str, panels: Sequence[Panel], below
     from markupsafe import Markup
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    data = json.dumps([_plotly(p) for p in panels]).replace("<", "\\u003c")  # so that no name can end or begin a script
+    data = json.dumps([_named(_plotly(p)) for p in panels])
     return environment.from_string(_HEAD + above + _PANELS + below + _TAIL).render(
         title=title, facts=facts, panels=panels, plotly=Markup(script()), data=Markup(data), **values
     )
+
+
+def _named(data: Any) -> Any:
+    """Return data of plotly with names as names: it reads tags such as links in texts, and none can end the script."""
+    if isinstance(data, dict):
+        return {key: _named(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [_named(value) for value in data]
+    return html.escape(data, quote=False) if isinstance(data, str) else data
 
 
 def script() -> str:

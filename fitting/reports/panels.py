@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -112,7 +113,8 @@ def x_range(panel: Panel) -> tuple[float, float]:
 
 def label_of(curve: Curve) -> str:
     """Return the label of a curve in plots: load and direction."""
-    return f"{curve.torque:+.4g} N·m, {'forward' if curve.direction > 0 else 'backward'}"
+    load = "unknown load" if np.isnan(curve.torque) else f"{curve.torque:+.4g} N·m"
+    return f"{load}, {'forward' if curve.direction > 0 else 'backward'}"
 
 
 def panels_of(found: Figures) -> list[Panel]:
@@ -132,7 +134,7 @@ def panels_of(found: Figures) -> list[Panel]:
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
     panels += _stiffness_panel(found)
     panels += _start_panels(found) + _budget_panel(found)
-    panels.append(_torque_panel(found))
+    panels += _torque_panels(found)
     return [_lightened(panel) for panel in panels]
 
 
@@ -269,15 +271,18 @@ def _stiffness_panel(found: Figures) -> list[Panel]:
 
 
 def _start_panels(found: Figures) -> list[Panel]:
-    """Return panels of the torque of each start over the time from standstill until the crank has turned 1°."""
+    """Return panels of the torque of each start, from standstill until the crank has turned 1°.
+
+    It is over the time, or over the samples of recordings without times.
+    """
     panels = []
     kinds = (
         ("input", "no-load starting torque", starting_torques),
         ("output", "back-driving torque", back_driving_torques),
     )
-    for shaft, name, starts_of in kinds:
+    for (shaft, name, starts_of), timed in itertools.product(kinds, (True, False)):
         traces: list[Trace] = []
-        for one in (s.overview for s in found.surveyed if s.loops is None):
+        for one in (s.overview for s in found.surveyed if s.loops is None and s.overview.timed == timed):
             torque = one.input_torque if shaft == "input" else one.torque
             for start in starts_of(one, found.ratio or one.ratio)[0]:
                 assert torque is not None
@@ -288,7 +293,9 @@ def _start_panels(found: Figures) -> list[Panel]:
                 traces.append(Trace("", time[at], np.array([start.torque]), "points", number, (str(number + 1),)))
         if traces:
             caption = f"The {name} is the mean of the marked values, the largest before the crank has turned 1°."
-            axes = ("time since standstill [s]", f"torque on the {shaft} [N·m]")
+            axes = (
+                "time since standstill [s]" if timed else "samples since standstill", f"torque on the {shaft} [N·m]"
+            )  # fmt: skip
             panels.append(Panel(f"Starts driven by the {shaft}", *axes, tuple(traces), caption))
     return panels
 
@@ -314,12 +321,17 @@ def _budget_panel(found: Figures) -> list[Panel]:
     return [Panel("Uncertainty budgets", "share of the variance [%]", "", tuple(traces), caption, y_names=tuple(rows))]
 
 
-def _torque_panel(found: Figures) -> Panel:
-    traces = []
-    for number, one in enumerate(found.surveyed):
-        time, torque = one.overview.time, one.overview.torque
-        step = max(1, time.size // 5000)
-        traces.append(Trace(Path(one.source).name, time[::step] - time[0], torque[::step], "thin", number))
-    return Panel(
-        "Torque over time", "time [s]", "torque [N·m]", tuple(traces), "Time from the start of each recording."
-    )
+def _torque_panels(found: Figures) -> list[Panel]:
+    """Return the panels of the torque over time, and over the samples of recordings without times."""
+    panels = []
+    for timed, title, axis in ((True, "Torque over time", "time [s]"), (False, "Torque over samples", "sample")):
+        traces = []
+        for number, one in enumerate(found.surveyed):
+            time, torque = one.overview.time, one.overview.torque
+            if one.overview.timed != timed or np.isnan(torque).all():
+                continue
+            step = max(1, time.size // 5000)
+            traces.append(Trace(Path(one.source).name, time[::step] - time[0], torque[::step], "thin", number))
+        if traces:
+            panels.append(Panel(title, axis, "torque [N·m]", tuple(traces), "From the start of each recording."))
+    return panels

@@ -158,7 +158,7 @@ def plot_maps(found: xr.Dataset) -> Figure:
         values = np.concatenate([one.z.ravel() for one in panel.heat])
         for axis, one in zip(row, panel.heat, strict=True):
             drawn = axis.imshow(one.z, origin="lower", aspect="auto", vmin=np.nanmin(values), vmax=np.nanmax(values))
-            axis.set_xticks(range(one.x.size), [f"{v:.4g}" for v in one.x], fontsize=6)
+            axis.set_xticks(range(one.x.size), ["" if np.isnan(v) else f"{v:.4g}" for v in one.x], fontsize=6)
             axis.set_yticks(range(one.y.size), ["" if np.isnan(v) else f"{v:.4g}" for v in one.y], fontsize=6)
             axis.set_title(f"{panel.title}\n{one.name}" if axis is row[0] else one.name, fontsize=7, loc="left")
             axis.grid(visible=False)
@@ -199,11 +199,6 @@ def plot_curves(curves: Sequence[Curve]) -> Figure:
     return figure
 
 
-def _plain(name: str) -> str:
-    """Return a text escaped for matplotlib, so that it is not read as a formula."""
-    return name.replace("$", r"\$")
-
-
 def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
     """Plot channels of a bench file over time, those with a proposed role first."""
     role_of = {one.channel.name: role for role, one in roles.items()}
@@ -211,13 +206,15 @@ def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
     shown = sorted((o for o in looks if o is not clock), key=lambda o: o.channel.name not in role_of)[:8]
     figure, axes = new_figure(len(shown))
     for axis, one in zip(axes, shown, strict=True):
-        time = one.time if one.time is not None else None if clock is None else clock.values
         step = max(1, one.values.size // 20000)
-        across = np.arange(one.values.size) if time is None else time
+        time, label = one.time, "time [s]"
+        if time is None and clock is not None:
+            time, label = clock.values, f"{clock.channel.name} [{clock.channel.unit or 'no unit'}]"
+        across, label = (np.arange(one.values.size), "sample") if time is None else (time, label)
         axis.plot(across[::step], one.values[::step], lw=0.8)
-        axis.set(xlabel="sample" if time is None else "time [s]", ylabel=_plain(one.channel.unit) or "no unit")
+        axis.set(xlabel=label, ylabel=one.channel.unit or "no unit")
         role = role_of.get(one.channel.name)
-        axis.set_title(_plain(one.channel.name) + (f": {role}?" if role else ""), fontsize=9, loc="left")
+        axis.set_title(one.channel.name + (f": {role}?" if role else ""), fontsize=9, loc="left")
     return figure
 
 

@@ -434,8 +434,10 @@ class Folding:
         Raises
         ------
         edge.InputError
-            If the crank turns by no more than `LOCKED`, or the two angles do not match the ratio.
+            If the input angle is unknown or turns by no more than `LOCKED`, or the two angles do not match the ratio.
         """
+        if not stream.has_input_angle:
+            raise edge.NoDataError(f"{self.source}: no input angle is mapped; a transmission error needs both angles.")
         if self._waiting:
             self._fold()
         folds = sorted(self._folds.values(), key=lambda f: -f.way)
@@ -445,7 +447,7 @@ class Folding:
         kept = [f for f in folds if f.way > 0.01 * folds[0].way and f.samples > 1]
         if folds[0].way <= LOCKED or not kept:
             raise edge.InputError(
-                f"{self.source}: the input turns by only {np.degrees(folds[0].way):.3g}°, as if it were locked; a "
+                f"{self.source}: the input turns by only {np.degrees(folds[0].way):.3g}°; a "
                 f"curve needs a run in which it turns by more than {np.degrees(LOCKED):g}°."
             )
         few = sum(f.samples for f in folds if f not in kept)
@@ -534,7 +536,9 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
     ]
 
 
-def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
+def curves(
+    recordings: Source | Iterable[Source], drive: Drive | float | None = None, *, keep_turns: bool = False
+) -> list[Curve]:
     """Return the transmission error curves of recordings, one per direction, the longer one first.
 
     The crank angle is folded to one output turn. If all turns were sampled at the same angles, they are averaged there;
@@ -547,14 +551,15 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     recordings
         Recordings from `fitting.read_recordings`, or `fitting.Run`, or one of them.
     drive
-        The drive, or its signed ratio input/output.
+        The drive, or its signed ratio input/output; None: the ratio that each recording states.
     keep_turns
         Whether to keep every single turn in the curves too.
 
     Raises
     ------
     edge.InputError
-        If a recording can't be read, its crank hardly turns, or its angles do not match the ratio.
+        If a recording can't be read, its crank hardly turns, or its angles do not match the ratio; or if no ratio is
+        known.
 
     Examples
     --------
@@ -565,11 +570,18 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     >>> round(float(np.ptp(curve.transmission_error)) * 1e6)
     20
     """
-    ratio = drive if isinstance(drive, float | int) else drive.ratio
+    stated = drive.ratio if isinstance(drive, Drive) else drive
+    if stated is not None and not (np.isfinite(stated) and stated):
+        raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", stated)
     found: list[Curve] = []
     given: list[Source] = each_source(recordings)
     for source in given:
-        recording = open_source(source, ratio)
+        recording = open_source(source, stated)
+        ratio = recording.ratio if stated is None else stated
+        if ratio is None:
+            raise edge.InputError(
+                f"{recording.source}: the ratio is unknown; give the drive or its ratio input/output: {edge.RATIO}."
+            )
         folding = Folding(ratio, recording.source, keep_turns=keep_turns)
         blocks = PlausibleBlocks(recording, ratio)
         for block in blocks:

@@ -500,3 +500,32 @@ def test_a_table_that_is_none_is_refused_in_a_sentence(tmp_path, row, said):
     path.write_text("speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m]\n" + row + "\n")
     with pytest.raises(edge.InputError, match=said):
         read_losses(path)
+
+
+def host(step, time=0.02, crank_inertia=1e-4, output_inertia=0.5, load=50.0):
+    """A multibody host: both inertias outside, their torques constant over each step, speeds before angles."""
+    model = compliant()
+    put(model, 0.0, 0.0)
+    model.forget_history()
+    model.advance()
+    for _ in range(round(time / step)):
+        model.crank_speed += step * -model.crank_torque / crank_inertia
+        model.output_speed += step * (load - model.torque) / output_inertia
+        model.advance(step)
+        model.crank_angle += step * model.crank_speed
+        model.output_angle += step * model.output_speed
+    return model
+
+
+def test_a_host_whose_steps_are_too_long_is_told_the_step_and_what_to_do():
+    """The suggested step holds; at twenty times this step the flanges leave each other."""
+    said = (
+        r"rad from flange_a\.phi/ratio after a step of 0\.002 s: it must stay within 0\.01 rad; make shorter steps "
+        r"\(0\.0001 s is suggested\), or build the FMU with the inertias inside \(--output-inertia, --crank-inertia\)$"
+    )
+    assert abs(host(1e-4).transmission_error) < 1e-3
+    with pytest.raises(StepError, match=said):
+        host(2e-3, time=1.0)
+    put(model := compliant(), 0.0, 0.02)
+    with pytest.raises(StepError, match=r"flange_a\.phi/ratio: it must stay within 0\.01 rad$"):
+        model.advance()

@@ -2,10 +2,12 @@
 
 import json
 import math
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
 import pytest
+from common import lengths_of
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -18,7 +20,16 @@ from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.drive import read_drive
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
-from cycloid_fmu.studies.design import DesignTask, candidate, read_design_task, rotation_form, search, worst_of
+from cycloid_fmu.studies.design import (
+    DesignTask,
+    candidate,
+    read_design_task,
+    rotation_form,
+    search,
+    worst_of,
+    write_designs,
+)
+from cycloid_fmu.studies.limits import Requirements
 from cycloid_fmu.studies.tolerance import Study, run
 from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -184,6 +195,25 @@ def test_the_command_writes_drives_that_are_ready(tmp_path):
     assert (tmp_path / "found.png").stat().st_size > 10000
 
 
+def test_a_found_drive_has_sizes_that_a_drawing_can_state(pair, tmp_path):
+    """Whole nanometres, still on the side of a limit that leaves no room, and judged as they are written."""
+    vary = {"pin_radius": ("2.7 mm", "3.3 mm"), "offset": ("-60 um", "0 um"), "isometric": ("-30 um", "0 um")}
+    drive = cy.Drive(pair).replace(rated_torque="181 N*m")
+    found = drive.design(
+        ["max_contact_pressure", "backlash"], vary, limits={"interference": "0 um"}, starts=0, points=3
+    )
+    write_designs(found, tmp_path)
+    for number, one in enumerate(found, 1):
+        text = (tmp_path / f"design-{number}.toml").read_text()
+        assert all(length % Decimal("1e-9") == 0 for length in lengths_of(text)), text
+        written = read_drive(tmp_path / f"design-{number}.toml")
+        assert written.pair == one.pair
+        judged = written.judge(Requirements(limits={"interference": "0 um"}))
+        assert one.met == judged.met is True
+        pressure = float(written.analyze().pin_pressure.max())
+        assert pressure == pytest.approx(one.goals["max_contact_pressure"], rel=1e-3)
+
+
 ROW = '[[duty]]\ntorque = "1 N*m"\noutput_speed = "1 rpm"\nshare = 1.0'
 
 
@@ -208,12 +238,13 @@ ROW = '[[duty]]\ntorque = "1 N*m"\noutput_speed = "1 rpm"\nshare = 1.0'
             "[limits] bearing_life: no bearing of the pair's [supports] states its dynamic_capacity",
         ),
         ({"drive": "nowhere.toml"}, 'drive = "nowhere.toml": there is no '),
-        ({"row": ""}, "duty is missing"),
+        ({"row": "", "drive": "unrated.toml"}, "[[duty]] is missing; state it, or rated_torque of the pair."),
         ({"row": '[[duty]]\ntorque = "1 N"\noutput_speed = "1 rpm"\nshare = 1.0'}, 'duty[0].torque = "1 N": the unit'),
     ],
 )
 def test_a_task_that_cannot_be_is_refused_in_a_sentence(tmp_path, change, said):
     drive = f"{EXAMPLES.as_posix()}/drive-39-40.toml"
+    (tmp_path / "unrated.toml").write_text((EXAMPLES / "wear-39-40.toml").read_text())
     table = {"drive": drive, "goals": ["backlash"], "vary": {"offset": ["-60 um", "0 um"]}, "row": ROW, **change}
     lines = ['format = "cycloid-design/1"', f'drive = "{table["drive"]}"']
     lines += [f"goals = {json.dumps(table['goals'])}", "[vary]"]

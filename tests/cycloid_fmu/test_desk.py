@@ -218,8 +218,8 @@ def test_a_body_that_is_too_large_or_odd_is_refused(server, capfd, head, body, s
     ("words", "sentence"),
     [
         (["missing.toml"], "missing.toml: "),
-        ([EXAMPLES / "rv-20e.toml"], 'this version reads "cycloid-pair/1"'),
-        ([MADE, "--limits", MADE], 'this version reads "cycloid-requirements/1"'),
+        ([EXAMPLES / "rv-20e.toml"], "a gear pair (cycloid-pair/1) is needed here"),
+        ([MADE, "--limits", MADE], "a requirements file (cycloid-requirements/1) is needed here"),
     ],
 )
 def test_bad_files_are_a_sentence(command, words, sentence):

@@ -152,6 +152,22 @@ def test_an_error_names_the_argument_in_python():
         edge.output_path("x.csv", "path", (".nc",))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "latin-1", "utf-16"])
+def test_a_table_is_read_in_any_usual_encoding(tmp_path, encoding):
+    (tmp_path / "a.csv").write_text("torque [N·m],note\n5,Prüfstand\n", encoding=encoding)
+    assert [row for _, row in edge.number_rows(tmp_path / "a.csv", {"torque": "N*m"})] == [{"torque": 5.0}]
+
+
+def test_a_file_of_ours_may_begin_with_a_byte_order_mark(tmp_path):
+    (tmp_path / "a.toml").write_text('format = "x/1"\n', encoding="utf-8-sig")
+    assert edge.format_of(tmp_path / "a.toml") == "x/1"
+
+
+def test_a_turn_is_a_rev_as_controllers_write_it():
+    assert edge.parse_quantity("0.25 rev", "rad") == edge.parse_quantity("90 deg", "rad")
+    assert edge.parse_quantity("2 rev/s", "rad/s") == pytest.approx(4 * math.pi)
+
+
 def test_what_is_no_archive_is_no_fmu(tmp_path):
     (tmp_path / "d.toml").write_text("")
     with pytest.raises(edge.InputError, match=r"d\.toml: this is not an FMU"):

@@ -5,6 +5,7 @@ import math
 import fmpy
 import numpy as np
 import pytest
+import xarray as xr
 from common import PAIR
 from new_error_kind import RING_DISTORTION, distortion
 
@@ -50,7 +51,7 @@ def test_the_new_kind_is_the_pins_that_it_displaces(new_kind, tmp_path, command)
     for name in ("new", "list"):
         done = command("cycloid-fmu", "analyze", f"{name}.toml", "--torque", "150 N*m", "-o", f"{name}.nc")
         assert done.returncode == 0, done.stderr
-    new, listed = (edge.netcdf(tmp_path / f"{name}.nc", "cycloid-analysis/1") for name in ("new", "list"))
+    new, listed = (xr.load_dataset(tmp_path / f"{name}.nc") for name in ("new", "list"))
     error = new.transmission_error.values[0]
     assert error == pytest.approx(listed.transmission_error.values[0], abs=1e-15)
     # Five waves of 40 pins: one crank turn repeats them, so the crank meets 40 - 5 and 40 + 5 of them, minus 1 a turn.

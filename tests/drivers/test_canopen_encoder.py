@@ -118,6 +118,36 @@ def foreign(bus_name):
     return open_bus(BusConfig(interface="virtual", channel=bus_name))
 
 
+@pytest.mark.parametrize(("command", "said"), [(0x02, "stopped"), (0x80, "pre-operational")])
+def test_nodes_that_another_program_silences_are_reported_and_the_next_sample_is_marked(
+    tmp_path, bus_name, command, said
+):
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=20))
+    with SimulatedCanBench(motion, channel=bus_name, speed_factor=1.0) as bench, foreign(bus_name) as other:
+        bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
+
+        def silence():
+            while bench.sent < 100:
+                time.sleep(0.01)
+            other.send(can.Message(arbitration_id=0, data=[command, 1], is_extended_id=False))
+            time.sleep(0.3)
+            other.send(can.Message(arbitration_id=0, data=[1, 1], is_extended_id=False))
+
+        thread = threading.Thread(target=silence)
+        thread.start()
+        record(tmp_path / "BENCH.toml", tmp_path / "run.arrows", duration=3.0)
+        thread.join()
+    recording = read_recording(tmp_path / "run.arrows")
+    told = [e for e in recording.events if "another program" in e.text]
+    assert [(e.channel, e.text) for e in told] == [
+        ("input_angle", f"another program set the node {said}; it sends no more")
+    ]
+    samples = recording.samples["input_angle"]
+    (silent,) = np.flatnonzero(np.diff(samples.time_host) > 0.2)
+    assert samples.status[silent + 1] & rf.GAP
+    assert samples.time_host[silent] - 0.1 < told[0].time < samples.time_host[silent + 1]
+
+
 def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
     path = tmp_path / "run.arrows"

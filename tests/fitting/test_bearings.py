@@ -3,16 +3,17 @@
 import dataclasses
 import json
 import math
+from decimal import Decimal
 
 import numpy as np
 import pytest
 from benches_as_they_are import on_bearings
-from common import EXAMPLES
+from common import EXAMPLES, lengths_of
 from sampled_drives import ARCSEC, LOADS, SMALL, distances, random_drive
 
 import fitting
 from cycloid_fmu.drive import Drive, read_drive
-from cycloid_fmu.geometry.pair import Pair, read_pair
+from cycloid_fmu.geometry.pair import Pair, read_pair, write_pair
 from cycloid_fmu.supports.bearing import push
 from cycloid_fmu.supports.transmission import assembly_of, solve
 from cycloid_fmu.surfaces.structured import with_structured
@@ -163,7 +164,8 @@ def test_a_drive_on_bearings_is_explained_and_its_bearings_are_found(tmp_path):
     # The drive that was found has these bearings, and its file and surface belong together.
     supports = found.drive.pair.supports
     assert supports.turning_arm.roller_length == pytest.approx(0.009 * arm.value**1.125)
-    found.drive.write(tmp_path / "found.toml")
+    write_pair(found.drive.pair.nominal, tmp_path / "found.toml")
+    assert all(length % Decimal("1e-9") == 0 for length in lengths_of((tmp_path / "found.toml").read_text()))
     found.drive.write(tmp_path / "found.nc")
     assert read_drive(tmp_path / "found.toml", tmp_path / "found.nc") == found.drive
     found.write(tmp_path / "fit.json")

@@ -10,7 +10,7 @@ from common import ARCSEC
 import cycloid_fmu as cy
 import fitting
 from cycloid_fmu import edge
-from fitting.recordings.mapping import ChannelMapping, FileMapping, read_mapping, stated_in_name
+from fitting.recordings.mapping import ChannelMapping, FileMapping, constants_of, read_mapping
 from fitting.recordings.proposal import name_patterns
 
 SMALL = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
@@ -125,7 +125,7 @@ def test_conditions_in_names_of_files(name, stated):
     patterns = name_patterns(f"{name}.csv")
     assert all(pattern for pattern, _, _ in patterns.values())
     mapping = FileMapping(**{r: ChannelMapping(file_name=p, unit=u) for r, (p, u, _) in patterns.items()})
-    found = stated_in_name(f"{name}.csv", mapping)
+    found = constants_of(f"{name}.csv", mapping)
     wanted = (stated[0], stated[1] * 2 * np.pi / 60, stated[2] + 273.15)
     assert [found["torque"], found["speed"], found["temperature"]] == pytest.approx(list(wanted))
 

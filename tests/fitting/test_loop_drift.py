@@ -63,8 +63,7 @@ def steady(play, thresholds):
     width = 0.5 * sum(sign * (branch[sign][1](0.5) - branch[sign][0](0.5)) for sign in (1, -1))
     share = np.linspace(0.03, 0.1, 300)
     loss = sum(sign * np.polyfit(share, branch[sign][1](share), 1)[1] for sign in (1, -1))
-    near = np.linspace(0.02, 0.04, 300)
-    lost = sum(0.5 * sign * np.polyval(np.polyfit(near, b(near), 1), 0.03) for sign in (1, -1) for b in branch[sign])
+    lost = sum(0.5 * sign * b(0.03) for sign in (1, -1) for b in branch[sign])
     return dict(zip(NAMES, np.array([loss, loss - width, lost, STIFFNESS / ARCMIN**2]) * ARCMIN, strict=True))
 
 

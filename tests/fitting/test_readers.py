@@ -107,9 +107,11 @@ def test_a_table_without_header_or_time_needs_a_mapping_that_says_so(tmp_path):
         f'[{role}]\ncolumn = "column {i}"\nunit = "{unit}"\n'
         for i, (role, unit) in enumerate((("input_angle", "rad"), ("output_angle", "rad"), ("torque", "N*m")), start=1)
     )
-    with pytest.raises(edge.InputError, match="the samples have no time"):
-        RecordingStream(path, mapping(tmp_path, columns)).read()
     same(RecordingStream(path, mapping(tmp_path, "[time]\nrate = 1000.0\n" + columns)).read())
+    untimed = RecordingStream(path, mapping(tmp_path, columns)).read()
+    assert not untimed.timed
+    assert untimed.time.tolist() == list(range(SAMPLES))
+    assert untimed.notes == (f"{path}: no time is mapped; times count samples, and speeds are unknown.",)
 
 
 def test_counts_direction_rollover_and_temperature(tmp_path):
@@ -300,8 +302,8 @@ def test_the_last_line_of_a_cut_table_is_left_out(tmp_path):
 
 def test_a_missing_package_names_its_extra(tmp_path):
     (tmp_path / "a.tdms").write_bytes(b"x")
-    hide = "import sys; sys.modules['nptdms'] = None; from fitting.recordings import formats as f; "
-    hide += "f.open_bench_file('a.tdms')"
+    hide = "import sys; sys.modules['nptdms'] = None; from fitting.recordings.loggers import TdmsFile; "
+    hide += "TdmsFile('a.tdms')"
     run = subprocess.run([sys.executable, "-c", hide], cwd=tmp_path, capture_output=True, text=True)
     assert "pip install 'cycloid-fmu[bench-files]'" in run.stderr
 
@@ -323,7 +325,7 @@ def test_gaps_and_duplicates_are_marked_and_never_filled(tmp_path):
     assert found.time[found.status & GAP > 0] == pytest.approx([TIME[160], TIME[2100]])
     said = " ".join(found.notes)
     assert "2 gaps, the longest 0.101 s at 1.999 s" in said
-    assert "1 samples with the time of the previous one" in said
+    assert "2 samples share their time stamp with others (the clock's usual step is 0.001 s)" in said
     assert "1 samples older than a previous one" in said
 
 

@@ -13,6 +13,7 @@ from test_metrics import ARCMIN, ARCSEC, KNOWN, loop, recording, run_with
 from cycloid_fmu.geometry.pair import read_pair
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
+from fitting.reports.page import html_page
 from fitting.reports.panels import Panel, Trace, names_above, order_name, panels_of
 from fitting.reports.report import report
 
@@ -58,6 +59,21 @@ def page(found, tmp_path_factory):
         opened.wait_for_selector(".panel >> nth=-1 >> .main-svg >> nth=0")
         yield opened
         browser.close()
+
+
+def test_a_name_is_no_link(page, tmp_path):
+    """Plotly makes links and bold words of tags in names."""
+    name = '<a href="https://example.org/">run</a> <b>1</b> & co'
+    line = Trace(name, np.arange(3.0), np.arange(3.0), "points", texts=(name, "", ""))
+    rows = Panel(name, name, name, (Trace("", np.arange(2.0), -np.arange(2.0)),), name, y_names=(name, "b"))
+    (tmp_path / "a.html").write_text(html_page(name, name, "", [Panel(name, name, name, (line,), name), rows], ""))
+    opened = page.context.browser.new_page()
+    opened.goto((tmp_path / "a.html").as_uri())
+    opened.wait_for_selector(".panel >> nth=-1 >> .main-svg >> nth=0")
+    assert opened.locator("a[href*=example]").count() == 0
+    assert opened.locator("svg a").count() == 0
+    assert opened.locator("svg text", has_text=name).count() >= 6
+    opened.close()
 
 
 def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
@@ -127,7 +143,7 @@ def test_report_from_the_command_line(command, tmp_path):
     assert run.returncode == 0, run.stderr
     assert "Angular transmission error" in (tmp_path / "r.html").read_text(encoding="utf-8")
     run = command("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--ratio", "39", "-o", "wrong.html")
-    assert run.returncode == 2
+    assert run.returncode == 3
     assert "sign" in (tmp_path / "wrong.html").read_text(encoding="utf-8")
     run = command("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--ratio", "39", "-o", "r.docx")
     assert run.returncode == 2

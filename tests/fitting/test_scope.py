@@ -156,7 +156,7 @@ def without_times(text):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda t: t.replace("100.0\t40.0\t", "100.0\t4O.0\t"), 'line 225: input_angle is "4O.0"; it must be a number'),
+        (lambda t: t.replace("100.0\t40.0\t", "100.0\t40,0\t"), 'line 225: input_angle is "40,0"; it must be a number'),
         (lambda t: t.replace("100.0\t40.0\t", "100.0\t40.0\t1\t"), "line 225: it has 6 cells, the header 5"),
         (lambda t: t.replace("\r\n\r\n0.0\t", "\r\n\r\n132959733843760000\t"), "full time stamps; export it without"),
         (without_times, "fewer cells than its header; export it with time columns"),

@@ -537,7 +537,7 @@ def test_the_command_writes_what_the_library_does(command, tmp_path, fit):
             ["-o", "joint.c", "--fit", "fit.json", "--stiffness", "1 N*m/rad"],
             "--stiffness: --fit determines the series compliance too",
         ),
-        (["-o", "joint.c", "--fit", "{drive}"], "this is not JSON"),
+        (["-o", "joint.c", "--fit", "{drive}"], "(cycloid-identification/1) is needed here"),
         (["-o", "joint.c", "--fmi", "3.0"], "--fmi: this option is for FMUs"),
         (["-o", "joint.fmu", "--platform", "m68k-amiga"], '--platform = "m68k-amiga": this is none of'),
     ],

@@ -56,6 +56,7 @@ static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE])
 }
 
 int drive_step(struct drive *drive, double time, double step, char message[MESSAGE_SIZE]) {
+    int failed;
     if (!(step >= 0.0 && step < HUGE_VAL)) {
         return drive_refuse(message, "a step of %g s: it must be finite and not below %g.", step, 0.0);
     }
@@ -64,7 +65,10 @@ int drive_step(struct drive *drive, double time, double step, char message[MESSA
     }
     drive->impact = 0;
     drive->left = 0.0;
-    if (guarded(drive, step, message)) {
+    drive->step = step;
+    failed = guarded(drive, step, message);
+    drive->step = 0.0;
+    if (failed) {
         drive->impact = 0;
         drive->left = 0.0;
         return 1;

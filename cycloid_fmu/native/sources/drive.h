@@ -80,6 +80,7 @@ struct drive {
     int exchange;     /* Model Exchange: the solver is the host's; an inertia's deviation is a state */
     int early, impact; /* whether a step ends where contact begins, and whether the last one did */
     double left;       /* rest of the step after that, s */
+    double step;       /* being made, s, for its message; 0 outside a step */
     int placed;       /* whether `place` is that of the state; of no effect on results */
     struct place place;
     struct loaded at; /* state of the contacts there under `at_load`, if that is not 0 */

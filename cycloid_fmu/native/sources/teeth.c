@@ -1,6 +1,7 @@
 #include "drive.h"
 
 #include <math.h>
+#include <stdio.h>
 
 const struct side *teeth_side(const struct drive *drive, double direction) {
     return &drive->table->side[direction > 0.0 ? 0 : 1];
@@ -64,6 +65,13 @@ void teeth_press_gear(const struct drive *drive, double crank_angle, double devi
 int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *found,
                 char message[MESSAGE_SIZE]) {
     if (!(deviation > -LARGEST_TRANSMISSION_ERROR && deviation < LARGEST_TRANSMISSION_ERROR)) {
+        if (drive->table->offers == INTERFACE_COMPLIANT && drive->step > SUGGESTED_STEP) {
+            snprintf(message, MESSAGE_SIZE,
+                     "flange_b.phi is %g rad from flange_a.phi/ratio after a step of %g s: it must stay within %g rad; make shorter "
+                     "steps (%g s is suggested), or build the FMU with the inertias inside (--output-inertia, --crank-inertia).",
+                     deviation, drive->step, LARGEST_TRANSMISSION_ERROR, SUGGESTED_STEP);
+            return 1;
+        }
         return drive_refuse(message, "flange_b.phi is %g rad from flange_a.phi/ratio: it must stay within %g rad.", deviation,
                       LARGEST_TRANSMISSION_ERROR);
     }

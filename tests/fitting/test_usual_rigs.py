@@ -1,0 +1,418 @@
+"""Files as usual rigs write them go from `inspect` to figures as they are; the drive in them is a simulated one."""
+
+import gzip
+import json
+import os
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from common import EXAMPLES
+
+import fitting
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.surfaces.structured import structured_value
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.recordings import formats
+from fitting.recordings.inspection import inspect
+from fitting.recordings.mapping import read_mapping
+from fitting.recordings.recording import RecordingStream
+
+ARCMIN = np.pi / 10800
+ARCSEC = ARCMIN / 60
+RATIO = -39.0
+NOISE = 0.3 * ARCSEC
+MEASURED = Path(os.environ.get("CYCLOID_MEASURED_DRIVES", Path(__file__).parents[3] / "shared" / "measured-drives"))
+measured_drives = pytest.mark.skipif(not MEASURED.is_dir(), reason=f"the measured drives are not in {MEASURED}")
+
+
+def turned(pair, load, *, each=24, backward=False):
+    """Crank and output angles of one output turn of a drive at a load, with noise."""
+    crank = np.arange(39 * each + 1) * 2 * np.pi / each
+    error = solve(pair, surface_of_pair(pair), load, crank, with_play=False).transmission_error[0]
+    noise = np.random.default_rng(abs(int(load))).normal(0.0, NOISE, crank.size)
+    way = slice(None, None, -1 if backward else 1)
+    return crank[way], (crank / RATIO + error + noise)[way]
+
+
+def looped(rated, stiffness, play, friction, *, loops=2, each=1500):
+    """Torque and output angle of loops with play, dry friction and linear stiffness, the input locked."""
+    ramp = np.arange(each) / each
+    torque, angle = [], []
+    for _ in range(loops):
+        for sign in (1, -1):
+            for loading, share in ((True, ramp), (False, 1.0 - ramp)):
+                t = sign * rated * np.maximum(share, 1e-12)
+                torque.append(t)
+                angle.append(sign * play / 2 + (t + sign * friction * (-1 if loading else 1)) / stiffness)
+    return np.concatenate(torque), np.concatenate(angle)
+
+
+def comma(value, digits=9):
+    return f"{value:.{digits}f}".replace(".", ",")
+
+
+def semicolons(path, crank, output, torque):
+    """A controller's log in German: Windows-1252, decimal commas, a state as text, cells of an overloaded sensor."""
+    lines = ["Prüfstand 3;;;;", "Zeit [ms];Status;Motor [°];Abtrieb [°];Moment [Nm]"]
+    for i, (a, b, load) in enumerate(zip(np.degrees(crank), np.degrees(output), torque, strict=True)):
+        moment = "OVL" if i in (0, 100) else comma(load, 3)
+        lines.append(f"{comma(i, 1)};{'Läuft' if i % 7 else 'OK'};{comma(a)};{comma(b)};{moment}")
+    path.write_bytes(("\r\n".join(lines) + "\r\n").encode("cp1252"))
+    return path
+
+
+def stamped(path, crank, output, torque, *, period=0.004):
+    """A data logger's table: ISO 8601 stamps with a zone, setpoints beside the measured values."""
+    begun = datetime(2024, 3, 1, 12, 0, 0, tzinfo=UTC)
+    lines = ["timestamp,torque_setpoint [Nm],torque [Nm],motor_setpoint [rev],motor [rev],flange [deg],comment"]
+    for i, (a, b, load) in enumerate(zip(crank / (2 * np.pi), np.degrees(output), torque, strict=True)):
+        stamp = (begun + timedelta(seconds=i * period)).isoformat(timespec="milliseconds")
+        lines.append(f"{stamp},200,{load:.3f},{round(a, 1)},{a:.9f},{b:.9f},{'start of run' if i == 0 else ''}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def ticked(path, torque, angle, *, each=6, tick=0.0156):
+    """A motor controller's log, compressed: a clock in ticks with several samples each, a commanded torque."""
+    rows = [
+        f"{i // each * tick:.4f},{a / (2 * np.pi):.10f},{t:.4f},{t:.1f},0"
+        for i, (t, a) in enumerate(zip(torque, angle, strict=True))
+    ]
+    header = "TIME [s],POSITION [rev],TORQUE [Nm],CONTROL_TORQUE [Nm],FAULT"
+    path.write_bytes(gzip.compress("\n".join([header, *rows, ""]).encode()))
+    return path
+
+
+@pytest.mark.slow(12)
+def test_semicolons_and_a_status_column_go_to_identified_errors(command, tmp_path, made):
+    """Four runs of the drive as made: what is identified is what it was made with."""
+    names = []
+    for number, load in enumerate((20.0, -20.0, 200.0, -200.0)):
+        crank, output = turned(made, load, each=12, backward=load < 0.0)
+        path = semicolons(tmp_path / f"lauf {number}.csv", crank, output, np.full(crank.size, load))
+        names.append(path.name)
+    assert command("cycloid-fit", "inspect", names[0], "-o", "map.toml").returncode == 0
+    mapping = read_mapping(tmp_path / "map.toml")
+    assert (mapping.ratio, mapping.time.column, mapping.torque.column) == (RATIO, "Zeit", "Moment")
+    pair = EXAMPLES / "drive-39-40.toml"
+    run = command("cycloid-fit", "identify", *names, "--mapping", "map.toml", "--pair", pair, "-o", "fit.json")
+    assert run.returncode == 0, run.stderr
+    assert 'Moment is "OVL", no value; the column has 2 such cells' in run.stderr
+    surface, within = surface_of_pair(made), []
+    for name, one in json.loads((tmp_path / "fit.json").read_text())["parameters"].items():
+        if not one["held"] and one["data_share"] > 0.5:
+            low, high = one["interval"]
+            within.append(low <= structured_value(made, surface, name) <= high)
+    assert len(within) > 10
+    assert np.mean(within) > 0.8
+
+
+def test_iso_stamps_go_to_the_transmission_error_and_its_curve(command, tmp_path, made):
+    """The ratio is found in the data; speed, range and curve are those of the simulated drive."""
+    crank, output = turned(made, 200.0, each=48)
+    stamped(tmp_path / "run.csv", crank, output, np.full(crank.size, 200.0))
+    assert command("cycloid-fit", "inspect", "run.csv", "-o", "map.toml").returncode == 0
+    mapping = read_mapping(tmp_path / "map.toml")
+    assert mapping.ratio == RATIO
+    assert (mapping.time.column, mapping.input_angle.column, mapping.torque.column) == ("timestamp", "motor", "torque")
+    run = command("cycloid-fit", "metrics", "run.csv", "--mapping", "map.toml", "--json")
+    assert run.returncode == 0, run.stderr
+    figure = json.loads(run.stdout)["angular_transmission_error"]
+    truth = np.ptp(output - crank / RATIO)
+    assert figure["value"] == pytest.approx(truth, abs=6 * NOISE)
+    run = command("cycloid-fit", "curve", "run.csv", "--mapping", "map.toml", "--json")
+    assert run.returncode == 0, run.stderr
+    curve = json.loads(run.stdout)
+    error = solve(made, surface_of_pair(made), 200.0, curve["input_angle"][0], with_play=False).transmission_error[0]
+    left = np.array(curve["transmission_error"][0]) - error
+    assert np.std(left) == pytest.approx(NOISE, rel=0.1)
+    (one,) = fitting.curves(fitting.read_recordings(tmp_path / "run.csv", tmp_path / "map.toml"))
+    assert one.running_speed == pytest.approx(2 * np.pi / 48 / 0.004 / 39, rel=1e-6)
+
+
+def test_a_clock_in_ticks_goes_to_the_figures_of_the_loop(command, tmp_path):
+    """Torque with noise, six samples for each tick: the figures are those of play, friction and stiffness."""
+    rated, stiffness, play, friction = 20.0, 300.0, np.radians(1.0), 1.5
+    torque, angle = looped(rated, stiffness, play, friction, loops=4)
+    torque += np.random.default_rng(1).normal(0.0, 0.05, torque.size)
+    ticked(tmp_path / "loop.csv.gz", torque, angle)
+    assert command("cycloid-fit", "inspect", "loop.csv.gz", "-o", "map.toml").returncode == 0
+    mapping = read_mapping(tmp_path / "map.toml")
+    assert (mapping.time.column, mapping.output_angle.unit, mapping.torque.column) == ("TIME", "rev", "TORQUE")
+    assert mapping.input_angle is None
+    words = ("cycloid-fit", "metrics", "loop.csv.gz", "--mapping", "map.toml", "--rated-torque", "20 N*m", "--json")
+    run = command(*words)
+    assert run.returncode == 0, run.stderr
+    found = json.loads(run.stdout)
+    assert any(f"{torque.size} samples share their time stamp" in note for note in found["notes"])
+    assert found["hysteresis_loss"]["loops"] == 4
+    truth = {
+        "hysteresis_loss": play + 2 * friction / stiffness, "backlash": play, "torsional_stiffness": stiffness,
+    }  # fmt: skip
+    for name, value in truth.items():
+        assert found[name]["value"] == pytest.approx(value, rel=0.01), name
+
+
+def test_rigs_with_other_headers_share_a_report(command, tmp_path, made):
+    """Each file takes the mapping whose columns it has; one with our names needs none; both is a sentence."""
+    crank, output = turned(made, 200.0)
+    load = np.full(crank.size, 200.0)
+    stamped(tmp_path / "stamped.csv", crank, output, load)
+    semicolons(tmp_path / "semicolons.csv", crank, output, load)
+    torque, angle = looped(181.0, 1e5, 1e-4, 2.0)
+    ticked(tmp_path / "loop.csv.gz", torque, angle)
+    own = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"
+    rows = [f"{i * 1e-3:.3f},{a:.9f},{b:.9f},200" for i, (a, b) in enumerate(zip(crank, output, strict=True))]
+    (tmp_path / "own.csv").write_text("\n".join([own, *rows, ""]))
+    files = ("stamped.csv", "semicolons.csv", "loop.csv.gz")
+    mappings = [f"{number}.toml" for number in range(3)]
+    for file, mapping in zip(files, mappings, strict=True):
+        inspect(tmp_path / file).write(tmp_path / mapping)
+    given = [word for name in mappings for word in ("--mapping", name)]
+    run = command("cycloid-fit", "metrics", *files, "own.csv", *given, "--ratio", RATIO, "--json")
+    assert run.returncode == 0, run.stderr
+    found = json.loads(run.stdout)
+    assert set(found["data"]) == {*files, "own.csv"}
+    assert len(found["angular_transmission_error"]["runs"]) == 3
+    (tmp_path / "again.toml").write_text((tmp_path / "2.toml").read_text())
+    run = command("cycloid-fit", "metrics", "loop.csv.gz", "--mapping", "2.toml", "--mapping", "again.toml")
+    assert run.returncode == 2
+    said = "loop.csv.gz: it has the columns of several mappings, 2.toml, again.toml; give only one of them"
+    assert run.stderr.strip() == f"{said} with this file."
+    run = command("cycloid-fit", "metrics", "loop.csv.gz", "--mapping", "0.toml", "--mapping", "1.toml")
+    assert run.returncode == 2
+    assert "no mapping suits its columns: 0.toml needs " in run.stderr
+    run = command("cycloid-fit", "metrics", "loop.csv.gz", "--mapping", "0.toml")
+    assert run.returncode == 2
+    assert 'there is no column "motor"' in run.stderr
+
+
+MAP = 'format = "cycloid-mapping/1"\n'
+
+
+def written(tmp_path, name, text):
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    return tmp_path / name
+
+
+def table(tmp_path, columns, name="run.csv"):
+    rows = [",".join(f"{v:.10g}" for v in row) for row in zip(*columns.values(), strict=True)]
+    return written(tmp_path, name, "\n".join([",".join(columns), *rows, ""]))
+
+
+@pytest.mark.parametrize("pulley", [-3.346, 2.5])
+def test_an_encoder_behind_a_pulley_is_referred_to_the_output(tmp_path, pulley):
+    """Counts that are not whole per turn, which roll over at the encoder's own turn."""
+    crank = np.linspace(0.0, 4 * np.pi * 39, 6000)
+    output = crank / RATIO + 20 * ARCSEC * np.cos(crank)
+    counts = np.mod(output * pulley / (2 * np.pi) * 1204.6, 1204.6)
+    path = table(tmp_path, {"motor [rad]": crank, "belt": counts})
+    text = f'{MAP}ratio = -39\npulley = {{ratio = {pulley}}}\ntorque = {{value = "-50 N*m"}}\n'
+    text += 'input_angle = {column = "motor"}\noutput_angle = {column = "belt", counts_per_turn = 1204.6}\n'
+    found = RecordingStream(path, read_mapping(written(tmp_path, "map.toml", text))).read()
+    assert found.output_angle - found.output_angle[0] == pytest.approx(output - output[0], abs=1e-7)
+    assert (found.torque == -50.0).all()
+    assert found.limits.output_resolution == pytest.approx(2 * np.pi / 1204.6 / abs(pulley))
+    assert any(f"at multiples of order {abs(pulley):g} of the output" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('output_angle = {column = "a"}\npulley = {ratio = 0.0}\n', r"\[pulley\] ratio = 0.0: give the signed ratio"),
+        (
+            'output_angle = {column = "a", counts_per_turn = 0.5}\n',
+            "counts_per_turn = 0.5: give a number of at",
+        ),
+        ('output_angle = {column = "a"}\ntorque = {value = "5"}\n', r'\[torque\] value = "5": write one number'),
+        ('output_angle = {column = "a"}\ntorque = {value = "5 mm"}\n', "measures something else"),
+        ('output_angle = {column = "a"}\ntorque = {value = "5 N*m", unit = "N*m"}\n', "has its own unit"),
+        ('output_angle = {column = "a"}\ntorque = {value = "5 N*m", column = "b"}\n', "needs one of column, file_name"),
+        ('output_angle = {value = "5 deg"}\n', "only torque, speed, temperature can be constant"),
+    ],
+)
+def test_a_wrong_value_in_a_mapping_is_one_sentence(tmp_path, text, said):
+    with pytest.raises(edge.InputError, match=said) as refused:
+        read_mapping(written(tmp_path, "map.toml", MAP + text))
+    assert "\n" not in str(refused.value)
+    assert str(refused.value).startswith(str(tmp_path / "map.toml"))
+
+
+def test_without_a_torque_the_load_is_unknown_and_no_model_is_fitted(tmp_path, nominal):
+    crank = np.linspace(0.0, 2 * np.pi * 39, 4000)
+    path = table(tmp_path, {"motor [rad]": crank, "flange [rad]": crank / RATIO + 20 * ARCSEC * np.cos(crank)})
+    inspect(path).write(tmp_path / "map.toml")
+    recordings = fitting.read_recordings(path, tmp_path / "map.toml")
+    found = fitting.metrics(recordings)
+    (curve,) = found.curves
+    assert found.figures["angular_transmission_error"].value == pytest.approx(40 * ARCSEC, rel=1e-3)
+    assert np.isnan(curve.torque)
+    assert [*found.figures["angular_transmission_error"].runs] == [f"{path}, unknown load, forward"]
+    assert f"{path}: no torque is mapped; the load is unknown." in found.notes
+    page = tmp_path / "report.html"
+    fitting.report(found, page)
+    assert "nan N" not in page.read_text(encoding="utf-8")
+    with pytest.raises(edge.InputError, match="the torque is unknown; a model needs the load"):
+        fitting.identify(recordings, Drive(nominal))
+
+
+def test_a_loop_without_times_has_its_figures_and_no_seconds(tmp_path):
+    """The same loop with and without its times: equal figures, but only one has seconds."""
+    torque, angle = looped(20.0, 300.0, 0.01, 0.5)
+    columns = {"t [s]": np.arange(torque.size) * 0.1, "angle [rad]": angle, "M [Nm]": torque}
+    timed = table(tmp_path, columns, "timed.csv")
+    columns.pop("t [s]")
+    untimed = table(tmp_path, columns, "untimed.csv")
+    found = {}
+    for path in (timed, untimed):
+        mapping = path.with_suffix(".toml")
+        inspect(path).write(mapping)
+        found[path] = fitting.metrics(fitting.read_recordings(path, mapping), rated_torque=20.0)
+    for name, figure in found[timed].figures.items():
+        assert found[untimed].figures[name].value == pytest.approx(figure.value, rel=1e-9), name
+    (one,) = found[untimed].surveyed
+    assert np.isnan(one.duration)
+    fitting.report(found[untimed], page := tmp_path / "untimed.html")
+    text = page.read_text(encoding="utf-8")
+    assert "Torque over samples" in text
+    assert "time [s]" not in text
+
+
+@pytest.mark.parametrize("speed", [0.1, 300.0])
+def test_a_coarse_clock_keeps_the_transmission_error_of_a_turning_crank(tmp_path, speed):
+    """Where the crank turns within a tick a mean would smooth its error away: every sample is kept, at even times."""
+    time = np.arange(20000) / 2000.0
+    crank = speed * time
+    error = 20 * ARCSEC * np.cos(40 * crank / 39)
+    tick = 0.016
+    path = table(tmp_path, {"t [s]": np.arange(time.size) // 32 * tick, "motor [rad]": crank,
+                            "flange [rad]": crank / RATIO + error, "M [Nm]": np.full(time.size, 5.0)})  # fmt: skip
+    inspect(path).write(tmp_path / "map.toml")
+    found = RecordingStream(path, read_mapping(tmp_path / "map.toml")).read()
+    assert (np.diff(found.time) > 0.0).all()
+    (note,) = [one for one in found.notes if "time stamp" in one]
+    assert f"{time.size} samples share their time stamp with others (the clock's usual step is 0.016 s)" in note
+    if speed > 1.0:
+        assert found.output_angle == pytest.approx(crank / RATIO + error, abs=1e-8)
+        assert found.time == pytest.approx(time, abs=1e-4)
+        assert "even times" in note
+    else:
+        assert found.time.size == 625
+        assert found.input_angle == pytest.approx(crank.reshape(-1, 32).mean(axis=1), abs=1e-8)
+        assert "averaged" in note
+
+
+@pytest.mark.parametrize("piece", [7, 64, 1000])
+def test_ticks_are_the_same_over_the_seams_of_pieces(tmp_path, monkeypatch, piece):
+    torque, angle = looped(20.0, 300.0, 0.01, 0.5, each=200)
+    path = ticked(tmp_path / "loop.csv.gz", torque, angle)
+    inspect(path).write(tmp_path / "map.toml")
+    whole = RecordingStream(path, mapping := read_mapping(tmp_path / "map.toml")).read()
+    monkeypatch.setattr("fitting.recordings.tables.PIECE", piece)
+    parts = RecordingStream(path, mapping).read()
+    for name in ("time", "output_angle", "torque"):
+        assert getattr(parts, name) == pytest.approx(getattr(whole, name), abs=1e-12)
+    assert whole.torque == pytest.approx(np.add.reduceat(torque, np.arange(0, torque.size, 6)) / np.diff(
+        np.arange(0, torque.size + 6, 6).clip(max=torque.size)), abs=1e-4)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("t;a;s\n0,5;OVL;OK\n1,5;2,5;OK\n2,5;3;no\n", {"t": [0.5, 1.5, 2.5], "a": [None, 2.5, 3.0]}),
+        ("t;a\ns;1\n0,5;2\n1,5;2,5\n", {"t": [0.5, 1.5], "a": [2.0, 2.5]}),
+        ("OK;1,5;x\nOK;2,5;y\n", {"column 2": [1.5, 2.5]}),
+        ("1.5,OVL\n2.5,3\n3.5,4\n", {"column 1": [1.5, 2.5, 3.5], "column 2": [None, 3.0, 4.0]}),
+        ("time\t1\t2\n0.5\t2\t3\n1.5\t3\tNaN\n", {"time": [0.5, 1.5], "1": [2.0, 3.0], "2": [3.0, None]}),
+        ("t,a,note\n2024-03-01 12:00:00,1,\n2024-03-01 12:00:01.5,x,y\n", {"t": [0.0, 1.5], "a": [1.0, None]}),
+        ("t;a\n2024-03-01T12:00:00,25+01:00;1,5\n2024-03-01T11:00:00,75Z;2,5\n", {"t": [0.0, 0.5], "a": [1.5, 2.5]}),
+        ("t;a\n0,5;2;\n1,5;3;\n", {"t": [0.5, 1.5], "a": [2.0, 3.0], "column 3": [None, None]}),
+        ("time [UTC];a\n2024-03-01T12:00:00Z;1\n2024-03-01T12:00:01Z;2\n", {"time": [0.0, 1.0], "a": [1.0, 2.0]}),
+        ("a,b,c\n1,2,3\n,,\n4,,6\n", {"a": [1.0, None, 4.0], "b": [2.0, None, None], "c": [3.0, None, 6.0]}),
+    ],
+)
+def test_the_columns_of_numbers_decide(tmp_path, text, expected):
+    file = formats.open_bench_file(written(tmp_path, "a.csv", text))
+    assert [c.name for c in file.channels] == [*expected]
+    parts = [*file.pieces([*expected])]
+    for name, values in expected.items():
+        found = np.concatenate([part.values[name] for part in parts])
+        assert [None if np.isnan(one) else float(one) for one in found] == values
+
+
+@pytest.mark.parametrize("ending", [".csv", ".asc", ".trc"])
+def test_a_compressed_file_is_the_same_recording(tmp_path, ending):
+    from test_readers import CAN_MAP, write_can
+
+    if ending == ".csv":
+        path = table(tmp_path, {"motor [rad]": np.arange(100.0), "flange [rad]": np.arange(100.0) / RATIO})
+        inspect(path).write(tmp_path / "map.toml")
+    else:
+        path = write_can(tmp_path, ending)
+        written(tmp_path, "map.toml", MAP + CAN_MAP)
+    packed = path.with_name(path.name + ".gz")
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    mapping = read_mapping(tmp_path / "map.toml")
+    one, other = (RecordingStream(p, mapping).read() for p in (path, packed))
+    assert np.array_equal(one.output_angle, other.output_angle)
+    assert [note.replace(str(packed), str(path)) for note in other.notes] == [*one.notes]
+    packed.write_bytes(packed.read_bytes()[:-20])
+    cut = RecordingStream(packed, mapping).read()
+    assert cut.time.size <= one.time.size
+    assert any("it is truncated or damaged after" in note for note in cut.notes)
+
+
+def test_what_a_compressed_file_may_not_be_is_one_sentence(tmp_path, monkeypatch):
+    packed = tmp_path / "a.csv.gz"
+    packed.write_bytes(b"time [s]\n")
+    with pytest.raises(edge.InputError, match=r"a\.csv\.gz: this is not a \.gz file"):
+        formats.open_bench_file(packed)
+    packed.write_bytes(gzip.compress(b"1,2\n" * 1000))
+    monkeypatch.setattr(edge, "MOST_BYTES", 3000)
+    with pytest.raises(edge.InputError, match=r"a\.csv\.gz: it unpacks to more than"):
+        formats.open_bench_file(packed)
+    (tmp_path / "a.rug.gz").write_bytes(packed.read_bytes())
+    with pytest.raises(edge.InputError, match=r"a\.rug\.gz: the ending must be one of"):
+        formats.open_bench_file(tmp_path / "a.rug.gz")
+
+
+@measured_drives
+@pytest.mark.measured_drives
+@pytest.mark.parametrize("name", ["conic_runin5", "onyx_init1", "onyx_runin1", "pccf_init1", "onyx_init1_raw"])
+def test_a_drive_that_somebody_measured_is_read_in_all_its_loops(tmp_path, name):
+    """Ramps of a motor controller: the loops are the cycles of its command, raw with repeated ticks or averaged."""
+    path = next(MEASURED.glob(f"{name}.csv*"))
+    found = inspect(path)
+    proposed = {role: one.channel.name for role, one in found.roles.items()}
+    assert proposed == {"time": "TIME", "output_angle": "POSITION", "torque": "TORQUE"}
+    found.write(tmp_path / "map.toml")
+    text = (tmp_path / "map.toml").read_text()
+    for unit in ("s", "rev", "N*m"):  # the file states none
+        text = text.replace('unit = "" ', f'unit = "{unit}" ', 1)
+    written(tmp_path, "map.toml", text)
+    figures = fitting.metrics(fitting.read_recordings(path, tmp_path / "map.toml"))
+    (one,) = figures.surveyed
+    command = next(look.values for look in found.looks if look.channel.name == "CONTROL_TORQUE")
+    large = np.flatnonzero(np.abs(command) > 0.5 * np.abs(command).max())
+    cycles = np.count_nonzero(np.diff(np.sign(command[large])) < 0.0)
+    assert len(one.loops.loops) == cycles
+    assert one.samples == np.unique(found.roles["time"].values).size
+
+
+@measured_drives
+@pytest.mark.measured_drives
+def test_raw_samples_and_their_means_give_the_same_figures(tmp_path):
+    text = MAP + 'time = {column = "TIME", unit = "s"}\ntorque = {column = "TORQUE", unit = "N*m"}\n'
+    text += 'output_angle = {column = "POSITION", unit = "rev"}\n'
+    mapping = written(tmp_path, "map.toml", text)
+    raw, means = (
+        fitting.metrics(fitting.read_recordings(MEASURED / name, mapping), rated_torque=25.0).figures
+        for name in ("onyx_init1_raw.csv.gz", "onyx_init1.csv")
+    )
+    assert raw.keys() == means.keys()
+    for name in means:
+        assert raw[name].value == pytest.approx(means[name].value, rel=2e-3), name
