@@ -68,14 +68,17 @@ def finish(found: Figures, *, as_json: bool) -> None:
     from fitting.figures.figure import in_field_units
     from fitting.figures.metrics import figures_json
 
-    rows = []
-    for name, figure in found.figures.items():
+    rows, remarks = [], []
+    for name, figure in found.shown.items():
+        remarks += [f"{name}: {figure.remark}."] if figure.remark else []
         for label, one in [(name, figure), *((f"  {part}", one) for part, one in figure.shown.items())]:
             rows.append([label, *in_field_units(one), f"{one.count:.4g} {one.counted}"])
     if as_json:
         commands.print_json(figures_json(found))
     elif rows:
         commands.print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
+        for remark in remarks:
+            typer.echo(remark)
         for name, budget in found.budgets.items():
             commands.print_table(f"Uncertainty budget of {name}", BUDGET_HEAD, budget_rows(budget))
     print_notes(found.problems if as_json and found.figures else found.notes)

@@ -63,6 +63,8 @@ class Figure:
         {"K1": the figure in this torque range, ...}; each states its interval.
     degrees
         Degrees of freedom of the uncertainty; finite if it is from the scatter of loops or starts.
+    remark
+        What the value contains on this drive, if its definition does not say so; mostly empty.
     """
 
     value: float
@@ -77,6 +79,7 @@ class Figure:
     runs: dict[str, Figure] = field(default_factory=dict)
     segments: dict[str, Figure] = field(default_factory=dict)
     degrees: float = math.inf
+    remark: str = ""
 
     @property
     def shown(self) -> dict[str, Figure]:
@@ -121,6 +124,7 @@ def pooled(figures: Sequence[Figure]) -> Figure:
 
 _FIELD_UNITS = {
     "rad": (10800.0 / math.pi, "arcmin"), "N*m/rad": (math.pi / 10800.0, "N·m/arcmin"), "N*m": (1.0, "N·m"),
+    "1": (1.0, ""),
 }  # fmt: skip
 
 
@@ -151,6 +155,8 @@ def figure_json(figure: Figure) -> dict[str, Any]:
         "interval_unit": figure.interval_unit,
         figure.counted: figure.count,
     }
+    if figure.remark:
+        found["remark"] = figure.remark
     found.update({side: figure_json(part) for side, part in figure.parts.items()})
     if figure.segments:
         found["segments"] = {name: figure_json(one) for name, one in figure.segments.items()}

@@ -12,6 +12,7 @@ are averaged over short stretches of time first, so the noise may be in either o
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -44,8 +45,8 @@ DEFINITIONS = {
     "play": "distance at zero torque of the lines through the spring's torque over windup, from 20 to 70 % of its "
     "largest value on each side",
     "torsional_stiffness": "slope of these lines, mean of both sides: without friction",
-    "friction_torque": "friction without load, F_0 of the line F = F_0 + mu |M| over the spring's torque, up to 70 % of "
-    "its largest value; breakaway where the windup sticks",
+    "friction_torque": "friction without load, F_0 of the line F = F_0 + mu |M| over the spring's torque, up to 70 % "
+    "of its largest value; breakaway where the windup sticks",
     "friction_per_load": "growth of the friction with load, mu of this line",
     "efficiency_driving": "spring's torque over the torque that drives, M/(M + F), at the stated torque",
     "efficiency_back_driving": "torque that comes back over the spring's torque, 1 - F/M, at the stated torque; 0 if "
@@ -125,7 +126,7 @@ def pass_of(time: Array, torque: Array, windup: Array, direction: int) -> Pass:
 
 
 def passes_of(data: LoopData) -> list[Pass]:
-    """Return the passes from peak to peak, the first branch where friction slips throughout, and the last one's return."""
+    """Return the passes from peak to peak, the first branch where friction slips, and the last one's return."""
     torque, peaks = data.torque, turning_points(data.torque, data)
     if not peaks:
         return []
@@ -142,7 +143,7 @@ def passes_of(data: LoopData) -> list[Pass]:
 
 
 def drift_rate(passes: Sequence[Pass]) -> float:
-    """Return the rate at which passes of the same direction drift apart, rad/s, linear in time; 0 without two of them."""
+    """Return the rate at which passes of the same direction drift apart, rad/s; 0 without two of them."""
     top = min(max(abs(float(p.torque[0])), abs(float(p.torque[-1]))) for p in passes)
     moved = spread = 0.0
     for direction in (1, -1):
@@ -220,7 +221,7 @@ def values_of(curve: MidCurve, largest: float, at_torque: float) -> _Values | No
         if line is None or line.slope <= 0.0:
             return None
         values[f"end{sign:+d}"], values[f"slope{sign:+d}"] = line.centre - line.value / line.slope, line.slope
-        for number, part in enumerate(zip(SEGMENTS[:-1], SEGMENTS[1:], strict=True), 1):
+        for number, part in enumerate(itertools.pairwise(SEGMENTS), 1):
             piece = fit_line(*_side(curve, sign, part, largest))
             if piece is not None and piece.slope > 0.0:
                 values[f"K{number}{sign:+d}"] = piece.slope
@@ -284,8 +285,8 @@ def _once(passes: Sequence[Pass], middle: float, largest: float, at_torque: floa
 def _scatter(passes: Sequence[Pass], of: Callable[[Sequence[Pass]], _Values | None]) -> dict[str, tuple[float, float]]:
     """Return the variance of each value by leaving out one pass at a time, and its degrees of freedom.
 
-    Passes of either direction are draws of their own (jackknife). A direction with a single pass counts with the scatter
-    of the other; without a second pass in any, nothing is known.
+    Passes of either direction are draws of their own (jackknife). A direction with a single pass counts with the
+    scatter of the other; without a second pass in any, nothing is known.
     """
     each: list[dict[str, tuple[float, int]]] = []
     for direction in (1, -1):
@@ -386,7 +387,7 @@ def friction_free(data: LoopData) -> FrictionFree | None:
     }  # fmt: skip
     figures = {name: figure(name, max(values[name], 0.0), intervals[name], [name]) for name in DEFINITIONS}
     segments = {}
-    for number, share in enumerate(zip(SEGMENTS[:-1], SEGMENTS[1:], strict=True), 1):
+    for number, share in enumerate(itertools.pairwise(SEGMENTS), 1):
         keys = [key for key in (f"K{number}+1", f"K{number}-1") if key in values]
         if keys:
             mean = float(np.mean([values[key] for key in keys]))
@@ -400,8 +401,8 @@ def friction_free(data: LoopData) -> FrictionFree | None:
 def combined(scatter: tuple[float, float] | None, residual: float | None) -> tuple[float, float]:
     """Return a variance and its degrees of freedom from the scatter of passes and from the residuals of lines.
 
-    The scatter of enough passes counts alone: a real curve is no line, and its shape repeats. With fewer, the residuals'
-    variance is a second estimate, with `RESIDUAL_DEGREES`, unless the scatter exceeds it significantly.
+    The scatter of enough passes counts alone: a real curve is no line, and its shape repeats. With fewer, the
+    residuals' variance is a second estimate, with `RESIDUAL_DEGREES`, unless the scatter exceeds it significantly.
     """
     if scatter is None or residual is None:
         known = scatter or (residual, RESIDUAL_DEGREES)

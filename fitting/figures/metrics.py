@@ -15,6 +15,8 @@ from cycloid_fmu.geometry.pair import Pair
 from fitting.arguments import positive
 from fitting.figures.budget import Budget, budget_json, budgets_of
 from fitting.figures.figure import DEFINITIONS, Figure, figure_json, pooled
+from fitting.figures.friction_free import DEFINITIONS as OF_FRICTION_FREE
+from fitting.figures.friction_free import FrictionFree, friction_free
 from fitting.figures.hysteresis import loop_figures
 from fitting.figures.instruments import Instruments, read_instruments
 from fitting.figures.spectrum import (
@@ -31,6 +33,7 @@ from fitting.recordings.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
 
 FORMAT = "cycloid-figures/1"
+_GROWS = 0.02  # growth of friction with load that standard figures are marked from
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,10 @@ class Figures:
         The nominal gear pair, if known.
     problems
         Notes on unreadable recordings and on an interrupt.
+    friction_free
+        Figures of the loops without friction (`friction_free.DEFINITIONS`); none without loops in both directions.
+    mid_curves
+        What they are from: source of each recording with loops, and its figures with their mid curve.
     interrupted
         Whether recordings are missing because of an interrupt.
     budgets, instruments
@@ -82,6 +89,13 @@ class Figures:
     interrupted: bool = False
     budgets: Mapping[str, Budget] = dataclasses.field(default_factory=dict)
     instruments: Instruments | None = None
+    friction_free: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
+    mid_curves: tuple[tuple[str, FrictionFree], ...] = ()
+
+    @property
+    def shown(self) -> dict[str, Figure]:
+        """All figures by the names under which a table shows them."""
+        return {**self.figures, **{f"friction_free.{name}": one for name, one in self.friction_free.items()}}
 
     @property
     def curves(self) -> list[Curve]:
@@ -115,16 +129,22 @@ def figures_of(
     """
     notes = [n for s in surveyed for n in s.notes]
     figures: dict[str, Figure] = {}
-    of_loops = []
+    of_loops, mid_curves = [], list[tuple[str, FrictionFree]]()
     for one in surveyed:
         if one.loops is not None:
             found, added = loop_figures(one.loops, stiffness_limits)
             notes += added
             of_loops.append(found)
+            if (free := friction_free(one.loops)) is not None:
+                mid_curves.append((one.source, free))
     for name in ("hysteresis_loss", "backlash", "lost_motion", "torsional_stiffness"):
         same = [f[name] for f in of_loops if name in f]
         if same:
             figures[name] = pooled(same)
+    without: dict[str, Figure] = {}
+    if mid_curves:
+        without = {name: pooled([free.figures[name] for _, free in mid_curves]) for name in OF_FRICTION_FREE}
+        figures = _with_remarks(figures, without)
     spectra: list[Spectrum | None] = []
     ways: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
     rigless: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
@@ -169,7 +189,26 @@ def figures_of(
     for name, starts in started.items():
         if starts:
             figures[name] = start_figure(name, [s.torque for s in starts])
-    return Figures(figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)))
+    return Figures(
+        figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)),
+        friction_free=without, mid_curves=tuple(mid_curves),
+    )  # fmt: skip
+
+
+def _with_remarks(figures: dict[str, Figure], without: Mapping[str, Figure]) -> dict[str, Figure]:
+    """Return the standard figures with what they contain where friction grows with load."""
+    growth = without["friction_per_load"]
+    if not growth.value - growth.uncertainty > _GROWS:
+        return figures
+    remarks = {
+        "backlash": "assumes a constant friction, but here it grows with load: friction_free.play is without it",
+        "torsional_stiffness": f"contains friction that grows with load, about {1.0 + growth.value:.2f} times the "
+        "stiffness: friction_free.torsional_stiffness is without it",
+    }
+    return {
+        name: dataclasses.replace(one, remark=remarks[name]) if name in remarks else one
+        for name, one in figures.items()
+    }
 
 
 def metrics(
@@ -272,6 +311,7 @@ def figures_json(found: Figures) -> dict[str, Any]:
             name: figure_json(f) | ({"budget": budget_json(found.budgets[name])} if name in found.budgets else {})
             for name, f in found.figures.items()
         },
+        "friction_free": {name: figure_json(one) for name, one in found.friction_free.items()},
         "rated_torque": found.rated_torque,
         "ratio": found.ratio,
         "data": {s.source: s.checksum for s in found.surveyed},

@@ -24,7 +24,8 @@ FORMATS = (".html", ".pdf")
 
 def title_of(name: str) -> str:
     """Return a figure's name as a heading."""
-    return name.replace("_", " ").capitalize()
+    own = name.removeprefix("friction_free.")
+    return own.replace("_", " ").capitalize() + (" without friction" if own != name else "")
 
 
 def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
@@ -41,8 +42,9 @@ def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
 def figure_rows(found: Figures) -> list[dict[str, str]]:
     """Return the table of figures: a row for each figure, and rows with `part` set for its parts and runs."""
     rows = []
-    for name, figure in found.figures.items():
-        rows.append(_row(title_of(name), figure, definition=figure.definition))
+    for name, figure in found.shown.items():
+        definition = f"{figure.definition}. Here it {figure.remark}" if figure.remark else figure.definition
+        rows.append(_row(title_of(name), figure, definition=definition))
         rows += [_row(part, one, part="yes") for part, one in figure.shown.items()]
     return rows
 

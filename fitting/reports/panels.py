@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.geometry.pair import Pair
+from fitting.figures.friction_free import LINE, FrictionFree
 from fitting.figures.hysteresis import SIDES, LoopData, drift_of, loop_marks, without_drift
 from fitting.figures.metrics import Figures
 from fitting.figures.spectrum import Spectrum, order_name
@@ -132,6 +133,7 @@ def panels_of(found: Figures) -> list[Panel]:
         if spectra is not None:
             panels.append(spectra)
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
+    panels += [p for source, free in found.mid_curves for p in _mid_curve_panels(source, free)]
     panels += _stiffness_panel(found)
     panels += _start_panels(found) + _budget_panel(found)
     panels += _torque_panels(found)
@@ -243,6 +245,38 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
         and (t.colour < 0 or np.abs(t.x).max() <= _MIDDLE * loop.rated_torque)
     ]
     return [Panel(name, *axes, tuple(traces), seen), Panel(f"{name}, around zero torque", *axes, tuple(middle), seen)]
+
+
+def _mid_curve_panels(source: str, free: FrictionFree) -> list[Panel]:
+    """Return the panels of the spring's torque over the windup, and of the friction over it."""
+    curve, figures, largest = free.curve, free.figures, free.largest
+    windup = curve.windup * ARCMIN
+    centre = float(np.interp(0.0, curve.spring, curve.windup))
+    traces = [
+        Trace("up: spring's torque and friction", windup, curve.spring + curve.friction, "thin", -1),
+        Trace("down: spring's torque less friction", windup, curve.spring - curve.friction, "thin", -1),
+        Trace("spring's torque", windup, curve.spring, "thick", 0),
+    ]
+    for number, sign in enumerate((-1.0, 1.0)):
+        at = sign * np.array([0.0, LINE[1] * largest])
+        line = at / figures["torsional_stiffness"].value + sign * 0.5 * figures["play"].value + centre
+        traces.append(Trace("play and stiffness" if number == 0 else "", line * ARCMIN, at, "dashed", 1))
+    name = Path(source).name
+    seen = "Mean of the passes in each direction. The lines have the stated play and stiffness, about the middle."
+    first = Panel(
+        f"Loop without friction: {name}", "windup of the output [arcmin]", "torque [N·m]", tuple(traces), seen
+    )
+    load = np.array([0.0, largest])
+    fitted = figures["friction_torque"].value + figures["friction_per_load"].value * load
+    traces = [
+        Trace("", np.abs(curve.spring), curve.friction, "points", -1),
+        Trace("line up to 70 %", load, fitted, "dashed", 1),
+    ]
+    seen = "Half the distance of both directions at the same windup, over the spring's torque; both sides."
+    return [
+        first,
+        Panel(f"Friction: {name}", "spring's torque [N·m]", "friction [N·m]", tuple(traces), seen),
+    ]
 
 
 def _stiffness_panel(found: Figures) -> list[Panel]:
