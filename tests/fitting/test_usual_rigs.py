@@ -308,6 +308,14 @@ def test_a_coarse_clock_keeps_the_transmission_error_of_a_turning_crank(tmp_path
         assert "averaged" in note
 
 
+@pytest.mark.parametrize("samples", [2, 50])
+def test_a_clock_that_stands_still_gives_one_sample(tmp_path, samples):
+    columns = {"time [s]": np.zeros(samples), "input_angle [rad]": np.zeros(samples)}
+    path = table(tmp_path, {**columns, "output_angle [rad]": np.arange(samples), "torque [N*m]": np.arange(samples)})
+    with pytest.raises(edge.InputError, match=f"{samples} samples share their time stamp .* has 1 samples; a curve"):
+        RecordingStream(path).read()
+
+
 @pytest.mark.parametrize("piece", [7, 64, 1000])
 def test_ticks_are_the_same_over_the_seams_of_pieces(tmp_path, monkeypatch, piece):
     torque, angle = looped(20.0, 300.0, 0.01, 0.5, each=200)
