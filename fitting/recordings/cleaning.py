@@ -213,7 +213,7 @@ class Cleaning:
                 return table, bits
         count = np.diff(begins, append=bits.size)
         width = np.diff(stamps)
-        width = np.where(width > GAP_STEPS * self._usual, self._usual, width)
+        width = np.where(np.isinf(width) | (width > GAP_STEPS * self._usual), np.nan_to_num(self._usual), width)
         within = np.arange(bits.size) - np.repeat(begins, count)
         pitch = np.divide(width, count, out=np.zeros(count.size), where=count > 1)
         table["time"] = table["time"] + within * np.repeat(pitch, count)
@@ -248,7 +248,8 @@ class Cleaning:
     def _gaps_in(self, time: Array, steps: Array, bits: Bytes) -> None:
         if np.isnan(self._usual) and time.size > 2:
             onward = np.diff(time)
-            self._usual = float(np.median(onward if onward.all() else onward[onward > 0.0]))
+            onward = onward if onward.all() else onward[onward > 0.0]
+            self._usual = float(np.median(onward)) if onward.size else np.nan
         if not np.isfinite(self._last):
             steps = steps[1:]
         largest = float(steps.max(initial=0.0))
@@ -266,7 +267,8 @@ class Cleaning:
         for name, (count, first) in self._not_finite.items():
             also = f" and {count - 1} more" if count > 1 else ""
             notes.append(f"{name} is not a finite number in sample {first}{also}; left out.")
-        stamps = f"share their time stamp with others (the clock's usual step is {self._usual:.3g} s)"
+        step = "" if np.isnan(self._usual) else f" (the clock's usual step is {self._usual:.3g} s)"
+        stamps = f"share their time stamp with others{step}"
         if self._averaged:
             notes.append(f"{self._averaged} samples {stamps}; those of each stamp were averaged.")
         if self._spread:

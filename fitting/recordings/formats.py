@@ -24,6 +24,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.edge.quantities import USUAL
 from drivers.recording_format import Clock, Limits
 
 Array = NDArray[np.float64]
@@ -344,6 +345,26 @@ _SPELLINGS = {
     "r/min": "rpm", "1/min": "rpm", "umdr": "rev", "umdr.": "rev",
     "min-1": "rpm", "bogensekunden": "arcsec", "bogenminuten": "arcmin", "u/min": "rpm", "sec": "s",
 }  # fmt: skip
+
+
+def measures(unit: str, si: str) -> bool:
+    """Return whether a unit, as benches write it, is one of those of an SI unit.
+
+    A count or a share is no angle, although both are numbers to pint: "counts" would be read as radians.
+
+    Examples
+    --------
+    >>> measures("°", "rad"), measures("counts", "rad"), measures("Nm", "N*m")
+    (True, False, True)
+    """
+    text = unit_text(unit)
+    if not text or text in USUAL.get(si, {}):
+        return bool(text)
+    try:
+        own, wanted = (edge.units().Quantity(1.0, edge.parse_unit(one)).to_base_units().units for one in (text, si))
+    except ValueError:
+        return False
+    return bool(own == wanted)
 
 
 def unit_text(text: str) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from fitting.recordings.cleaning import Cleaning
-from fitting.recordings.formats import BenchFile, RawChannel, open_bench_file, pieces_of, unit_text
+from fitting.recordings.formats import BenchFile, RawChannel, measures, open_bench_file, pieces_of, unit_text
 from fitting.recordings.mapping import ANGLES, BESIDE, CHANNELS, FORMAT, OPTIONAL
 from fitting.recordings.proposal import ErrorRun, error_runs, name_patterns, stated_unit
 
@@ -39,9 +39,9 @@ _ABSENT = {
     "input_angle": "  (omit this table if the input was locked)",
     "torque": '  (value = "50 N*m" states a constant one; without this table the load is unknown)',
 }
+_COUNTS = ("counts", "count", "cnt", "cts", "inc", "inkr", "ink", "incr", "ticks", "lsb")
 _FEWEST = 20  # samples that show a ratio
 _APART = 0.02  # largest rms of the output about a straight line over the input, relative to its range
-_KINDS = {"time": "s", "angle": "rad", "torque": "N*m", "temperature": "K", "speed": "rad/s"}
 
 
 @dataclass(frozen=True)
@@ -103,20 +103,6 @@ def look(file: BenchFile) -> list[Look]:
             )
         )
     return found
-
-
-def _measures(unit: str, kind: str) -> bool:
-    if not unit:
-        return False
-    try:
-        return bool(edge.parse_unit(unit_text(unit)).is_compatible_with(_KINDS[kind]))
-    except ValueError:
-        return False
-
-
-def _is_angle(unit: str) -> bool:
-    # pint counts a dimensionless number as an angle too.
-    return _measures(unit, "angle") and unit_text(unit).lower() not in ("", "%", "1", "ppm")
 
 
 def is_commanded(one: Look) -> bool:
@@ -255,21 +241,21 @@ def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
 
     if not file.timed:
         rising = [one for one in left if _rises(one.values)]
-        timed = [one for one in rising if _measures(one.channel.unit, "time")] or _named(rising, "time")
+        timed = [one for one in rising if measures(one.channel.unit, "s")] or _named(rising, "time")
         choose("time", timed)
-    torques = [o for o in left if _measures(o.channel.unit, "torque")]
-    torques = torques or _named([o for o in left if not _is_angle(o.channel.unit)], "torque")
+    torques = [o for o in left if measures(o.channel.unit, "N*m")]
+    torques = torques or _named([o for o in left if not measures(o.channel.unit, "rad")], "torque")
     driving = _named(torques, "input_angle")  # of several torques, one with the input's name is the input torque
     if driving and len(torques) > len(driving):
         roles["input_torque"] = driving[0]
         left.remove(driving[0])
         torques = [o for o in torques if o not in driving]
     choose("torque", torques)
-    hot = [o for o in left if _measures(o.channel.unit, "temperature")]
+    hot = [o for o in left if measures(o.channel.unit, "K")]
     choose("temperature", hot)
     # A speed is recognised only by its unit.
-    choose("speed", [o for o in left if _measures(o.channel.unit, "speed") and not _measures(o.channel.unit, "angle")])
-    angles = [o for o in left if _is_angle(o.channel.unit)]
+    choose("speed", [o for o in left if measures(o.channel.unit, "rad/s")])
+    angles = [o for o in left if measures(o.channel.unit, "rad") or o.channel.unit.lower() in _COUNTS]
     if len(angles) < 2:
         angles = [o for o in left if re.search(_ANGLE_NAMES, o.channel.name, re.IGNORECASE) or o in angles]
     ins, outs = _named(angles, "input_angle"), _named(angles, "output_angle")
@@ -377,22 +363,20 @@ def _quoted(text: str) -> str:
 
 def _channel_lines(one: Look, role: str) -> list[str]:
     lines = [f"column = {_quoted(one.channel.name)}"]
+    if role.endswith("angle"):
+        return [*lines, _angle_unit(one)[0]]
     if one.channel.unit:
         return [*lines, f"unit = {_quoted(unit_text(one.channel.unit))}"]
     if stated := stated_unit(one):
         return [*lines, f"unit = {_quoted(stated)}               # from its name"]
-    if role.endswith("angle"):
-        return [*lines, _angle_unit(one)[0]]
     return [*lines, f'unit = ""                   # not stated in the file; such as "{_UNITS.get(role, "rad")}"']
 
 
 def _angle_unit(one: Look) -> tuple[str, float | None]:
     """Return the line of a mapping with the unit of an angle, and one of these units in rad; None if it is unknown."""
-    if stated := stated_unit(one):
-        try:
-            return f"unit = {_quoted(stated)}", edge.unit_scale(stated, "rad")
-        except ValueError:
-            return f"unit = {_quoted(stated)}", None
+    if measures(stated := stated_unit(one), "rad"):
+        comment = "" if one.channel.unit else "               # from its name"
+        return f"unit = {_quoted(stated)}{comment}", edge.unit_scale(stated, "rad")
     finite = one.values[np.isfinite(one.values)]
     low, high = float(finite.min()), float(finite.max())
     whole = bool((finite == np.round(finite)).all())

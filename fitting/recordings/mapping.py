@@ -13,7 +13,7 @@ import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import BenchFile, stem_of, unit_text
+from fitting.recordings.formats import BenchFile, measures, stem_of, unit_text
 
 COLUMNS = {"time": "s", "input_angle": "rad", "output_angle": "rad", "torque": "N*m"}
 OPTIONAL = {"temperature": "K", "input_torque": "N*m"}
@@ -348,7 +348,10 @@ def _refuse_left_out(file: BenchFile, channel: str) -> None:
 def _affine(unit: str, si: str) -> tuple[float, float]:
     """Return scale and offset that convert a unit to SI; only temperatures may have an offset."""
     if si != "K":
-        return edge.unit_scale(unit, si), 0.0
+        scale = edge.unit_scale(unit, si)
+        if not measures(unit, si):
+            raise ValueError(f"the unit {edge.shown(unit)} is no angle; state counts_per_turn, or a unit such as deg")
+        return scale, 0.0
     try:
         zero, one = (edge.units().Quantity(x, edge.parse_unit(unit)).to("K").magnitude for x in (0.0, 1.0))
     except Exception:

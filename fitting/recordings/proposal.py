@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import stem_of, unit_text
+from fitting.recordings.formats import measures, stem_of, unit_text
 
 if TYPE_CHECKING:
     from fitting.recordings.inspection import Look
@@ -48,13 +48,6 @@ def stated_unit(one: Look) -> str:
     return unit_text(match[1]) if match else ""
 
 
-def _angle_of(unit: str) -> bool:
-    try:
-        return unit not in ("", "1", "%", "ppm") and bool(edge.parse_unit(unit).is_compatible_with("rad"))
-    except ValueError:
-        return False
-
-
 def _known(unit: str) -> bool:
     try:
         edge.parse_unit(unit)
@@ -81,7 +74,7 @@ def error_runs(looks: Sequence[Look]) -> list[ErrorRun]:
         for one in free
         if one not in errors and one.travel > 0.0
         and (
-            _angle_of(stated_unit(one))
+            measures(stated_unit(one), "rad")
             or (not one.channel.unit and re.search(_ANGLE, one.channel.name, re.IGNORECASE))
         )
     ]  # fmt: skip
@@ -107,10 +100,10 @@ def error_runs(looks: Sequence[Look]) -> list[ErrorRun]:
 
 def _is_error(one: Look, all_of_them: Sequence[Look]) -> bool:
     unit = stated_unit(one)
-    if unit and not _angle_of(unit) and _known(unit):
+    if unit and not measures(unit, "rad") and _known(unit):
         return False
     named = bool(re.search(_ERROR, one.channel.name, re.IGNORECASE))
-    larger = any(_angle_of(stated_unit(o)) and stated_unit(o) not in _SMALL for o in all_of_them if o is not one)
+    larger = any(measures(stated_unit(o), "rad") and stated_unit(o) not in _SMALL for o in all_of_them if o is not one)
     finite = one.values[np.isfinite(one.values)]
     reach = _MOST.get({"°": "deg"}.get(unit, unit), np.inf)
     return (named or (unit in _SMALL and larger)) and float(np.ptp(finite)) <= reach

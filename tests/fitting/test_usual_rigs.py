@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from common import EXAMPLES
+from hypothesis import given
+from hypothesis import strategies as st
 
 import fitting
 from cycloid_fmu import edge
@@ -306,6 +308,14 @@ def test_a_coarse_clock_keeps_the_transmission_error_of_a_turning_crank(tmp_path
         assert "averaged" in note
 
 
+@pytest.mark.parametrize("samples", [2, 50])
+def test_a_clock_that_stands_still_gives_one_sample(tmp_path, samples):
+    columns = {"time [s]": np.zeros(samples), "input_angle [rad]": np.zeros(samples)}
+    path = table(tmp_path, {**columns, "output_angle [rad]": np.arange(samples), "torque [N*m]": np.arange(samples)})
+    with pytest.raises(edge.InputError, match=f"{samples} samples share their time stamp .* has 1 samples; a curve"):
+        RecordingStream(path).read()
+
+
 @pytest.mark.parametrize("piece", [7, 64, 1000])
 def test_ticks_are_the_same_over_the_seams_of_pieces(tmp_path, monkeypatch, piece):
     torque, angle = looped(20.0, 300.0, 0.01, 0.5, each=200)
@@ -342,6 +352,46 @@ def test_the_columns_of_numbers_decide(tmp_path, text, expected):
     for name, values in expected.items():
         found = np.concatenate([part.values[name] for part in parts])
         assert [None if np.isnan(one) else float(one) for one in found] == values
+
+
+@given(
+    delimiter=st.sampled_from([";", "\t", "|", ","]), comma=st.booleans(), rows=st.integers(4, 40),
+    seed=st.integers(0, 10**6),
+    kinds=st.lists(st.sampled_from(["number", "text", "stamp", "sparse"]), min_size=1, max_size=5),
+    preamble=st.integers(0, 3), first_is_bad=st.booleans(),
+)  # fmt: skip
+def test_any_table_of_numbers_stamps_and_text_is_read(
+    tmp_path_factory, delimiter, comma, rows, seed, kinds, preamble, first_is_bad
+):
+    """Cells are replaced by words, also in the first row of data; what is left is what was written."""
+    kinds, decimal = ["number", *kinds], "," if comma and delimiter != "," else "."
+    rng = np.random.default_rng(seed)
+    numbers = {i: rng.normal(0.0, 100.0, rows).round(3) for i, kind in enumerate(kinds) if kind in ("number", "sparse")}
+    cells = np.empty((rows, len(kinds)), object)
+    for i, kind in enumerate(kinds):
+        for row in range(rows):
+            if kind == "text":
+                cells[row, i] = rng.choice(["OK", "läuft gut", "", "Stufe 3"])
+            elif kind == "stamp":
+                cells[row, i] = f"2024-02-29 23:59:{row:02}{decimal}250"
+            else:
+                cells[row, i] = f"{numbers[i][row]:.3f}".replace(".", decimal)
+        if kind == "sparse":
+            for row in {*rng.integers(0, rows, rows // 5), *([0] if first_is_bad else [])}:
+                cells[row, i], numbers[i][row] = rng.choice(["OVL", "", "NaN"]), np.nan
+        if kind == "text" and not cells[rows // 2 :, i].any():
+            cells[-1, i] = "OK"
+    names = [f"{kind} {i}" for i, kind in enumerate(kinds)]
+    lines = ["Bench of Ms. Müller"] * preamble + [delimiter.join(row) for row in (names, *cells)]
+    path = written(tmp_path_factory.mktemp("any"), "a.csv", "\n".join([*lines, ""]))
+    file = formats.open_bench_file(path)
+    assert file.texts == tuple(name for name in names if name.startswith("text"))
+    assert file.dialect.skip == preamble + 1
+    parts = [*file.pieces([c.name for c in file.channels])]
+    for i, kind in enumerate(kinds):
+        if kind != "text":
+            found = np.concatenate([part.values[names[i]] for part in parts])
+            assert found == pytest.approx(np.arange(rows) if kind == "stamp" else numbers[i], nan_ok=True)
 
 
 @pytest.mark.parametrize("ending", [".csv", ".asc", ".trc"])
@@ -416,3 +466,49 @@ def test_raw_samples_and_their_means_give_the_same_figures(tmp_path):
     assert raw.keys() == means.keys()
     for name in means:
         assert raw[name].value == pytest.approx(means[name].value, rel=2e-3), name
+
+
+def test_counts_are_no_radians(tmp_path):
+    """To pint both are numbers; a proposal asks for the counts of a turn, and a mapping needs them."""
+    crank = np.arange(3000.0)
+    path = table(tmp_path, {"motor [counts]": crank, "flange [deg]": crank, "M [Nm]": crank})
+    assert "counts_per_turn = 0" in inspect(path).text
+    text = f'{MAP}output_angle = {{column = "motor"}}\ntorque = {{column = "M"}}\n'
+    with pytest.raises(edge.InputError, match='the unit "counts" is no angle; state counts_per_turn'):
+        RecordingStream(path, read_mapping(written(tmp_path, "map.toml", text)))
+
+
+def test_a_can_log_and_a_table_have_mappings_of_their_own(tmp_path):
+    """The DBC of one mapping names the channels of the log alone."""
+    from test_readers import CAN_MAP, write_can
+
+    log = write_can(tmp_path, ".asc")
+    run = table(tmp_path, {"motor [rad]": np.arange(500.0), "flange [rad]": np.arange(500.0) / RATIO})
+    inspect(run).write(tmp_path / "run.toml")
+    written(tmp_path, "log.toml", MAP + CAN_MAP)
+    given = [tmp_path / "run.toml", tmp_path / "log.toml"]
+    one, other = (source.open() for source in fitting.read_recordings([log, run], given))
+    assert one.read().torque == pytest.approx(20.0, abs=1.1)
+    assert np.isnan(other.read().torque).all()
+
+
+@measured_drives
+@pytest.mark.measured_drives
+@pytest.mark.parametrize("name", ["onyx_init1_raw.csv.gz", "onyx_init1.csv", "onyx_runin1.csv"])
+def test_small_loops_have_the_gap_of_a_second_evaluation(tmp_path, name):
+    """The first five loops, to ±4 N·m: the distance of the unloading branches at no torque, as evaluated by others."""
+    packed = name.endswith(".gz")
+    text = (gzip.decompress if packed else bytes)((MEASURED / name).read_bytes()).decode()
+    header, *rows = text.splitlines()
+    number = header.split(",").index("test_nr")
+    small = [row for row in rows if int(row.split(",")[number]) < 5]
+    path = written(tmp_path, "small.csv", "\n".join([header, *small, ""]))
+    text = MAP + 'time = {column = "TIME", unit = "s"}\ntorque = {column = "TORQUE", unit = "N*m"}\n'
+    text += 'output_angle = {column = "POSITION", unit = "rev"}\n'
+    found = fitting.metrics(fitting.read_recordings(path, written(tmp_path, "map.toml", text)), rated_torque=4.0)
+    figure = found.figures["hysteresis_loss"]
+    runs = json.loads((MEASURED / "expected.json").read_text())["runs"]
+    expected = runs[name.split(".")[0].removesuffix("_raw")]["zero_torque_gap_deg"]
+    assert figure.count == 5
+    apart = abs(figure.value - np.radians(expected["value"]))
+    assert apart < np.hypot(figure.uncertainty, np.radians(expected["u95"]))
