@@ -326,11 +326,14 @@ class FrictionFree:
         The mid curve.
     largest
         Largest spring torque that both sides reach, N·m.
+    lines
+        The lines of play and stiffness, negative side first: windup at zero torque, rad, and slope, N·m/rad.
     """
 
     figures: dict[str, Figure]
     curve: MidCurve
     largest: float
+    lines: tuple[tuple[float, float], tuple[float, float]]
 
 
 def friction_free(data: LoopData) -> FrictionFree | None:
@@ -395,7 +398,8 @@ def friction_free(data: LoopData) -> FrictionFree | None:
             segments[f"K{number}"] = figure("torsional_stiffness", mean, limits, keys)
     name = "torsional_stiffness"
     figures[name] = dataclasses.replace(figures[name], segments=segments)
-    return FrictionFree(figures, curve, largest)
+    sides = [(values[f"end{sign:+d}"], values[f"slope{sign:+d}"]) for sign in (-1, 1)]
+    return FrictionFree(figures, curve, largest, (sides[0], sides[1]))
 
 
 def combined(scatter: tuple[float, float] | None, residual: float | None) -> tuple[float, float]:

@@ -664,12 +664,12 @@ def _loop_notes(
         if friction is not None and friction > load:
             notes.append(
                 f"{at} is inside the friction band, whose mean half width is {friction:.3g} N·m: lost motion there may "
-                "not include the play; backlash does."
+                "not include the play; friction_free.play does."
             )
         else:
             notes.append(
                 f"{at} is inside the knee of the loop: the branches are further apart there than at "
-                f"±{100.0 * FRICTION:g} %, so lost motion does not include all of the play; backlash does."
+                f"±{100.0 * FRICTION:g} %, so lost motion does not include all of the play; friction_free.play does."
             )
     return notes
 

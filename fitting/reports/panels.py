@@ -251,18 +251,22 @@ def _mid_curve_panels(source: str, free: FrictionFree) -> list[Panel]:
     """Return the panels of the spring's torque over the windup, and of the friction over it."""
     curve, figures, largest = free.curve, free.figures, free.largest
     windup = curve.windup * ARCMIN
-    centre = float(np.interp(0.0, curve.spring, curve.windup))
     traces = [
         Trace("up: spring's torque and friction", windup, curve.spring + curve.friction, "thin", -1),
         Trace("down: spring's torque less friction", windup, curve.spring - curve.friction, "thin", -1),
         Trace("spring's torque", windup, curve.spring, "thick", 0),
     ]
-    for number, sign in enumerate((-1.0, 1.0)):
+    for number, (sign, (end, slope)) in enumerate(zip((-1.0, 1.0), free.lines, strict=True)):
         at = sign * np.array([0.0, LINE[1] * largest])
-        line = at / figures["torsional_stiffness"].value + sign * 0.5 * figures["play"].value + centre
-        traces.append(Trace("play and stiffness" if number == 0 else "", line * ARCMIN, at, "dashed", 1))
+        label = "play and stiffness" if number == 0 else ""
+        traces.append(Trace(label, (end + at / slope) * ARCMIN, at, "dashed", 1))
+    ends = np.array([end for end, _ in free.lines])
+    traces.append(Trace("", ends * ARCMIN, np.zeros(2), "thick", 1))
     name = Path(source).name
-    seen = "Mean of the passes in each direction. The lines have the stated play and stiffness, about the middle."
+    seen = (
+        "Mean of the passes in each direction. Play is the distance of the dashed lines at zero torque, stiffness "
+        "their mean slope."
+    )
     first = Panel(
         f"Loop without friction: {name}", "windup of the output [arcmin]", "torque [N·m]", tuple(traces), seen
     )
