@@ -12,7 +12,7 @@ from typing import Any
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from fitting.figures.figure import Figure, in_field_units
-from fitting.figures.metrics import FORMAT, Figures, metrics
+from fitting.figures.metrics import FORMAT, FRICTION_FREE, Figures, metrics
 from fitting.recordings.sources import Source
 
 
@@ -113,7 +113,7 @@ def compare(
             continue
         if not isinstance(side, Figures):
             side = metrics(side, drive, ratio=ratio, rated_torque=rated_torque, progress=progress)
-        sides.append(side.figures)
+        sides.append(side.shown)
         notes += side.notes
     changes, missing = changes_between(*sides)
     notes += missing
@@ -131,7 +131,7 @@ def changes_between(before: Mapping[str, Figure], after: Mapping[str, Figure]) -
         if one is None or other is None:
             notes.append(f"{name}: only {'the second' if one is None else 'the first'} has it.")
             continue
-        if not _same_interval(one, other):
+        if not _same_interval(one, other, _ALIKE if name.startswith(FRICTION_FREE) else _SAME):
             notes.append(
                 f"{name}: it was evaluated over {_interval(one)} in the first and {_interval(other)} in the second; "
                 "use the same rated torque for both."
@@ -142,10 +142,10 @@ def changes_between(before: Mapping[str, Figure], after: Mapping[str, Figure]) -
     return changes, notes
 
 
-def _same_interval(one: Figure, other: Figure) -> bool:
+def _same_interval(one: Figure, other: Figure, tolerance: float) -> bool:
     if one.interval is None or other.interval is None:
         return one.interval == other.interval
-    return all(math.isclose(a, b, rel_tol=1e-3) for a, b in zip(one.interval, other.interval, strict=True))
+    return all(math.isclose(a, b, rel_tol=tolerance) for a, b in zip(one.interval, other.interval, strict=True))
 
 
 def _interval(figure: Figure) -> str:
@@ -177,11 +177,13 @@ def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:
     """
     data = edge.json_table(path, FORMAT, "figures")
     with edge.parsed_by_others(path, "a figure is incomplete or not a number"):
-        return {name: _figure(one) for name, one in data.items() if isinstance(one, dict) and name not in _SOURCES}
+        free = {f"{FRICTION_FREE}{name}": one for name, one in data.pop("friction_free", {}).items()}
+        return {n: _figure(one) for n, one in (data | free).items() if isinstance(one, dict) and n not in _SOURCES}
 
 
 _SOURCES = ("data", "implausible")  # tables of the file that are not figures
-_COUNTED = ("loops", "turns", "starts")
+_COUNTED = ("loops", "turns", "starts", "passes")
+_SAME, _ALIKE = 1e-3, 0.25  # relative difference of intervals; that of friction-free figures is the loop's own
 
 
 def _figure(data: dict[str, Any]) -> Figure:
@@ -198,6 +200,7 @@ def _figure(data: dict[str, Any]) -> Figure:
         "runs",
         "segments",
         "budget",
+        "remark",
         counted,
     }
     return Figure(
@@ -212,4 +215,5 @@ def _figure(data: dict[str, Any]) -> Figure:
         parts={k: _figure(v) for k, v in data.items() if k not in known},
         runs={k: _figure(v) for k, v in data.get("runs", {}).items()},
         segments={k: _figure(v) for k, v in data.get("segments", {}).items()},
+        remark=data.get("remark", ""),
     )

@@ -33,6 +33,8 @@ from fitting.recordings.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
 
 FORMAT = "cycloid-figures/1"
+FRICTION_FREE = "friction_free."
+"""What stands before the names of figures without friction in tables and comparisons."""
 _GROWS = 0.02  # growth of friction with load that standard figures are marked from
 
 
@@ -95,7 +97,7 @@ class Figures:
     @property
     def shown(self) -> dict[str, Figure]:
         """All figures by the names under which a table shows them."""
-        return {**self.figures, **{f"friction_free.{name}": one for name, one in self.friction_free.items()}}
+        return {**self.figures, **{f"{FRICTION_FREE}{name}": one for name, one in self.friction_free.items()}}
 
     @property
     def curves(self) -> list[Curve]:

@@ -15,7 +15,7 @@ from cycloid_fmu import __version__, edge
 from cycloid_fmu.draw.figure import figure_of_names
 from fitting.figures.budget import BUDGET_HEAD, budget_rows
 from fitting.figures.figure import Figure, in_field_units
-from fitting.figures.metrics import Figures
+from fitting.figures.metrics import FRICTION_FREE, Figures
 from fitting.reports.page import html_page, made_now
 from fitting.reports.panels import Panel, panels_of
 
@@ -24,7 +24,7 @@ FORMATS = (".html", ".pdf")
 
 def title_of(name: str) -> str:
     """Return a figure's name as a heading."""
-    own = name.removeprefix("friction_free.")
+    own = name.removeprefix(FRICTION_FREE)
     return own.replace("_", " ").capitalize() + (" without friction" if own != name else "")
 
 

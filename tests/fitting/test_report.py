@@ -79,7 +79,7 @@ def test_a_name_is_no_link(page, tmp_path):
 def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
     assert page.said == []
     assert len(page.asked) == 1  # the file itself
-    assert page.locator(".panel").count() == len(panels_of(found)) == 8
+    assert page.locator(".panel").count() == len(panels_of(found)) == 10
     for number in range(8):
         assert page.locator(f"#panel-{number} .scatterlayer .trace").count() >= 1
     labels = page.locator("#panel-1 .annotation-text").all_text_contents()
@@ -88,7 +88,7 @@ def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
 
 def test_the_page_holds_every_figure_and_every_note(page, found):
     rows = page.locator("#figures tr.figure")
-    assert rows.count() == len(found.figures) == 6
+    assert rows.count() == len(found.shown) == 12
     text = page.locator("#figures").inner_text()
     assert "Lost motion" in text
     assert "GB/T 40731" in text
