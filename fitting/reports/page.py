@@ -35,6 +35,7 @@ p.facts, p.caption { color: #555; margin: .2em 0 .6em; } p.caption { font-size: 
 table { border-collapse: collapse; width: 100%; } th { text-align: left; font-weight: 600; }
 th, td { padding: .25em .6em .25em 0; border-bottom: 1px solid #ddd; vertical-align: top; }
 td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+td.wrapped { white-space: normal; }
 tr.part td { color: #555; font-size: .92em; border-bottom-style: dotted; }
 tr.part td:first-child { padding-left: 1.2em; }
 td.definition { font-size: .85em; color: #555; } code { font-size: .8em; word-break: break-all; color: #777; }
