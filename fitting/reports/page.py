@@ -137,6 +137,8 @@ def _plotly(panel: Panel) -> dict[str, Any]:
             "type": "scatter", "x": _packed(t.x), "y": _packed(t.y), "name": t.label, "showlegend": bool(t.label),
             "mode": "lines",
         }  # fmt: skip
+        if t.colour >= 0:
+            one["legendgroup"] = str(t.colour)  # a click on the name hides lines and points of one colour
         if t.style == "points":
             named = {"mode": "markers+text", "text": list(t.texts), "textposition": "top center",
                      "textfont": {"size": 11}, "cliponaxis": False}  # fmt: skip
@@ -163,6 +165,8 @@ def _plotly(panel: Panel) -> dict[str, Any]:
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "modebar": {"orientation": "v"},
         "hovermode": "closest",
     }  # fmt: skip
+    if panel.from_zero:
+        layout["yaxis"]["rangemode"] = "tozero"
     if panel.y_names:
         rows = [-row for row in range(len(panel.y_names))]
         layout["yaxis"] |= {"tickvals": rows, "ticktext": list(panel.y_names), "tickfont": {"size": 10}}
