@@ -22,7 +22,7 @@ from fitting.estimation.result import Identification
 from fitting.figures.spectrum import spectrum
 from fitting.model.discrepancy import SENTENCES
 from fitting.model.loops import LoopFit
-from fitting.model.observations import MISFIT
+from fitting.model.observations import CHAIN, MISFIT
 from fitting.reports.page import html_page, made_now
 from fitting.reports.panels import Panel, Trace, label_of, spectra_panel
 from fitting.reports.ring import ring_panel
@@ -292,15 +292,15 @@ def _bench_rows(result: Identification) -> list[tuple[str, str]]:
         if not name.startswith(MISFIT) and "encoder_eccentricity" not in name:
             groups.setdefault(name.rstrip("0123456789").rstrip("_"), []).append(value)
     for name, values in groups.items():
-        words, unit = name.replace("_", " "), _bench_unit(name)
-        if len(values) == 1:
-            rows.append((words, f"{values[0]:.4g} {unit}"))
-        else:
-            rows.append((f"{words}, {len(values)} of them", f"{min(values):.4g} … {max(values):.4g} {unit}"))
+        factor, unit = _bench_unit(name)
+        low, high = min(values) * factor, max(values) * factor
+        of, shown = ("", f"{low:.3g}") if len(values) == 1 else (f", {len(values)} of them", f"{low:.3g} … {high:.3g}")
+        rows.append((f"{name.replace('_', ' ')}{of}", f"{shown} {unit}"))
     return rows
 
 
-def _bench_unit(name: str) -> str:
-    if name == "chain_compliance":
-        return "rad/(N·m)"
-    return "N·m" if name.endswith("friction_torque") else "rad"
+def _bench_unit(name: str) -> tuple[float, str]:
+    """Return the factor from SI, and the unit of an unknown of the bench."""
+    if name == CHAIN:
+        return ARCSEC, "arcsec/(N·m)"
+    return (1.0, "N·m") if name.endswith("friction_torque") else (ARCSEC, "arcsec")

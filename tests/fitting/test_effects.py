@@ -3,12 +3,15 @@
 import dataclasses
 import html
 import json
+import os
 import re
 import shutil
 
 import numpy as np
 import pytest
+from benches_as_they_are import EFFECTS, identified
 from common import EXAMPLES
+from sampled_drives import SMALL
 
 import fitting
 from cycloid_fmu import edge
@@ -24,6 +27,7 @@ from fitting.estimation.run_out import RunOut
 from fitting.reports.report import report
 
 ARCSEC = np.pi / 648000
+SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 RUN_OUT = {1: 90.0, 2: 3.0, 3: 1.4}  # order of the output: amplitude, arcsec
 
@@ -144,3 +148,19 @@ def test_the_report_fits_a_screen_of_1280_pixels(found, nominal, tmp_path):
         tables = "[...document.querySelectorAll('table')].map(t => t.getBoundingClientRect().right)"
         assert max(opened.evaluate(tables)) <= body
         browser.close()
+
+
+@pytest.mark.slow(10)
+def test_the_intervals_of_run_out_contain_the_amplitudes_of_independent_benches(nominal, record_property):
+    """Benches of a solver that shares no code with the product's, with 60, 8 and 4″ at orders 1 to 3 of the output."""
+    name, pair, scores = "run-out 60″, orders 2 and 3", nominal.replace(**SMALL), []
+    for seed in range(max(2, SEEDS // 10)):
+        found, _ = identified(name, pair, seed)
+        for one in found.run_out:
+            if one.shaft == "output":
+                truth = EFFECTS[name].run_out[one.order - 1] * ARCSEC
+                scores.append(abs(one.amplitude - truth) / one.standard_error)
+    inside = sum(score < NORMAL for score in scores)
+    record_property("amplitudes inside their 95 % interval", f"{inside} of {len(scores)}")
+    assert inside >= 0.95 * len(scores) - 4.0 * np.sqrt(0.05 * 0.95 * len(scores))
+    assert max(scores) < 4.5
