@@ -197,7 +197,8 @@ def identify(
         beside.append(
             f"The drive's surface holds form of single elements ({', '.join(single)}); it is not part of the fit."
         )
-    return dataclasses.replace(result, notes=(*result.notes, *beside)) if beside else result
+    stated = tolerances if isinstance(tolerances, Tolerances) else None
+    return dataclasses.replace(result, notes=(*result.notes, *beside), tolerances=stated)
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:

@@ -24,6 +24,7 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
+from cycloid_fmu.surfaces.sampling import Tolerances
 from cycloid_fmu.surfaces.structured import structured_value, unit_of
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 from fitting.estimation.allowances import (
@@ -37,10 +38,13 @@ from fitting.estimation.allowances import (
     moved_by_held,
 )
 from fitting.estimation.confirmation import Confirmed, as_lmfit, confirmed, lmfit_states, with_covariance
+from fitting.estimation.effects import Effect, effects_of
+from fitting.estimation.effects import as_json as effect_as_json
 from fitting.estimation.fit import NO_SCATTER, Estimate, allowed_radius, freedom, profile_interval, turn_bootstrap
 from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, parameter_as_json, withheld
 from fitting.estimation.realised import GAUGE, Realised, realised
-from fitting.estimation.validation import HeldOut, Verdict
+from fitting.estimation.run_out import RunOut, run_outs_of
+from fitting.estimation.validation import HeldOut, Verdict, with_run_out
 from fitting.model.bearings import (
     pair_with,
 )
@@ -88,11 +92,15 @@ class Identification:
         All structured errors, fitted and held.
     realised
         Every pin and tooth of this ring, and its orders: structured errors and scatter together, without the gauge.
+    effects
+        The errors of this drive, the one with the largest effect on the transmission error first.
     bearings
         Of a drive with supports: each bearing's stiffness as a share of that in the pair file (unit "1"), and its
         clearance, m.
     clock_lag
         Delay of the output angle (> 0) or of the input angle (< 0), s, if the curves show it.
+    run_out
+        Run-out of each shaft of the bench by its orders.
     bench
         {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain in series
         with the gear pair (rad/(N·m)), friction torque, and that of loops (N·m).
@@ -136,6 +144,8 @@ class Identification:
         Of a reducer, with its identified play; otherwise None.
     curves
         The fitted curves without the branches of loops; behind a first stage over the angle of ideal cranks.
+    tolerances
+        The tolerances of the drawing, if they were given.
 
     Examples
     --------
@@ -145,8 +155,10 @@ class Identification:
     verdict: Verdict
     parameters: tuple[Parameter, ...]
     realised: Realised
+    effects: tuple[Effect, ...]
     bearings: tuple[Parameter, ...]
     clock_lag: Parameter | None
+    run_out: tuple[RunOut, ...]
     bench: dict[str, float]
     confirmed: Mapping[str, Confirmed]
     surface: ErrorSurface
@@ -168,6 +180,7 @@ class Identification:
     pair: Pair
     first_stage: FirstStage | None
     curves: tuple[Curve, ...]
+    tolerances: Tolerances | None = None
 
     @property
     def fitted(self) -> tuple[str, ...]:
@@ -302,11 +315,14 @@ def result_of(
             one = parameter(name, unit_of(name), value, sigma, sigma, reasons[name])
         parameters.append(one)
     ring = realised(pair, state.surface, chosen, every, spread)
+    run_out = run_outs_of(observed, stated)
     told = verdict.state != "not explained"
     if not told:
+        run_out = tuple(one.withheld() for one in run_out)
         parameters, ring = [withheld(one) for one in parameters], ring.withheld()
         bearings = [withheld(one) for one in bearings]
         lag = withheld(lag) if lag else None
+    verdict = with_run_out(verdict, run_out)
     surface = state.surface.replace(
         pair=made.nominal,
         origin="identified",
@@ -323,8 +339,10 @@ def result_of(
         verdict=verdict,
         parameters=tuple(parameters),
         realised=ring,
+        effects=effects_of(pair, observed, linear, state, parameters, ring),
         bearings=tuple(bearings),
         clock_lag=lag,
+        run_out=run_out,
         bench=bench,
         confirmed=stated,
         surface=surface,
@@ -344,7 +362,7 @@ def result_of(
         other_descriptions=tuple(_structured(pair, one) for one in others),
         notes=(
             *((lag_note(lag),) if lag else ()),
-            *_notes(pair, fit, verdict),
+            *_notes(pair, fit, verdict, run_out),
             *form_note(parameters, form),
             *_of_discs(len(others)),
             *(
@@ -446,11 +464,16 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
     return notes
 
 
-def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
-    """Return notes on missing curves."""
+def _notes(pair: Pair, fit: Estimate, verdict: Verdict, run_out: Sequence[RunOut]) -> tuple[str, ...]:
+    """Return notes on missing curves, and on an encoder that runs out by more than the gear."""
     notes = []
     running = fit.observed.running
     curves = [fit.observed.curves[i] for i in running]
+    if fit.observed.fit_crank:
+        notes.append(
+            "The zero of the input angle is unknown (no index), so it is unknown which pin is number 0: numbers and "
+            "angles of pins and teeth count from an unknown one."
+        )
     sizes = np.array([abs(c.torque) for c in curves])
     if np.ptp(sizes) < 0.05 * sizes.max():
         notes.append(
@@ -480,13 +503,12 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
         )
     notes += _ambiguity(pair, fit)
     gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()
-    names = fit.observed.bench_names
-    once = np.hypot(*(fit.state.bench[names.index(f"output_encoder_eccentricity_{p}")] for p in ("cos", "sin")))
-    if once > gear:
-        notes.append(
-            f"Once per output turn the angle has an error of {once * ARCSEC:.3g}″, more than the gear in total: "
-            "an encoder is mounted eccentrically, or the shafts are not aligned."
-        )
+    for one in run_out:
+        if one.order == 1 and one.amplitude > gear:
+            notes.append(
+                f"Run-out of {one.text} is more than the gear's effect in total: an encoder is mounted eccentrically, "
+                "or the shafts are not aligned."
+            )
     for curve, left in zip(fit.observed.curves, np.split(fit.observed.weight == 0.0, fit.observed.ends), strict=True):
         if left.any():
             named = ", ".join(n for n in (curve.source, curve.branch) if n)
@@ -519,6 +541,8 @@ def as_json(result: Identification) -> dict[str, Any]:
             "elements": {p.name: parameter_as_json(p) for p in result.realised.elements},
             "orders": {p.name: parameter_as_json(p) for p in result.realised.orders},
         },
+        "effects": [effect_as_json(one) for one in result.effects],
+        "run_out": [dataclasses.asdict(one) for one in result.run_out],
         **({"bearings": {p.name: parameter_as_json(p) for p in result.bearings}} if result.bearings else {}),
         **({"clock_lag": parameter_as_json(result.clock_lag)} if result.clock_lag else {}),
         "bench": result.bench,

@@ -19,7 +19,8 @@ from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
 from fitting.estimation.fit import Estimate, Problem
-from fitting.model.discrepancy import BESIDE_THE_GEAR, FORM, SENTENCES, is_whole, waves, way
+from fitting.estimation.run_out import RunOut
+from fitting.model.discrepancy import BESIDE_THE_GEAR, FORM, RUN_OUT_CAUSE, SENTENCES, is_whole, waves, way
 from fitting.model.observations import CHAIN, CREEP, MISFIT, Observations, left_of, with_scatter
 
 Array = NDArray[np.float64]
@@ -53,12 +54,15 @@ class Misfit:
         Other causes that these curves can't separate from it.
     orders
         Orders of the output, if nothing else is known of the cause.
+    run_out
+        Of run-out, the amplitude of each order; the size is then that of all of them.
     """
 
     cause: str
     size: float
     alike: tuple[str, ...] = ()
     orders: tuple[float, ...] = ()
+    run_out: tuple[RunOut, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,19 @@ def _in_words(misfit: Misfit) -> str:
         kind = "orders" if len(misfit.orders) > 1 else "order"
         return f"{kind} {named}{more} of the output{of} ({misfit.size * ARCSEC:.2g}″)"
     named = " or ".join(SENTENCES[cause] for cause in (misfit.cause, *misfit.alike))
-    return f"{named} ({misfit.size * ARCSEC:.2g}″)"
+    seen = sorted((one for one in misfit.run_out if one.is_seen), key=lambda one: -one.amplitude)
+    size = ", ".join(one.text for one in seen[:_NAMED]) or f"{misfit.size * ARCSEC:.2g}″"
+    return f"{named} ({size})"
+
+
+def with_run_out(verdict: Verdict, run_out: Sequence[RunOut]) -> Verdict:
+    """Return the verdict with the amplitudes of run-out, if that is among the causes."""
+    size = float(np.sqrt(0.5 * sum(one.amplitude**2 for one in run_out)))
+    misfits = [
+        dataclasses.replace(m, size=size, run_out=tuple(run_out)) if m.cause == RUN_OUT_CAUSE else m
+        for m in verdict.misfits
+    ]
+    return dataclasses.replace(verdict, misfits=tuple(misfits))
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,7 @@ def _points(source: Source, ratio: float) -> tuple[list[_Point], list[str]]:
         surveyed = survey(open_source(source, ratio), ratio, None)
         notes += surveyed.notes
         if surveyed.loops is not None:
-            notes.append(f"{surveyed.source}: loops with the input locked are not used for maps.")
+            notes.append(f"{surveyed.source}: loops are not used for maps.")
         table = str(source.path) if isinstance(source, RecordingFile) else surveyed.source
         return [_point(one, table) for one in surveyed.curves], notes
     except edge.InputError as problem:

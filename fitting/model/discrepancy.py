@@ -17,19 +17,19 @@ from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-GIVE, RIPPLE, LAG, FORM = "support_give", "torque_ripple", "clock_lag", "flank_form"
+GIVE, RIPPLE, LAG, FORM, RUN_OUT_CAUSE = "support_give", "torque_ripple", "clock_lag", "flank_form", "run_out"
 RUN_OUT = (1, 2, 3)  # orders of a shaft from its encoder and couplings
 _FORM_STEP = 1e-6  # m: step of the differences with respect to a form
 _SLOW = 6  # degree of the drift of a zero over a recording
 _CRANK = 100.0  # rad of the crank per rad of the transmission error
 _STEADY = 1e-3  # relative change of the speed below which a lag has no effect
-BESIDE_THE_GEAR = ("compliance", "run_out", "drift")  # causes that act outside the contacts
+BESIDE_THE_GEAR = ("compliance", RUN_OUT_CAUSE, "drift")  # causes that act outside the contacts
 SENTENCES = {
     GIVE: "supports that are compliant or have play under load",
     "compliance": "further compliance between the encoders",
     "friction": "friction that grows with the load",
     RIPPLE: "torque that the sensor does not measure",
-    "run_out": "run-out of a shaft or its encoder",
+    RUN_OUT_CAUSE: "run-out of a shaft or its encoder",
     FORM: "a form that all flanks share",
     "drift": "a zero that drifts within a recording",
     LAG: "a delay of one angle's clock",

@@ -132,13 +132,17 @@ def branches_of(surveyed: Surveyed, ratio: float) -> list[Curve]:
     Raises
     ------
     edge.InputError
-        If there is no loop in it, one side was not loaded, or a branch has too few samples.
+        If there is no loop in it, its crank angle is unknown, one side was not loaded, or a branch has too few samples.
     """
     loop, recording = surveyed.loops, surveyed.overview
     if loop is None:
         raise edge.InputError("\n".join(surveyed.notes) or f"{surveyed.source}: there is no loop.")
     if not loop.loops:
         raise edge.InputError(f"{surveyed.source}: the loop loads one side only; the play is between both.")
+    if not recording.has_input_angle:
+        raise edge.InputError(
+            f"{surveyed.source}: no input angle is mapped; a fit needs the crank angle at which the loop was recorded."
+        )
     crank = recording.input_angle
     error = recording.output_angle - crank / ratio
     friction = _friction(loop)

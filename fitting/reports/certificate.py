@@ -126,6 +126,8 @@ def _limit_panels(decisions: list[Decision]) -> list[Panel]:
         if math.isfinite(one.expanded):
             ends = np.array([one.value - one.expanded, one.value + one.expanded]) * scale
             traces.append(Trace("value ± U" if row == 0 else "", ends, y, "thick", 0))
+        # From zero, so that a small margin to the limit looks small.
+        traces.append(Trace("", np.array([0.0, one.value * scale]), y, "thin", -1))
         traces.append(Trace("", np.array([one.value * scale]), y[:1], "points", -1, (one.verdict,)))
         for bound in (one.low, one.high):
             if math.isfinite(bound):

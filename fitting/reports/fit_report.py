@@ -13,17 +13,23 @@ import numpy as np
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN, ARCSEC
+from cycloid_fmu.errors.kinds import kind_of
+from cycloid_fmu.surfaces.sampling import PitchErrors, Tolerances
+from fitting.estimation.effects import Effect, words_of
 from fitting.estimation.parameter import NORMAL, Parameter
 from fitting.estimation.realised import GAUGE, ORDERS_STATED, Realised
 from fitting.estimation.result import Identification
 from fitting.figures.spectrum import spectrum
+from fitting.model.discrepancy import SENTENCES
 from fitting.model.loops import LoopFit
+from fitting.model.observations import CHAIN, MISFIT
 from fitting.reports.page import html_page, made_now
 from fitting.reports.panels import Panel, Trace, label_of, spectra_panel
 from fitting.reports.ring import ring_panel
 
 FORMATS = (".html",)
 _CRANK_TURNS = 3.0  # range of the first panel
+_SHOWN = 0.01  # of the largest effect: errors with less are only counted
 _FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
 
@@ -86,15 +92,29 @@ def _intervals(parameters: Sequence[Parameter]) -> Panel:
 _ARC = 1.0 / ARCSEC
 
 _ABOVE = """<p id="verdict"><strong>{{ verdict }}</strong></p>
-<h2>Errors</h2>
+{% if not has_index %}<p id="no-index">The recordings have no index: it is unknown which pin is number 0. Numbers and
+angles of pins and teeth count from an unknown one.</p>
+{% endif %}<h2>What to correct, by the effect on the transmission error</h2>
+<table id="effects"><thead><tr><th>Error</th><th>Effect [arcsec]</th><th>Identified</th><th>95 % interval</th>
+<th>Largest at</th>{% if drawing %}<th>Drawing allows</th>{% endif %}</tr></thead><tbody>
+{% for r in effects %}<tr><td>{{ r.name }}</td><td class="number">{{ r.effect }}</td>
+<td class="number">{{ r.value }}</td><td class="number">{{ r.interval }}</td><td class="number">{{ r.at }}</td>
+{% if drawing %}<td>{{ r.tolerance }}</td>{% endif %}</tr>
+{% endfor %}</tbody></table>
+<p class="caption">Effect: largest minus smallest contribution to the transmission error in one recording, by the
+derivatives at this drive, at the load at which it is largest. Orders are those of this ring and gear, with their
+amplitudes. They are largest at this angle from pin or tooth 0, and again after each turn divided by the order.
+{{ rest }}{% if not drawing %}With --tolerances the drawing's tolerances stand beside the errors.{% endif %}</p>
+<h2>Quality of the fit</h2><ul id="trust">{% for t in trust %}<li>{{ t }}</li>{% endfor %}</ul>
+"""
+_BELOW = """<h2>All fitted errors</h2>
+<p class="caption">By their names in files. Orders of pins and teeth are the mean of rings with the same scatter.</p>
 <table id="errors"><thead><tr><th>Error</th><th>Identified</th><th>95 % interval</th><th>Unit</th>
 <th>From the data</th></tr></thead><tbody>
 {% for r in known %}<tr><td>{{ r.name }}</td><td class="number">{{ r.value }}</td><td class="number">{{ r.interval }}
 </td><td>{{ r.unit }}</td><td class="number">{{ r.share }}</td></tr>
 {% endfor %}</tbody></table>
-<h2>Quality of the fit</h2><ul id="trust">{% for t in trust %}<li>{{ t }}</li>{% endfor %}</ul>
-"""
-_BELOW = """<h2>Correlation of the identified errors</h2>
+<h2>Correlation of the fitted errors</h2>
 <table id="correlation" style="font-size:.62em; table-layout:fixed"><tbody>
 {% for row in correlation %}<tr><td style="width:22em">{{ row.number }} {{ row.name }}</td>
 {% for c in row.cells %}<td style="padding:0; text-align:center; background:rgba({{ c.colour }})">{{ c.text }}</td>
@@ -107,7 +127,7 @@ _BELOW = """<h2>Correlation of the identified errors</h2>
 <h2>Every pin and tooth of this ring</h2>
 <ul id="gauge">{% for g in gauge %}<li>{{ g }}</li>{% endfor %}</ul>
 {% for t in ring %}<table id="{{ t.id }}"><thead><tr><th>{{ t.of }}</th>{% for n in t.columns %}<th>{{ n }}</th>
-{% endfor %}</tr></thead><tbody>{% for r in t.rows %}<tr>{% for cell in r %}<td class="number">{{ cell }}</td>
+{% endfor %}</tr></thead><tbody>{% for r in t.rows %}<tr>{% for cell in r %}<td class="number wrapped">{{ cell }}</td>
 {% endfor %}</tr>{% endfor %}</tbody></table>
 <p class="caption">{{ t.caption }}</p>
 {% endfor %}
@@ -130,13 +150,46 @@ def _row(one: Parameter) -> dict[str, str]:
             "unit": unit, "share": f"{100.0 * one.data_share:.1f} %"}  # fmt: skip
 
 
+def _effect_row(one: Effect, tolerances: Tolerances | None) -> dict[str, str]:
+    factor, unit = _FIELD_UNITS[one.error.unit]
+    low, high = (v * factor for v in one.error.interval)
+    digits = 3 if math.isnan(low) else min(max(1 - math.floor(math.log10(max(0.5 * (high - low), 1e-3))), 0), 3)
+    at = ""
+    if one.phase is not None and one.order:
+        around = 360.0 / one.order
+        angle = math.degrees(one.phase.value) / one.order % around
+        half = (one.phase.interval[1] - one.phase.interval[0]) / 2.0
+        known = "" if math.isnan(half) else f" ± {math.degrees(half) / one.order:.1f}"
+        at = f"{angle:.1f}{known}°" if math.isnan(half) or half < math.pi / 2.0 else "unknown"
+    return {
+        "name": words_of(one), "effect": f"{one.peak_to_peak * ARCSEC:.2f}",
+        "value": f"{one.error.value * factor:.{digits}f} {unit}",
+        "interval": "" if math.isnan(low) else f"{low:.{digits}f} … {high:.{digits}f}", "at": at,
+        "tolerance": "" if tolerances is None else _allowed(one.kind, tolerances),
+    }  # fmt: skip
+
+
+def _allowed(name: str, tolerances: Tolerances) -> str:
+    """Return the tolerance of an error as the drawing states it, and that of the error itself if it is half of that."""
+    kind = kind_of(name)
+    of = None if kind is None else kind.tolerance
+    stated = None if of is None else tolerances.of(of.key)
+    if kind is None or of is None or stated is None:
+        return ""
+    factor, unit = _FIELD_UNITS[kind.unit]
+    if isinstance(stated, PitchErrors):
+        return f"single ± {stated.single * factor:g}, cumulative {stated.cumulative * factor:g} {unit}"
+    own = f"± {stated.tolerance * of.share * factor:g} {unit}"
+    return own if of.share == 1.0 else f"{own} ({of.key.replace('_', ' ')} ± {stated.tolerance * factor:g} {unit})"
+
+
 def _with_interval(one: Parameter) -> str:
     """Return a displacement in µm, or a phase in degrees, with its half interval; in brackets if not measured."""
     factor = 1e6 if one.unit == "m" else math.degrees(1.0)
     told = (
         ""
         if math.isnan(one.interval[0])
-        else f" ± {NORMAL * one.standard_error * factor:.{3 if one.unit == 'm' else 1}f}"
+        else f"\u00a0±\u00a0{NORMAL * one.standard_error * factor:.{3 if one.unit == 'm' else 1}f}"
     )
     text = f"{one.value * factor:.{3 if one.unit == 'm' else 1}f}{told}{'' if one.unit == 'm' else '°'}"
     return f"({text})" if one.held else text
@@ -158,9 +211,9 @@ def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
         orders.append([order, *row])
     return [
         {"id": "realised-orders", "of": "Order", "columns": columns, "rows": orders,
-         "caption": "Amplitudes of this ring's own orders, µm, at their phases, with half widths of the 95 % "
-         "intervals. The table of errors has the mean orders of rings with the same scatter, which are known less "
-         "accurately."},
+         "caption": "Amplitudes of this ring's own orders, µm, at their phases (order times angle), with half the "
+         "95 % intervals. The table of fitted errors has the mean orders of rings with the same scatter, which are "
+         "known less accurately."},
         {"id": "realised", "of": "Pin or tooth", "columns": columns, "rows": elements,
          "caption": "In µm, with half widths of the 95 % intervals; in brackets if a pin or tooth carries almost no "
          "load in these curves and is constrained only by its neighbours."},
@@ -205,22 +258,49 @@ def _trust(result: Identification) -> list[str]:
 def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> None:
     """Write the report of a fit as one self-contained HTML file; never a partial file."""
     target, pair = edge.output_path(path, "path", FORMATS), result.pair
+    shown = [one for one in result.effects if one.peak_to_peak > _SHOWN * result.effects[0].peak_to_peak]
+    left = len(result.effects) - len(shown)
+    rest = f"{left} more errors have an effect below {100.0 * _SHOWN:g} % of the largest. " if left else ""
     text = html_page(
         "Identified drive", f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",
         _ABOVE, fit_panels(result), _BELOW, verdict=result.verdict.sentence,
+        has_index=all(c.known_index for c in result.curves), drawing=result.tolerances is not None, rest=rest,
+        effects=[_effect_row(one, result.tolerances) for one in shown],
         known=[_row(p) for p in (*result.parameters, *result.bearings) if p.held is None],
         trust=_trust(result), correlation=_correlation(result), weak=result.weak_combinations,
         held=[p for p in (*result.parameters, *result.bearings) if p.held is not None],
         gauge=(*GAUGE, f"radius_lever is {result.realised.radius_lever:.2f}."),
         ring=_ring_tables(result.realised),
-        bench=[(n, f"{v:.4g} {_bench_unit(n)}") for n, v in result.bench.items()], notes=result.notes,
+        bench=_bench_rows(result), notes=result.notes,
         sources=[(Path(n).name, c) for n, c in result.checksums.items()],
     )  # fmt: skip
     with edge.written_whole(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _bench_unit(name: str) -> str:
-    if name == "chain_compliance":
-        return "rad/(N·m)"
-    return "N·m" if name.endswith("friction_torque") else "rad"
+def _bench_rows(result: Identification) -> list[tuple[str, str]]:
+    """Return the bench's unknowns as rows: run-out by orders, causes of misfit by their size, the others by name."""
+    rows = [(f"run-out, order {one.order} of the {one.shaft}", one.text.partition(f"{one.shaft} ")[2])
+            for one in result.run_out]  # fmt: skip
+    rows += [
+        (f"{SENTENCES.get(one.cause, one.cause)}, rms", f"{one.size * ARCSEC:.3g}″")
+        for one in result.verdict.misfits
+        if not one.run_out
+    ]
+    groups: dict[str, list[float]] = {}
+    for name, value in result.bench.items():
+        if not name.startswith(MISFIT) and "encoder_eccentricity" not in name:
+            groups.setdefault(name.rstrip("0123456789").rstrip("_"), []).append(value)
+    for name, values in groups.items():
+        factor, unit = _bench_unit(name)
+        low, high = min(values) * factor, max(values) * factor
+        of, shown = ("", f"{low:.3g}") if len(values) == 1 else (f", {len(values)} of them", f"{low:.3g} … {high:.3g}")
+        rows.append((f"{name.replace('_', ' ')}{of}", f"{shown} {unit}"))
+    return rows
+
+
+def _bench_unit(name: str) -> tuple[float, str]:
+    """Return the factor from SI, and the unit of an unknown of the bench."""
+    if name == CHAIN:
+        return ARCSEC, "arcsec/(N·m)"
+    return (1.0, "N·m") if name.endswith("friction_torque") else (ARCSEC, "arcsec")

@@ -26,13 +26,15 @@ _BELOW = """<h2>Excluded data and notes</h2>
 
 
 def map_panels(found: xr.Dataset) -> list[Panel]:
-    """Return one panel for each map and direction, in field units.
+    """Return one panel for each map and direction, in field units; of a single condition, one panel with bars.
 
     Parameters
     ----------
     found
         Result of `fitting.maps`.
     """
+    if found.torque.size == found.speed.size == found.temperature.size == 1:
+        return [_bars(found)]
     two = [("forward", "forward"), ("backward", "backward")]
     shown = [
         ("angular_transmission_error", "Angular transmission error", "arcsec", ARCSEC, two),
@@ -54,26 +56,69 @@ def map_panels(found: xr.Dataset) -> list[Panel]:
     return panels
 
 
+def _bars(found: xr.Dataset) -> Panel:
+    """Return the values of a single condition as bars, rad as arcsec."""
+    values: list[tuple[str, xr.DataArray]] = [
+        ("angular transmission error", found.angular_transmission_error),
+        ("the same without the rig's orders", found.angular_transmission_error_without_rig),
+        ("gap between directions", found.gap),
+    ]
+    values += [
+        (f"order {order}" + (f", {kind}" if kind else ""), found.order_amplitude.sel(order=order))
+        for order, kind in zip(found.order.values, found.order_name.values, strict=True)
+    ]
+    bars = [
+        (name, way, (each.sel(direction=way) if way else each).values.item() * ARCSEC)
+        for name, each in values
+        for way in (("forward", "backward") if "direction" in each.dims else ("",))
+    ]
+    bars = [one for one in bars if np.isfinite(one[2])]
+    traces: list[Trace] = []
+    for row, (_, way, value) in enumerate(bars):
+        label = way if all(trace.label != way for trace in traces) else ""
+        at = np.full(2, -float(row))
+        traces.append(Trace(label, np.array([0.0, value]), at, "thick", ("forward", "backward", "").index(way)))
+    lengths = np.array([value for *_, value in bars])
+    beside = np.full(lengths.size, lengths.max() + 0.08 * np.ptp([0.0, *lengths]))
+    texts = tuple(f"{value:.3g}" for value in lengths)
+    traces.append(Trace("", beside, -np.arange(float(lengths.size)), "words", -1, texts))
+    stated = (
+        ("torque", float(found.torque[0]), "N·m"), ("speed", float(found.speed[0]) * _RPM, "rpm"),
+        ("temperature", float(found.temperature[0]) - 273.15, "°C"),
+    )  # fmt: skip
+    condition = ", ".join(f"{name} {value:.4g} {unit}" for name, value, unit in stated if np.isfinite(value))
+    caption = "Largest minus smallest transmission error, and amplitudes of orders of the output turn."
+    names = tuple(name for name, *_ in bars)
+    return Panel(f"One condition: {condition}", "[arcsec]", "", tuple(traces), caption, y_names=names)
+
+
 def _panel(title: str, unit: str, found: xr.Dataset, values: xr.DataArray) -> list[Panel]:
-    """Return a panel with one map per temperature; for a single torque or speed, lines over the other; [] if empty."""
+    """Return a panel with one map per temperature; lines over the only axis with several values; [] if empty."""
     if not np.isfinite(values).any():
         return []
     names = tuple(
         "" if not np.isfinite(t) else f"{t - 273.15:.4g} °C" for t in found.temperature.values
     )  # fmt: skip
-    labels = {"torque": "torque [N·m]", "speed": "speed [rpm]"}
-    axes = {"torque": found.torque.values, "speed": found.speed.values * _RPM}
-    for across, alone in (("torque", "speed"), ("speed", "torque")):
-        if axes[alone].size == 1 < axes[across].size:
-            traces: list[Trace] = []
-            for i, name in enumerate(names):
-                line = values.isel(temperature=i).squeeze(alone).values
-                traces.append(Trace(name, axes[across], line, "line", i))
-                traces.append(Trace("", axes[across], line, "dots", i))
-            (at,) = axes[alone]
-            word, shown = labels[alone].rstrip("]").split(" [")
-            caption = "" if np.isnan(at) else f"At a {word} of {at:.4g} {shown}."
-            return [Panel(title, labels[across], f"[{unit}]", tuple(traces), caption)]
+    labels = {"torque": "torque [N·m]", "speed": "speed [rpm]", "temperature": "temperature [°C]"}
+    axes = {
+        "torque": found.torque.values, "speed": found.speed.values * _RPM,
+        "temperature": found.temperature.values - 273.15,
+    }  # fmt: skip
+    several = [name for name in ("torque", "speed") if axes[name].size > 1]
+    if len(several) < 2:
+        across = several[0] if several else "temperature"
+        lines = [values.isel(temperature=i) for i in range(len(names))] if several else [values]
+        traces: list[Trace] = []
+        for i, (name, line) in enumerate(zip(names if several else ("",), lines, strict=True)):
+            traces.append(Trace(name, axes[across], line.values.ravel(), "line", i))
+            traces.append(Trace("", axes[across], line.values.ravel(), "dots", i))
+        at = [
+            f"a {name} of {axes[name][0]:.4g} {labels[name].rstrip(']').split(' [')[1]}"
+            for name in ("torque", "speed")
+            if name not in several and np.isfinite(axes[name][0])
+        ]
+        caption = f"At {' and '.join(at)}." if at else ""
+        return [Panel(title, labels[across], f"[{unit}]", tuple(traces), caption, from_zero=True)]
     maps = tuple(
         HeatMap(
             name, found.torque.values, found.speed.values * _RPM,

@@ -36,6 +36,7 @@ p.facts, p.caption { color: #555; margin: .2em 0 .6em; } p.caption { font-size: 
 table { border-collapse: collapse; width: 100%; } th { text-align: left; font-weight: 600; }
 th, td { padding: .25em .6em .25em 0; border-bottom: 1px solid #ddd; vertical-align: top; }
 td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+td.wrapped { white-space: normal; }
 tr.part td { color: #555; font-size: .92em; border-bottom-style: dotted; }
 tr.part td:first-child { padding-left: 1.2em; }
 td.definition { font-size: .85em; color: #555; } code { font-size: .8em; word-break: break-all; color: #777; }
@@ -146,6 +147,8 @@ def _plotly(panel: Panel) -> dict[str, Any]:
             "type": "scatter", "x": _packed(t.x), "y": _packed(t.y), "name": t.label, "showlegend": bool(t.label),
             "mode": "lines",
         }  # fmt: skip
+        if t.colour >= 0:
+            one["legendgroup"] = str(t.colour)  # a click on the name hides lines and points of one colour
         if t.style == "points":
             named = {"mode": "markers+text", "text": list(t.texts), "textposition": "top center",
                      "textfont": {"size": 11}, "cliponaxis": False}  # fmt: skip
@@ -172,6 +175,8 @@ def _plotly(panel: Panel) -> dict[str, Any]:
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "modebar": {"orientation": "v"},
         "hovermode": "closest",
     }  # fmt: skip
+    if panel.from_zero:
+        layout["yaxis"]["rangemode"] = "tozero"
     if panel.y_names:
         rows = [-row for row in range(len(panel.y_names))]
         layout["yaxis"] |= {"tickvals": rows, "ticktext": list(panel.y_names), "tickfont": {"size": 10}}

@@ -72,7 +72,7 @@ class Panel:
 
     `y_names` replace the numbers of the y axis at 0, -1, -2, ...; a `round` panel has no axes and equal scales. `heat`
     are maps side by side, in place of traces, with one colour scale. With `log_x`, names of points are in a row above
-    them, each with a line to its point.
+    them, each with a line to its point. With `from_zero` the y axis includes zero, so that small changes look small.
     """
 
     title: str
@@ -85,6 +85,7 @@ class Panel:
     round: bool = False
     heat: tuple[HeatMap, ...] = ()
     log_x: bool = False
+    from_zero: bool = False
 
 
 def names_above(panel: Panel) -> list[tuple[float, float, float, str]]:
@@ -109,7 +110,7 @@ def names_above(panel: Panel) -> list[tuple[float, float, float, str]]:
 def x_range(panel: Panel) -> tuple[float, float]:
     """Return the smallest and largest x of a panel's traces with a margin, for a logarithmic scale."""
     every = np.concatenate([t.x for t in panel.traces])
-    return 0.85 * float(every.min()), 1.1 * float(every.max())
+    return 0.85 * float(np.nanmin(every)), 1.1 * float(np.nanmax(every))
 
 
 def label_of(curve: Curve) -> str:
@@ -149,7 +150,7 @@ def _lightened(panel: Panel) -> Panel:
     for trace in panel.traces:
         stretches = max(1, trace.x.size * _DRAWN // total // 2)
         length = math.ceil(trace.x.size / stretches)
-        if length > 2 and not trace.texts:
+        if length > 2 and not trace.texts and not np.isnan(trace.y).any():
             begins = np.arange(0, trace.x.size, length)
             parts = np.split(trace.y, begins[1:])
             lows, highs = ([b + int(f(p)) for b, p in zip(begins, parts, strict=True)] for f in (np.argmin, np.argmax))
@@ -184,9 +185,13 @@ def spectra_panel(
     for number, (curve, orders) in enumerate(pairs):
         upto = min(orders.amplitude.size, math.ceil(1.1 * highest) + 1)
         order = np.arange(1, upto, dtype=float)
-        amplitude = orders.amplitude[1:upto] * ARCSEC
-        traces.append(Trace(label_of(curve), order, amplitude, "thin", number))
-        floor = orders.floor[1:upto] * ARCSEC
+        amplitude, floor = orders.amplitude[1:upto] * ARCSEC, orders.floor[1:upto] * ARCSEC
+        seen = orders.significant[1:upto]
+        at, top, count = order[seen], amplitude[seen], np.count_nonzero(seen)
+        stems = np.stack([floor[seen], top, np.full(count, np.nan)], axis=1).ravel()
+        traces.append(Trace("", order[~seen], amplitude[~seen], "points", -1))
+        traces.append(Trace("", np.repeat(at, 3), stems, "line", number))
+        traces.append(Trace(label_of(curve), at, top, "dots", number))
         traces.append(Trace("noise floor" if number == 0 else "", order, floor, "dashed", -1))
     largest = np.zeros(highest + 1)
     for _, orders in pairs:
@@ -198,8 +203,8 @@ def spectra_panel(
     return Panel(
         title, "order of the output turn", "amplitude [arcsec]", tuple(traces),
         "Pin: errors of pins and ring; tooth: errors of the gear's teeth; mesh: both; rig: coaxiality and couplings "
-        "(large errors of pins and teeth also beat at order 1). "
-        "Dashed: noise floor. The 95 % interval of an amplitude is ± 1.4 times the dashed line.",
+        "(large errors of pins and teeth also beat at order 1). Orders above the noise have a line, others are grey "
+        "points. Dashed: noise floor. The 95 % interval of an amplitude is ± 1.4 times the dashed line.",
         log_y=True, log_x=True,
     )  # fmt: skip
 
@@ -305,7 +310,7 @@ def _stiffness_panel(found: Figures) -> list[Panel]:
     traces.append(Trace("", np.array(x), np.array(y), "points", -1, names))
     caption = "Slope of the loading branches in each torque range, mean of the loops; dashed: 95 % interval."
     axes = ("torque on the output [N·m]", "torsional stiffness [N·m/arcmin]")
-    return [Panel("Torsional stiffness by torque", *axes, tuple(traces), caption)]
+    return [Panel("Torsional stiffness by torque", *axes, tuple(traces), caption, from_zero=True)]
 
 
 def _start_panels(found: Figures) -> list[Panel]:

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+_LEAST_CHANGE = 1.0  # %: an axis of changes covers at least this much on either side
 _WIDTHS = {"line": 1.2, "thin": 0.8, "dashed": 1.0, "thick": 2.5}
 
 
@@ -110,6 +111,10 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
         style = "--" if trace.style == "dashed" else "-"
         axis.plot(trace.x, trace.y, style, lw=_WIDTHS[trace.style], color=colour, label=trace.label or None)
     axis.set(xlabel=panel.x_label, ylabel=panel.y_label)
+    if panel.from_zero:
+        ends = [float(end(t.y[np.isfinite(t.y)], initial=0.0)) for t in panel.traces for end in (np.min, np.max)]
+        room = 0.05 * (max(ends) - min(ends))
+        axis.set_ylim(min(ends) - room * (min(ends) < 0.0), max(ends) + room)
     if panel.log_y:
         axis.set_yscale("log")
     if panel.log_x:
@@ -123,7 +128,7 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     if panel.round:
         axis.set_aspect("equal")
         axis.set_axis_off()
-    elif any(t.texts for t in panel.traces):
+    elif any(t.texts for t in panel.traces) and not panel.y_names:
         scale = axis.yaxis.get_transform()
         low, high = scale.transform(axis.get_ylim())
         above = high + (0.6 if panel.log_x else 0.25) * (high - low)  # room for names
@@ -148,6 +153,7 @@ def plot_maps(found: xr.Dataset) -> Figure:
     """Plot the maps without orders, one row per map and one column per temperature."""
     panels = [p for p in map_panels(found) if not p.title.startswith("Order")]
     figure, axes = new_figure(len(panels), found.temperature.size)
+    figure.set_figheight(max(float(figure.get_figheight()), 1.0 + 0.2 * max(len(p.y_names) for p in panels)))
     for number, (row, panel) in enumerate(zip(np.reshape(axes, (len(panels), -1)), panels, strict=True)):
         if not panel.heat:
             row[0].set_subplotspec(row[0].get_subplotspec().get_gridspec()[number, :])
@@ -181,6 +187,7 @@ def plot_changes(changes: Sequence[Change]) -> Figure:
         fill = "C0" if change.moved else "white"
         axis.errorbar(change.difference * share, row, xerr=error, fmt="o", color="C0", mfc=fill, capsize=3)
     axis.axvline(0.0, color="0.5", lw=0.8)
+    axis.set_xlim(min(axis.get_xlim()[0], -_LEAST_CHANGE), max(axis.get_xlim()[1], _LEAST_CHANGE))
     axis.set_yticks(range(len(changes)), [c.name.replace("_", " ").replace(".", ", ") for c in reversed(changes)])
     axis.set(xlabel="change [%]; filled: larger than its uncertainty")
     return figure

@@ -20,6 +20,7 @@ _TITLES = {
     "pin_radial": "pins, radial",
     "pin_tangential": "pins, tangential",
     "pin_radius_deviation": "pins, radius",
+    "tooth_cumulative_pitch": "teeth, pitch",
 }
 
 
@@ -56,7 +57,8 @@ def ring_panel(ring: Realised) -> Panel:
         every = max(1, round(count / _NUMBERED))
         numbers = tuple(str(i) if i % every == 0 else "" for i in range(count))
         traces.append(Trace("", *drawn(np.full(count, 1.0 + 1.25 * _DEPTH), angle), "words", 0, numbers))
-        title = _TITLES.get(name, name.replace("_", " ").replace("tooth", "teeth,"))
+        kind, _, disc = name.partition("_of_disc_")
+        title = _TITLES[kind] + (f", disc {disc}" if disc else "")
         traces.append(Trace("", np.array([middle]), np.array([-1.0 - 1.9 * _DEPTH]), "words", 0, (title,)))
     return Panel(
         f"Every pin and tooth: grey circles are {step:g} µm apart", "", "", tuple(traces),

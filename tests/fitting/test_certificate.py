@@ -14,6 +14,7 @@ from cycloid_fmu.studies import limits as asked
 from fitting.figures import conformity
 from fitting.figures.conformity import Certificate, decide, decisions_of, read_certificate, verdict_of
 from fitting.figures.figure import UNITS
+from fitting.reports.certificate import _limit_panels
 
 ARCSEC = np.pi / 648000
 TEXT = (EXAMPLES / "certificate.toml").read_text(encoding="utf-8")
@@ -90,6 +91,14 @@ def test_the_page_holds_all_that_a_certificate_states(found, tmp_path):
         ("Angular transmission error", "undecided"), ("Hysteresis loss", ""),
     ]  # fmt: skip
     assert float(cells[0][1]) == pytest.approx(found.figures["lost_motion"].value / ARCSEC, abs=0.01)
+
+
+def test_a_small_margin_to_a_limit_looks_small(found):
+    """The picture's bars begin at zero percent of the limit."""
+    (panel,) = _limit_panels(decisions_of(found, read_certificate(EXAMPLES / "certificate.toml")))
+    bars = [t for t in panel.traces if t.style == "thin"]
+    assert len(bars) == len(panel.y_names)
+    assert all(bar.x[0] == 0.0 for bar in bars)
 
 
 def test_a_certificate_needs_instruments_and_html(found, tmp_path):

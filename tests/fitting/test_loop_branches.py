@@ -134,6 +134,15 @@ def test_a_loop_that_tells_no_play_is_refused(made, how, said):
         branches(made, friction=0.5, **how)
 
 
+def test_a_loop_at_an_unknown_crank_angle_is_refused(made):
+    """Its figures need no crank angle, but the model does."""
+    unknown = dataclasses.replace(wound_up(made, friction=2.0, crank=0.0), has_input_angle=False)
+    surveyed = survey(unknown, made.ratio, RATED)
+    assert surveyed.loops is not None
+    with pytest.raises(edge.InputError, match="no input angle is mapped; a fit needs the crank angle"):
+        branches_of(surveyed, made.ratio)
+
+
 def test_loops_alone_are_refused(nominal, loop):
     with pytest.raises(edge.InputError, match="one crank angle only"):
         identify(loop, Drive(nominal))

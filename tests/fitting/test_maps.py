@@ -9,6 +9,7 @@ from common import ARCSEC
 
 import fitting
 from fitting.figures.maps import write_maps
+from fitting.reports.maps_report import map_panels
 
 TURN = np.linspace(0.0, 2.0 * np.pi, 1500, endpoint=False)
 STIFFNESS, GAP = 3.0e6, 30 * ARCSEC
@@ -107,3 +108,38 @@ def test_maps_from_the_command_line(command, tmp_path):
     refused = command("cycloid-fit", "maps", *files, "--mapping", "m.toml")
     assert refused.returncode == 2
     assert "--ratio" in refused.stderr
+
+
+def test_a_single_condition_is_drawn_as_bars():
+    """Each as long as its value; a map of one value would be a coloured rectangle."""
+    noise = np.random.default_rng(1)
+    one = fitting.maps([made(200.0, 1.0, 300.0, sign, noise) for sign in (1, -1)], -39.0)
+    (panel,) = map_panels(one)
+    assert not panel.heat
+    assert panel.title == "One condition: torque 200 N·m, speed 9.549 rpm, temperature 26.85 °C"
+    bars = [t for t in panel.traces if t.style == "thick"]
+    assert len(bars) == len(panel.y_names) == 5 + 2 * one.order.size
+    assert all(bar.x[0] == 0.0 for bar in bars)
+    lengths = {(panel.y_names[-int(bar.y[0])], bar.colour): bar.x[1] for bar in bars}
+    assert lengths["order 39, input turn", 0] == pytest.approx(7.0, abs=0.1)
+    assert lengths["order 40", 1] == pytest.approx(3.0, abs=0.1)
+    assert lengths["gap between directions", 2] == pytest.approx(GAP / ARCSEC, abs=0.1)
+    assert fitting.plot(one).axes
+
+
+def test_lines_over_one_axis_begin_at_zero():
+    """Also over the temperature alone: a change of two percent must not fill the axis."""
+    noise = np.random.default_rng(2)
+    for runs, label in (
+        ([made(load, 1.0, 300.0, 1, noise) for load in (100.0, 200.0)], "torque [N·m]"),
+        ([made(100.0, 1.0, warm, 1, noise) for warm in (300.0, 320.0, 340.0)], "temperature [°C]"),
+    ):
+        found = fitting.maps(runs, -39.0)
+        panels = map_panels(found)
+        assert all(p.x_label == label and not p.heat for p in panels)
+        line = next(t for t in panels[0].traces if t.style == "line")
+        assert line.y == pytest.approx(
+            found.angular_transmission_error.sel(direction="forward").values.ravel() / ARCSEC, rel=1e-12
+        )
+        for axis in fitting.plot(found).axes:
+            assert axis.get_ylim()[0] <= 0.0 <= axis.get_ylim()[1]

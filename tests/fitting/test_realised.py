@@ -134,7 +134,7 @@ def test_file_picture_and_report_have_every_pin_and_tooth(one_ring, tmp_path):
     fitting.report(found, tmp_path / "fit.html")
     text = (tmp_path / "fit.html").read_text(encoding="utf-8")
     one = found.realised.elements[3]
-    assert f"{one.value * 1e6:.3f} ± {1.96 * one.standard_error * 1e6:.3f}" in text
+    assert f"{one.value * 1e6:.3f}\u00a0±\u00a0{1.96 * one.standard_error * 1e6:.3f}" in text
     assert any(trace.label == "95 % interval" for trace in ring_panel(found.realised).traces)
 
 

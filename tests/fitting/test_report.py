@@ -136,6 +136,24 @@ def test_the_pdf_holds_the_same(found, tmp_path):
     assert text.count("\f") == 1 + 4  # the table, eight panels two a page
 
 
+def test_orders_above_the_noise_are_stems_and_no_line_joins_two_orders():
+    """Of known orders: each has a line of its own, from the noise floor to its amplitude."""
+    made = run_with(KNOWN, turns=2, each=9000, noise=1 * ARCSEC, seed=0)
+    found = figures_of([survey(made, -39.0, 167.0)], -39.0, 167.0)
+    (panel,) = (p for p in panels_of(found) if p.title == "Orders of the output")
+    lines = [t for t in panel.traces if t.style == "line"]
+    assert lines
+    for line in lines:
+        x, y = line.x.reshape(-1, 3), line.y.reshape(-1, 3)
+        assert (x[:, 0] == x[:, 1]).all()
+        assert np.isnan(y[:, 2]).all()
+        assert (y[:, 0] < y[:, 1]).all()
+        tops = dict(zip(x[:, 0], y[:, 1], strict=True))
+        assert {k: tops[k] for k in KNOWN} == pytest.approx({k: a / ARCSEC for k, (a, _) in KNOWN.items()}, rel=0.05)
+        assert len(tops) < len(KNOWN) + 3
+    assert not any(t.style == "thin" for t in panel.traces)
+
+
 def test_report_from_the_command_line(command, tmp_path):
     from common import BENCH
 
