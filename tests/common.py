@@ -57,6 +57,7 @@ _TOKEN = re.compile(rb"[-+.\w]+")
 _ODD = (
     b"", b"nan", b"-inf", b"1e999", b"1e-320", b"-1", b"0", b"9" * 400, b"1e18", b"0x", b"true", b"null", b"{}",
     b"[" * 2000, b'"', b"\\u0000", b"\n", b"\0", b"\xff\xfe", "٣".encode(), b"../..", b"%s{0}", b"1" + b"0" * 20,
+    b"1e308", b"-1e308", b".1e308",
 )  # fmt: skip
 
 

@@ -440,6 +440,22 @@ def test_a_damaged_file_is_read_or_refused_in_one_sentence(tmp_path, request, mo
     assert [one for one in said if str(tmp_path) not in one or len(one) > 2000 or "MemoryError" in one] == []
 
 
+@pytest.mark.parametrize("number", ["1e308", "-1e308", ".1e308", "1e160"])
+@pytest.mark.parametrize("name", ["measured losses", "losses", "points", "duty cycle", "motion"])
+def test_a_number_beyond_measure_is_refused_before_it_is_squared(tmp_path, capfd, name, number):
+    make, read = READERS[name]
+    path = make(tmp_path)
+    lines = path.read_text().splitlines()
+    first = next(i for i, line in enumerate(lines) if "[" in line)
+    column = next(i for i, cell in enumerate(lines[first].split(",")) if "[" in cell)
+    cells = lines[first + 1].split(",")
+    cells[column] = number
+    path.write_text("\n".join([*lines[: first + 1], ",".join(cells), *lines[first + 2 :]]))
+    with pytest.raises(edge.InputError, match=rf"{path.name}: line {first + 2}: .* = \"{number}\": it must be within"):
+        read(path)
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.slow(2)
 def test_what_libraries_log_and_complain_of_is_not_printed(tmp_path, installed_command):
     whole = tdms(tmp_path).read_bytes()

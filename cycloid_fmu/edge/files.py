@@ -25,6 +25,7 @@ from cycloid_fmu.edge.file_kinds import check_format, needed, wrong_kind
 from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, first_line, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
+_LARGEST_NUMBER = 1e15  # in a table, in its own unit
 MOST_BYTES = 4 << 30  # largest size of data unpacked or loaded as a whole
 _LONGEST_XML = 16 << 20  # about 150,000 variables of an FMU, read in 10 s
 PICTURES = (".png", ".pdf")
@@ -180,13 +181,21 @@ def unit_columns(
 
 
 def finite(cell: str, field: str) -> float:
-    """Return the number in a cell of a table; raise an `InputError` that begins with `field` if it is not a number."""
+    """Return the number in a cell of a table.
+
+    Raises
+    ------
+    InputError
+        If it is no finite number, or beyond what anybody measures, whose square may overflow; it begins with `field`.
+    """
     try:
         value = float(cell)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise InputError(f"{field} = {shown(cell)}: it must be a finite number with a decimal point.")
+    if abs(value) > _LARGEST_NUMBER:
+        raise InputError(f"{field} = {shown(cell)}: it must be within ±{_LARGEST_NUMBER:g}.")
     return value
 
 

@@ -13,6 +13,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
 from cycloid_fmu.fmu.variables import LossRow
 
+_LEAST_LOSS = 1e-12  # N·m, below which nothing is measured and squares vanish
 _LARGEST_COEFFICIENT = 0.1  # 1/K, bound of the temperature coefficient
 
 
@@ -75,8 +76,8 @@ def fitted_losses(
     """
     from scipy.optimize import minimize_scalar, nnls
 
-    if speed.size == 0 or not (loss > 0.0).any():
-        raise ValueError("a loss table needs measured points with losses above 0")
+    if speed.size == 0 or not (loss > _LEAST_LOSS).any():
+        raise ValueError(f"a loss table needs measured points with losses above {_LEAST_LOSS:g} N·m")
     reference = REFERENCE_TEMPERATURE if temperature is None else float(np.mean(temperature))
     warmer = np.zeros(speed.size) if temperature is None else temperature - reference
     speeds = np.unique(np.abs(speed))

@@ -30,7 +30,7 @@ from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
-from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, Interface, Kind, Variable, stiffness_text, variables
+from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, Interface, Variable, stiffness_text, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import Ageing, ErrorSurface, Life
@@ -205,20 +205,20 @@ class Core:
         setter = None if variable.causality in ("output", "local") else functools.partial(setattr, model, attribute)
         return functools.partial(getattr, model, attribute), setter
 
-    def of_kind(self, reference: int, kind: Kind) -> Variable:
+    def of_kind(self, reference: int, kind: str) -> Variable:
         """Return a variable; a `ValueError` if there is none of that kind."""
         variable = self.table.get(reference)
         if variable is None or variable.kind != kind:
             raise ValueError(f"there is no {kind} variable with the value reference {reference}")
         return variable
 
-    def values(self, references: Sequence[int], kind: Kind) -> list[Any]:
+    def values(self, references: Sequence[int], kind: str) -> list[Any]:
         """Return values of variables of a kind; a `ValueError` if there is none."""
         for reference in references:
             self.of_kind(reference, kind)
         return [self.getters[reference]() for reference in references]
 
-    def put(self, reference: int, value: Any, kind: Kind | None = None) -> str:
+    def put(self, reference: int, value: Any, kind: str | None = None) -> str:
         """Set a variable; return the reason if the value is refused, or "".
 
         Raises
@@ -242,7 +242,7 @@ class Core:
         self.faults.pop(reference, None)
         return ""
 
-    def put_all(self, references: Sequence[int], values: Sequence[Any], kind: Kind = "real") -> list[str]:
+    def put_all(self, references: Sequence[int], values: Sequence[Any], kind: str = "real") -> list[str]:
         """Set variables of a kind as `put` does; return the sentences of refused values."""
         refused, quickly, faults = [], self._quick, self.faults
         plain = kind == "real" and not faults and self.phase != TERMINATED

@@ -1,7 +1,8 @@
 """The Co-Simulation slaves, of FMI 2.0 on pythonfmu and of FMI 3.0 on pythonfmu3, around the same `Core`.
 
-Both libraries turn an exception into a fatal status with its message. So exceptions are raised only if no simulation
-can continue: a wrong reference, a state of another FMU, contradictory parameters. A refused step returns an error.
+Both libraries turn an exception into a fatal status with its message, which the library in front of pythonfmu's makes
+an error. So exceptions are raised only for what the surrounding program does wrong: a wrong reference, a state of
+another FMU, contradictory parameters. A refused step returns an error.
 """
 
 from __future__ import annotations
@@ -200,6 +201,16 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
         """Set values by reference."""
         for refused in self._put_all(vrs, values, "boolean"):
             self._refuse(refused)
+
+    @kept_alive
+    def get_string(self, vrs: Sequence[int]) -> list[str]:
+        """Refuse; there are no texts."""
+        return self.core.values(vrs, "string")
+
+    @kept_alive
+    def set_string(self, vrs: Sequence[int], values: Sequence[str]) -> None:
+        """Refuse; there are no texts."""
+        self._put_all(vrs, values, "string")
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
         """Return the model description."""

@@ -12,7 +12,6 @@ from pythonfmu3.enums import Fmi3Status
 
 from cycloid_fmu import __version__
 from cycloid_fmu.fmu.slave import DESCRIPTION, DriveSlave, kept_alive
-from cycloid_fmu.fmu.variables import Kind
 
 
 class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
@@ -54,7 +53,7 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
         """Return values by reference."""
         return self._flat(vrs, "boolean")
 
-    def _flat(self, vrs: Sequence[int], kind: Kind) -> list[Any]:
+    def _flat(self, vrs: Sequence[int], kind: str) -> list[Any]:
         found: list[Any] = []
         for value in self.core.values(vrs, kind):
             found += value if isinstance(value, list) else (value,)
@@ -81,9 +80,21 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
         """Set values by reference."""
         self._put(vrs, values, "boolean")
 
-    def _put(self, vrs: Sequence[int], values: Sequence[Any], kind: Kind) -> None:
+    def _put(self, vrs: Sequence[int], values: Sequence[Any], kind: str) -> None:
         for refused in self._put_all(vrs, values, kind):
             self._refuse(refused)
+
+    @kept_alive
+    def _get_none(self, vrs: Sequence[int]) -> list[Any]:
+        return self.core.values(vrs, "such")
+
+    @kept_alive
+    def _set_none(self, vrs: Sequence[int], values: Sequence[Any]) -> None:
+        self._put(vrs, values, "such")
+
+    # There are no variables of these types.
+    get_int64 = get_uint64 = get_string = _get_none
+    set_int64 = set_uint64 = set_string = _set_none
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
         """Return the model description."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
@@ -18,6 +21,43 @@ FORMAT = "cycloid-study-checkpoint/2"
 _NUMBER = np.dtype("<f8")
 _BLOCK = 1 << 16  # drives that are checked at a time
 _THERE = 1 << 32  # beside the CRC-32 of a drive, so that no drive's check word is 0
+
+
+def checkpoint_of(output: str | os.PathLike[str]) -> Path:
+    """Return the file that keeps the solved drives of a study until its output is written."""
+    return Path(f"{os.fspath(output)}.checkpoint")
+
+
+@contextlib.contextmanager
+def reserved(output: str | os.PathLike[str] | None) -> Iterator[None]:
+    """Keep other processes from computing the same output meanwhile, and remove its checkpoint on success.
+
+    Raises
+    ------
+    edge.InputError
+        If another process computes it.
+    """
+    if output is None:
+        yield
+        return
+    lock = FileLock(edge.writable(f"{os.fspath(output)}.lock"), timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise edge.InputError(
+            f"{output}: another process computes this output; wait until it has ended, or give another name."
+        ) from None
+    except (OSError, NotImplementedError):  # a file system without locks
+        pass
+    try:
+        yield
+        checkpoint_of(output).unlink(missing_ok=True)
+    finally:
+        if os.name == "nt":  # where an open file, also of the next process, can't be removed
+            lock.release()
+        with contextlib.suppress(OSError):
+            Path(lock.lock_file).unlink()
+        lock.release()
 
 
 class Kept(Protocol):

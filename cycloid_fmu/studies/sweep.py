@@ -10,7 +10,6 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.transmission import series_compliance, solve
-from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory
+from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory, checkpoint_of
 from cycloid_fmu.studies.limits import whole_stiffness
 from cycloid_fmu.studies.machines import Solved, complete, versions
 from cycloid_fmu.studies.tolerance import FIGURES as OF_STUDIES
@@ -221,11 +220,6 @@ def run(
         done = np.count_nonzero(kept.done)
         raise Interrupted(f"Interrupted: {done} of {sweep.drives} drives are done; {where}.") from None
     return _dataset(sweep, np.array(kept.values), [kept.notes.get(k, "") for k in range(sweep.drives)])
-
-
-def checkpoint_of(output: str | os.PathLike[str]) -> Path:
-    """Return the file that keeps the solved drives of a sweep until its output is written."""
-    return Path(f"{os.fspath(output)}.checkpoint")
 
 
 def _dataset(sweep: Sweep, values: Array, reasons: list[str]) -> xr.Dataset:

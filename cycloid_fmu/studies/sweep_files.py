@@ -13,7 +13,8 @@ import numpy as np
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN, ARCSEC
-from cycloid_fmu.studies.sweep import FREE, LOADED, Sweep, checkpoint_of, run
+from cycloid_fmu.studies.checkpoint import reserved
+from cycloid_fmu.studies.sweep import FREE, LOADED, Sweep, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,10 +36,10 @@ def conduct(
 ) -> xr.Dataset:
     """Solve a sweep and write it, as `Drive.sweep`; parameters are those of `sweep.run`."""
     target = None if output is None else edge.output_path(output, "output", ENDINGS)
-    data = run(sweep, target, workers=workers, progress=progress)
-    if target is not None:
-        write(data, target)
-        checkpoint_of(target).unlink()
+    with reserved(target):
+        data = run(sweep, target, workers=workers, progress=progress)
+        if target is not None:
+            write(data, target)
     return data
 
 

@@ -6,7 +6,6 @@ import dataclasses
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from cycloid_fmu.contact.transmission import slices_needed
 from cycloid_fmu.reducer.drive_file import parts_of_file
 from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies import limits as judging
-from cycloid_fmu.studies.checkpoint import Checkpoint
+from cycloid_fmu.studies.checkpoint import Checkpoint, checkpoint_of, reserved
 from cycloid_fmu.studies.tolerance import (
     PER_TORQUE,
     PLAY_STEP,
@@ -189,18 +188,17 @@ def conduct(
         raise edge.ArgumentError("screen", "the share must be between 0 and 1", screen)
     machines: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "progress": progress}
     confirmed = kept = None
-    if screen is not None:
-        confirmed = screened(study, screen, **machines)
-        result = confirmed.result
-    else:
+    with reserved(output):
+        if screen is not None:
+            confirmed = screened(study, screen, **machines)
+            result = confirmed.result
+        else:
+            if output is not None:
+                kept = Checkpoint(checkpoint_of(output), study)
+            result = run(study, kept, **machines)
         if output is not None:
-            kept = Checkpoint(Path(f"{output}.checkpoint"), study)
-        result = run(study, kept, **machines)
-    if output is not None:
-        edge.write_netcdf(dataset_of(result), output)
-    if kept is not None:
-        if os.name == "nt":  # a file that is mapped can't be removed there
+            edge.write_netcdf(dataset_of(result), output)
+        if kept is not None and os.name == "nt":  # a file that is mapped can't be removed there
             result = dataclasses.replace(result, values=np.array(result.values))
-        kept.path.unlink()
     indices = sobol_indices(result) if study.design == "saltelli" else {}
     return Findings(result, statistics(result), yields(result), indices, confirmed)

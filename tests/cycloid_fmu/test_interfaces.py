@@ -178,6 +178,28 @@ def test_arrays_are_the_pins(fmus):
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_a_wrong_reference_is_an_error_with_its_number_and_the_instance_goes_on(fmus, version):
+    """With FMI 3.0 the status is fatal, since its library knows no other one; the instance goes on nevertheless."""
+    said = []
+    slave, v = loaded(fmus("compliant", version), logger=lambda *words: said.append(words[-1]))
+    slave.exitInitializationMode()
+    types = ("Real", "Integer", "Boolean") if version == "2.0" else ("Float64", "Int32", "Boolean", "Int64", "UInt64")
+    for _ in range(5):
+        for kind in types:
+            reference = 10**6 if kind in ("Real", "Float64") else v["flange_a.phi"]
+            for ask in (
+                lambda kind=kind, r=reference: getattr(slave, f"get{kind}")([r]),
+                lambda kind=kind, r=reference: getattr(slave, f"set{kind}")([r], [1]),
+            ):
+                with pytest.raises(FMICallException) as refused:
+                    ask()
+                assert refused.value.status == (3 if version == "2.0" else 4)
+                assert version == "2.0" or f"variable with the value reference {reference}" in str(said[-1])
+    slave.doStep(0.0, 1e-3)
+    freed(slave)
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_a_refused_value_or_step_is_an_error_status_with_a_message_and_nothing_breaks(fmus, version):
     said = []
     slave, v = loaded(fmus("inertia", version), logger=lambda *words: said.append(words[-1]))

@@ -36,6 +36,7 @@ from cycloid_fmu.studies.tolerance import (
     screened,
     surface_of,
 )
+from cycloid_fmu.studies.yields import conduct
 from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances, surface_at, within_tolerance
 
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
@@ -301,6 +302,21 @@ def files(tmp_path):
     (tmp_path / "pair.toml").write_text((EXAMPLES / "drive-39-40.toml").read_text())
     (tmp_path / "t.toml").write_text(HEAD + SINGLE + PATTERNS + '[limits]\nbacklash = "1.5 arcmin"\n')
     return ("cycloid-fmu", "tolerance", "pair.toml", "--tolerances", "t.toml", "--angles", 40)
+
+
+def test_a_second_study_of_an_output_is_refused_while_the_first_one_computes(tmp_path):
+    study = Study(PAIR, read_tolerances(EXAMPLES / "tolerances.toml"), 4, 1, (181.0,), angles=40)
+    second = []
+
+    def told(drives):
+        with pytest.raises(edge.InputError, match=r"s.nc: another process computes this output; wait until") as refused:
+            conduct(study, output=tmp_path / "s.nc")
+        second.append(refused.value)
+
+    conduct(study, output=tmp_path / "s.nc", progress=told)
+    assert second
+    conduct(study, output=tmp_path / "s.nc")
+    assert [path.name for path in tmp_path.iterdir()] == ["s.nc"]
 
 
 @pytest.mark.slow(6)

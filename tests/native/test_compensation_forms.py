@@ -476,6 +476,12 @@ def test_what_is_no_input_is_refused_and_the_index_is_fixed(fmus):
         for name in ("motor_angle", "index", "index_probability"):
             with pytest.raises(FMICallException):
                 fmu.set({name: 1.0})
+        before = fmu.reader(OUTPUTS)()
+        for name in INPUTS:
+            for value in (math.nan, math.inf, -math.inf):
+                with pytest.raises(FMICallException):
+                    fmu.set({name: value})
+        assert fmu.reader(OUTPUTS)() == before
         with pytest.raises(edge.InputError, match="must be finite"):
             fmu.step(0.0, math.nan)
 

@@ -223,6 +223,15 @@ def model(built, tmp_path):
         each.fmi.freeInstance()
 
 
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_a_time_that_is_not_finite_is_refused(model, version):
+    one = model("inertia", version)
+    one.fmi.setTime(0.5)
+    for time in (math.nan, math.inf, -math.inf):
+        with pytest.raises(FMICallException):
+            one.fmi.setTime(time)
+
+
 MOVED = {"flange_a.phi": 1e-7, "flange_b.phi": 1e-9, "transmission_error": 1e-9, **dict.fromkeys(STRAINS, 1e-9)}
 
 

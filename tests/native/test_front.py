@@ -105,6 +105,21 @@ def test_the_stated_compiler_makes_the_library_that_is_shipped_to_the_last_bit(n
     assert compiled_front(name) == (SHIPPED / name).read_bytes()
 
 
+def test_a_fatal_status_behind_is_an_error_before_but_of_a_reset(placed):
+    folder = placed()
+    library = opened(folder / "CycloidDrive.so")
+    component = instantiate(library, b"/somewhere/resources")
+    answer = ctypes.c_int.in_dll(ctypes.CDLL(str(folder / "pythonfmu-export.so")), "answer")
+    for behind, before in ((0, 0), (1, 1), (3, 3), (4, 3)):
+        answer.value = behind
+        for name, kinds in signatures().items():
+            if hasattr(library, name) and name != "fmi2SetDebugLogging":
+                library[name].argtypes = [ctypes.c_size_t if kind == "i" else ctypes.c_double for kind in kinds]
+                expected = behind if name == "fmi2Reset" else before
+                assert library[name](*([0] * len(kinds))) == expected, name
+    library.fmi2FreeInstance(component)
+
+
 def test_it_has_the_functions_that_pythonfmu_has(front):
     library = metadata.distribution("pythonfmu").locate_file(
         "pythonfmu/resources/binaries/linux64/libpythonfmu-export.so"

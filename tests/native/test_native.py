@@ -946,6 +946,80 @@ def test_a_table_with_a_right_checksum_and_wrong_contents_is_refused(unpacked, h
         assert host(fmu, "run", 5, uri=tmp_path.as_uri(), fails=None) in (0, 1)
 
 
+def forged(data, fields):
+    """A file of tables whose variables have other fields and causalities, with the right checksum."""
+    changed, place = bytearray(data), HEAD.size + 8
+    for field, causality in fields:
+        place += 2 + int.from_bytes(changed[place : place + 2], "little")
+        changed[place + 1 : place + 8] = struct.pack("<BBBi", causality, False, False, field)
+        place += 8 + 4 * 8
+    return sealed(bytes(changed[HEAD.size :]))
+
+
+def test_a_variable_of_no_field_is_refused(unpacked, host, tmp_path):
+    """Its value would be read before the beginning of an array."""
+    fmu = unpacked("compliant")
+    data = (fmu.folder / "resources" / "drive.table").read_bytes()
+    for field in (-1, -2, 10**6):
+        (tmp_path / "drive.table").write_bytes(forged(data, [(field, 1)]))
+        assert "the table is damaged" in host(fmu, "open", uri=tmp_path.as_uri(), fails=True)
+
+
+@pytest.mark.slow(60)
+@needs("gcc")
+@pytest.mark.parametrize("kind", INTERFACES)
+def test_outputs_that_are_none_reach_no_other_memory(unpacked, host, tmp_path, kind):
+    """Every field as an output, an input, a parameter and a local variable, under the sanitizers."""
+    fmu = unpacked(kind)
+    flags = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
+    sources = [fmu.folder / "sources" / name for name in native_build.SOURCES]
+    library = compiled(tmp_path / "drive.so", sources, *flags, "-shared", "-fPIC")
+    program = compiled(tmp_path / "host", [HERE / "host.c"], "-DFMI=2", *flags)
+    data = (fmu.folder / "resources" / "drive.table").read_bytes()
+    for causality in range(5):
+        for first in range(0, 110, 10):
+            (tmp_path / "drive.table").write_bytes(forged(data, [(first + k, causality) for k in range(10)]))
+            for words in (("open",), ("run", 2), ("random", 20)):
+                status = host(
+                    fmu, *words, uri=tmp_path.as_uri(), fails=None, program=program, library=library,
+                    ASAN_OPTIONS="exitcode=99", UBSAN_OPTIONS="exitcode=99",
+                )  # fmt: skip
+                assert status in (0, 1), (causality, first, words)
+
+
+@needs("gcc")
+def test_an_angle_that_is_no_number_has_a_place_and_no_weights(unpacked, tmp_path):
+    program = """
+    #include <math.h>
+    #include <stdio.h>
+    #include "table.h"
+    int main(void) {
+        const double angle[] = {NAN, INFINITY, -INFINITY, -1e-300, 0.75, 1e300};
+        struct table table = {0};
+        int i, k;
+        table.period = 1.0, table.angles = table.told_angles = 4;
+        for (i = 0; i < 6; i++) {
+            struct place place = table_place(&table, angle[i]);
+            for (k = 0; k < 4; k++) {
+                printf("%u %.6f ", place.node[k], fabs(place.weight[k]));
+            }
+        }
+        return 0;
+    }
+    """
+    (tmp_path / "main.c").write_text(program)
+    folder = unpacked().folder / "sources"
+    flags = ("-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all", "-I", folder)
+    made = compiled(tmp_path / "main", [tmp_path / "main.c", folder / "table.c"], *map(str, flags))
+    words = subprocess.run([made], capture_output=True, text=True, check=True).stdout.split()
+    places = np.reshape(np.array(words, float), (6, 4, 2))
+    assert np.isnan(places[:3, :, 1]).all()
+    assert (places[:, :, 0] < 4).all()
+    spline = [1 / 6, 4 / 6, 1 / 6, 0.0]
+    assert places[3].tolist() == [[n, pytest.approx(w, abs=1e-6)] for n, w in zip([3, 0, 1, 2], spline, strict=True)]
+    assert places[4].tolist() == [[n, pytest.approx(w, abs=1e-6)] for n, w in zip([2, 3, 0, 1], spline, strict=True)]
+
+
 def test_a_table_of_another_fmu_is_refused(unpacked, host):
     said = host(unpacked(), "open", uri=unpacked("compliant").uri, fails=True)
     assert "belong to two FMUs" in said

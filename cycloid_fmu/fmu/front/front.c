@@ -1,6 +1,6 @@
 /* The library that hosts load from an FMI 2.0 FMU in Python. It wraps pythonfmu's library in the same folder, which treats
    the resources' URI as a path and fails if characters are percent-encoded. This wrapper converts the URI to a path, turns
-   a discarded step into an error, and logs refusals even if the host has not asked for logging, as a native FMU does; all
+   a discarded step into an error and a fatal status, as of a wrong value reference, into one, and logs refusals even if the host has not asked for logging, as a native FMU does; all
    other calls are forwarded unchanged. It is compiled in advance with `python tests/native/front.py`, because an FMU in
    Python is built without a compiler. */
 #ifdef _WIN32
@@ -30,7 +30,6 @@ FMI2_Export const char front_source[] = SOURCE_HASH;
     X(EnterInitializationMode, (fmi2Component c), (c))                                                                 \
     X(ExitInitializationMode, (fmi2Component c), (c))                                                                  \
     X(Terminate, (fmi2Component c), (c))                                                                               \
-    X(Reset, (fmi2Component c), (c))                                                                                   \
     X(GetReal, (fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[]), (c, r, n, v))                  \
     X(GetInteger, (fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Integer v[]), (c, r, n, v))            \
     X(GetBoolean, (fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Boolean v[]), (c, r, n, v))            \
@@ -64,6 +63,7 @@ FMI2_Export const char front_source[] = SOURCE_HASH;
     X(GetStringStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2String *v), (c, kind, v))
 #define FUNCTIONS(X)                                                                                                   \
     FORWARDED(X)                                                                                                       \
+    X(Reset, (fmi2Component c), (c))                                                                                   \
     X(DoStep, (fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_state), (c, time, step, no_state))
 
 #ifdef _WIN32
@@ -292,14 +292,24 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
     return fmi2OK;
 }
 
+/* pythonfmu calls every exception fatal, but the slave survives it (kept_alive in slave.py). */
+static fmi2Status survived(fmi2Status status) {
+    return status == fmi2Fatal ? fmi2Error : status;
+}
+
 /* A shorter step would be refused too: after a discarded one, importers end without a message, or never. */
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_state) {
     fmi2Status status = behind.DoStep(c, time, step, no_state);
-    return status == fmi2Discard ? fmi2Error : status;
+    return status == fmi2Discard ? fmi2Error : survived(status);
+}
+
+/* It makes a new slave, so that none is left if this fails. */
+fmi2Status fmi2Reset(fmi2Component c) {
+    return behind.Reset(c);
 }
 
 #define X(NAME, PARAMETERS, ARGUMENTS)                                                                                 \
     fmi2Status fmi2##NAME PARAMETERS {                                                                                 \
-        return behind.NAME ARGUMENTS;                                                                                  \
+        return survived(behind.NAME ARGUMENTS);                                                                        \
     }
 FORWARDED(X)

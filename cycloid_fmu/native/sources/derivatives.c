@@ -182,9 +182,12 @@ static double reach_of(const struct variable *known) {
     }
 }
 
-/* Whether a variable may be a known: an input, a parameter, or a state of Model Exchange. */
-static int movable(const struct drive *drive, const struct variable *known) {
+/* Whether a variable may be a known: an input, a parameter, or a state of Model Exchange, which are stored. */
+static int movable(const struct drive *drive, struct state *along, const struct variable *known) {
     int fields[MOST_STATES], count = drive->exchange ? exchange_states(drive, fields) : 0, i;
+    if (drive_stored(along, known) == NULL) {
+        return 0;
+    }
     for (i = 0; i < count; i++) {
         if (fields[i] == known->field) {
             return 1;
@@ -200,7 +203,7 @@ void derivative_begin(struct direction *direction) {
 
 int derivative_seed(const struct drive *drive, struct direction *direction, const struct variable *known, double seed,
                     char message[MESSAGE_SIZE]) {
-    if (!movable(drive, known)) {
+    if (!movable(drive, &direction->along, known)) {
         snprintf(message, MESSAGE_SIZE, "%.100s is no input, parameter or state, so nothing has a derivative by it.", known->name);
         return 1;
     }

@@ -369,11 +369,15 @@ static double output(struct drive *drive, int field) {
     case TRANSMISSION_ERROR_RATE: return exchange_rate(drive, TRANSMISSION_ERROR);
     default: {
         double indicators[EVENT_INDICATORS];
-        if (field >= INPUT_FRICTION_STRAIN_RATE_1) {
-            return exchange_rate(drive, field - INPUT_FRICTION_STRAIN_RATE_1 + INPUT_FRICTION_STRAIN_1);
+        const int strain = field - INPUT_FRICTION_STRAIN_RATE_1, indicator = field - EVENT_INDICATOR_1;
+        if (strain >= 0 && strain < 2 * FRICTION_ELEMENTS) {
+            return exchange_rate(drive, strain + INPUT_FRICTION_STRAIN_1);
+        }
+        if (indicator < 0 || indicator >= EVENT_INDICATORS) {
+            return HUGE_VAL; /* no output: the table was not made by this package */
         }
         exchange_indicators(drive, indicators);
-        return indicators[field - EVENT_INDICATOR_1];
+        return indicators[indicator];
     }
     }
 }

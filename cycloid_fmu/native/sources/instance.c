@@ -328,6 +328,9 @@ static double *state_at(struct instance *instance, int field) {
 
 int instance_set_time(struct instance *instance, double time) {
     int status = exchanging(instance);
+    if (status == STATUS_OK && !(fabs(time) < HUGE_VAL)) {
+        return instance_refuse(instance, STATUS_ERROR, "the time is %g s: it must be finite.", time);
+    }
     if (status == STATUS_OK) {
         instance->drive.state.time = time;
     }

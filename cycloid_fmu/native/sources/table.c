@@ -6,11 +6,12 @@
 static struct place place_among(double period, uint32_t angles, double crank_angle) {
     double turns = crank_angle / period, n = angles;
     double at = (turns - floor(turns)) * n, s;
-    uint32_t first = (uint32_t)at;
+    uint32_t first;
     struct place place;
     int i;
+    at = at >= n ? 0.0 : at; /* rounded up to the next period */
+    first = at < n ? (uint32_t)at : 0; /* not of an angle that is no number, whose weights are none either */
     s = at - first;
-    first = first >= angles ? 0 : first;
     place.share = s;
     place.weight[0] = (1.0 - s) * (1.0 - s) * (1.0 - s) / 6.0;
     place.weight[1] = (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0;

@@ -213,7 +213,7 @@ static void read_variable(struct reader *reader, struct variable *v) {
     v->most = number(reader);
     v->start = number(reader);
     v->nominal = number(reader);
-    if (v->field < -1 || v->field >= LOSS_TABLE + MOST_LOSS_ROWS * LOSS_COLUMNS) {
+    if (v->field < (v->baked ? -1 : 0) || v->field >= LOSS_TABLE + MOST_LOSS_ROWS * LOSS_COLUMNS) {
         reader->failed = 1;
     }
 }
@@ -508,7 +508,7 @@ static int mix_angle(struct side *side, int16_t *deviation, uint16_t *compliance
         for (i = 0; i < count; i++) {
             sum += weight[i] * (double)of[i]->side[k].compliance[row + j];
         }
-        compliance[row + j] = (uint16_t)floor(fmin(sum, 3.0 * fmin(before, after) / side->compliance_step[j]));
+        compliance[row + j] = (uint16_t)floor(fmax(fmin(sum, 3.0 * fmin(before, after) / side->compliance_step[j]), 0.0));
     }
     return fits;
 }

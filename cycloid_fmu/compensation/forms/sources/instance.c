@@ -174,6 +174,10 @@ int instance_set(struct instance *instance, const struct variable *variable, dou
     if (index && state->phase == STEPPING) {
         return instance_refuse(instance, STATUS_ERROR, "the index is fixed: it can be set until initialization ends.");
     }
+    if (variable->kind == KIND_REAL && !(value > -1e300 && value < 1e300)) {
+        return instance_refuse(instance, STATUS_ERROR, "the variable %d is %g: it must be finite; a missing reading of an encoder "
+                               "is stated by output_measured.", variable->number, value);
+    }
     state->value[variable->number] = variable->kind == KIND_BOOLEAN ? value != 0.0 : value;
     return STATUS_OK;
 }
