@@ -303,12 +303,13 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
         torque = [pair.rated_torque]
     loads = tuple(loads_of(asked, torque))
     found, judged = _swept(pair, asked, loads)
-    motion = motion_of(pair, surface_of_pair(pair), loads[:1], angle, with_curve=False)
+    surface = surface_of_pair(pair)
+    motion = motion_of(pair, surface, loads[:1], angle, with_curve=False)
     return View(
         {}, pair, loads[0], found.crank_angle, found.transmission_error[0], found.backlash,
         found.pin_pressure[0].max(axis=(1, 2)),
-        _figures(pair, found), judged.verdicts, judged.not_judged, tuple(notes(pair, found)), drive_svg(motion),
-        tooth_svg(motion), _caption(motion), close_up(motion),
+        _figures(pair, found), judged.verdicts, judged.not_judged, tuple(notes(pair, surface, found)),
+        drive_svg(motion), tooth_svg(motion), _caption(motion), close_up(motion),
     )  # fmt: skip
 
 

@@ -150,9 +150,10 @@ def _figures_of(model: WearModel, depth: Depth) -> dict[str, float]:
 def wear_figures(model: WearModel, states: list[WearState], new: WearRate, workers: int = 1) -> dict[str, Any]:
     """Return the figures of a run, SI.
 
-    `linear` is without profile update, `updated` the written surface at the end of the history, `as_printed` by the paper's slip distance at
-    the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` has the number of steps and the
-    effect of halving all of them: largest difference anywhere, and the depths in whole steps; `life` has the history.
+    `linear` is without profile update, `updated` the written surface at the end of the history, `as_printed` by the
+    paper's slip distance at the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` has the
+    number of steps and the effect of halving all of them: largest difference anywhere, and the depths in whole steps;
+    `life` has the history.
     """
     turns = states[-1].crank_turns
     curve = accuracy(model, [s.depth for s in states], workers)
