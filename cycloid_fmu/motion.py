@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.transmission import Transmission, mesh_of, slices_needed
-from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points
 from cycloid_fmu.supports.transmission import OnBearings, problem_of, solve
@@ -27,6 +26,7 @@ Indices = NDArray[np.int64]
 Points = NDArray[np.complex128]
 PROFILE = 60  # points of each tooth's outline: of the 39/40 pair chords are within 5 µm of the flank
 LARGEST_FACTOR = 1000.0
+_EACH_PITCH = 48
 
 
 @dataclass(frozen=True)
@@ -148,6 +148,15 @@ class Motion:
         return np.asarray(point - (factor - 1.0) * back * normal)
 
 
+def mesh_angles(pins: int, each: int = _EACH_PITCH) -> Array:
+    """Return crank angles of a curve over a crank turn, its end included, rad: the same `each` in every pin pitch.
+
+    So equal pitches look equal; angles out of step meet a peak here and miss it there. With an `each` that is divisible
+    by the number of discs, every disc meets the same phases.
+    """
+    return np.linspace(0.0, 2.0 * np.pi, each * pins + 1)
+
+
 def along(vector: Points, normal: Points) -> Array:
     """Component of vectors along unit normals."""
     return np.asarray((vector * np.conj(normal)).real)
@@ -193,7 +202,7 @@ def motion_of(
     """
     loads, theta = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
     slices = slices_needed(surface)
-    turn = np.linspace(0.0, 2.0 * np.pi, ANGLES if with_curve else 0)
+    turn = mesh_angles(pair.pins) if with_curve else np.zeros(0)
     curve = solve(pair, surface, loads, turn, slices, with_play=False).transmission_error
     found = solve(pair, surface, loads, theta, slices, with_play=False)
     problem = (mesh_of if pair.supports is None else problem_of)(pair, surface, slices)

@@ -131,7 +131,7 @@ def analyze(
             print_judged(judged, f"Limits of {limits_file.name if limits_file else ''}")
             if "bearing_life" in judged.not_judged:
                 typer.echo("Bearing life needs a bearing of [supports] with its dynamic_capacity.")
-    for note in notes(drive.pair, found):
+    for note in notes(drive.pair, drive.surface, found):
         typer.echo(f"Note: {note}", err=True)
     if finished < angles:
         raise typer.Exit(edge.INTERRUPTED)

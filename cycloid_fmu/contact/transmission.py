@@ -559,16 +559,36 @@ def form_sensitivity(
 
 LARGEST_PRESSURE = 4e9
 """Pa: contact stress at which rolling bodies of bearing steel are permanently deformed (ISO 76, static rating)."""
+_LARGEST_TILT_ERROR = 0.02 / edge.ARCSEC  # rad
 _LARGEST_HALF_WIDTH = 0.25  # of the pin's radius: Hertz's half space ends there
 
 
-def notes(pair: Pair, found: Transmission) -> list[str]:
+def tilt_error(pair: Pair, tilt: ArrayLike) -> Array:
+    """Return the largest error of the transmission error by what slices neglect of a tilted gear, β²/2K, rad.
+
+    Parameters
+    ----------
+    pair
+        For its shortening coefficient K.
+    tilt
+        β, the angle of the gear's axis from the pins' axes, rad.
+
+    Notes
+    -----
+    Slices are displaced; that sections of a tilted gear are wider along the tilt is neglected (docs/theory/errors.md).
+    """
+    return np.asarray(0.5 * np.square(tilt) / pair.shortening)
+
+
+def notes(pair: Pair, surface: ErrorSurface, found: Transmission) -> list[str]:
     """Return where results lie outside what the model is made for, one sentence each, none where all is well.
 
     Parameters
     ----------
     pair
         Its `pressure_limit`, or `LARGEST_PRESSURE`, and its rated torque are what results are held against.
+    surface
+        Its errors, for the tilt of the gear.
     found
         Of `solve`.
     """
@@ -592,6 +612,14 @@ def notes(pair: Pair, found: Transmission) -> list[str]:
         torque = found.torque[np.abs(found.torque).argmax()]
         said.append(f"The torque {torque:g} N*m is above the rated torque, {pair.rated_torque:g} N*m.")
     said += interference_notes(found)
+    made = displacements(pair, surface, {})
+    tilt = math.hypot(made["tilt_x"], made["tilt_y"])
+    if (error := float(tilt_error(pair, tilt))) > _LARGEST_TILT_ERROR:
+        said.append(
+            f"The gear's axis is tilted by {tilt * 1e3:.3g} mrad, modelled to first order: the transmission error "
+            f"is uncertain by {error * edge.ARCSEC:.2g}″ (0.02″ at "
+            f"{math.sqrt(2.0 * pair.shortening * _LARGEST_TILT_ERROR) * 1e3:.2g} mrad)."
+        )
     if missing := missing_for_clearances(pair):
         said.append(f"Clearances stay as drawn at these temperatures; not stated are: {', '.join(missing)}.")
     return said
@@ -662,7 +690,7 @@ def labelled(pair: Pair, surface: ErrorSurface, result: Transmission, slices: in
     """Return results as `analyze` does: a dataset that states the drive, its slices and whether it is complete."""
     data = dataset_of(pair, result)
     data.attrs.update(provenance(pair, surface), slices=slices, complete=int(complete))
-    data.attrs["notes"] = "\n".join(notes(pair, result))
+    data.attrs["notes"] = "\n".join(notes(pair, surface, result))
     if pair.temperature is not None:
         data.attrs["temperature"] = str(pair.temperature)
     if pair.supports is None:

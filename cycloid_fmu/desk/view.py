@@ -20,7 +20,7 @@ from cycloid_fmu.draw.drive_svg import drive_svg, tooth_svg
 from cycloid_fmu.edge.quantities import EXAMPLES
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import FORMAT, Modification, Pair, pair_of_tables
-from cycloid_fmu.motion import Motion, motion_of
+from cycloid_fmu.motion import Motion, mesh_angles, motion_of
 from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies.limits import (
     Requirements,
@@ -36,6 +36,7 @@ from cycloid_fmu.surfaces.structured import dimensions
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 Array = NDArray[np.float64]
+_EACH_PITCH = 24  # crank angles of the curves in a pin pitch
 _TABLES = ("modification", "material", "supports", "temperature", "expansion", "errors")
 _PLACE = re.compile(r"(\[(?:pair|modification)\] )?(\w+)(?: = | is missing)")
 
@@ -277,8 +278,8 @@ def look(desk: Desk, values: Mapping[str, str]) -> View:
         The desk.
     values
         Text of fields by their keys, with units: those of `FIELDS`, `torque` of the environment on the output (empty
-        for the rated torque, or otherwise the first of the duty) and `crank_angle` of the drawing. Figures and curves
-        are those of `Drive.analyze` of the pair file with these values.
+        for the rated torque, or otherwise the first of the duty) and `crank_angle` of the drawing. Figures are those of
+        `Drive.analyze` of the pair file with these values; curves have the same crank angles in each pin pitch.
     """
     problems, torque, angle, pair = dict[str, str](), list[float](), 0.0, None
     try:
@@ -308,22 +309,29 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
     loads = tuple(loads_of(asked, torque, pair))
     # That of the file: what is stated of its bodies holds for variants too.
     series = series_compliance(pair_of_tables(desk.tables, desk.source), None)
-    found, judged = _swept(pair, asked, loads, series)
-    motion = motion_of(pair, surface_of_pair(pair), loads[:1], angle, with_curve=False)
+    found, curves, judged = _swept(pair, asked, loads, series)
+    surface = surface_of_pair(pair)
+    motion = motion_of(pair, surface, loads[:1], angle, with_curve=False)
     return View(
-        {}, pair, loads[0], found.crank_angle, found.transmission_error[0], found.backlash,
-        found.pin_pressure[0].max(axis=(1, 2)),
-        _figures(pair, found, series), judged.verdicts, judged.not_judged, tuple(notes(pair, found)), drive_svg(motion),
-        tooth_svg(motion), _caption(motion), close_up(motion),
+        {}, pair, loads[0], curves.crank_angle, curves.transmission_error[0], curves.backlash,
+        curves.pin_pressure[0].max(axis=(1, 2)),
+        _figures(pair, found, series), judged.verdicts, judged.not_judged, tuple(notes(pair, surface, found)),
+        drive_svg(motion), tooth_svg(motion), _caption(motion), close_up(motion),
     )  # fmt: skip
 
 
 @functools.lru_cache(maxsize=4)  # so that moving the crank needs no new solution
-def _swept(pair: Pair, asked: Requirements, loads: tuple[float, ...], series: float) -> tuple[Transmission, Judged]:
+def _swept(
+    pair: Pair, asked: Requirements, loads: tuple[float, ...], series: float
+) -> tuple[Transmission, Transmission, Judged]:
+    """Results for figures and verdicts, results for the curves, and the verdicts."""
     surface, workers = surface_of_pair(pair), os.cpu_count() or 1
     turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     found = solve(pair, surface, None, loads, turn, slices_needed(surface), workers=workers)
-    return found, judge_sweep(pair, surface, None, asked, found, workers, series)
+    curves = solve(
+        pair, surface, None, loads[:1], mesh_angles(pair.pins, _EACH_PITCH), slices_needed(surface), workers=workers
+    )
+    return found, curves, judge_sweep(pair, surface, None, asked, found, workers, series)
 
 
 def _caption(motion: Motion) -> str:

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cycloid_fmu.draw.figure import new_figure
-from cycloid_fmu.studies.design import Design, DesignTask, shown
+from cycloid_fmu.draw.figure import at_least, new_figure
+from cycloid_fmu.studies.design import Design, DesignTask, on_front, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+_SHARE = 0.01  # of a goal: less is not worth a design, and does not fill an axis
 
 
 def plot_designs(found: Sequence[Design], task: DesignTask, title: str) -> Figure:
@@ -43,12 +46,26 @@ def _label(name: str) -> str:
 def _front(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
     first, second = task.goals
     x, y = (np.array([float(shown(name, one.goals[name])[0]) for one in found]) for name in (first, second))
-    axes.plot(x, y, color="0.7", lw=1.0, zorder=1)
+    from matplotlib.ticker import MaxNLocator
+
+    best = on_front(found)
+    axes.plot(x[best], y[best], color="0.7", lw=1.0, zorder=1)
     for number, (one, a, b) in enumerate(zip(found, x, y, strict=True), 1):
-        axes.plot(a, b, "o" if one.met else "x", color="C0" if one.met else "tab:red", zorder=2)
+        of_front = best[number - 1]
+        axes.plot(a, b, "o" if one.met else "x", color="C0" if one.met else "tab:red",
+                  mfc="C0" if of_front else "white", zorder=2)  # fmt: skip
         axes.annotate(f" {number}", (a, b), fontsize=8)
-    missed = "; red: a limit is not met" if not all(one.met for one in found) else ""
-    axes.set(xlabel=_label(first), ylabel=_label(second), title=f"Pareto front{missed}")
+    said = "Pareto front"
+    if any(one.met and not front for one, front in zip(found, best, strict=True)):
+        said += "; hollow: another design is better"
+    if not all(one.met for one in found):
+        said += "; red: a limit is not met"
+    at_least(axes, _SHARE * float(np.abs(x).max()), along_x=True)
+    at_least(axes, _SHARE * float(np.abs(y).max()))
+    axes.ticklabel_format(useOffset=False)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.set(xlabel=_label(first), ylabel=_label(second))
+    axes.set_title(said, fontsize=9)
 
 
 def _margins(axes: Axes, one: Design) -> None:
@@ -57,7 +74,9 @@ def _margins(axes: Axes, one: Design) -> None:
     axes.barh(names, shares, color=["C0" if share >= 0.0 else "tab:red" for share in shares])
     axes.axvline(0.0, color="0.3", lw=0.8)
     goal = ", ".join(f"{name.replace('_', ' ')} {' '.join(shown(name, value))}" for name, value in one.goals.items())
-    axes.set(xlabel="margin to the limit [% of the limit, at most 100]", title=goal)
+    # All of the scale, so that a margin of nearly nothing looks like it.
+    axes.set(xlabel="margin to the limit [% of the limit, at most 100]", xlim=(min(-5.0, 1.05 * min(shares)), 105.0))
+    axes.set_title(goal, fontsize=9)
 
 
 def _ranges(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cycloid_fmu.draw.figure import figure_of_names, show_legend
+from cycloid_fmu.draw.figure import at_least, figure_of_names, show_legend
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.motion import Motion, Points, along, round_number, tooth_turns
 
@@ -22,6 +22,7 @@ PRESSURES = ("#ffe9a8", "#fdb94d", "#ee6a33", "#bf1f2e", "#5c0d2b")
 FREE, STEEL, EDGE, BEHIND = "#ffffff", "#dfe5ec", "#46525f", "#7d8ea3"
 _ARROW = "simple,tail_width=1.4,head_width=5,head_length=6"
 LONGEST_ARROW = 0.3  # of the pin circle's radius
+_FLAT = 1e-9  # m: deviations below are rounding
 _CLOSE_UP = 0.4  # of the tooth's height: drawn size of the largest deviation of a close-up
 
 
@@ -188,6 +189,7 @@ def draw_error(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> Non
     axis.plot(turn, curve - mean, lw=0.9)
     now = math.degrees(motion.crank_angle[angle] % (2.0 * np.pi))
     axis.plot([now], [motion.transmission_error[load, angle] * ARCSEC - mean], "o", color="#bf1f2e", ms=5)
+    at_least(axis, 0.01)
     axis.set(xlabel="crank angle [°]", ylabel="TE - mean [arcsec]", xlim=(0.0, 360.0))
     axis.set_xticks(np.arange(0, 361, 90))
     axis.set_title(f"transmission error: mean {mean:.2f}″, peak to peak {np.ptp(curve):.2f}″", fontsize=9)
@@ -215,12 +217,12 @@ def close_up(motion: Motion) -> CloseUp:
     disc, tooth, _ = np.unravel_index(np.abs(raised).round(10).argmax(), raised.shape)
     drawn = along(motion.drawn - motion.unmodified, motion.normal)
     made = raised[disc, tooth]
-    largest = max(float(np.abs([drawn, made]).max()), 1e-9)
-    factor = round_number(_CLOSE_UP * 2.0 * pair.eccentricity / largest)
+    largest = float(np.abs([drawn, made]).max())
+    factor = round_number(_CLOSE_UP * 2.0 * pair.eccentricity / largest) if largest > _FLAT else 1.0
     curves = [("unmodified", "#111111", motion.unmodified, 0.0 * drawn)]
-    if drawn.any():
+    if np.abs(drawn).max() > _FLAT:
         curves.append(("as drawn", "#1f77b4", motion.drawn, drawn))
-    if np.abs(made - drawn).max() > 1e-9:
+    if np.abs(made - drawn).max() > _FLAT:
         curves.append(("as made", "#bf1f2e", motion.made[disc, tooth] / tooth_turns(pair)[tooth], made))
     upright = 1j * np.exp(-1j * np.pi / pair.gear_teeth)
     found = []
@@ -229,7 +231,8 @@ def close_up(motion: Motion) -> CloseUp:
         place = (points + (factor - 1.0) * height * motion.normal) * upright
         found.append(ToothCurve(name + span, colour, name == "unmodified", place))
     of_disc = f" of disc {disc}" if pair.discs > 1 else ""
-    return CloseUp(f"tooth {tooth}{of_disc}, modification and deviations × {factor:g}", found)
+    said = f"modification and deviations × {factor:g}" if largest > _FLAT else "without modification and deviations"
+    return CloseUp(f"tooth {tooth}{of_disc}, {said}", found)
 
 
 def draw_tooth(axis: Axes, motion: Motion) -> None:

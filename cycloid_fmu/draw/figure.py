@@ -61,6 +61,14 @@ def new_figure(rows: int = 1, columns: int = 1, *, sharex: bool = False) -> tupl
     return figure, axes.ravel()
 
 
+def at_least(axis: Axes, span: float, *, along_x: bool = False) -> None:
+    """Widen an axis about its middle to a span, so that neither rounding nor a trifle fills it."""
+    low, high = axis.get_xlim() if along_x else axis.get_ylim()
+    if high - low < span:
+        widen = axis.set_xlim if along_x else axis.set_ylim
+        widen(0.5 * (low + high - span), 0.5 * (low + high + span))
+
+
 def show_legend(axis: Axes, **options: Any) -> None:
     """Show the legend on a background that keeps it readable over lines."""
     axis.legend(**{"fontsize": 8, "framealpha": 0.85, "edgecolor": "none", **options})

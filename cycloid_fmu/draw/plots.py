@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.draw.figure import new_figure, show_legend
+from cycloid_fmu.draw.figure import at_least, new_figure, show_legend
 from cycloid_fmu.draw.figure import save as save  # re-exported for the commands
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 
@@ -103,11 +103,13 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
     cranks = shafts.shape[1]
     main = first["main_bearing_force"].values[:, None]
     panels = ((axes[0], arms, arm), (axes[1], shafts, "crank bearings"), (axes[2], main, "main bearing"))
+    largest = max(float(values.max()) for _, values, _ in panels)
     for axis, values, name in panels:
         for number, force in enumerate(values.T):
             each = f"disc {number // cranks}" + (f", crank {number % cranks}" if cranks > 1 else "")
             which = each if axis is axes[0] else f"crank {number}"
             axis.plot(angle, force, lw=1.0, label=which if values.shape[1] > 1 else None)
+        at_least(axis, _FORCES * largest)
         if 1 < values.shape[1] <= 9:
             show_legend(axis, ncols=3, fontsize=7, loc="upper center")
             axis.set_ylim(top=axis.get_ylim()[1] * (1.3 if values.shape[1] > 3 else 1.15))  # space for the legend
@@ -118,6 +120,7 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
         axes[3].plot(one["disc_shift_x"] * 1e6, one["disc_shift_y"] * 1e6, lw=1.0, label=f"disc {disc}")
     axes[3].set(xlabel="x [µm]", ylabel="y [µm]")
     axes[3].set_title(f"shift of each disc's centre, {float(first['torque']):g} N·m", fontsize=9)
+    at_least(axes[3], _SHIFT)
     axes[3].set_aspect("equal", "datalim")
     show_legend(axes[3])
     soft = {share.part: share.compliance * 1e6 for share in shares}
@@ -138,6 +141,8 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
 
 
 _ZOOMED = 3  # pin pitches
+# Spans that axes have at least: the accuracy of angles, arcsec; shares of a force, and of what never comes near zero.
+_ANGLE, _FORCES, _SHARE, _SHIFT = 0.01, 0.01, 0.01, 0.02  # the last one in µm
 _ALIKE = "one pin pitch (all equal)"
 
 
@@ -180,6 +185,7 @@ def plot_analysis(data: xr.Dataset) -> Figure:
             error = data["transmission_error"].sel(torque=torque).values * ARCSEC
             label = f"{torque:g} N·m: mean {error.mean():.2f}″, peak to peak {np.ptp(error):.2f}″"
             axis.plot(at[shown], error[shown] - error.mean(), lw=1.0, label=label)
+        at_least(axis, _ANGLE)
         axis.set(xlabel="crank angle [°]", ylabel="TE - mean [arcsec]")
     axes[0].set_title("transmission error (TE) about its mean", fontsize=9)
     zoom = f"transmission error (TE) about its mean, {_ALIKE}" if alike else f"the first {_ZOOMED} pin pitches"
@@ -205,6 +211,8 @@ def plot_analysis(data: xr.Dataset) -> Figure:
             values = data[name].sel(torque=torque).values * factor
             style = "steps-mid" if name == "contact_count" else "default"
             axis.plot(at[seen], values[seen], lw=1.0, drawstyle=style)
+        largest = float(np.nan_to_num(np.abs(data[name].values)).max(initial=0.0)) * factor
+        at_least(axis, _ANGLE if name == "backlash" else _SHARE * largest)
         axis.set(xlabel="crank angle [°]", ylabel=unit)
         axis.set_title(label + (f", {_ALIKE}" if alike else ""), fontsize=9)
         if name == "contact_count":
@@ -267,7 +275,6 @@ def plot_lines(data: xr.Dataset) -> Figure:
         figure.colorbar(shown, ax=axis, label="largest pressure [MPa]")
     axes[2].set_title(f"flanks, over all teeth and crank angles, {torque:g} N·m", fontsize=9)
     axes[3].set_title(f"pins, over all pins and crank angles, {torque:g} N·m", fontsize=9)
-    figure.suptitle(title_of(data), fontsize=11)
     figure.suptitle(title_of(data), fontsize=11)
     return figure
 
@@ -366,13 +373,15 @@ def plot_tolerance(result: object) -> Figure:
 
     Figures without a limit that are the same in all drives are not drawn; with a limit they are a point.
     """
+    from matplotlib.ticker import MaxNLocator
+
     from cycloid_fmu.studies.tolerance import FIGURES, PER_TORQUE, Result, yields
 
     assert isinstance(result, Result)
     study = result.study
     limits, kept = study.tolerances.limits.stated(), yields(result)
     every = list(dict.fromkeys(n for n, _ in study.columns))
-    names = [n for n in every if n in limits or np.ptp(result.figure(n)) > 0.0] or every
+    names = [n for n in every if n in limits or _varies(result.figure(n))] or every
     figure, axes = new_figure((len(names) + 1) // 2, 2)
     for axis in axes[len(names) :]:
         figure.delaxes(axis)
@@ -383,11 +392,12 @@ def plot_tolerance(result: object) -> Figure:
         for k, column in enumerate(values.reshape(len(values), -1).T):
             label = f"{study.torque[k]:g} N·m" if name in PER_TORQUE else None
             column = column * np.sign(study.torque[k] or 1.0) if signed else column
-            if np.ptp(column) > 0.0:
+            if _varies(column):
                 axis.hist(column, bins="auto", histtype="stepfilled", alpha=0.5, label=label)
             else:
                 axis.plot(column[0], column.size, "o", label=label or "all drives")
         axis.set(xlabel=f"{name.replace('_', ' ')}{', along the load' if signed else ''} [{unit}]", ylabel="drives")
+        axis.yaxis.set_major_locator(MaxNLocator(integer=True))
         if name in limits:
             _show_limit(
                 axis, limits[name] * factor, f"limit {limits[name] * factor:g}: {kept[name]['share']:.1%} meet it"
@@ -397,6 +407,11 @@ def plot_tolerance(result: object) -> Figure:
     teeth, drives = study.pair.gear_teeth, result.figure(names[0])[result.independent].shape[0]
     figure.suptitle(f"Cycloid drive {teeth}/{teeth + 1}: {drives} drives within tolerances", fontsize=11)
     return figure
+
+
+def _varies(values: NDArray[np.float64]) -> bool:
+    """Whether the drives of a study differ by more than rounding."""
+    return bool(np.ptp(values) > 1e-6 * np.abs(values).max())
 
 
 def _show_limit(axis: Axes, limit: float, label: str) -> None:
@@ -462,13 +477,16 @@ def plot_simulation(results: Mapping[str, NDArray[np.float64]], title: str) -> F
         ),
         strict=True,
     ):
-        axis.plot(time, results[name] * factor, lw=1.2)
+        values = results[name] * factor
+        axis.plot(time, values, lw=1.2)
+        at_least(axis, _SHARE * float(np.abs(values).max()) if name == "max_contact_pressure" else _ANGLE)
         axis.set(ylabel=label)
     axes[-1].set(xlabel="time [s]")
     figure.suptitle(title, fontsize=11)
     return figure
 
 
+_ROUNDING = 1e-9  # of the larger variable: differences below are rounding
 # Units in which differences of an FMU's variables are shown.
 DIFFERENCE_UNITS = {
     "flange_a.phi": ("arcsec", ARCSEC), "flange_b.phi": ("arcsec", ARCSEC), "transmission_error": ("arcsec", ARCSEC),
@@ -492,6 +510,7 @@ def plot_comparison(
     for axis, (name, (first, second)) in zip(axes, pairs.items(), strict=False):
         unit, factor = DIFFERENCE_UNITS.get(name, ("", 1.0))
         axis.plot(time, (first - second) * factor, lw=1.0)
+        at_least(axis, _ROUNDING * factor * float(max(np.abs(first).max(), np.abs(second).max())))
         axis.set(ylabel=f"{name} [{unit}]")
     for axis in axes[len(pairs) :]:
         axis.set_axis_off()

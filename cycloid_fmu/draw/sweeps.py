@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cycloid_fmu.draw.figure import new_figure, show_legend
+from cycloid_fmu.draw.figure import at_least, new_figure, show_legend
 from cycloid_fmu.studies.sweep import FREE, LOADED
 from cycloid_fmu.studies.sweep_files import SHOWN, label_of, shown_values, varied_names, with_free_positions
 
@@ -15,12 +15,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+# Span that axes and colours have at least: a share of the largest value, and the accuracy of angles and lengths.
+_SHARE, _ACCURACY = 0.01, {"arcsec": 0.01, "µm": 0.01}
+
+
 def plot_sweep(data: xr.Dataset) -> Figure:
     """Every figure of a sweep: over one value as lines, one per torque; over two as maps, at the first torque.
 
     If more than two values vary, the first two are drawn, at the first value of the others. Invalid combinations and
     drives with interference are blank, in maps grey.
     """
+    from matplotlib.ticker import MaxNLocator
+
     missing = int((data["reason"].values != "").sum())
     size, data = data["reason"].size, with_free_positions(data)
     names = varied_names(data)
@@ -36,12 +42,17 @@ def plot_sweep(data: xr.Dataset) -> Figure:
         unit, factor = SHOWN[one[name].attrs["units"]]
         label = label_of("share_of_loaded_pins" if name == "loaded_pins" else name, unit).replace(" [", "\n[")
         places = [shown_values(data, each)[0] for each in several]
+        largest = float(np.nan_to_num(np.abs(one[name].values)).max()) * factor
+        least = max(_SHARE * largest, _ACCURACY.get(unit, 0.0))
         if len(several) == 1:
             loads = data["torque"].values if name in LOADED else [None]
             for load in loads:
                 values = one[name] if load is None else one[name].sel(torque=load)
                 axis.plot(places[0], values.values * factor, ".-", ms=4, lw=1.2,
                           label=None if load is None else f"{load:g} N·m")  # fmt: skip
+            at_least(axis, least)
+            axis.ticklabel_format(useOffset=False)
+            axis.xaxis.set_major_locator(MaxNLocator(6))
             margin = 0.03 * float(np.ptp(places[0]))
             axis.set(xlabel=labels[0], ylabel=label)
             if margin > 0.0:
@@ -50,7 +61,12 @@ def plot_sweep(data: xr.Dataset) -> Figure:
                 show_legend(axis)
             continue
         values = one[name].isel(torque=0) if name in LOADED else one[name]
-        image = axis.pcolormesh(places[1], places[0], values.transpose(*several).values * factor, shading="nearest")
+        shown_here = values.transpose(*several).values * factor
+        low, high = float(np.nanmin(shown_here)), float(np.nanmax(shown_here))
+        wider = max(0.5 * (least - (high - low)), 0.0)
+        image = axis.pcolormesh(
+            places[1], places[0], shown_here, shading="nearest", vmin=low - wider, vmax=high + wider
+        )
         axis.set_facecolor("0.85")
         axis.grid(False)
         axis.set(xlabel=labels[1], ylabel=labels[0])

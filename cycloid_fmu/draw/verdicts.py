@@ -64,14 +64,19 @@ def plot_duty(judged: Judged) -> Figure:
             (axes[-2], [one.life / 3600.0 for one in known], "L10h over the duty [h]"),
             (axes[-1], [one.equivalent for one in known], "equivalent load [N]"),
         ):
-            axis.barh([one.bearing for one in known], lengths, color="#4c78a8")
+            names = [one.bearing for one in known]
+            if axis is axes[-2]:  # a logarithmic axis has no zero for a bar to start from
+                axis.plot(lengths, names, "o", color="#4c78a8")
+                axis.set_xscale("log")
+            else:
+                axis.barh(names, lengths, color="#4c78a8")
             axis.invert_yaxis()
-            axis.set(xlabel=label, xscale="log" if axis is axes[-2] else "linear")
+            axis.set(xlabel=label)
             axis.tick_params(axis="y", labelsize=7)
-        asked = [one for one in judged.verdicts if one.figure == "bearing_life"]
-        for one in asked:
-            axes[-2].axvline(one.limit / 3600.0, color="k", ls="--", lw=1, label="limit")
-            show_legend(axes[-2])
+        for one in judged.verdicts:
+            if one.figure == "bearing_life":
+                axes[-2].axvline(one.limit / 3600.0, color="k", ls="--", lw=1, label="limit")
+                show_legend(axes[-2], loc="lower left", bbox_to_anchor=(0.0, 1.0))
     for axis in axes:
         axis.title.set_fontsize(9)
     return figure

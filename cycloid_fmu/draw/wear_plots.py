@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.draw.figure import new_figure, show_legend
+from cycloid_fmu.draw.figure import at_least, new_figure, show_legend
 from cycloid_fmu.edge import ARCSEC
 
 if TYPE_CHECKING:
@@ -95,6 +95,8 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
         axes[11].plot(at, np.asarray(life[name]) * ARCSEC, ".-", ms=4, lw=1, label=label)
     axes[11].set(xlabel="million crank turns", ylabel="peak to peak [arcsec]")
     show_legend(axes[11])
+    for axis in axes[9:12]:
+        at_least(axis, 0.01)
     pair = model.pair
     figure.suptitle(f"Wear of the cycloid drive {pair.gear_teeth}/{pair.pins}, {turns:.3g} crank turns", fontsize=11)
     return figure

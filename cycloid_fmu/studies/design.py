@@ -763,6 +763,21 @@ def _eased(name: str, value: float) -> float:
     return value + (-_GIVEN_WAY if name in LOWER else _GIVEN_WAY) * abs(value)
 
 
+def on_front(designs: Sequence[Design]) -> NDArray[np.bool_]:
+    """Return which designs are on the Pareto front of their goals, shape (designs,).
+
+    They meet all limits, and no other such design is better in one goal and as good in all others; differences of less
+    than a thousandth do not count, as in a search.
+    """
+    signs = [-1.0 if name in LOWER else 1.0 for name in designs[0].goals]
+    costs = np.array([list(one.goals.values()) for one in designs]) * signs
+    met = np.array([one.met for one in designs])
+    noticed = _GIVEN_WAY * np.abs(costs)
+    at_least_as_good = (costs[:, None] <= costs + noticed).all(axis=2)
+    better = (costs[:, None] < costs - noticed).any(axis=2)
+    return np.asarray(met & ~(at_least_as_good & better & met[:, None]).any(axis=0))
+
+
 def _words(name: str) -> str:
     return name.replace("_", " ")
 

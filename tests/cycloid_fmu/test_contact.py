@@ -7,6 +7,8 @@ import sys
 import numba
 import numpy as np
 import pytest
+import second_drive
+import tilted_gear
 from common import ARCSEC, CASES, EXAMPLES, PAIR, make_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,7 +16,7 @@ from hypothesis import strategies as st
 from cycloid_fmu import contact, edge
 from cycloid_fmu.contact import compiling
 from cycloid_fmu.contact.deviations import Facing, added_curvature
-from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, notes, solve
+from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, notes, solve, tilt_error
 from cycloid_fmu.drive import read_drive
 from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.geometry import ANGLES
@@ -636,13 +638,40 @@ def test_the_file_whose_errors_can_not_have_been_made_is_named(tmp_path):
 def test_results_outside_the_model_say_so():
     pair = make_pair().replace(rated_torque=181.0)
     angles = np.linspace(0.0, 0.2, 4)
-    assert notes(pair, solve(pair, surface_of_pair(pair), [150.0], angles)) == []
-    said = notes(pair, solve(pair, surface_of_pair(pair), [1e5], angles))
+    assert notes(pair, surface_of_pair(pair), solve(pair, surface_of_pair(pair), [150.0], angles)) == []
+    said = notes(pair, surface_of_pair(pair), solve(pair, surface_of_pair(pair), [1e5], angles))
     assert [word in one for word, one in zip(("MPa", "half width", "rated"), said, strict=True)] == [True] * 3
     limited = pair.replace(pressure_limit="300 MPa")
-    assert "above 300 MPa" in notes(limited, solve(limited, surface_of_pair(pair), [150.0], angles))[0]
+    assert (
+        "above 300 MPa"
+        in notes(limited, surface_of_pair(pair), solve(limited, surface_of_pair(pair), [150.0], angles))[0]
+    )
     wrong = make_pair().replace(offset=40e-6)
-    assert "no play" in notes(wrong, solve(wrong, surface_of_pair(wrong), [10.0], angles))[-1]
+    assert "no play" in notes(wrong, surface_of_pair(wrong), solve(wrong, surface_of_pair(wrong), [10.0], angles))[-1]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "torque"), [({}, -181.0), ({"gear_teeth": 13, "pins": 14, "eccentricity": "2.5 mm"}, 120.0)]
+)
+@pytest.mark.parametrize("direction", [1.0, np.exp(0.7j)])
+def test_slices_of_a_tilted_gear_err_by_less_than_the_note_says(sizes, torque, direction):
+    """Against horizontal sections of the gear in three dimensions; the error grows with the square of the tilt."""
+    pair = make_pair(PAIR + '[modification]\nisometric = "-15 um"\noffset = "-40 um"\n', **sizes)
+    lengths = ("gear_teeth", "pin_circle_radius", "pin_radius", "eccentricity", "face_width")
+    made = second_drive.body({n: getattr(pair, n) for n in lengths}, isometric=-15e-6, offset=-40e-6)
+    limit = np.sqrt(2.0 * pair.shortening * 0.02 * ARCSEC)
+    assert tilt_error(pair, limit) == pytest.approx(0.02 * ARCSEC)
+    angles, errors = np.array([1.0, 2.0]), {}
+    for tilt in (0.0, 1e-3):
+        surface = surface_of_pair(pair).replace(
+            misalignment_xz=(tilt * direction).real, misalignment_yz=(tilt * direction + 0j).imag
+        )
+        found = solve(pair, surface, [torque], angles, 5)
+        exact = [tilted_gear.transmission_error(made, angle, torque, tilt * direction, 5) for angle in angles]
+        errors[tilt] = np.abs(found.transmission_error[0] - exact).max()
+        assert any("tilted by" in note for note in notes(pair, surface, found)) == (tilt > limit)
+    assert errors[0.0] < 0.002 * ARCSEC
+    assert 0.3 * tilt_error(pair, 1e-3) < errors[1e-3] < tilt_error(pair, 1e-3)
 
 
 def test_default_crank_angles_are_out_of_step_with_any_pins():
