@@ -479,16 +479,16 @@ class Bar:
 
     def _draw(self) -> None:
         if self._rich is None:
-            if time.monotonic() - self._began < _SHORT:
+            if self._total is not None and time.monotonic() - self._began < _SHORT:
                 return
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-            shown = "{task.description}", "{task.fields[left]}"
+            known = (TaskProgressColumn(), TextColumn("{task.fields[left]}"))
+            columns = known if self._total is not None else (TimeElapsedColumn(),)
             self._rich = Progress(
-                TextColumn(shown[0]), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn(shown[1]),
-                console=Console(stderr=True), transient=True,
-            )  # fmt: skip
+                TextColumn("{task.description}"), BarColumn(), *columns, console=Console(stderr=True), transient=True
+            )
             self._task = self._rich.add_task(self._what, total=self._total, left="")
             self._rich.start()
         self._rich.update(

@@ -796,7 +796,7 @@ def _tightened_best(
     if tolerances is None or not search.limits:
         return best
     for number in range(_ROUNDS):
-        progress(f"tightening the limits ({number + 1})")
+        progress(f"tightening the limits, round {number + 1} of at most {_ROUNDS}")
         one = candidate(search.pair, search.values_at(best))
         figures = sampled_figures(task, one.pair, one.surface, tolerances, seed, workers)
         found = allowances(task, search.exact(best), figures)
