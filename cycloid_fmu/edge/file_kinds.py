@@ -71,7 +71,7 @@ def kind_of(path: str | os.PathLike[str]) -> str:
             return _of_format(stated.decode() if isinstance(stated, bytes) else str(stated)) or "a netCDF or HDF5 file"
         if head.startswith(_ZIP):
             with zipfile.ZipFile(path) as archive:
-                return _FMU if "modelDescription.xml" in archive.namelist() else "a ZIP archive"
+                return _FMU if "modelDescription.xml" in archive.namelist() else ""
         if head.startswith(_ARROW):
             return FORMATS["cycloid-recording"] if b"cycloid-recording/" in head else "an Arrow stream"
         if found := _STATED.search(head):
