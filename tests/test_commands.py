@@ -261,13 +261,14 @@ def test_the_time_left_is_that_at_the_measured_speed(monkeypatch, capsys):
     now = [0.0]
     monkeypatch.setattr(commands.time, "monotonic", lambda: now[0])
     with commands.Bar("drives", 1000) as bar:
+        now[0] = 7.0  # for the start of processes
         bar.advance(400)  # from a checkpoint
-        now[0] = 50.0
+        now[0] = 57.0
         bar.advance(100)
         assert bar.left() == pytest.approx(500 / 2.0)
         bar.update(completed=0, total=2000, description="crank angles")
         assert bar.left() is None
-        now[0] = 60.0
+        now[0] = 67.0
         bar.advance(1000)
         assert bar.left() == pytest.approx(10.0)
 

@@ -166,7 +166,7 @@ def read_design_task(path: str | os.PathLike[str]) -> tuple[Pair, DesignTask, To
         If a file can't be read or is invalid; it names the file.
     """
     source, beside = str(path), Path(path).parent
-    task = edge.validated(DesignTask, edge.toml_table(edge.read_text(path), FORMAT, source), source)
+    task = edge.validated(DesignTask, edge.toml_table(edge.read_text(path, FORMAT), FORMAT, source), source)
     if not task.drive:
         raise edge.InputError(f"{source}: drive is missing.")
     if task.robust is not None and not task.robust.tolerances:
