@@ -1,6 +1,7 @@
 """Common behaviour of the three command lines."""
 
 import contextlib
+import importlib
 import io
 import re
 import subprocess
@@ -136,6 +137,50 @@ def test_an_ending_that_does_not_fit_is_refused_before_anything_is_read(command,
     assert re.fullmatch(r"--(plot|output) = x\.(csv|doc): the name must end in \..*\.\n", run.stderr)
 
 
+def every_command():
+    """Each command of the three programs, with its name."""
+    for name, door in (("cycloid-fmu", "cycloid_fmu"), ("cycloid-fit", "fitting"), ("cycloid-bench", "drivers")):
+        group = typer.main.get_command(importlib.import_module(f"{door}.cli").app)
+        context = group.context_class(group)
+        for verb in group.commands:
+            command = group.get_command(context, verb)
+            for below in getattr(command, "commands", {"": command}).values():
+                yield f"{name} {verb} {below.name}", below
+
+
+def test_help_shows_few_options_first_and_the_others_under_more():
+    for name, one in every_command():
+        options = [p for p in one.params if p.param_type_name == "option" and p.name != "help"]
+        main = [p for p in options if p.rich_help_panel is None]
+        assert len(main) == (6 if len(options) > 8 else len(options)), name
+        assert all(p in main for p in options if p.required), name
+        assert len(options) <= 18, name
+
+
+def test_more_options_are_in_the_help(command):
+    shown = command("cycloid-fmu", "tolerance", "--help").stdout
+    main, more = shown.split("More options")
+    assert "--samples" in main
+    assert "--scheduler" in more
+    assert "More options" not in command("cycloid-fmu", "draw", "--help").stdout
+
+
+def test_keys_of_files_lead_to_the_right_one(command, tmp_path):
+    """A part of a limit's name misspelt, and a key of one material at the table of both."""
+    (tmp_path / "p.toml").write_text(PAIR + '[material]\nyoungs_modulus = "70 GPa"\n')
+    (tmp_path / "pair.toml").write_text(PAIR)
+    limits = 'format = "cycloid-requirements/1"\n[limits]\nstifness = "100 N*m/arcmin"\n'
+    (tmp_path / "limits.toml").write_text(limits)
+    for words, said in (
+        (["p.toml"], "p.toml: [material] youngs_modulus is not a known key; it belongs to [material.gear] or "
+                     "[material.pin].\n"),
+        (["pair.toml", "--limits", "limits.toml"], "limits.toml: [limits] stifness is not a known key; "
+                                                   "did you mean torsional_stiffness?\n"),
+    ):  # fmt: skip
+        run = command("cycloid-fmu", "analyze", *words)
+        assert (run.returncode, run.stderr) == (2, said)
+
+
 def study(torque: float, seed: int) -> None:
     """A function of the library."""
     if seed < 0:
@@ -216,13 +261,14 @@ def test_the_time_left_is_that_at_the_measured_speed(monkeypatch, capsys):
     now = [0.0]
     monkeypatch.setattr(commands.time, "monotonic", lambda: now[0])
     with commands.Bar("drives", 1000) as bar:
+        now[0] = 7.0  # for the start of processes
         bar.advance(400)  # from a checkpoint
-        now[0] = 50.0
+        now[0] = 57.0
         bar.advance(100)
         assert bar.left() == pytest.approx(500 / 2.0)
         bar.update(completed=0, total=2000, description="crank angles")
         assert bar.left() is None
-        now[0] = 60.0
+        now[0] = 67.0
         bar.advance(1000)
         assert bar.left() == pytest.approx(10.0)
 

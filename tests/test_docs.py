@@ -13,6 +13,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import typer
 from common import EXAMPLES, resolved
 
 from cycloid_fmu import edge
@@ -105,6 +106,47 @@ def test_every_block_is_of_a_kind_that_is_checked(page):
 def lines_of(body):
     """The command lines of a block, continued ones joined."""
     return [line.strip() for line in body.replace("\\\n", " ").splitlines() if line.strip(" #")]
+
+
+INLINE = re.compile(r"`(cycloid-(?:fmu|fit|bench) [^`]+)`")
+GROUPS = {
+    name: typer.main.get_command(importlib.import_module(f"{door}.cli").app)
+    for name, door in (("cycloid-fmu", "cycloid_fmu"), ("cycloid-fit", "fitting"), ("cycloid-bench", "drivers"))
+}
+
+
+def incomplete(line):
+    """What a command line lacks: its first unknown or missing option or argument, or ""."""
+    name, *words = shlex.split(line.removesuffix("&"), comments=True)
+    command = GROUPS[name]
+    context = command.context_class(command)
+    while hasattr(command, "commands"):
+        command, words = command.commands[words[0]], words[1:]
+        context = command.context_class(command, context)
+    try:
+        given, _, _ = command.make_parser(context).parse_args(args=list(words))
+    except Exception as problem:
+        return str(problem)
+    lacks = [p for p in command.params if p.required and given.get(p.name) in (None, ())]
+    return f"{lacks[0].opts[0]} is missing" if lacks else ""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_commands_are_complete_as_written(page):
+    """Those in blocks, and those in the sentences of README; other pages' sentences only name commands and options."""
+    for line in (line for language, _, body in blocks(page) if language == "sh" for line in lines_of(body)):
+        assert not line.startswith("cycloid-") or incomplete(line) == "", line
+    for found in INLINE.findall(BLOCK.sub("", page.read_text(encoding="utf-8"))):
+        line = " ".join(found.split())
+        if " -" in line:
+            assert incomplete(line) == "" or (page.stem != "README" and "No such option" not in incomplete(line)), line
+
+
+def test_a_command_that_lacks_an_option_is_found():
+    assert incomplete("cycloid-fmu tolerance p.toml") == "--tolerances is missing"
+    assert "--nonsense" in incomplete("cycloid-fmu analyze p.toml --nonsense 3")
+    assert incomplete("cycloid-fmu draw p.toml") == "--output is missing"
+    assert incomplete("cycloid-fmu draw p.toml -o p.svg") == ""
 
 
 NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")

@@ -80,6 +80,7 @@ def test_files_that_are_not_text_are_named(command, tmp_path):
             if (words[0], name) != ("inspect", "d.fmu") and words[-2:] != ["--surface", "s.nc"]:
                 assert (run.returncode, run.stderr.count("\n")) == (2, 1)
                 assert run.stderr.startswith(f"{name}: this is {kind}; ")
+                assert words[-1] != name or words[0] != "analyze" or "(cycloid-" in run.stderr.partition("; ")[2]
 
 
 def test_a_damaged_file_of_the_right_kind_is_called_damaged(tmp_path):

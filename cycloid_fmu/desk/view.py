@@ -143,7 +143,7 @@ def open_desk(path: str | os.PathLike[str], limits: str | os.PathLike[str] | Non
     >>> list(view.problems), view.problems["pair.eccentricity"][-32:]
     (['pair.eccentricity'], 'the eccentricity below "1.6 mm".')
     """
-    tables = edge.toml_table(edge.read_text(path), FORMAT, str(path))
+    tables = edge.toml_table(edge.read_text(path, FORMAT), FORMAT, str(path))
     pair = pair_of_tables(tables, str(path))
     dimensions(pair, surface_of_pair(pair), f"{path}: errors")
     if limits is None:

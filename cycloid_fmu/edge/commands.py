@@ -56,7 +56,6 @@ _SETTINGS: dict[str, Any] = {
 _QUIET, _LONGEST_QUIET = 10.0, 30.0  # seconds between the lines of a progress that is written to a file
 _FORESEEN, _LONG = 3.0, 20.0  # seconds after which a computation is announced that takes at least so long
 _SHORT = 0.5  # seconds: shorter computations show no bar, as its package is slow to load
-_AT_ONCE = 0.1  # seconds in which only results of an interrupted run are ready
 _WIDE = 40  # characters; longer cells may be wrapped at spaces in a narrow terminal
 _FEW, _MAIN = 8, 6  # the help of a command with more than 8 options shows 6 of them first
 
@@ -447,7 +446,8 @@ class Bar:
     def __init__(self, what: str, total: float | None) -> None:
         self._what, self._total, self._done = what, total, 0.0
         self._began = time.monotonic()
-        self._from = (self._began, 0.0)  # time and items from which the speed is measured
+        # Time and items from which the speed is measured: without starting, and without items of an interrupted run.
+        self._from: tuple[float, float] | None = None
         self._said, self._said_share = self._began, 0.0
         self._rich: Progress | None = None
 
@@ -462,9 +462,8 @@ class Bar:
         before, self._done = self._done, self._done if completed is None else completed
         self._total = self._total if total is None else total
         self._what = self._what if description is None else description
-        now = time.monotonic()
-        if self._done < before or now - self._began < _AT_ONCE:  # other items, or those of an interrupted run
-            self._from = (now, self._done)
+        if self._from is None or self._done < before:
+            self._from = (time.monotonic(), self._done)
         if sys.stderr.isatty():
             self._draw()
         elif self._done != self._total:
@@ -472,7 +471,7 @@ class Bar:
 
     def left(self) -> float | None:
         """Return the time left, s, at the mean speed; None if it is not known."""
-        began, before = self._from
+        began, before = self._from or (0.0, self._done)
         done = self._done - before
         if self._total is None or done <= 0.0:
             return None
@@ -480,16 +479,16 @@ class Bar:
 
     def _draw(self) -> None:
         if self._rich is None:
-            if time.monotonic() - self._began < _SHORT:
+            if self._total is not None and time.monotonic() - self._began < _SHORT:
                 return
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-            shown = "{task.description}", "{task.fields[left]}"
+            known = (TaskProgressColumn(), TextColumn("{task.fields[left]}"))
+            columns = known if self._total is not None else (TimeElapsedColumn(),)
             self._rich = Progress(
-                TextColumn(shown[0]), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn(shown[1]),
-                console=Console(stderr=True), transient=True,
-            )  # fmt: skip
+                TextColumn("{task.description}"), BarColumn(), *columns, console=Console(stderr=True), transient=True
+            )
             self._task = self._rich.add_task(self._what, total=self._total, left="")
             self._rich.start()
         self._rich.update(

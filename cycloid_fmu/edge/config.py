@@ -6,7 +6,7 @@ import math
 import numbers
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_args, get_origin
 
 import pydantic
 
@@ -139,18 +139,18 @@ def _keys(model: type[pydantic.BaseModel], place: Sequence[int | str]) -> list[s
 
 def _tables_with(model: type[pydantic.BaseModel], key: str) -> str:
     """Return "it belongs to …" with the tables of a file that have a key, or "" if none has it."""
-    found, seen = list[str](), set[tuple[str, ...]]()
+    found = list[str]()
 
-    def look(one: type[pydantic.BaseModel], place: tuple[str, ...]) -> None:
+    def look(one: type[pydantic.BaseModel], title: str, depth: int, repeated: bool) -> None:
         for name, field in one.model_fields.items():
-            below = (*place, field.alias or name)
-            if place and below[-1] == key:
-                found.append(f"[{'.'.join(place)}]")
-            for table in _models(field.annotation) if below not in seen and len(below) < _DEEPEST else ():
-                look(table, below)
-            seen.add(below)
+            written, kind = field.alias or name, get_origin(field.annotation)
+            if title and written == key:
+                found.append(f"[[{title}]]" if repeated else f"[{title}]")
+            below = f"{title}.{written}".lstrip(".") + (".NAME" if kind is dict else "")
+            for table in _models(field.annotation) if depth < _DEEPEST else ():
+                look(table, below, depth + 1, kind in (list, tuple))
 
-    look(model, ())
+    look(model, "", 0, False)
     *others, last = tables = list(dict.fromkeys(found)) or [""]
     if len(tables) > _MOST_TABLES:
         return f"it belongs to a table such as {tables[0]}."

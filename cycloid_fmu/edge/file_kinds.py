@@ -66,10 +66,11 @@ def kind_of(path: str | os.PathLike[str]) -> str:
             head = file.read(_HEAD)
         if head.startswith(_HDF5):
             with contextlib.suppress(InputError, RuntimeError):
-                return _of_format(call_limited(path, hdf5_format, str(path)))
+                return _of_format(call_limited(path, hdf5_format, str(path))) or "a netCDF or HDF5 file"
             return "a netCDF or HDF5 file"
-        if head.startswith(_ZIP) and "modelDescription.xml" in zipfile.ZipFile(path).namelist():
-            return _FMU
+        if head.startswith(_ZIP):
+            with zipfile.ZipFile(path) as archive:
+                return _FMU if "modelDescription.xml" in archive.namelist() else ""
         if head.startswith(_ARROW):
             return FORMATS["cycloid-recording"] if b"cycloid-recording/" in head else "an Arrow stream"
         if found := _STATED.search(head):

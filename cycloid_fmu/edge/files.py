@@ -51,7 +51,7 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
     InputError
         If it can't be read, is not a JSON object, or has another format.
     """
-    text = read_text(path)
+    text = read_text(path, wanted_format)
     try:
         data = json.loads(text)
     except (ValueError, RecursionError) as problem:
@@ -64,21 +64,23 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
 
 
 def format_of(path: str | os.PathLike[str]) -> object:
-    """Return the `format` of a TOML file; None if it has none or is not TOML, which its reader reports."""
+    """Return the `format` of a TOML file; None if it has none or can't be read, which its reader reports."""
     try:
         return tomllib.loads(read_text(path)).get("format")
-    except InputError:
-        raise
     except (ValueError, RecursionError):
         return None
 
 
-def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of a UTF-8 file; raise an `InputError` if it can't be read or is a device, a pipe or a socket."""
+def read_text(path: str | os.PathLike[str], wanted_format: str | None = None) -> str:
+    """Return the text of a UTF-8 file; raise an `InputError` if it can't be read or is a device, a pipe or a socket.
+
+    The error names `wanted_format`, if it is given, where the file is of another kind.
+    """
     try:
         return existing(path).read_text(encoding="utf-8-sig")  # Windows editors begin UTF-8 with a byte order mark
     except UnicodeDecodeError:
-        raise wrong_kind(path, "a text file") or InputError(f"{path}: this is not a UTF-8 text file.") from None
+        what = "a text file" if wanted_format is None else needed(wanted_format)
+        raise wrong_kind(path, what) or InputError(f"{path}: this is not a UTF-8 text file.") from None
     except OSError as problem:
         raise InputError(f"{path}: {problem.strerror or problem}.") from None
 

@@ -105,4 +105,4 @@ def read_friction(path: str | os.PathLike[str]) -> FrictionTables:
     2.0
     """
     source = str(path)
-    return edge.validated(_FrictionFile, edge.toml_table(edge.read_text(path), FORMAT, source), source).friction
+    return edge.validated(_FrictionFile, edge.toml_table(edge.read_text(path, FORMAT), FORMAT, source), source).friction

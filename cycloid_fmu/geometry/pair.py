@@ -557,7 +557,7 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
 
 def read_pair(path: str | os.PathLike[str]) -> Pair:
     """Return the pair of a pair file; raise an `edge.InputError` that names invalid entries."""
-    return parse_pair(edge.read_text(path), str(path))
+    return parse_pair(edge.read_text(path, FORMAT), str(path))
 
 
 def write_pair(pair: Pair, path: str | os.PathLike[str]) -> None:

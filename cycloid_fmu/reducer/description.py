@@ -348,7 +348,7 @@ def read_reducer(path: str | os.PathLike[str]) -> Reducer:
     >>> cy.read_reducer("rv.toml").ratio
     141.0
     """
-    return parse_reducer(edge.read_text(path), str(path))
+    return parse_reducer(edge.read_text(path, FORMAT), str(path))
 
 
 def contradictions(reducer: Reducer, source: str) -> list[str]:

@@ -169,7 +169,7 @@ def read_design_task(path: str | os.PathLike[str]) -> tuple[Pair, DesignTask, To
         If a file can't be read or is invalid; it names the file.
     """
     source, beside = str(path), Path(path).parent
-    task = edge.validated(DesignTask, edge.toml_table(edge.read_text(path), FORMAT, source), source)
+    task = edge.validated(DesignTask, edge.toml_table(edge.read_text(path, FORMAT), FORMAT, source), source)
     if not task.drive:
         raise edge.InputError(f"{source}: drive is missing.")
     if task.robust is not None and not task.robust.tolerances:
@@ -823,7 +823,7 @@ def _tightened_best(
     if tolerances is None or not search.limits:
         return best
     for number in range(_ROUNDS):
-        progress(f"tightening the limits ({number + 1})")
+        progress(f"tightening the limits, round {number + 1} of at most {_ROUNDS}")
         one = candidate(search.pair, search.values_at(best))
         figures = sampled_figures(task, one.pair, one.surface, tolerances, seed, workers, search.series)
         found = allowances(task, search.exact(best), figures)

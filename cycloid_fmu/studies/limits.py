@@ -161,7 +161,7 @@ def parse_requirements(text: str, source: str) -> Requirements:
 
 def read_requirements(path: str | os.PathLike[str]) -> Requirements:
     """Return the requirements of a file, `cycloid-requirements/1`; an `edge.InputError` names the invalid entries."""
-    return parse_requirements(edge.read_text(path), str(path))
+    return parse_requirements(edge.read_text(path, FORMAT), str(path))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -295,7 +295,7 @@ def read_tolerances(path: str | os.PathLike[str]) -> Tolerances:
     >>> cy.read_tolerances("tolerances.toml").pin_radius.tolerance
     2e-06
     """
-    return parse_tolerances(edge.read_text(path), str(path))
+    return parse_tolerances(edge.read_text(path, FORMAT), str(path))
 
 
 def error_stream(seed: int, error: str) -> np.random.Generator:

@@ -87,7 +87,7 @@ def parse_wear_law(text: str, source: str) -> WearLaw:
 
 def read_wear_law(path: str | os.PathLike[str]) -> WearLaw:
     """Return the wear law of a wear file; an `edge.InputError` names the invalid entries."""
-    return parse_wear_law(edge.read_text(path), str(path))
+    return parse_wear_law(edge.read_text(path, FORMAT), str(path))
 
 
 def duty_cycle(

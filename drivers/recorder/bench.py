@@ -128,7 +128,7 @@ def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> 
     (-39.0, ['input_angle', 'output_angle', 'torque'])
     """
     source = str(path)
-    table = edge.toml_table(edge.read_text(path), BENCH_FORMAT, source)
+    table = edge.toml_table(edge.read_text(path, BENCH_FORMAT), BENCH_FORMAT, source)
     file = edge.validated(_BenchFile, table, source)
     check_lines(file.bus, file.port, allow, source)
     channels, installed = {}, registered()

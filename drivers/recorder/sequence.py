@@ -158,7 +158,7 @@ def read_sequence(path: str | os.PathLike[str], *, allow: Collection[str] = ()) 
     """
     source = str(path)
     folder = Path(path).parent
-    file = edge.validated(SequenceFile, edge.toml_table(edge.read_text(path), FORMAT, source), source)
+    file = edge.validated(SequenceFile, edge.toml_table(edge.read_text(path, FORMAT), FORMAT, source), source)
     if file.drive is None or (folder / file.bench).exists():
         bench = read_bench(folder / file.bench, allow=allow)
     else:  # a simulated bench writes its wiring when it is started

@@ -76,7 +76,7 @@ def read_faults(path: str | os.PathLike[str]) -> list[Fault]:
     edge.InputError
         If the file is invalid; names file, table and key.
     """
-    table = edge.toml_table(edge.read_text(path), FORMAT, str(path))
+    table = edge.toml_table(edge.read_text(path, FORMAT), FORMAT, str(path))
     return [Fault(**f.model_dump()) for f in edge.validated(_FaultFile, table, str(path)).fault]
 
 

@@ -163,7 +163,7 @@ class History(edge.Config):
 
 def read_history(path: str | os.PathLike[str]) -> History:
     """Return the history that a file states; an `edge.InputError` names errors in it."""
-    return edge.validated(History, edge.toml_table(edge.read_text(path), FORMAT, str(path)), str(path))
+    return edge.validated(History, edge.toml_table(edge.read_text(path, FORMAT), FORMAT, str(path)), str(path))
 
 
 def measured(

@@ -128,7 +128,7 @@ def read_certificate(path: str | os.PathLike[str]) -> Certificate:
     edge.InputError
         If the file can't be read or is invalid; one sentence for each problem.
     """
-    return edge.validated(Certificate, edge.toml_table(edge.read_text(path), FORMAT, str(path)), str(path))
+    return edge.validated(Certificate, edge.toml_table(edge.read_text(path, FORMAT), FORMAT, str(path)), str(path))
 
 
 def decide(value: float, expanded: float, low: float, high: float, rule: Rule) -> Verdict:

@@ -187,5 +187,5 @@ def read_instruments(path: str | os.PathLike[str]) -> Instruments:
     ['output_encoder']
     """
     return edge.validated(
-        InstrumentsFile, edge.toml_table(edge.read_text(path), FORMAT, str(path)), str(path)
+        InstrumentsFile, edge.toml_table(edge.read_text(path, FORMAT), FORMAT, str(path)), str(path)
     ).instruments

@@ -137,7 +137,7 @@ def read_read_head(path: str | os.PathLike[str]) -> ReadHead:
     edge.InputError
         If a file is invalid; one sentence that names file, field and value.
     """
-    table = edge.toml_table(edge.read_text(path), FORMAT, str(path))
+    table = edge.toml_table(edge.read_text(path, FORMAT), FORMAT, str(path))
     head = edge.validated(_File, table, str(path)).read_head
     source = Path(path).parent / head.displacement
     rows = [values for _, values in edge.number_rows(source, {"torque": "N*m", "displacement": "m"})]

@@ -3,6 +3,7 @@ import math
 import sys
 
 import numpy as np
+import pydantic
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -105,6 +106,8 @@ class Part(edge.Config):
 class Whole(edge.Config):
     part: Part = Part()
     parts: tuple[Part, ...] = ()
+    named: dict[str, Part] = pydantic.Field(default={})
+    strongest_torque_each: float = 0.0
     pins: int = 3
 
 
@@ -138,6 +141,9 @@ def test_a_file_states_the_unit(value):
             "a.toml: parts[0].torqe is not a known key; did you mean torque?",
         ),
         ({"colour": 1}, "a.toml: colour is not a known key; check its spelling or remove it."),
+        ({"length": "3 mm"}, "a.toml: length is not a known key; it belongs to [part], [[parts]] or [named.NAME]."),
+        ({"part": {"pins": 3}}, "a.toml: [part] pins is not a known key; check its spelling or remove it."),
+        ({"strongest_torq": 1}, "a.toml: strongest_torq is not a known key; did you mean strongest_torque_each?"),
     ],
 )
 def test_an_unknown_key_is_named_with_the_nearest_known_one(data, sentence):

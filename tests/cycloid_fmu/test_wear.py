@@ -574,7 +574,7 @@ def test_the_command_wears_a_drive(command, tmp_path):
     ("coefficient", "words", "sentence"),
     [
         ("1e-12 m^2/N", ["--torque", "-400 N*m", "--crank-turns", "1e6"], "mm deep, and the tooth is 5.133 mm thick"),
-        ("1e-18 m^2/N", ["--crank-turns", "1e6"], "it comes from 0"),
+        ("1e-18 m^2/N", ["--crank-turns", "1e6"], "--torque is missing; give it, or state [pair] rated_torque"),
         ("1e-18 m^2/N", ["--torque", "-400 N*m"], "--crank-turns is missing"),
         ("1e-18 m^2/N", ["--torque", "-400 N*m", "--crank-turns", "-1"], "zero or above"),
         ("1e-18 m^2/N", ["--torque", "-400", "--crank-turns", "1"], "--torque"),
