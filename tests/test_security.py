@@ -1,6 +1,7 @@
 """Limits of files from others: each row of the table in SECURITY.md is tried here, with real files."""
 
 import contextlib
+import gzip
 import json
 import os
 import pickle
@@ -660,6 +661,19 @@ def test_an_fmu_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("cycloid_fmu.edge.files.MOST_BYTES", 1 << 19)
     with pytest.raises(edge.InputError, match="it unpacks to more than"):
         edge.zip_archive(tmp_path / "a.fmu", "FMU")
+
+
+@tries("Compressed files (`.gz`)")
+def test_a_compressed_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, command):
+    """The bound of every unpacked file; nothing stays in the temporary folder."""
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(TABLE.encode() + b"0,0,0,5\n" * 200_000))
+    (tmp_path / "t").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "t"))
+    monkeypatch.setattr("cycloid_fmu.edge.MOST_BYTES", 1 << 19)
+    done = command("cycloid-fit", "inspect", "a.csv.gz")
+    assert done.returncode == edge.BAD_INPUT
+    assert "a.csv.gz: it unpacks to more than" in done.stderr
+    assert not list((tmp_path / "t").iterdir())
 
 
 def test_a_report_shows_names_as_names():

@@ -80,7 +80,7 @@ def test_bars_start_at_zero_and_lives_on_a_logarithmic_axis_are_dots():
     pair = cy.read_drive(EXAMPLES / "drive-39-40-bearings.toml").pair
     asked = read_requirements(EXAMPLES / "requirements.toml")
     angles, surface = np.linspace(0.0, 2.0 * np.pi, 20, endpoint=False), surface_of_pair(pair)
-    judged = judge_drive(pair, surface, None, asked, loads_of(asked, []), angles)
+    judged = judge_drive(pair, surface, None, asked, loads_of(asked, [], pair), angles)
     figure = plot_duty(judged)
     for axis in figure.axes:
         assert not (axis.patches and axis.get_xscale() == "log")
