@@ -9,14 +9,12 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from cycloid_fmu.edge.files import check_format, existing, written_whole
 from cycloid_fmu.edge.limited import call_limited, limits_of
 from cycloid_fmu.edge.problems import InputError, parsed_by_others, shown
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     import xarray as xr
 
 _CONTIGUOUS, _NOWHERE = 1, (1 << 64) - 1  # HDF5's code for contiguous layout, and its undefined address
@@ -68,6 +66,7 @@ def parsed_netcdf(path: str, most_bytes: float) -> Netcdf:
         If a variable is packed, its data are in another file, or they take more than `most_bytes`.
     """
     import h5netcdf
+    import numpy as np
 
     with h5netcdf.File(path, "r", backend="pyfive") as file:
         _check_contained(path, file.variables, most_bytes)
