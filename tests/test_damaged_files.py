@@ -391,7 +391,7 @@ def test_a_damaged_file_is_read_or_refused_in_one_sentence(tmp_path, request, mo
     read(path)
     request.addfinalizer(lambda: logging.disable(logging.NOTSET))
     logging.disable(logging.CRITICAL)  # messages of libraries about each file would be kept until the end
-    monkeypatch.setattr(limited, "_SECONDS", 5.0)  # half of this is the import of asammdf
+    monkeypatch.setattr(limited, "_SECONDS", 2.0)
     whole, kept = path.read_bytes(), tmp_path / "wrong"
     seed = SEEDS[name](whole) if name in SEEDS else whole
     random = np.random.default_rng([zlib.crc32(name.encode()), count])

@@ -45,7 +45,7 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> Netcdf:
     """
     existing(path)
     with parsed_by_others(path, "this is not a netCDF file, or it is damaged"):
-        data = call_limited(path, parsed_netcdf, str(path), limits_of(path).memory / 2)
+        data = call_limited(path, parsed_netcdf, str(path), limits_of(path).memory / 2, needs="h5netcdf")
     texts = {"format": data.attrs.get("format"), "pair": data.attrs.get("pair")}
     texts |= {f"the unit of {name}": one.attrs.get("units") for name, one in data.variables.items()}
     for name, text in texts.items():
