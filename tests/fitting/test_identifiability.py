@@ -223,7 +223,11 @@ def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_pa
         ),
         (
             ("ensemble", "s.nc", "--pair", "pair.toml", "-o", "again", "--plot", "b.png"),
-            "--plot and --torque: give both or neither",
+            "--torque is missing; give it, or state [pair] rated_torque in pair.toml.",
+        ),
+        (
+            ("ensemble", "s.nc", "--pair", "pair.toml", "-o", "again", "--torque", "20 N*m"),
+            "--torque is only for --plot",
         ),
     ):
         run = command("cycloid-fit", *words)
