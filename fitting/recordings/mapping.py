@@ -123,7 +123,7 @@ class FileMapping(_OneRun):
     Attributes
     ----------
     ratio
-        Signed ratio input/output of the drive.
+        Ratio input/output of the drive: -gear_teeth with a fixed ring, +pins with a fixed carrier.
     dbc
         DBC of a CAN log, relative to the mapping file.
     time
