@@ -408,7 +408,10 @@ def test_a_damaged_file_is_read_or_refused_in_one_sentence(tmp_path, request, mo
             kept.write_bytes(data)
             raise
     assert said or count < 100
-    assert [one for one in said if str(tmp_path) not in one or len(one) > 2000 or "MemoryError" in one] == []
+    assert [one for one in said if str(tmp_path) not in one or len(one) > 2000] == []
+    # Readers in a process of their own; and Arrow reserves what a page states, but fills none of it.
+    exempt = path.suffix in (".blf", ".asc", ".trc", ".dbc", ".mf4", ".mdf", ".nc", ".tdms", ".parquet")
+    assert exempt or not any("more memory than there is" in one for one in said)
 
 
 @pytest.mark.parametrize("number", ["1e308", "-1e308", ".1e308", "1e160"])

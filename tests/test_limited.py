@@ -51,14 +51,14 @@ def test_a_generator_s_results_come_in_order_and_as_far_as_wanted(tmp_path):
 
 ENDLESS = {
     "time": (sum, itertools.repeat(1), "takes more than 1 s of processor time"),
-    "memory": (list, itertools.repeat(1), "takes more than 0.3 GB of memory"),
+    "memory": (list, itertools.repeat(1), "takes more than 0.6 GB of memory"),
 }
 
 
 @pytest.mark.parametrize("limit", ENDLESS)
 def test_what_has_no_end_is_ended(monkeypatch, limit):
     monkeypatch.setattr(limited, "_SECONDS", 1.0 if limit == "time" else 60.0)
-    monkeypatch.setattr(limited, "_BYTES", 300 << 20)
+    monkeypatch.setattr(limited, "_BYTES", 600 << 20 if limit == "memory" else 4 << 30)
     function, argument, said = ENDLESS[limit]
     before = edge.call_limited(HERE, os.getpid)
     with pytest.raises(edge.InputError) as refused:

@@ -294,8 +294,6 @@ def _answer(requests: BinaryIO, answers: BinaryIO) -> None:
             kind, result = "end", None
         except InputError as problem:
             kind, result = "refused", str(problem)
-        except MemoryError:
-            kind, result = "failed", "it asks for more memory than there is"
         except Exception as problem:  # parsers raise exceptions of any class
             kind, result = "failed", first_line(problem)
         faulthandler.cancel_dump_traceback_later()

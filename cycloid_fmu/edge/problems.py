@@ -123,6 +123,8 @@ def needs_extra(
 
 def first_line(problem: BaseException) -> str:
     """Return the message of a library's error, in one line and cut if it is long."""
+    if isinstance(problem, MemoryError):  # it has no message
+        return "it asks for more memory than there is"
     said = (str(problem).strip() or type(problem).__name__).splitlines()[0].rstrip(".")
     return cut(said, 200)
 
