@@ -1,8 +1,12 @@
-"""Files made to stop the program that reads them, from whole ones."""
+"""Files made to stop the program that reads them, from whole ones; and limits for readers in this process."""
 
+import contextlib
 import re
+import resource
+import signal
 import struct
 import zlib
+from pathlib import Path
 
 
 def self_links(mdf):
@@ -45,3 +49,28 @@ def far_member(netcdf):
     """A netCDF file in which the member of a type lies beyond 2 GiB: NumPy adds its size and overflows."""
     at = netcdf.index(b"dataset\0") + 8
     return netcdf[:at] + struct.pack("<I", 0x7FFFFFFF) + netcdf[at + 4 :]
+
+
+class Hung(BaseException):
+    """A reader computed for longer than any person waits."""
+
+
+@contextlib.contextmanager
+def within(seconds, size):
+    """Limit the processor time, and the address space on top of what is in use, bytes."""
+
+    def stop(number, frame):
+        raise Hung(f"more than {seconds} s")
+
+    # Processor time: on a busy machine the wall clock does not measure a reader.
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    allowed = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + size, allowed[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, allowed)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)

@@ -23,8 +23,7 @@ HERE = __file__
 
 @pytest.fixture
 def short(monkeypatch):
-    """Less time than a person waits, and more than the import of a parser takes."""
-    monkeypatch.setattr(limited, "_SECONDS", 5.0)
+    monkeypatch.setattr(limited, "_SECONDS", 2.0)
 
 
 def test_a_function_computes_as_in_this_process(tmp_path, monkeypatch):

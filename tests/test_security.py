@@ -648,7 +648,7 @@ def test_a_description_of_too_many_variables_is_refused(tmp_path, monkeypatch):
         described(many)
     unknown = "".join(f'<Unknown index="{i + 1}" dependencies="1"/>' for i in range(8000))
     square = f"<Outputs>{unknown}</Outputs><InitialUnknowns>{unknown}</InitialUnknowns>"
-    monkeypatch.setattr("cycloid_fmu.edge.limited._SECONDS", 4.0)
+    monkeypatch.setattr("cycloid_fmu.edge.limited._SECONDS", 2.0)
     with pytest.raises(edge.InputError, match=r"a.fmu: this file is damaged or too complex"):
         described(fmu_with(tmp_path, "".join(one.format(i) for i in range(8000)), square))
 

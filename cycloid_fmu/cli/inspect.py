@@ -16,6 +16,7 @@ def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
 
     Example: [cyan]cycloid-fmu inspect drive.fmu[/]
     """
+    from cycloid_fmu.fmu.constants import DAMPING_RATIOS
     from cycloid_fmu.fmu.run import described, stated_drive, told
 
     description, problems = described(fmu_file)
@@ -38,6 +39,13 @@ def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
             rows,
         )
         typer.echo(f"{told(fmu_file)}.")
+        for damping in (v for v in description if v["name"] == "mesh_damping"):
+            low, high = DAMPING_RATIOS
+            typer.echo(
+                f"mesh_damping is {_shown(damping['start'])} N·m·s/rad, an assumption unless you have measured it: "
+                "vibration at a resonance of the mesh is inversely proportional to it. Published damping ratios of "
+                f"gear meshes are {low:g} to {high:g}."
+            )
         typer.echo("\n".join(problems) or "fmpy's validation finds no problem.")
     if problems:
         raise typer.Exit(edge.FAILED)

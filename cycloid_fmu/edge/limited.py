@@ -15,6 +15,7 @@ import importlib
 import inspect
 import json
 import logging
+import math
 import os
 import pickle
 import signal
@@ -53,7 +54,7 @@ def limits_of(source: str | os.PathLike[str]) -> Limits:
     return Limits(_SECONDS + size / _BYTES_PER_SECOND, _BYTES + _BYTES_PER_BYTE * size)
 
 
-def call_limited(source: str | os.PathLike[str], function: Callable[..., T], *args: object) -> T:
+def call_limited(source: str | os.PathLike[str], function: Callable[..., T], *args: object, needs: str = "") -> T:
     """Return `function(*args)`, computed in a process with the limits of the file `source`.
 
     Parameters
@@ -64,6 +65,8 @@ def call_limited(source: str | os.PathLike[str], function: Callable[..., T], *ar
         A public function of a module.
     args
         Its arguments; they and the result are pickled.
+    needs
+        Package that the function imports, whose import does not count.
 
     Raises
     ------
@@ -74,28 +77,33 @@ def call_limited(source: str | os.PathLike[str], function: Callable[..., T], *ar
     """
     if _serving:
         return function(*args)
-    with contextlib.closing(_results(source, function, args)) as results:
+    with contextlib.closing(_results(source, function, args, needs)) as results:
         result: T = next(results)
     return result
 
 
-def each_limited(source: str | os.PathLike[str], function: Callable[..., Iterator[T]], *args: object) -> Iterator[T]:
+def each_limited(
+    source: str | os.PathLike[str], function: Callable[..., Iterator[T]], *args: object, needs: str = ""
+) -> Iterator[T]:
     """Yield what the generator `function(*args)` yields, as `call_limited`; the limit of time applies to each result.
 
     The next result is computed while the caller uses this one.
     """
-    return function(*args) if _serving else _results(source, function, args)
+    return function(*args) if _serving else _results(source, function, args, needs)
 
 
-def _results(source: str | os.PathLike[str], function: Callable[..., Any], args: tuple[object, ...]) -> Any:
+def _results(source: str | os.PathLike[str], function: Callable[..., Any], args: tuple[object, ...], needs: str) -> Any:
     limits = limits_of(source)
     worker = _idle_worker() or _Worker()
     watch, free = _Watch(worker.process, limits), False
     try:
-        worker.send((function.__module__, function.__qualname__, args, _folder(), limits.seconds))
+        worker.send((function.__module__, function.__qualname__, needs))
+        worker.receive()
+        watch.begin()
+        worker.send((args, _folder(), limits.seconds))
         kind, result = worker.receive()
         while kind == "result":
-            watch.restart()
+            watch.begin()
             worker.send(True)
             try:
                 yield result
@@ -200,13 +208,12 @@ class _Watch:
         self.exceeded = ""
         self._process, self._limits, self._seen = process, limits, psutil.Process(process.pid)
         self._ended = threading.Event()
-        self._allowed = 0.0
-        self.restart()
+        self._allowed = math.inf
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._thread.start()
 
-    def restart(self) -> None:
-        """Begin the time of the next result."""
+    def begin(self) -> None:
+        """Begin the time of a result."""
         import psutil
 
         with contextlib.suppress(psutil.Error):  # the process has ended
@@ -266,7 +273,13 @@ def serve() -> None:
 
 
 def _answer(requests: BinaryIO, answers: BinaryIO) -> None:
-    module, name, args, folder, seconds = pickle.load(requests)
+    module, name, needs = pickle.load(requests)
+    with contextlib.suppress(ImportError):  # the function says so
+        if needs:
+            importlib.import_module(needs)
+    function = getattr(importlib.import_module(module), name)
+    _send(answers, "ready", None)
+    args, folder, seconds = pickle.load(requests)
     with contextlib.suppress(OSError):
         os.chdir(folder or ".")
     results: Iterator[Any] | None = None
@@ -274,13 +287,15 @@ def _answer(requests: BinaryIO, answers: BinaryIO) -> None:
         faulthandler.dump_traceback_later(_BACKSTOP * seconds, exit=True)
         try:
             if results is None:
-                made = getattr(importlib.import_module(module), name)(*args)
+                made = function(*args)
                 results = made if inspect.isgenerator(made) else iter([made])
             kind, result = "result", next(results)
         except StopIteration:
             kind, result = "end", None
         except InputError as problem:
             kind, result = "refused", str(problem)
+        except MemoryError:
+            kind, result = "failed", "it asks for more memory than there is"
         except Exception as problem:  # parsers raise exceptions of any class
             kind, result = "failed", first_line(problem)
         faulthandler.cancel_dump_traceback_later()

@@ -9,15 +9,13 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from cycloid_fmu.edge.file_kinds import check_format, needed, wrong_kind
 from cycloid_fmu.edge.files import existing, written_whole
 from cycloid_fmu.edge.limited import call_limited, limits_of
 from cycloid_fmu.edge.problems import InputError, parsed_by_others, shown
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     import xarray as xr
 
 _CONTIGUOUS, _NOWHERE = 1, (1 << 64) - 1  # HDF5's code for contiguous layout, and its undefined address
@@ -50,7 +48,7 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> Netcdf:
         if file.read(4) != b"\x89HDF" and (refused := wrong_kind(path, needed(wanted_format))) is not None:
             raise refused
     with parsed_by_others(path, "this is not a netCDF file, or it is damaged"):
-        data = call_limited(path, parsed_netcdf, str(path), limits_of(path).memory / 2)
+        data = call_limited(path, parsed_netcdf, str(path), limits_of(path).memory / 2, needs="h5netcdf")
     texts = {"format": data.attrs.get("format"), "pair": data.attrs.get("pair")}
     texts |= {f"the unit of {name}": one.attrs.get("units") for name, one in data.variables.items()}
     for name, text in texts.items():
@@ -71,6 +69,7 @@ def parsed_netcdf(path: str, most_bytes: float) -> Netcdf:
         If a variable is packed, its data are in another file, or they take more than `most_bytes`.
     """
     import h5netcdf
+    import numpy as np
 
     with h5netcdf.File(path, "r", backend="pyfive") as file:
         _check_contained(path, file.variables, most_bytes)

@@ -84,7 +84,7 @@ class Interface:
         gives angle and speed too, and the importing tool has no stiff contact to solve.
     mesh_damping
         Start value of the contacts' damping in a compliant FMU, N·m·s/rad at the output; None for 0.1 ms times the
-        stiffness at the rated torque.
+        stiffness at the rated torque, which is an assumption: vibration at resonance is inversely proportional to it.
     losses
         Rows of Modelica's `LossyGear.lossTable`: |w| of flange_a (rad/s, ascending from 0), efficiency while power
         flows from a to b and from b to a (dimensionless), friction torque at flange_a in the same two cases (N·m).
@@ -309,8 +309,9 @@ def _further(interface: Interface) -> list[Variable]:
                      least=0.0, nominal=1e-2, depends=still),
             Variable("dissipated_energy", "energy dissipated since initialisation", "output", unit="J", least=0.0,
                      nominal=1.0),
-            Variable("mesh_damping", "contact damping at the output; its torque is at most the elastic one",
-                     "parameter", "tunable", "N.m.s/rad", least=0.0, nominal=10.0, start=interface.mesh_damping or 0.0),
+            Variable("mesh_damping", "contact damping at the output, at most the elastic torque; an assumption unless "
+                     "measured: vibration at a resonance of the mesh is inversely proportional to it", "parameter",
+                     "tunable", "N.m.s/rad", least=0.0, nominal=10.0, start=interface.mesh_damping or 0.0),
             Variable("largest_step", "largest internal step; a longer communication step is divided", "parameter",
                      "fixed", "s", "ms", 1e-9, nominal=1e-3, start=LARGEST_STEP),
         ]  # fmt: skip

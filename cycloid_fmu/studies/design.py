@@ -548,7 +548,7 @@ class Search:
 
         def values_of(numbers: Array) -> Array:
             rounded = [round(n / 10.0**d, int(d)) for n, d in zip(numbers.tolist(), digits.tolist(), strict=True)]
-            values: Array = np.clip(rounded, self.low, self.low + self.width)
+            values: Array = np.clip(rounded, *np.array([self.task.vary[n] for n in self.names]).T)
             return values
 
         def missed(numbers: Array) -> float:

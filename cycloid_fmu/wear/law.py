@@ -113,7 +113,7 @@ def duty_cycle(
               "[[wear.duty]]": bool(law.duty)}  # fmt: skip
     places = [name for name, given in stated.items() if given]
     if len(places) > 1:
-        raise edge.InputError(f"{source}: {' and '.join(places)} both state the load; keep one of them.")
+        raise edge.InputError(f"{source}: {' and '.join(places)} state the load; keep one of them.")
     if not places:
         torque = pair.rated_load(pair_source)
     if crank_turns is not None and not 0.0 <= crank_turns < math.inf:

@@ -26,7 +26,6 @@ from drivers.encoder import (
 )
 from drivers.recorder.bench import Bench, open_encoders, read_bench
 from drivers.recorder.clock import ClockEstimate
-from drivers.recorder.in_use import Claims
 from drivers.recorder.supervision import Supervised
 from drivers.recording_format import MARKS, Event, Header, RecordingWriter, Samples, check_new
 
@@ -473,6 +472,8 @@ def record(
     >>> done.samples
     {'input_angle': 96, 'output_angle': 96, 'torque': 96}
     """
+    from drivers.recorder.in_use import Claims
+
     wired = bench if isinstance(bench, Bench) else read_bench(bench, allow=allow)
     duration = None if duration is None else in_si(duration, "s", "duration", above=0.0)
     idle = None if idle is None else in_si(idle, "s", "idle", above=0.0)

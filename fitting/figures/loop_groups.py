@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from fitting.figures.figure import DEFINITIONS, UNITS, Figure
+from fitting.figures.figure import DEFINITIONS, UNITS, Figure, in_field_units
 from fitting.figures.friction_free import FrictionFree, friction_free
 from fitting.figures.hysteresis import (
     Lobe,
@@ -188,7 +190,23 @@ def group_of(data: LoopData) -> LoopGroup:
     )  # fmt: skip
 
 
-def largest_groups(groups: list[LoopGroup]) -> list[LoopGroup]:
-    """Return the groups that reach about the largest torque: the same loops at several positions."""
-    top = max((one.largest_torque for one in groups), default=0.0)
-    return [one for one in groups if one.largest_torque >= _ALIKE * top]
+GROUPS_HEAD = ("recording", "largest torque", "loops used", "hysteresis loss", "play", "loading stiffness")
+"""Columns of `group_rows`."""
+
+
+def group_rows(groups: Sequence[LoopGroup]) -> list[list[str]]:
+    """Return groups of loops as table rows, columns `GROUPS_HEAD`."""
+
+    def shown(figure: Figure | None) -> str:
+        return "" if figure is None else "{} ± {} {}".format(*in_field_units(figure))
+
+    rows = []
+    for one in groups:
+        stiffness = one.figures.get("loading_stiffness")
+        over = "" if stiffness is None or stiffness.interval is None else "{:g} … {:g} N·m".format(*stiffness.interval)
+        play = None if one.friction_free is None else one.friction_free.figures["play"]
+        rows.append([
+            Path(one.source).name, f"{one.largest_torque:.4g} N·m", f"{one.loops_used} of {one.loops_found}",
+            shown(one.figures.get("hysteresis_loss")), shown(play), f"{shown(stiffness)} {f'({over})' if over else ''}",
+        ])  # fmt: skip
+    return rows

@@ -240,7 +240,8 @@ def metrics(
     drive
         The nominal drive, for ratio and rated torque.
     ratio
-        In place of a drive: its signed ratio input/output. Default: that stated by the recordings.
+        In place of a drive: its ratio input/output, -gear_teeth with a fixed ring, +pins with a fixed carrier. Default:
+        that stated by the recordings.
     rated_torque
         Rated torque T_N, N·m or text with a unit. Default: that of the drive, or else the largest torque of each
         recording.

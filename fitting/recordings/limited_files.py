@@ -15,26 +15,28 @@ from fitting.recordings.loggers import MdfFile, TdmsFile
 
 
 class LimitedFile(BenchFile):
-    """A bench file of a kind, which is opened in the process that reads; see `edge.each_limited`."""
+    """A bench file of a kind, which a package reads in the process with limits; see `edge.each_limited`."""
 
-    def __init__(self, kind: type[BenchFile], source: str, dbc: str | os.PathLike[str] | None) -> None:
-        self._file = (kind, source, dbc)
+    def __init__(
+        self, kind: type[BenchFile], package: str, source: str, dbc: str | os.PathLike[str] | None = None
+    ) -> None:
+        self._file, self._package = (kind, source, dbc), package
         if dbc is not None:  # alone, so that a message names it
-            edge.call_limited(edge.existing(dbc), check_dbc, dbc)
-        super().__init__(source, **edge.call_limited(source, attributes_of, *self._file))
+            edge.call_limited(edge.existing(dbc), check_dbc, dbc, needs="cantools")
+        super().__init__(source, **edge.call_limited(source, attributes_of, *self._file, needs=package))
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """Yield pieces of these channels in the order of time."""
-        for content in edge.each_limited(self.source, contents_of, *self._file, list(names)):
+        for content in edge.each_limited(self.source, contents_of, *self._file, list(names), needs=self._package):
             if isinstance(content, Piece):
                 yield content
             else:
                 self.problems = content
 
 
-mdf_file = partial(LimitedFile, MdfFile)
-tdms_file = partial(LimitedFile, TdmsFile)
-can_log = partial(LimitedFile, CanLog)
+mdf_file = partial(LimitedFile, MdfFile, "asammdf")
+tdms_file = partial(LimitedFile, TdmsFile, "nptdms")
+can_log = partial(LimitedFile, CanLog, "cantools")
 
 
 def check_dbc(path: str | os.PathLike[str]) -> None:

@@ -131,7 +131,7 @@ class FileMapping(_OneRun):
     Attributes
     ----------
     ratio
-        Signed ratio input/output of the drive.
+        Ratio input/output of the drive: -gear_teeth with a fixed ring, +pins with a fixed carrier.
     locked
         The shaft that is locked in the recording: its angle, if there is one, is no motion of the drive.
     dbc

@@ -161,10 +161,13 @@ def _effect_row(one: Effect, tolerances: Tolerances | None) -> dict[str, str]:
         half = (one.phase.interval[1] - one.phase.interval[0]) / 2.0
         known = "" if math.isnan(half) else f" ± {math.degrees(half) / one.order:.1f}"
         at = f"{angle:.1f}{known}°" if math.isnan(half) or half < math.pi / 2.0 else "unknown"
+    stated = f"{low:.{digits}f} … {high:.{digits}f}"
+    if math.isnan(low):
+        stated = "" if math.isnan(one.error.standard_error) else "withheld"
     return {
         "name": words_of(one), "effect": f"{one.peak_to_peak * ARCSEC:.2f}",
         "value": f"{one.error.value * factor:.{digits}f} {unit}",
-        "interval": "" if math.isnan(low) else f"{low:.{digits}f} … {high:.{digits}f}", "at": at,
+        "interval": stated, "at": at,
         "tolerance": "" if tolerances is None else _allowed(one.kind, tolerances),
     }  # fmt: skip
 

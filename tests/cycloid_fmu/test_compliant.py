@@ -295,6 +295,25 @@ def test_an_inertia_inside_decays_by_its_damping():
     assert model.output_angle == pytest.approx(at_rest, abs=1e-6)
 
 
+def test_vibration_at_a_resonance_is_inversely_proportional_to_the_damping():
+    """Steady speed under a torque of the mesh's natural frequency is that torque over the damping."""
+    inertia, swing = 0.05, 0.2
+    for damping in (20.0, 60.0):
+        model = compliant(inertia, torque=100.0, mesh_damping=damping)
+        model.forget_history()
+        model.advance()
+        frequency = math.sqrt(model.torsional_stiffness / inertia)
+        assert 0.02 < 0.5 * damping / (inertia * frequency) < 0.2  # of damping ratios that are published
+        step = 2.0 * math.pi / frequency / 60
+        settled = round(10.0 * inertia / damping / step)
+        speeds = []
+        for k in range(settled + 120):
+            model.torque = 100.0 + swing * math.sin(frequency * (k + 0.5) * step)
+            model.advance(step)
+            speeds.append(model.output_speed)
+        assert np.ptp(speeds[settled:]) / 2.0 == pytest.approx(swing / damping, rel=0.05)
+
+
 def test_an_inertia_inside_crosses_the_play_and_bounces_without_gaining():
     inertia, load = 0.05, 5.0
     model = compliant(inertia, torque=load, mesh_damping=5.0)

@@ -18,8 +18,10 @@ from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 from lxml import etree
+from typer.testing import CliRunner
 
 import cycloid_fmu as cy
+from cycloid_fmu.cli import app
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.core import MAGIC, state_from_bytes, state_to_bytes
 from cycloid_fmu.fmu.run import open_fmu, simulate
@@ -227,6 +229,13 @@ def test_a_refused_value_or_step_is_an_error_status_with_a_message_and_nothing_b
         assert any("friction_torque = -1: it must be finite and lie between 0 and inf" in t for t in texts)
         assert any("a step of -0.001 s: it must be finite" in t for t in texts)
     freed(slave)
+
+
+def test_inspect_says_that_damping_is_an_assumption(fmus):
+    shown = CliRunner().invoke(app, ["inspect", str(fmus("inertia", "3.0"))]).stdout
+    assert "an assumption unless you have measured it" in shown
+    assert "0.03 to 0.17" in shown
+    assert "mesh_damping is" not in CliRunner().invoke(app, ["inspect", str(fmus("kinematic", "3.0"))]).stdout
 
 
 def test_a_state_restores_in_another_process_bit_by_bit(fmus, tmp_path):

@@ -528,7 +528,7 @@ def test_duty_cycles_come_from_one_place(tmp_path):
     stated = LAW.replace("[wear.reg", '[[wear.duty]]\ntorque = "-400 N*m"\ncrank_turns = 1e6\n[wear.reg')
     assert duty_cycle(law(stated), None, 5e6, None, "w.toml", pair)[1] == 5e6
     assert duty_cycle(law(), None, 5e6, None, "w.toml", pair) == ((Load(torque=181.0, crank_turns=1.0),), 5e6)
-    twice = r"^w\.toml: a torque and \[\[wear\.duty\]\] both state the load; keep one of them\.$"
+    twice = r"^w\.toml: a torque and \[\[wear\.duty\]\] state the load; keep one of them\.$"
     with pytest.raises(edge.InputError, match=twice):
         duty_cycle(law(stated), -400.0, 5e6, None, "w.toml", pair)
     with pytest.raises(edge.InputError, match=r"^torque is missing; give it, or state \[pair\] rated"):

@@ -238,7 +238,7 @@ def test_the_interval_of_a_round_knee_contains_its_lost_motion(knee, friction, n
         given = dict(stiffness=4000.0, loops=2, each=1000, noise=noise * ARCMIN, seed=seed)
         found, truth = round_knee(20.0, 6 * ARCMIN, knee, friction, **given)
         inside += abs(found.figures["lost_motion"].value - truth) <= found.figures["lost_motion"].uncertainty
-    record_property(f"inside their 95 % interval, of {seeds} seeds", inside)
+    record_property(f"inside their 95 % interval, of {seeds} seeds", str(inside))
     assert inside >= 0.95 * seeds - 4.0 * np.sqrt(0.05 * 0.95 * seeds)
 
 
