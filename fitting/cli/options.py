@@ -66,6 +66,7 @@ def finish(found: Figures, *, as_json: bool) -> None:
     """Print figures and notes for people, or the figures for scripts; exit with their status."""
     from fitting.figures.budget import BUDGET_HEAD, budget_rows
     from fitting.figures.figure import in_field_units
+    from fitting.figures.loop_groups import GROUPS_HEAD, group_rows
     from fitting.figures.metrics import figures_json
 
     rows, remarks = [], []
@@ -79,6 +80,8 @@ def finish(found: Figures, *, as_json: bool) -> None:
         commands.print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
         for remark in remarks:
             typer.echo(remark)
+        if len(found.loop_groups) > 1:
+            commands.print_table("Loops by size and position", GROUPS_HEAD, group_rows(found.loop_groups))
         for name, budget in found.budgets.items():
             commands.print_table(f"Uncertainty budget of {name}", BUDGET_HEAD, budget_rows(budget))
     print_notes(found.problems if as_json and found.figures else found.notes)

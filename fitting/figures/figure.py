@@ -20,6 +20,8 @@ DEFINITIONS = {
     "loading and unloading branch at ±50 % of the rated torque",
     "lost_motion": f"{LOST_MOTION}, mean of loading and unloading branch (Nabtesco)",
     "torsional_stiffness": "torque over windup along the loading branches in the interval, mean of both sides",
+    "loading_stiffness": "rise of the torque over that of the windup between the ends of the interval, loading "
+    "branches, mean of both sides; friction that grows with load is part of it",
     "starting_torque": "largest torque on the input, the output without load, from a standstill until the crank has "
     "turned 1 degree, mean of the starts (no-load starting torque)",
     "back_driving_torque": "largest torque on the output, while it drives, from a standstill until the crank has "
@@ -32,8 +34,8 @@ DEFINITIONS = {
 }
 UNITS = {
     "hysteresis_loss": "rad", "backlash": "rad", "lost_motion": "rad", "torsional_stiffness": "N*m/rad",
-    "starting_torque": "N*m", "back_driving_torque": "N*m", "angular_transmission_error": "rad",
-    "angular_transmission_error_without_rig": "rad",
+    "loading_stiffness": "N*m/rad", "starting_torque": "N*m", "back_driving_torque": "N*m",
+    "angular_transmission_error": "rad", "angular_transmission_error_without_rig": "rad",
 }  # fmt: skip
 
 

@@ -339,6 +339,8 @@ class FrictionFree:
 def friction_free(data: LoopData) -> FrictionFree | None:
     """Return the figures without friction of a recording's loops; None without passes in both directions.
 
+    None too where the friction without load exceeds the spring's largest torque: such loops are too small.
+
     Several loops together. The uncertainty is from the scatter of the passes, with Student's t, or from the residuals
     of the lines if that is larger. A drift of the windup, linear in time, is removed.
 
@@ -359,7 +361,7 @@ def friction_free(data: LoopData) -> FrictionFree | None:
         return None
     at_torque = min(data.rated_torque, largest)
     values = values_of(curve, largest, at_torque)
-    if values is None:
+    if values is None or values["friction_torque"] > largest:  # the loop hardly leaves the play
         return None
     scatter = _scatter(passes, lambda some: _once(some, middle, largest, at_torque))
     residual = residual_variances(passes, drift, middle, curve, largest, values, at_torque)

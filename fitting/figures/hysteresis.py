@@ -86,8 +86,8 @@ def find_lobes(torque: Array, rated_torque: float) -> list[Lobe]:
         if side[at] != side[at + 1] or abs(torque[low]) < 2.0 * _REST * rated_torque:
             breaks.append((at, low))
     cores = np.split(np.arange(beyond.size), [at + 1 for at, _ in breaks])
-    start = int(np.argmin(np.abs(torque[: beyond[0] + 1])))
-    stop = beyond[-1] + int(np.argmin(np.abs(torque[beyond[-1] :])))
+    start = int(beyond[0]) - _rest_of(torque[beyond[0] :: -1], rated_torque)
+    stop = int(beyond[-1]) + _rest_of(torque[beyond[-1] :], rated_torque)
     borders = [start, *(low for _, low in breaks), stop]
     lobes = []
     for core, begin, end in zip(cores, borders[:-1], borders[1:], strict=True):
@@ -99,6 +99,17 @@ def find_lobes(torque: Array, rated_torque: float) -> list[Lobe]:
         last = end if torque[end] * sign < 0.0 else end + 1
         lobes.append(Lobe(sign, slice(first, peak), slice(peak, last)))
     return lobes
+
+
+def _rest_of(torque: Array, rated_torque: float) -> int:
+    """Return the place closest to zero in the first stretch near zero; closest of all without such a stretch."""
+    near = np.abs(torque) < _REST * rated_torque
+    if not near.any():
+        return int(np.argmin(np.abs(torque)))
+    first = int(np.argmax(near))
+    rest = near[first:]
+    last = first + (int(np.argmin(rest)) if not rest.all() else rest.size)
+    return first + int(np.argmin(np.abs(torque[first:last])))
 
 
 def find_loops(lobes: Sequence[Lobe]) -> list[Loop]:
@@ -305,7 +316,7 @@ def _behind_the_virgin_branch(torque: Array, windup: Array, loop: Loop, rated: f
     return first.sign * (one[0] - other[0]), one[1] + other[1]
 
 
-def _mean(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, float, float]:
+def mean_of_loops(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, float, float]:
     """Return mean, half width of its 95 % interval, and degrees of freedom, from the fits or from the loops' scatter.
 
     The scatter of three or more loops is used if it is larger. `moved`: change of the mean by one standard uncertainty
@@ -516,7 +527,7 @@ def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[flo
                 for one in freed
             )
             if values:
-                value, uncertainty, degrees = _mean(values, _moved(values, drifted))
+                value, uncertainty, degrees = mean_of_loops(values, _moved(values, drifted))
                 parts[side] = Figure(
                     value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values), "loops",
                     degrees=degrees,
@@ -574,7 +585,7 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
         ("hysteresis_loss", UNLOADING), ("backlash", UNLOADING), ("lost_motion", (-LOST_MOTION_LOAD, LOST_MOTION_LOAD)),
     ):  # fmt: skip
         if values[name]:
-            value, uncertainty, degrees = _mean(values[name], _moved(values[name], drifted[name]))
+            value, uncertainty, degrees = mean_of_loops(values[name], _moved(values[name], drifted[name]))
             uncertainty = math.hypot(uncertainty, data.runaway, _moved(values[name], later[name]))
             figures[name] = Figure(
                 value, uncertainty, UNITS[name], DEFINITIONS[name], (interval[0] * rated, interval[1] * rated), "N*m",
@@ -607,7 +618,7 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
         name = "torsional_stiffness"
         parts = {}
         for side in sides_of:
-            value, uncertainty, degrees = _mean(values[side], _moved(values[side], drifted[side]))
+            value, uncertainty, degrees = mean_of_loops(values[side], _moved(values[side], drifted[side]))
             parts[side] = Figure(
                 value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values[side]), "loops",
                 degrees=degrees,
@@ -716,6 +727,11 @@ def loop_marks(data: LoopData) -> dict[str, list[Array]]:
     return marks
 
 
+def windup_of(recording: Recording, ratio: float | None) -> Array:
+    """Return the output angle minus the input angle over the ratio, rad; without a ratio the output angle."""
+    return recording.output_angle - (0.0 if ratio is None else recording.input_angle / ratio)
+
+
 def loops_of(
     recording: Recording, ratio: float | None, rated_torque: float | None
 ) -> tuple[LoopData | None, list[str]]:
@@ -733,9 +749,10 @@ def loops_of(
     torque, notes = recording.torque, []
     locked = float(np.ptp(recording.input_angle)) < LOCKED
     at_rest = "the input is at rest" if recording.has_input_angle else "no input angle is mapped"
+    at_rest = f"the {recording.locked} is locked" if recording.locked else at_rest
     # A drive with a locked input does not move its output as far as a turn of the input would.
     turned = float(np.ptp(recording.output_angle)) / (2.0 * np.pi)
-    if locked and turned * abs(ratio or 1.0) > 1.0:
+    if locked and not recording.locked and turned * abs(ratio or 1.0) > 1.0:
         return None, [
             f"{recording.source}: {at_rest}, but the output turns by {turned:.3g} turns, more than that of a drive "
             "with a locked input: there is neither a loop nor a transmission error."
@@ -761,15 +778,13 @@ def loops_of(
     if ratio is None and not locked:
         return None, notes
     if not recording.has_input_angle:
-        notes.append(f"{recording.source}: no input angle is mapped; the output angle is taken as the windup.")
+        notes.append(f"{recording.source}: {at_rest}; the output angle is taken as the windup.")
     if rated_torque is None:
         notes.append(
             f"{recording.source}: the rated torque is unknown; figures are evaluated at fractions of the largest "
             f"torque, {largest:.4g} N·m."
         )
-    windup = recording.output_angle.copy()
-    if ratio is not None:
-        windup -= recording.input_angle / ratio
+    windup = windup_of(recording, ratio)
     time, late, runaway = recording.time, None, 0.0
     if recording.torque_alignment > 0.0:
         late = np.interp(time + recording.torque_alignment, time, torque)

@@ -19,6 +19,7 @@ from fitting.figures.friction_free import DEFINITIONS as OF_FRICTION_FREE
 from fitting.figures.friction_free import FrictionFree, friction_free
 from fitting.figures.hysteresis import loop_figures
 from fitting.figures.instruments import Instruments, read_instruments
+from fitting.figures.loop_groups import LoopGroup, group_of
 from fitting.figures.spectrum import (
     RIG_ORDERS,
     Spectrum,
@@ -60,6 +61,8 @@ class Figures:
         Notes on unreadable recordings and on an interrupt.
     friction_free
         Figures of the loops without friction (`friction_free.DEFINITIONS`); none without loops in both directions.
+    loop_groups
+        The loops of all recordings by size and position, each group with its own figures.
     mid_curves
         What they are from: source of each recording with loops, and its figures with their mid curve.
     interrupted
@@ -93,6 +96,7 @@ class Figures:
     instruments: Instruments | None = None
     friction_free: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
     mid_curves: tuple[tuple[str, FrictionFree], ...] = ()
+    loop_groups: tuple[LoopGroup, ...] = ()
 
     @property
     def shown(self) -> dict[str, Figure]:
@@ -131,12 +135,13 @@ def figures_of(
     """
     notes = [n for s in surveyed for n in s.notes]
     figures: dict[str, Figure] = {}
-    of_loops, mid_curves = [], list[tuple[str, FrictionFree]]()
+    of_loops, mid_curves, groups = [], list[tuple[str, FrictionFree]](), list[LoopGroup]()
     for one in surveyed:
         if one.loops is not None:
             found, added = loop_figures(one.loops, stiffness_limits)
             notes += added
             of_loops.append(found)
+            groups += [group_of(data) for data in one.loop_groups]
             if (free := friction_free(one.loops)) is not None:
                 mid_curves.append((one.source, free))
     for name in ("hysteresis_loss", "backlash", "lost_motion", "torsional_stiffness"):
@@ -193,7 +198,7 @@ def figures_of(
             figures[name] = start_figure(name, [s.torque for s in starts])
     return Figures(
         figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)),
-        friction_free=without, mid_curves=tuple(mid_curves),
+        friction_free=without, mid_curves=tuple(mid_curves), loop_groups=tuple(groups),
     )  # fmt: skip
 
 
@@ -306,6 +311,17 @@ def metrics(
     return dataclasses.replace(found, budgets=budgets, instruments=instruments)
 
 
+def group_json(group: LoopGroup) -> dict[str, Any]:
+    """Return a group of loops as part of a `cycloid-figures/1` file."""
+    free = None if group.friction_free is None else group.friction_free.figures
+    return {
+        "source": group.source, "largest_torque": group.largest_torque, "loops_found": group.loops_found,
+        "loops_used": group.loops_used, **{name: figure_json(one) for name, one in group.figures.items()},
+        "friction_free": None if free is None else {name: figure_json(one) for name, one in free.items()},
+        "notes": list(group.notes),
+    }  # fmt: skip
+
+
 def figures_json(found: Figures) -> dict[str, Any]:
     """Return all figures as the content of a `cycloid-figures/1` file: figures by name, and their sources."""
     return {
@@ -315,6 +331,7 @@ def figures_json(found: Figures) -> dict[str, Any]:
             for name, f in found.figures.items()
         },
         "friction_free": {name: figure_json(one) for name, one in found.friction_free.items()},
+        "loop_groups": [group_json(one) for one in found.loop_groups],
         "rated_torque": found.rated_torque,
         "ratio": found.ratio,
         "data": {s.source: s.checksum for s in found.surveyed},

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from fitting.figures.hysteresis import LoopData, loops_of
+from fitting.figures.loop_groups import loop_groups
 from fitting.recordings.cleaning import Block
 from fitting.recordings.mapping import OPTIONAL
 from fitting.recordings.plausible import PlausibleBlocks
@@ -42,6 +43,8 @@ class Surveyed:
         Transmission error curves, one per direction; empty for loops and without a ratio.
     loops
         The loops, or None.
+    loop_groups
+        Loops by size and position, the largest first.
     notes
         Omissions and their reasons.
     runaway
@@ -62,6 +65,7 @@ class Surveyed:
     notes: tuple[str, ...]
     runaway: float = 0.0
     implausible: int = 0
+    loop_groups: tuple[LoopData, ...] = ()
 
 
 class _Overview:
@@ -173,6 +177,7 @@ def survey(
     return Surveyed(
         stream.source, shortened.checksum, overview.samples, duration, shortened, overview.averaged, tuple(curves),
         loops, tuple(notes), 2.0 * stream.alignment * speed, blocks.count,
+        tuple(loop_groups(shortened, ratio)) if loops is not None else (),
     )  # fmt: skip
 
 

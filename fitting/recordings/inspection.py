@@ -36,7 +36,7 @@ _COMMANDED += r"|soll|target|demand|desired|vorgabe|(?<![a-z])ref$"
 _ANGLE_NAMES = r"angle|winkel|pos|phi|enc|theta|rot|count|ink"
 _UNITS = {"time": "s", "torque": "N*m", "input_torque": "N*m", "temperature": "degC", "speed": "rpm"}
 _ABSENT = {
-    "input_angle": "  (omit this table if the input was locked)",
+    "input_angle": '  (omit this table if a shaft was locked, and write locked = "input" or "output" at the top)',
     "torque": '  (value = "50 N*m" states a constant one; without this table the load is unknown)',
 }
 _COUNTS = ("counts", "count", "cnt", "cts", "inc", "inkr", "ink", "incr", "ticks", "lsb")

@@ -22,6 +22,7 @@ BESIDE = {"transmission_error": "rad", "speed": "rad/s"}  # allowed in a file, b
 CHANNELS = (*ANGLES, "torque", *OPTIONAL, *BESIDE)
 SI = {**COLUMNS, **OPTIONAL, **BESIDE}
 CONSTANTS = ("torque", "speed", "temperature")
+REFERRED = ("output_angle", "torque")
 FORMAT = "cycloid-mapping/1"
 _TURN = 2.0 * np.pi
 
@@ -53,6 +54,11 @@ class ChannelMapping(edge.Config):
         Delay of the time stamps after the event, s or text such as "1.2 ms", from a filter or another clock.
     drift
         Relative drift of the clock of the time stamps, from the first sample on, > 0: fast; 100e-6 is 100 ppm.
+    side
+        Of `output_angle` and `torque`: the shaft on which it is measured. Values of the motor are referred to the
+        output by the ratio: its angle over the ratio, its torque times the ratio.
+    constant
+        Of `torque` measured as a current: torque of the motor for each ampere, such as "0.1 N*m/A".
     """
 
     column: str | None = None
@@ -65,6 +71,8 @@ class ChannelMapping(edge.Config):
     zero_reference: Literal["absolute", "incremental"] | None = None
     delay: edge.Seconds = 0.0
     drift: Annotated[float, pydantic.Field(gt=-0.01, lt=0.01)] = 0.0
+    side: Literal["output", "motor"] = "output"
+    constant: str | None = None
 
 
 class PulleyMapping(edge.Config):
@@ -124,6 +132,8 @@ class FileMapping(_OneRun):
     ----------
     ratio
         Ratio input/output of the drive: -gear_teeth with a fixed ring, +pins with a fixed carrier.
+    locked
+        The shaft that is locked in the recording: its angle, if there is one, is no motion of the drive.
     dbc
         DBC of a CAN log, relative to the mapping file.
     time
@@ -150,6 +160,7 @@ class FileMapping(_OneRun):
     """
 
     ratio: float | None = None
+    locked: Literal["input", "output"] | None = None
     dbc: str | None = None
     time: TimeMapping | None = None
     pulley: PulleyMapping | None = None
@@ -283,6 +294,15 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
                 )
             if not channel.unit:
                 raise edge.InputError(f"{source}: [{name}] unit: state the unit of the number in the file's name.")
+        if channel.side == "motor" and name not in REFERRED:
+            raise edge.InputError(f"{source}: [{name}] side: only {' and '.join(REFERRED)} are referred to the output.")
+        if channel.constant is not None:
+            if name != "torque":
+                raise edge.InputError(f"{source}: [{name}] constant: only a torque is measured as a current.")
+            if not _torque_constant(channel.constant, f"{source}: [{name}] constant"):
+                raise edge.InputError(
+                    f"{source}: [{name}] constant = {edge.shown(channel.constant)}: it must not be 0."
+                )
         if channel.counts_per_turn is not None and name not in ANGLES:
             raise edge.InputError(f"{source}: [{name}] counts_per_turn: this is for angles; give the unit.")
         if channel.counts_per_turn is not None and (
@@ -292,6 +312,14 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
                 f"{source}: [{name}] counts_per_turn = {channel.counts_per_turn:g}: give a number of at least 1 and no "
                 "unit."
             )
+
+
+def _torque_constant(text: str, where: str) -> float:
+    """Return a stated torque constant, N·m/A."""
+    try:
+        return edge.parse_quantity(text, "N*m/A")
+    except ValueError as problem:
+        raise edge.InputError(f"{where} = {edge.shown(text)}: {problem}.") from None
 
 
 def _value(text: str, role: str, where: str) -> float:
@@ -379,7 +407,9 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
             _refuse_left_out(file, channel.column)
             held, wanted = edge.listed(channels), edge.shown(channel.column)
             raise edge.InputError(f"{file.source}: there is no column {wanted} for {role}; it has {held}.")
-        si = SI[role]
+        si, constant = SI[role], 1.0
+        if isinstance(channel, ChannelMapping) and channel.constant is not None:
+            si, constant = "A", _torque_constant(channel.constant, f"{file.source}: [{role}] constant")
         if isinstance(channel, ChannelMapping) and channel.counts_per_turn is not None:
             scale, offset = _TURN / channel.counts_per_turn, 0.0
         else:
@@ -392,7 +422,7 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
                 scale, offset = _affine(unit_text(unit), si)
             except ValueError as problem:
                 raise edge.InputError(f"{file.source}: the column {channel.column}: {problem}.") from None
-        sign = channel.direction if isinstance(channel, ChannelMapping) else 1
+        sign = constant * channel.direction if isinstance(channel, ChannelMapping) else 1.0
         found[role] = (channel.column, sign * scale, sign * offset)
     return found
 

@@ -28,7 +28,8 @@ class PlausibleBlocks:
     stream
         The recording.
     ratio
-        Signed ratio of the drive; without it, or without an input angle, the angles are judged only by their steps.
+        Signed ratio of the drive; without it, without an input angle, or with a locked shaft, the angles are judged
+        only by their steps.
 
     Attributes
     ----------
@@ -37,7 +38,8 @@ class PlausibleBlocks:
     """
 
     def __init__(self, stream: Recording | RecordingStream, ratio: float | None) -> None:
-        self._stream, self._ratio = stream, ratio if stream.has_input_angle else None
+        # A locked shaft stands still while the other one moves.
+        self._stream, self._ratio = stream, ratio if stream.has_input_angle and not stream.locked else None
         self._found: list[Finding] = []
         self._faults = 0
         self._marked = 0

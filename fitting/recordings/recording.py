@@ -29,6 +29,7 @@ from fitting.recordings.formats import BenchFile, Piece, open_bench_file, pieces
 from fitting.recordings.mapping import (
     ANGLES,
     CHANNELS,
+    REFERRED,
     ChannelMapping,
     FileMapping,
     TimeMapping,
@@ -72,6 +73,8 @@ class Recording(Block):
         Whether the times are seconds; otherwise they count samples.
     has_input_angle
         Whether the input angle is measured or stated; otherwise it is zero, and only the output angle is known.
+    locked
+        "input" or "output": the shaft that is stated to be locked; "" if it is not stated.
     """
 
     source: str
@@ -87,6 +90,7 @@ class Recording(Block):
     speed: float | None = None
     timed: bool = True
     has_input_angle: bool = True
+    locked: str = ""
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
@@ -141,7 +145,7 @@ class RecordingStream:
 
     Attributes
     ----------
-    source, ratio, pair, common_zero, known_index, limits, timed, has_input_angle
+    source, ratio, pair, common_zero, known_index, limits, timed, has_input_angle, locked
         As in `Recording`; the source is the file's name, followed by a comma and the run's name if there is one.
     notes, alignment, torque_alignment, speed
         As in `Recording`; complete when all blocks have been read.
@@ -166,10 +170,10 @@ class RecordingStream:
         self._by_names = all(self._mapping is not one for one in given)
         self._scales = scales_of(self._file, self._mapping)
         self.timed = self._file.timed or self._mapping.time is not None
-        self._pulley = 1.0 if self._mapping.pulley is None else self._mapping.pulley.ratio
         if self._file.timed and self._mapping.last_row_first:
             raise edge.InputError(f"{self.source}: last_row_first: the file's own times determine the first sample.")
         self.has_input_angle = self._mapping.input_angle is not None or self._mapping.transmission_error is not None
+        self.locked = self._mapping.locked or ""
         self._constants = constants_of(path, self._mapping)
         own = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
         self.ratio = own if ratio is None else ratio
@@ -178,6 +182,8 @@ class RecordingStream:
                 f"{self.source}: it contains a transmission error, whose input angle follows only with the ratio of "
                 f"the drive. Give the drive, or its ratio: {edge.RATIO}."
             )
+        self._pulley = 1.0 if self._mapping.pulley is None else self._mapping.pulley.ratio
+        self._referred = self._refer_to_output()
         self.pair = self._file.pair
         self.common_zero = self._zero_reference("output_angle") == "absolute"
         self.known_index = self._zero_reference("input_angle") == "absolute"
@@ -187,6 +193,34 @@ class RecordingStream:
         self.speed: float | None = self._constants.pop("speed", None)
         self._digest: list[str] = []
         self._digesting: threading.Thread | None = None
+
+    def _refer_to_output(self) -> list[str]:
+        """Convert what is measured on the motor to the output, and return its roles.
+
+        The motor's angle is one behind the drive's ratio. Where the input angle is measured as well, the torque on the
+        output is that of the environment, which holds against the motor.
+
+        Raises
+        ------
+        edge.InputError
+            If the ratio is unknown.
+        """
+        roles = [role for role in REFERRED if (m := getattr(self._mapping, role)) is not None and m.side == "motor"]
+        if roles and self.ratio is None:
+            raise edge.InputError(
+                f'{self.source}: [{roles[0]}] side = "motor" needs the ratio of the drive: {edge.RATIO}; state ratio '
+                "in the mapping, or give --ratio or --pair."
+            )
+        if "output_angle" in roles:
+            self._pulley *= self.ratio or 1.0
+        if "torque" in roles:
+            by = -(self.ratio or 1.0) if self.has_input_angle else self.ratio or 1.0
+            if "torque" in self._scales:
+                column, scale, offset = self._scales["torque"]
+                self._scales["torque"] = column, scale * by, offset * by
+            else:
+                self._constants["torque"] *= by
+        return roles
 
     def _limits(self) -> Limits:
         """Return the limits of the encoders; counts per turn in the mapping override those of the file."""
@@ -275,10 +309,16 @@ class RecordingStream:
             self.notes.append(f"{self.source}: no time is mapped; times count samples, and speeds are unknown.")
         if "torque" not in self._scales and "torque" not in self._constants:
             self.notes.append(f"{self.source}: no torque is mapped; the load is unknown.")
-        if self._pulley != 1.0:
+        if self._referred:
             self.notes.append(
-                f"{self.source}: the output angle is that of an encoder behind a pulley of ratio {self._pulley:g}; "
-                f"errors of pulley and encoder, at multiples of order {abs(self._pulley):g} of the output, are in the "
+                f"{self.source}: {edge.listed(self._referred)} measured on the motor, referred to the output by the "
+                f"ratio {self.ratio:g}."
+            )
+        if self._mapping.pulley is not None:
+            self.notes.append(
+                f"{self.source}: the output angle is that of an encoder behind a pulley of ratio "
+                f"{self._mapping.pulley.ratio:g}; errors of pulley and encoder, at multiples of order "
+                f"{abs(self._mapping.pulley.ratio):g} of the output, are in the "
                 "transmission error too."
             )
         if kept < 2:
@@ -304,7 +344,7 @@ class RecordingStream:
             **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
             common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
             alignment=self.alignment, torque_alignment=self.torque_alignment, limits=self.limits,
-            speed=self.speed, timed=self.timed, has_input_angle=self.has_input_angle,
+            speed=self.speed, timed=self.timed, has_input_angle=self.has_input_angle, locked=self.locked,
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:

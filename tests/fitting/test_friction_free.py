@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import fitting
+import fitting.figures.metrics
 from fitting.figures.friction_free import friction_free
 from fitting.figures.hysteresis import LoopData, find_lobes, find_loops
 
@@ -169,6 +170,85 @@ def test_the_file_has_the_figures_in_si_and_the_table_shows_them(tmp_path, comma
     assert found["friction_free"]["play"]["value"] == pytest.approx(PLAY, rel=0.05)
 
 
+def test_loops_of_two_sizes_each_have_their_figures(tmp_path):
+    """Five small loops and three large ones; the figures at the top are those of the large ones."""
+    small, large = Rig(loops=5, largest=5.0, samples=140), Rig(torque_noise=0.1)
+    parts = [rig.record() for rig in (small, large)]
+    time = 0.016 * np.arange(sum(part[0].size for part in parts))
+    table = np.column_stack([time, *(np.concatenate([part[k] for part in parts]) for k in (2, 1))])
+    table[:, 1] /= 2.0 * np.pi
+    np.savetxt(tmp_path / "loop.csv", table, delimiter=",", header="TIME,POSITION,TORQUE", comments="")
+    (tmp_path / "m.toml").write_text(MAPPING)
+    found = fitting.metrics(fitting.read_recordings(tmp_path / "loop.csv", tmp_path / "m.toml"))
+    first, second = found.loop_groups
+    assert first.largest_torque == pytest.approx(25.0, rel=0.02)
+    assert second.largest_torque == pytest.approx(5.0, rel=0.02)
+    assert (first.loops_found, first.loops_used) == (3, 3)
+    assert (second.loops_found, second.loops_used) == (5, 5)
+    # The unloading branches stand apart by the play and by what the friction holds: F = T at their beginning.
+    held = (5.0 - 2.5) / 1.4
+    assert second.figures["hysteresis_loss"].value == pytest.approx(PLAY + 2.0 * held / STIFFNESS, rel=0.03)
+    stiffness = first.figures["loading_stiffness"]
+    assert stiffness.interval == (10.0, 20.0)
+    assert stiffness.value == pytest.approx(1.4 * STIFFNESS, rel=0.02)
+    assert found.friction_free["play"].value == pytest.approx(PLAY, rel=0.03)
+    written = json.loads(json.dumps(fitting.figures.metrics.figures_json(found)))["loop_groups"]
+    assert [one["loops_found"] for one in written] == [3, 5]
+
+
+@pytest.mark.parametrize("ratio", [13.0, -13.0])
+def test_torque_and_angle_of_the_motor_are_referred_to_the_output(tmp_path, ratio):
+    """The same loop by a log of the motor, its torque as a current with a stated constant."""
+    rig = Rig()
+    time, torque, windup = rig.record()
+    table = np.column_stack([time, windup * ratio / (2.0 * np.pi), torque / ratio / 0.08])
+    np.savetxt(tmp_path / "motor.csv", table, delimiter=",", header="TIME,POSITION,CURRENT", comments="")
+    motor = MAPPING.replace("[time]", f'ratio = {ratio:g}\nlocked = "output"\n[time]').replace(
+        'unit = "rev"', 'unit = "rev"\nside = "motor"'
+    )
+    motor = motor.replace('column = "TORQUE"\nunit = "N*m"', 'column = "CURRENT"\nunit = "A"\nconstant = "0.08 N*m/A"')
+    (tmp_path / "motor.toml").write_text(f'{motor}side = "motor"\n')
+    found = fitting.metrics(fitting.read_recordings(tmp_path / "motor.csv", tmp_path / "motor.toml"))
+    wanted = written(rig, tmp_path)
+    for name, one in wanted.shown.items():
+        assert found.shown[name].value == pytest.approx(one.value, rel=1e-6), name
+    said = " ".join(found.notes)
+    assert "output_angle, torque measured on the motor, referred to the output by the ratio" in said
+    assert "the output is locked; the output angle is taken as the windup" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("[time]", '[time]\nside = "motor"'), "[time] side is not a known key"),
+        (('unit = "rev"', 'unit = "rev"\nside = "motor"'), 'side = "motor" needs the ratio of the drive'),
+        (('unit = "N*m"', 'unit = "N*m"\nconstant = "0.1 N*m/A"'), "TORQUE"),
+        (('unit = "N*m"', 'unit = "A"\nconstant = "0 N*m/A"'), '[torque] constant = "0 N*m/A": it must not be 0'),
+        (("[time]", 'locked = "motor"\n[time]'), "locked"),
+    ],
+)
+def test_a_mapping_that_states_the_wrong_side_is_refused(tmp_path, command, change, sentence):
+    written(Rig(), tmp_path)
+    (tmp_path / "m.toml").write_text(MAPPING.replace(*change))
+    done = command("cycloid-fit", "metrics", "loop.csv", "--mapping", "m.toml")
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_locked_input_stands_still_while_the_output_winds_up(tmp_path):
+    """Stated, its encoder is not taken for one that hangs."""
+    time, torque, windup = Rig().record()
+    table = np.column_stack([time, np.zeros(time.size), windup, torque])
+    header = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"
+    np.savetxt(tmp_path / "loop.csv", table, delimiter=",", header=header, comments="")
+    roles = "".join(f'[{n}]\ncolumn = "{n}"\n' for n in ("time", "input_angle", "output_angle", "torque"))
+    (tmp_path / "m.toml").write_text(f'format = "cycloid-mapping/1"\nlocked = "input"\n{roles}')
+    found = fitting.metrics(fitting.read_recordings(tmp_path / "loop.csv", tmp_path / "m.toml"), ratio=-13.0)
+    assert found.friction_free["play"].value == pytest.approx(PLAY, rel=0.02)
+    assert not any("implausible" in note for note in found.notes)
+
+
 RIGS = {
     "constant friction": Rig(growth=0.0, torque_noise=0.3),
     "growing friction": Rig(torque_noise=0.3),
@@ -201,6 +281,33 @@ def test_intervals_hold(kind, record_property):
         record_property(f"{kind}: {name}, median interval over the value", f"{np.median(wide[name]):.1%}")
         assert np.median(wide[name]) < 0.15, name
         assert hits / count > 0.95 - 3.0 * math.sqrt(0.05 * 0.95 / count) - 0.03, name
+
+
+MOTOR = MAPPING.replace("[time]", 'ratio = 13\nlocked = "output"\n[time]').replace(
+    'unit = "rev"', 'unit = "rev"\nside = "motor"'
+)
+
+
+@pytest.mark.measured_drives
+@pytest.mark.parametrize(
+    ("file", "mapping", "group", "wanted"),
+    [
+        ("onyx_init1_raw.csv.gz", MAPPING, 1, {"hysteresis_loss": (math.radians(1.256), math.radians(0.03))}),
+        ("onyx_init1.csv", MAPPING, 1, {"hysteresis_loss": (math.radians(1.256), math.radians(0.02))}),
+        ("june_motor_side.csv", f'{MOTOR}side = "motor"\n', 0, {"loading_stiffness": (653.0, 40.0)}),
+        ("june_motor_side.csv", f'{MOTOR}side = "motor"\n', 1,
+         {"hysteresis_loss": (math.radians(2.09), math.radians(0.27))}),
+    ],
+)  # fmt: skip
+def test_groups_of_a_measured_drive(file, mapping, group, wanted, tmp_path):
+    if not (MEASURED / file).exists():
+        pytest.skip(f"{MEASURED / file} is missing")
+    (tmp_path / "m.toml").write_text(mapping)
+    found = fitting.metrics(fitting.read_recordings(MEASURED / file, tmp_path / "m.toml")).loop_groups[group]
+    for name, (value, uncertainty) in wanted.items():
+        assert abs(found.figures[name].value - value) < uncertainty, (name, found.figures[name].value)
+    if file.startswith("onyx"):
+        assert (found.loops_found, found.loops_used) == (5, 5)
 
 
 MADE_OF = {

@@ -1,0 +1,212 @@
+"""Loops of several sizes, or at several positions, in one recording: each group of like loops has its own figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from fitting.figures.figure import DEFINITIONS, UNITS, Figure, in_field_units
+from fitting.figures.friction_free import FrictionFree, friction_free
+from fitting.figures.hysteresis import (
+    Lobe,
+    LoopData,
+    find_lobes,
+    find_loops,
+    loop_figures,
+    mean_of_loops,
+    windup_of,
+)
+from fitting.recordings.recording import Recording
+
+Array = NDArray[np.float64]
+
+_SMALLEST = 0.03  # of the recording's largest torque: a smaller group is noise
+_ALIKE = 0.75  # of a group's largest torque: a loop that reaches less belongs to another group
+_FEWEST = 8  # samples of a branch
+_QUIET = 0.02  # of the largest torque: noise that breaks no half loop in two
+_ROUND = 0.85  # of a group's largest torque, up to which the loading stiffness is taken
+
+
+@dataclass(frozen=True)
+class LoopGroup:
+    """Loops of like size and position in one recording, with their figures.
+
+    Attributes
+    ----------
+    source
+        Name of the recording.
+    largest_torque
+        Largest torque of the group, N·m.
+    loops_found, loops_used
+        Number of loops, and of those that the hysteresis loss is from.
+    figures
+        The standard figures, at shares of the largest torque; and `loading_stiffness`.
+    friction_free
+        Figures without friction; None where the loops are too small for them.
+    notes
+        Why figures are missing, one sentence each.
+    """
+
+    source: str
+    largest_torque: float
+    loops_found: int
+    loops_used: int
+    figures: dict[str, Figure]
+    friction_free: FrictionFree | None
+    notes: tuple[str, ...]
+
+
+def _stretches(torque: Array, windup: Array, start: int, stop: int, least: float) -> list[list[Lobe]]:
+    """Return the half loops of a part of a recording by groups, in the order of time."""
+    part = _smoothed(torque[start:stop])
+    largest = float(np.abs(part).max(initial=0.0))
+    if not largest > least:
+        return []
+    lobes = [_moved(lobe, start) for lobe in find_lobes(part, largest)]
+    lobes = [lobe for lobe in lobes if min(_length(lobe.loading), _length(lobe.unloading)) >= _FEWEST]
+    if not lobes:
+        return []
+    groups: list[list[Lobe]] = []
+    for lobe in lobes:
+        if groups and _alike(torque, windup, groups[-1], lobe):
+            groups[-1].append(lobe)
+        else:
+            groups.append([lobe])
+    before = _stretches(torque, windup, start, lobes[0].loading.start, least)
+    return before + groups + _stretches(torque, windup, lobes[-1].unloading.stop, stop, least)
+
+
+def _smoothed(torque: Array) -> Array:
+    """Return a torque whose noise breaks no half loop in two: a mean over so many samples that it is small."""
+    if torque.size < _FEWEST:
+        return torque
+    noise = float(np.median(np.abs(np.diff(torque, 2)))) / (0.6745 * math.sqrt(6.0))
+    size = (noise / (_QUIET * float(np.abs(torque).max()) + 1e-300)) ** 2
+    return np.asarray(uniform_filter1d(torque, int(min(max(math.ceil(size), 1), torque.size // _FEWEST))))
+
+
+def _moved(lobe: Lobe, by: int) -> Lobe:
+    return Lobe(lobe.sign, *(slice(part.start + by, part.stop + by) for part in (lobe.loading, lobe.unloading)))
+
+
+def _length(part: slice) -> int:
+    return int(part.stop - part.start)
+
+
+def _alike(torque: Array, windup: Array, group: list[Lobe], lobe: Lobe) -> bool:
+    """Whether a half loop is as large as those of a group and goes on where the last one ended."""
+    reached = [float(np.abs(torque[one.loading.start : one.unloading.stop]).max()) for one in (*group, lobe)]
+    if min(reached) < _ALIKE * max(reached):
+        return False
+    end, begin = group[-1].unloading.stop - 1, lobe.loading.start
+    width = float(np.ptp(windup[group[0].loading.start : end + 1]))
+    return abs(float(windup[begin] - windup[end])) < width
+
+
+def loop_groups(recording: Recording, ratio: float | None) -> list[LoopData]:
+    """Return the loops of a recording by size and position, each group as a recording of its own, the largest first.
+
+    A group's rated torque is the largest that it reaches.
+
+    Parameters
+    ----------
+    recording, ratio
+        As in `hysteresis.loops_of`.
+    """
+    torque, windup = recording.torque, windup_of(recording, ratio)
+    largest = float(np.abs(torque).max(initial=0.0))
+    found = []
+    for lobes in _stretches(torque, windup, 0, torque.size, _SMALLEST * largest):
+        start, stop = lobes[0].loading.start, lobes[-1].unloading.stop
+        here = slice(start, stop)
+        own = [_moved(lobe, -start) for lobe in lobes]
+        loops, quiet = tuple(find_loops(own)), _smoothed(torque[here])
+        if loops:
+            found.append(
+                LoopData(
+                    recording.time[here], quiet, windup[here] - windup[here].mean(), loops, tuple(own),
+                    float(np.abs(quiet).max()), recording.source,
+                )
+            )  # fmt: skip
+    return sorted(found, key=lambda one: -one.rated_torque)
+
+
+def round_interval(largest: float) -> tuple[float, float]:
+    """Return the largest interval from a power of ten to its double below 85 % of a torque, N·m.
+
+    Examples
+    --------
+    >>> round_interval(25.0), round_interval(4.0)
+    ((10.0, 20.0), (1.0, 2.0))
+    """
+    low = 10.0 ** math.floor(math.log10(0.5 * _ROUND * largest))
+    return low, 2.0 * low
+
+
+def loading_stiffness(data: LoopData) -> Figure | None:
+    """Return the secant stiffness of the loading branches over `round_interval`; None where no branch has it.
+
+    Friction that grows with load is part of it.
+    """
+    low, high = round_interval(data.rated_torque)
+    slopes = []
+    for lobe in data.lobes:
+        torque, windup = data.torque[lobe.loading] * lobe.sign, data.windup[lobe.loading] * lobe.sign
+        ends = []
+        for at in (low, high):
+            near = np.abs(torque - at) < 0.1 * at
+            if near.sum() >= 3:
+                line = np.polynomial.Polynomial.fit(torque[near], windup[near], 1)
+                ends.append(float(line(at)))
+        if len(ends) == 2 and ends[1] > ends[0]:
+            slopes.append((ends[1] - ends[0]) / (high - low))
+    if not slopes:
+        return None
+    soft, uncertainty, degrees = mean_of_loops([(slope, 0.0) for slope in slopes])
+    if len(slopes) < 3:
+        uncertainty = math.nan
+    return Figure(
+        1.0 / soft, uncertainty / soft**2, UNITS["torsional_stiffness"], DEFINITIONS["loading_stiffness"], (low, high),
+        "N*m", len(slopes), "branches", degrees=degrees,
+    )  # fmt: skip
+
+
+def group_of(data: LoopData) -> LoopGroup:
+    """Return the figures of one group of loops."""
+    figures, notes = loop_figures(data)
+    stiffness = loading_stiffness(data)
+    if stiffness is not None:
+        figures["loading_stiffness"] = stiffness
+    used = int(figures["hysteresis_loss"].count) if "hysteresis_loss" in figures else 0
+    return LoopGroup(
+        data.source, data.rated_torque, len(data.loops), used, figures, friction_free(data),
+        tuple(note for note in notes if "drift" not in note),
+    )  # fmt: skip
+
+
+GROUPS_HEAD = ("recording", "largest torque", "loops used", "hysteresis loss", "play", "loading stiffness")
+"""Columns of `group_rows`."""
+
+
+def group_rows(groups: Sequence[LoopGroup]) -> list[list[str]]:
+    """Return groups of loops as table rows, columns `GROUPS_HEAD`."""
+
+    def shown(figure: Figure | None) -> str:
+        return "" if figure is None else "{} ± {} {}".format(*in_field_units(figure))
+
+    rows = []
+    for one in groups:
+        stiffness = one.figures.get("loading_stiffness")
+        over = "" if stiffness is None or stiffness.interval is None else "{:g} … {:g} N·m".format(*stiffness.interval)
+        play = None if one.friction_free is None else one.friction_free.figures["play"]
+        rows.append([
+            Path(one.source).name, f"{one.largest_torque:.4g} N·m", f"{one.loops_used} of {one.loops_found}",
+            shown(one.figures.get("hysteresis_loss")), shown(play), f"{shown(stiffness)} {f'({over})' if over else ''}",
+        ])  # fmt: skip
+    return rows
