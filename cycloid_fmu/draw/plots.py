@@ -184,7 +184,8 @@ def plot_analysis(data: xr.Dataset) -> Figure:
         for torque in data["torque"].values:
             error = data["transmission_error"].sel(torque=torque).values * ARCSEC
             label = f"{torque:g} N·m: mean {error.mean():.2f}″, peak to peak {np.ptp(error):.2f}″"
-            axis.plot(at[shown], error[shown] - error.mean(), lw=1.0, label=label)
+            style = ".-" if shown is first else "-"  # few points of a pitch are seen as such
+            axis.plot(at[shown], error[shown] - error.mean(), style, ms=3, lw=1.0, label=label)
         at_least(axis, _ANGLE)
         axis.set(xlabel="crank angle [°]", ylabel="TE - mean [arcsec]")
     axes[0].set_title("transmission error (TE) about its mean", fontsize=9)

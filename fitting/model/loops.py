@@ -190,8 +190,14 @@ def _branch(
     high = _REACH * float(size.max())
     if not loading:
         high = min(high, float(size.max()) - _FRICTIONS * friction)
-    place = np.floor((size - low) / max(high - low, 1e-300) * BINS).astype(int)
-    inside = (place >= 0) & (place < BINS) & (high > low)
+    if not high > low:
+        raise edge.InputError(
+            f"{surveyed.source}: friction hides the {name} branch of the loop, which reaches {float(size.max()):.4g} "
+            "N·m: the play is within the friction. Load the drive further, or take play and stiffness from "
+            "friction_free of cycloid-fit metrics."
+        )
+    place = np.floor((size - low) / (high - low) * BINS).astype(int)
+    inside = (place >= 0) & (place < BINS)
     count = np.bincount(place[inside], minlength=BINS)
     if count.min() < _LEAST:
         raise edge.InputError(

@@ -134,6 +134,13 @@ def test_a_loop_that_tells_no_play_is_refused(made, how, said):
         branches(made, friction=0.5, **how)
 
 
+@pytest.mark.filterwarnings("error")
+def test_friction_that_hides_the_play_is_named(made):
+    """The branches of a loop to 181 N·m begin and end where the friction of 110 N·m holds them."""
+    with pytest.raises(edge.InputError, match="friction hides the positive loading branch of the loop"):
+        branches(made, friction=110.0)
+
+
 def test_a_loop_at_an_unknown_crank_angle_is_refused(made):
     """Its figures need no crank angle, but the model does."""
     unknown = dataclasses.replace(wound_up(made, friction=2.0, crank=0.0), has_input_angle=False)
