@@ -67,6 +67,7 @@ def finish(found: Figures, *, as_json: bool) -> None:
     from fitting.figures.budget import BUDGET_HEAD, budget_rows
     from fitting.figures.figure import in_field_units
     from fitting.figures.metrics import figures_json
+    from fitting.figures.orders import ORDERS_HEAD, order_rows
 
     rows, remarks = [], []
     for name, figure in found.shown.items():
@@ -79,6 +80,10 @@ def finish(found: Figures, *, as_json: bool) -> None:
         commands.print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
         for remark in remarks:
             typer.echo(remark)
+        if found.orders:
+            commands.print_table(
+                "Largest orders of the transmission error, per output turn", ORDERS_HEAD, order_rows(found.orders)
+            )
         for name, budget in found.budgets.items():
             commands.print_table(f"Uncertainty budget of {name}", BUDGET_HEAD, budget_rows(budget))
     print_notes(found.problems if as_json and found.figures else found.notes)

@@ -72,6 +72,9 @@ class Recording(Block):
         Whether the times are seconds; otherwise they count samples.
     has_input_angle
         Whether the input angle is measured or stated; otherwise it is zero, and only the output angle is known.
+    pulley
+        Signed ratio of the output's encoder to the output, where a belt or gears drive it; the output angle is already
+        referred to the output.
     """
 
     source: str
@@ -87,6 +90,7 @@ class Recording(Block):
     speed: float | None = None
     timed: bool = True
     has_input_angle: bool = True
+    pulley: float = 1.0
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
@@ -141,7 +145,7 @@ class RecordingStream:
 
     Attributes
     ----------
-    source, ratio, pair, common_zero, known_index, limits, timed, has_input_angle
+    source, ratio, pair, common_zero, known_index, limits, timed, has_input_angle, pulley
         As in `Recording`; the source is the file's name, followed by a comma and the run's name if there is one.
     notes, alignment, torque_alignment, speed
         As in `Recording`; complete when all blocks have been read.
@@ -166,7 +170,7 @@ class RecordingStream:
         self._by_names = all(self._mapping is not one for one in given)
         self._scales = scales_of(self._file, self._mapping)
         self.timed = self._file.timed or self._mapping.time is not None
-        self._pulley = 1.0 if self._mapping.pulley is None else self._mapping.pulley.ratio
+        self.pulley = 1.0 if self._mapping.pulley is None else self._mapping.pulley.ratio
         if self._file.timed and self._mapping.last_row_first:
             raise edge.InputError(f"{self.source}: last_row_first: the file's own times determine the first sample.")
         self.has_input_angle = self._mapping.input_angle is not None or self._mapping.transmission_error is not None
@@ -197,8 +201,8 @@ class RecordingStream:
         }
         limits = dataclasses.replace(self._file.limits, **shown)
         return dataclasses.replace(
-            limits, output_resolution=limits.output_resolution / abs(self._pulley),
-            output_speed=None if limits.output_speed is None else limits.output_speed / abs(self._pulley),
+            limits, output_resolution=limits.output_resolution / abs(self.pulley),
+            output_speed=None if limits.output_speed is None else limits.output_speed / abs(self.pulley),
         )  # fmt: skip
 
     @property
@@ -226,7 +230,7 @@ class RecordingStream:
             return "incremental"
         if channel.zero_reference is not None:
             return channel.zero_reference
-        if name == "output_angle" and self._pulley != 1.0:  # the encoder's zero occurs several times in an output turn
+        if name == "output_angle" and self.pulley != 1.0:  # the encoder's zero occurs several times in an output turn
             return "incremental"
         return next(c.zero_reference for c in self._file.channels if c.name == channel.column)
 
@@ -246,7 +250,7 @@ class RecordingStream:
         clocks = {n: clock for n, clock in clocks.items() if n in self._scales}
         merge = OneClock(self._scales, self._mapping.time if self.timed else TimeMapping(rate=1.0), clocks)
         rollover = {n: m.rollover for n in ANGLES if (m := getattr(self._mapping, n))}
-        cleaning = Cleaning(rollover, self.source, self.ratio, pulley=self._pulley, timed=self.timed)
+        cleaning = Cleaning(rollover, self.source, self.ratio, pulley=self.pulley, timed=self.timed)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
         kept = 0
         pieces = pieces_of(self._file, names)
@@ -275,10 +279,10 @@ class RecordingStream:
             self.notes.append(f"{self.source}: no time is mapped; times count samples, and speeds are unknown.")
         if "torque" not in self._scales and "torque" not in self._constants:
             self.notes.append(f"{self.source}: no torque is mapped; the load is unknown.")
-        if self._pulley != 1.0:
+        if self.pulley != 1.0:
             self.notes.append(
-                f"{self.source}: the output angle is that of an encoder behind a pulley of ratio {self._pulley:g}; "
-                f"errors of pulley and encoder, at multiples of order {abs(self._pulley):g} of the output, are in the "
+                f"{self.source}: the output angle is that of an encoder behind a pulley of ratio {self.pulley:g}; "
+                f"errors of pulley and encoder, at multiples of order {abs(self.pulley):g} of the output, are in the "
                 "transmission error too."
             )
         if kept < 2:
@@ -304,7 +308,7 @@ class RecordingStream:
             **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
             common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
             alignment=self.alignment, torque_alignment=self.torque_alignment, limits=self.limits,
-            speed=self.speed, timed=self.timed, has_input_angle=self.has_input_angle,
+            speed=self.speed, timed=self.timed, has_input_angle=self.has_input_angle, pulley=self.pulley,
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:
