@@ -128,8 +128,8 @@ class RunOrders:
 class _Turns:
     """The turns of a recording as a matrix (turns, steps of a turn), without whole orders and their linear change.
 
-    The mean at each step over turns contains the whole orders, a line over turns their slow change and a drift. Both are
-    removed from the recording and from each wave that is fitted to it, so that neither is taken for the other.
+    The mean at each step over turns contains the whole orders, a line over turns their slow change and a drift. Both
+    are removed from the recording and from each wave that is fitted to it, so that neither is taken for the other.
     """
 
     def __init__(self, given: Unaveraged, curve: Curve, whole: Spectrum) -> None:
@@ -397,7 +397,12 @@ def _with_tied(found: list[Order], span: float) -> list[Order]:
 
 
 def orders_of_run(
-    curve: Curve, whole: Spectrum, run: str, pair: Pair | None = None, bases: Mapping[str, float] | None = None
+    curve: Curve,
+    whole: Spectrum,
+    run: str,
+    pair: Pair | None = None,
+    bases: Mapping[str, float] | None = None,
+    resolution: float = 0.0,
 ) -> RunOrders:
     """Return the orders of a run above the noise, with what averaging over its turns removed.
 
