@@ -157,7 +157,7 @@ class _Turns:
             shift = (shift + derivatives[n]) * (inside / n)
         spread = variance * (0.5 * (derivatives[2] + inside * (derivatives[3] + 0.5 * inside * derivatives[4])))
         spread += variance**2 / 24.0 * derivatives[4]
-        self.at_steps = given.transmission_error - shift
+        self.at_steps = given.transmission_error - shift - spread
         self.count = np.bincount(place, minlength=self.each)
         turn = rows[row].astype(float)
         self._turn = turn - (np.bincount(place, turn, self.each) / np.maximum(self.count, 1))[place]
@@ -438,11 +438,13 @@ def orders_of_run(
             _keep_significant(waves, floor)
             named = [_named(one, bases, turns.span) for one in _measured(waves, floor)]
             others = _with_tied(named, turns.span)
-            coefficient = coefficient - _leaked(waves, coefficient.size)
+            coefficient = _without(waves, coefficient)
             if turns.span >= _FEWEST:
                 searched = (_SLOWEST, highest)
                 upto = min(noise.size, int(highest) + 1)
-                noise[:upto], degrees = floor.at(np.arange(upto)), floor.degrees
+                # Uneven numbers of turns at the points of a curve spread other orders over whole ones.
+                noise[:upto] = np.maximum(noise[:upto], floor.at(np.arange(upto)))
+                degrees = floor.degrees
         averaging = _turn_averaging(turns, waves)
     found = np.flatnonzero(significant(coefficient, noise, noise.size))
     factor = float(stdtrit(degrees, 0.975)) if math.isfinite(degrees) else 1.96
@@ -505,21 +507,20 @@ def _named(one: Order, bases: Mapping[str, float], span: float) -> Order:
     return dataclasses.replace(one, source=" or ".join(names))
 
 
-def _leaked(waves: _Waves, orders: int) -> Complex:
-    """Return what is left of the waves in the mean over turns, as whole orders from 0, shape (orders,)."""
-    found = np.zeros(orders, complex)
-    if not waves.orders:
-        return found
-    each = waves.turns.each
-    line = np.asarray(fft.rfft(waves.turns.mean(waves.model()))) * (2.0 / each)
-    upto = min(orders, int(_BAND * each))
-    found[:upto] = line[:upto] * np.exp(-1j * np.arange(upto) * np.pi / each)
-    found[0] *= 0.5
+def _without(waves: _Waves, coefficient: Complex) -> Complex:
+    """Return whole orders of the mean over turns of what the waves do not explain, shape (orders,)."""
+    turns = waves.turns
+    if not waves.orders or not turns.count.all():
+        return coefficient
+    line = np.asarray(fft.rfft(turns.mean(turns.at_steps - waves.model()))) * (2.0 / turns.each)
+    upto = min(coefficient.size, int(_BAND * turns.each))
+    found = coefficient.copy()
+    found[1:upto] = line[1:upto] * np.exp(-1j * np.arange(1, upto) * np.pi / turns.each)
     return found
 
 
 def _turn_averaging(turns: _Turns, waves: _Waves) -> TurnAveraging | None:
-    """Return what averaging removes, by an analysis of variance at the steps of a turn."""
+    """Return what averaging removes, at the steps of a turn."""
     row, place = turns._at
     values = turns.at_steps
     mean = turns.mean(values)
@@ -527,11 +528,9 @@ def _turn_averaging(turns: _Turns, waves: _Waves) -> TurnAveraging | None:
     repeated = int(turns.count.sum() - np.count_nonzero(filled))
     if repeated < turns.each // 2:
         return None
-    within = float(((values - mean[place]) ** 2).sum()) / repeated
-    between = max(float(np.var(mean[filled])) - within * float(np.mean(1.0 / turns.count[filled])), 0.0)
-    whole = within + between
+    within, whole = float(np.mean((values - mean[place]) ** 2)), float(np.var(values))
     model = waves.model()
-    other = float(np.mean((model - turns.mean(model)[place]) ** 2)) * turns.count.sum() / repeated
+    other = float(np.mean((model - turns.mean(model)[place]) ** 2))
     order = np.argsort(row, kind="stable")
     begins = np.flatnonzero(np.diff(row[order], prepend=-1))
     sizes = np.diff(begins, append=row.size)

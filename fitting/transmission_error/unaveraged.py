@@ -87,8 +87,6 @@ class Steps:
         self._held += number.size
 
     def _merge(self) -> None:
-        if len(self._parts) < 2:
-            return
         number, sums = (np.concatenate(one, axis=-1) for one in zip(*self._parts, strict=True))
         order = np.argsort(number, kind="stable")
         self._parts, self._held = [], 0
