@@ -443,7 +443,7 @@ def orders_of_run(
                 searched = (_SLOWEST, highest)
                 upto = min(noise.size, int(highest) + 1)
                 # Uneven numbers of turns at the points of a curve spread other orders over whole ones.
-                noise[:upto] = np.maximum(noise[:upto], floor.at(np.arange(upto)))
+                noise[:upto] = np.maximum(noise[:upto], floor.at(np.arange(float(upto))))
                 degrees = floor.degrees
         averaging = _turn_averaging(turns, waves)
     found = np.flatnonzero(significant(coefficient, noise, noise.size))
