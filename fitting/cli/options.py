@@ -68,6 +68,7 @@ def finish(found: Figures, *, as_json: bool) -> None:
     from fitting.figures.figure import in_field_units
     from fitting.figures.loop_groups import GROUPS_HEAD, group_rows
     from fitting.figures.metrics import figures_json
+    from fitting.figures.orders import ORDERS_HEAD, order_rows
 
     rows, remarks = [], []
     for name, figure in found.shown.items():
@@ -82,6 +83,10 @@ def finish(found: Figures, *, as_json: bool) -> None:
             typer.echo(remark)
         if len(found.loop_groups) > 1:
             commands.print_table("Loops by size and position", GROUPS_HEAD, group_rows(found.loop_groups))
+        if found.orders:
+            commands.print_table(
+                "Largest orders of the transmission error, per output turn", ORDERS_HEAD, order_rows(found.orders)
+            )
         for name, budget in found.budgets.items():
             commands.print_table(f"Uncertainty budget of {name}", BUDGET_HEAD, budget_rows(budget))
     print_notes(found.problems if as_json and found.figures else found.notes)

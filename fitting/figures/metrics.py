@@ -20,6 +20,7 @@ from fitting.figures.friction_free import FrictionFree, friction_free
 from fitting.figures.hysteresis import loop_figures
 from fitting.figures.instruments import Instruments, read_instruments
 from fitting.figures.loop_groups import LoopGroup, group_of
+from fitting.figures.orders import RunOrders, averaging_note, orders_json, orders_of_run
 from fitting.figures.spectrum import (
     RIG_ORDERS,
     Spectrum,
@@ -30,6 +31,7 @@ from fitting.figures.spectrum import (
 )
 from fitting.figures.starts import Start, back_driving_torques, start_figure, starting_torques
 from fitting.figures.survey import Surveyed, survey
+from fitting.recordings.recording import Recording
 from fitting.recordings.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
 
@@ -67,6 +69,8 @@ class Figures:
         What they are from: source of each recording with loops, and its figures with their mid curve.
     interrupted
         Whether recordings are missing because of an interrupt.
+    orders
+        Orders of each curve with a spectrum, in the same order, with what averaging over turns removed.
     budgets, instruments
         The uncertainty budget of each figure, and the instruments, if stated.
 
@@ -97,6 +101,7 @@ class Figures:
     friction_free: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
     mid_curves: tuple[tuple[str, FrictionFree], ...] = ()
     loop_groups: tuple[LoopGroup, ...] = ()
+    orders: tuple[RunOrders, ...] = ()
 
     @property
     def shown(self) -> dict[str, Figure]:
@@ -119,6 +124,7 @@ def figures_of(
     ratio: float | None,
     rated_torque: float | None,
     stiffness_limits: Sequence[float] | None = None,
+    pair: Pair | None = None,
 ) -> Figures:
     """Return the figures of all recordings of one drive.
 
@@ -132,6 +138,8 @@ def figures_of(
         As given to `survey`.
     stiffness_limits
         As in `loop_figures`.
+    pair
+        The nominal gear pair, for the causes of orders.
     """
     notes = [n for s in surveyed for n in s.notes]
     figures: dict[str, Figure] = {}
@@ -153,6 +161,7 @@ def figures_of(
         without = {name: pooled([free.figures[name] for _, free in mid_curves]) for name in OF_FRICTION_FREE}
         figures = _with_remarks(figures, without)
     spectra: list[Spectrum | None] = []
+    of_runs: list[RunOrders] = []
     ways: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
     rigless: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
     for one in surveyed:
@@ -175,6 +184,10 @@ def figures_of(
             ways[way][label] = angular_transmission_error(curve, orders, one.runaway)
             kept = angular_transmission_error(curve, without_orders(orders, RIG_ORDERS), one.runaway)
             rigless[way][label] = kept
+            bases, limits = _stated_bases(one.overview, curve.ratio), one.overview.limits
+            coarsest = max(limits.output_resolution, limits.input_resolution / abs(curve.ratio))
+            of_runs.append(orders_of_run(curve, orders, label, pair, bases, coarsest))
+            notes += averaging_note(of_runs[-1])
     for name, of_ways in (("angular_transmission_error", ways), ("angular_transmission_error_without_rig", rigless)):
         parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in of_ways.items() if runs}
         if parts:
@@ -198,8 +211,16 @@ def figures_of(
             figures[name] = start_figure(name, [s.torque for s in starts])
     return Figures(
         figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)),
-        friction_free=without, mid_curves=tuple(mid_curves), loop_groups=tuple(groups),
+        friction_free=without, mid_curves=tuple(mid_curves), loop_groups=tuple(groups), orders=tuple(of_runs), pair=pair,
     )  # fmt: skip
+
+
+def _stated_bases(recording: Recording, ratio: float) -> dict[str, float]:
+    """Return the stated causes of orders that are no whole number, with the lowest order of each."""
+    stated = {"pulley": recording.pulley, "input turn": ratio}
+    return {
+        name: abs(base) for name, base in stated.items() if base != round(base) or (name == "pulley" and base != 1.0)
+    }
 
 
 def _with_remarks(figures: dict[str, Figure], without: Mapping[str, Figure]) -> dict[str, Figure]:
@@ -302,9 +323,9 @@ def metrics(
             break
     if not surveyed:
         raise edge.InputError("\n".join(problems) or "recordings: there are none.")
-    found, pair = figures_of(surveyed, ratio, rated, limits), None if drive is None else drive.pair
+    found = figures_of(surveyed, ratio, rated, limits, None if drive is None else drive.pair)
     notes = (*problems, *found.notes)
-    found = dataclasses.replace(found, notes=notes, pair=pair, problems=tuple(problems), interrupted=interrupted)
+    found = dataclasses.replace(found, notes=notes, problems=tuple(problems), interrupted=interrupted)
     if instruments is None:
         return found
     budgets = budgets_of(found.figures, surveyed, found.spectra, instruments, ratio, progress)
@@ -332,6 +353,7 @@ def figures_json(found: Figures) -> dict[str, Any]:
         },
         "friction_free": {name: figure_json(one) for name, one in found.friction_free.items()},
         "loop_groups": [group_json(one) for one in found.loop_groups],
+        "orders": [orders_json(one) for one in found.orders],
         "rated_torque": found.rated_torque,
         "ratio": found.ratio,
         "data": {s.source: s.checksum for s in found.surveyed},

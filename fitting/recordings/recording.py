@@ -75,6 +75,9 @@ class Recording(Block):
         Whether the input angle is measured or stated; otherwise it is zero, and only the output angle is known.
     locked
         "input" or "output": the shaft that is stated to be locked; "" if it is not stated.
+    pulley
+        Signed ratio of the output's encoder to the output, where a belt or gears drive it; the output angle is already
+        referred to the output.
     """
 
     source: str
@@ -91,6 +94,7 @@ class Recording(Block):
     timed: bool = True
     has_input_angle: bool = True
     locked: str = ""
+    pulley: float = 1.0
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
@@ -145,7 +149,7 @@ class RecordingStream:
 
     Attributes
     ----------
-    source, ratio, pair, common_zero, known_index, limits, timed, has_input_angle, locked
+    source, ratio, pair, common_zero, known_index, limits, timed, has_input_angle, locked, pulley
         As in `Recording`; the source is the file's name, followed by a comma and the run's name if there is one.
     notes, alignment, torque_alignment, speed
         As in `Recording`; complete when all blocks have been read.
@@ -170,6 +174,7 @@ class RecordingStream:
         self._by_names = all(self._mapping is not one for one in given)
         self._scales = scales_of(self._file, self._mapping)
         self.timed = self._file.timed or self._mapping.time is not None
+        self.pulley = 1.0 if self._mapping.pulley is None else self._mapping.pulley.ratio
         if self._file.timed and self._mapping.last_row_first:
             raise edge.InputError(f"{self.source}: last_row_first: the file's own times determine the first sample.")
         self.has_input_angle = self._mapping.input_angle is not None or self._mapping.transmission_error is not None
@@ -182,7 +187,7 @@ class RecordingStream:
                 f"{self.source}: it contains a transmission error, whose input angle follows only with the ratio of "
                 f"the drive. Give the drive, or its ratio: {edge.RATIO}."
             )
-        self._pulley = 1.0 if self._mapping.pulley is None else self._mapping.pulley.ratio
+        self._pulley = self.pulley
         self._referred = self._refer_to_output()
         self.pair = self._file.pair
         self.common_zero = self._zero_reference("output_angle") == "absolute"
@@ -314,11 +319,10 @@ class RecordingStream:
                 f"{self.source}: {edge.listed(self._referred)} measured on the motor, referred to the output by the "
                 f"ratio {self.ratio:g}."
             )
-        if self._mapping.pulley is not None:
+        if self.pulley != 1.0:
             self.notes.append(
-                f"{self.source}: the output angle is that of an encoder behind a pulley of ratio "
-                f"{self._mapping.pulley.ratio:g}; errors of pulley and encoder, at multiples of order "
-                f"{abs(self._mapping.pulley.ratio):g} of the output, are in the "
+                f"{self.source}: the output angle is that of an encoder behind a pulley of ratio {self.pulley:g}; "
+                f"errors of pulley and encoder, at multiples of order {abs(self.pulley):g} of the output, are in the "
                 "transmission error too."
             )
         if kept < 2:
@@ -345,6 +349,7 @@ class RecordingStream:
             common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
             alignment=self.alignment, torque_alignment=self.torque_alignment, limits=self.limits,
             speed=self.speed, timed=self.timed, has_input_angle=self.has_input_angle, locked=self.locked,
+            pulley=self.pulley,
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:

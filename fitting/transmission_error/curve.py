@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from fitting.transmission_error.unaveraged import Unaveraged
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -60,6 +61,8 @@ class Curve:
     each_turn
         Transmission error of every single turn, rad, shape (turns, points), NaN where a turn has no sample; None if the
         turns were not kept.
+    unaveraged
+        Transmission error of all turns before averaging; None if it was not kept.
     branch
         "" for a curve over the turn. For a loop with the input locked, its branch; the points are then over the torque,
         and the direction is that of a crank that would move the output as the torque does.
@@ -101,6 +104,7 @@ class Curve:
     speed: Array | None = None
     travel: Array | None = None
     each_turn: Array | None = None
+    unaveraged: Unaveraged | None = None
     branch: str = ""
     implausible: int = 0
     temperature: float | None = None
@@ -112,11 +116,13 @@ class Curve:
         return np.full(self.input_angle.size, self.torque) if self.torque_each is None else self.torque_each
 
     def points(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Curve:
-        """Return the curve with some of its points, without the grid."""
+        """Return the curve with some of its points, without the grid and the turns before averaging."""
         each = ("input_angle", "transmission_error", "standard_error", "sample_count", "angle_variance", "torque_each",
                 "speed", "travel", "each_turn")  # fmt: skip
         there = {name: values for name in each if (values := getattr(self, name)) is not None}
-        return dataclasses.replace(self, grid=(0, 0.0), **{n: values[..., chosen] for n, values in there.items()})
+        return dataclasses.replace(
+            self, grid=(0, 0.0), unaveraged=None, **{n: values[..., chosen] for n, values in there.items()}
+        )
 
 
 def noise_of(curve: Curve) -> float:

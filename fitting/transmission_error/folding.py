@@ -22,6 +22,7 @@ from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Recording, RecordingStream
 from fitting.recordings.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.unaveraged import Steps
 
 Array = NDArray[np.float64]
 POINTS = 1 << 15  # most even points of a turn, which resolve orders up to a quarter of them
@@ -104,6 +105,7 @@ class _Fold:
         if not self._evenly and few and not self._in_step():
             self._apart = apart
         self.whole = self._whole * self._apart
+        self._steps = Steps(self._turn, self._whole) if self._evenly else None
         self._reference = float(self._first[0][1][0])
         self._torque_reference = float(self._first[0][2][0])
         self.count = np.zeros(self.whole, np.int64)
@@ -154,6 +156,8 @@ class _Fold:
         middle = angle[begins] - inside[begins]
         travels = count * (self._travel(middle) + self._travelled) + self.direction * places
         self._furthest = float(self._travel(angle[-1])) + self._travelled
+        if self._steps is not None:
+            self._steps.add(middle, count, places, squares, errors)
         # Not `torque @ torque`, which starts all processors for little work: folding takes a third of the time without.
         self._torque += torques.sum(), (torque * torque).sum()
         x = middle - self._origin
@@ -283,6 +287,7 @@ class _Fold:
             speed=speed,
             travel=travel,
             each_turn=kept,
+            unaveraged=None if self._steps is None else self._steps.found(self._reference),
         )
 
 
@@ -301,7 +306,8 @@ class Folding:
     keep_turns
         Whether to keep every single turn in the curves too.
     evenly
-        Whether a turn has as many even points as samples, as orders require; otherwise samples of different turns share
+        Whether a turn has as many even points as samples, and the curve the transmission error of all turns too, as
+        orders require; otherwise samples of different turns share
         a point only if their angles are practically equal.
     """
 
