@@ -35,7 +35,9 @@ def friction(
     output: Annotated[
         Path | None,
         commands.output_option(
-            (".toml", ".json"), "FRICTION.toml", "Write the friction file of an FMU (build --friction), or the fit (JSON)."
+            (".toml", ".json"),
+            "FRICTION.toml",
+            "Write the friction file of an FMU (build --friction), or the fit (JSON).",
         ),
     ] = None,
     plot: commands.PlotFile = None,
@@ -74,4 +76,7 @@ def friction(
         commands.print_table(
             f"Friction at the output, {low:.4g} to {high:.4g} rad/s", ["figure", "value", "± 95 %", "unit", "of"], rows
         )
+        for name, one in found.figures.items():
+            if one.remark:
+                typer.echo(f"{name}: {one.remark}.")
     options.print_notes(found.notes)

@@ -2,21 +2,22 @@
 
 The torque that drives the output, referred to it, is (N·m)
 
-    T = o + s (C + S exp(-(w/w_s)²) + mu |L|) + b w + J a
+    T = o + s (C + S exp(-(w/w_s)²) + mu |M| + D t) + b w + J a
 
 with the speed w of the output, its sign s, the acceleration a, Coulomb friction C, Stribeck friction S, friction mu per
-load L, viscous friction b, the inertia J that is moved, and an offset o: the load, or the zero of the sensor. The law
-is that of `cycloid_fmu.fmu.friction`.
+torque M of the teeth, viscous friction b, the inertia J that is moved, and an offset o: the load, or the zero of the
+sensor. The law is that of `cycloid_fmu.fmu.friction` at the output, where the teeth carry load and friction,
+M = T - J a. D is a drift over the time t from the middle of a recording, as while it warms up. Figures are those
+without load, where |M| is the friction itself: C, S and b over 1 - mu.
 
 It is fitted to means over short stretches of time, whose speed is the slope of the angle over the time; so coarse ticks
-of a clock or of an encoder hardly matter. The noise of the torque is correlated (ripple, drift): the uncertainty is from
-the scatter of blocks of time, by leaving out one at a time.
+of a clock or of an encoder hardly matter. The noise of the torque is correlated (ripple, drift): the uncertainty is
+from the scatter of blocks of time, by leaving out one at a time.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
 import math
 import os
@@ -44,14 +45,13 @@ Numbers = NDArray[np.intp]
 
 FORMAT = "cycloid-friction-fit/1"
 DEFINITIONS = {
-    "coulomb": "sliding friction extrapolated to zero speed by the fitted line, without load where it was measured "
-    "under several loads, mean of both directions",
+    "coulomb": "sliding friction without load, extrapolated to zero speed by the fitted line, mean of both directions",
     "coulomb_forward": "torque extrapolated to zero speed from positive speeds; it contains the offset",
     "coulomb_backward": "minus the torque extrapolated to zero speed from negative speeds; it contains the offset",
     "viscous": "slope of the friction over the speed of the output",
     "stribeck": "additional friction towards rest, S of S exp(-(w/w_s)^2)",
     "stribeck_speed": "speed w_s of the output at which it has fallen to 1/e",
-    "friction_per_load": "growth of the friction with the torque on the output, mu",
+    "friction_per_load": "growth of the friction with the torque of the teeth, mu",
     "offset": "mean torque of both directions: a load, or the zero of the sensor",
     "inertia": "torque over acceleration, referred to the output",
 }
@@ -64,6 +64,8 @@ FILE_NAMES = {
     "viscous": "viscous",
 }  # fmt: skip
 """{figure: its name in a friction file}."""
+WITHOUT_LOAD = ("coulomb", "stribeck", "viscous")
+"""Figures that are those without load, and 1 - `load_share` times as large in a friction file."""
 STRETCHES = 1000  # most stretches of time of a recording
 FEWEST_SAMPLES = 8  # of a stretch
 FEWEST = 12  # stretches of a fit
@@ -73,6 +75,7 @@ SLOWEST = 0.02  # of the largest speed: lower limit of the fitted speeds, unless
 _APART = 0.05  # of a term's column that the other terms must leave
 _OTHER_LOAD = 0.25  # of the friction: offsets of recordings that differ by more are loads
 _SURE = 1.5  # times its 95 % interval that a term must exceed where it was searched for
+_ITERATIONS = 8  # in which the torque of the teeth and the friction in it agree
 _TRIED = 25  # Stribeck speeds
 _STRIBECK = 0.3  # of the largest speed: largest Stribeck speed; above, the term is no rise towards rest
 
@@ -88,9 +91,9 @@ class Stretches:
     speed, acceleration
         Of the output, rad/s and rad/s².
     torque
-        Torque that drives the output, N·m, > 0 towards positive angles.
+        Torque that drives the output, N·m, > 0 towards positive angles; without the load where that is measured.
     load
-        Size of the torque on the output, N·m; NaN if only the driving torque is measured.
+        Torque that the output gives to its load, N·m; NaN if only the driving torque is measured.
     recording, run, block
         Numbers of the recording, of the pass (in one direction without a gap) and of the block of time.
     """
@@ -110,7 +113,7 @@ class Stretches:
 
 
 def driving_torque(recording: Recording, ratio: float | None) -> tuple[Array, Array]:
-    """Return the torque that drives the output and the size of the load, N·m.
+    """Return the torque that drives the output, of two torques what remains of it as friction, and the load, N·m.
 
     With torques on both shafts, their power balance T_b + i T_a = F s gives the friction, and T_b is the load. A single
     torque drives; a load is then its offset.
@@ -135,11 +138,11 @@ def driving_torque(recording: Recording, ratio: float | None) -> tuple[Array, Ar
         return torque, np.full(torque.size, np.nan)
     if ratio is None:
         raise edge.InputError(
-            f"{recording.source}: the torque on the input is referred to the output by the ratio; give it: {edge.RATIO}."
+            f"{recording.source}: the torque on the input is referred to the output by the ratio: {edge.RATIO}."
         )
     if not known:
         return ratio * given, np.full(torque.size, np.nan)
-    return torque + ratio * given, np.abs(torque)
+    return torque + ratio * given, -torque
 
 
 def stretches_of(time: Array, angle: Array, torque: Array, load: Array, number: int = 0) -> Stretches:
@@ -247,8 +250,8 @@ class Fit:
 def fit_columns(columns: Mapping[str, Array], stretches: Stretches) -> Fit:
     """Return the fit of the torque by columns of shape (stretches,), with the scatter of the blocks.
 
-    Variances are those of leaving out one block at a time (delete-a-group jackknife, Kott, J. Off. Stat. 17 (2001) 521),
-    times (1 + r)/(1 - r) with the correlation r ≥ 0 of the mean residuals of neighbouring blocks of a pass.
+    Variances are those of leaving out one block at a time (delete-a-group jackknife, Kott, J. Off. Stat. 17 (2001)
+    521), times (1 + r)/(1 - r) with the correlation r ≥ 0 of the mean residuals of neighbouring blocks of a pass.
     """
     x, y = np.column_stack(list(columns.values())), stretches.torque
     scale = np.sqrt((x * x).mean(axis=0))
@@ -314,8 +317,9 @@ class FrictionFit:
         {recording: torque on the output, N·m}, where there are several loads.
     stretches
         The means over time that were fitted.
-    fitted, inertia_torque
-        Fitted torque without that of the inertia, and the latter, N·m, of each stretch.
+    fitted, removed
+        Fitted torque without those of the inertia and of a drift, and the sum of these two, N·m, of each stretch; NaN
+        where a stretch was left out.
     notes
         Omissions and their reasons, one sentence each.
     data
@@ -338,7 +342,7 @@ class FrictionFit:
     loads: dict[str, float]
     stretches: Stretches
     fitted: Array
-    inertia_torque: Array
+    removed: Array
     notes: tuple[str, ...]
     data: dict[str, str] = field(default_factory=dict)
 
@@ -371,6 +375,9 @@ def friction_json(found: FrictionFit) -> dict[str, Any]:
 def friction_toml(found: FrictionFit) -> str:
     """Return the friction file `cycloid-friction/1` with this friction at the output.
 
+    Its law is of the torque of the teeth, which without load is the friction itself. So the other values are those of
+    the fit times 1 - `load_share`.
+
     Raises
     ------
     edge.InputError
@@ -380,10 +387,13 @@ def friction_toml(found: FrictionFit) -> str:
         raise edge.NoDataError("A friction file needs coulomb, the mean of both directions; record both.")
     low, high = found.speeds
     lines = [f'format = "{FRICTION_FILE}"', "", f"[friction.output]  # measured from {low:.4g} to {high:.4g} rad/s"]
+    grown = found.figures.get("friction_per_load")
     for name, key in FILE_NAMES.items():
         if name not in found.figures:
             continue
         value, (unit, least, most, _) = found.figures[name].value, LIMITS[key]
+        if grown is not None and name in WITHOUT_LOAD:
+            value *= max(1.0 - grown.value, 0.0)
         if not least <= value <= (math.inf if most is None else most):
             raise edge.InputError(f"{name} = {value:.4g}: a friction file takes {least:g} to {most}.")
         number = f"{value:.6g}"
@@ -435,10 +445,27 @@ class _Model:
         return fit_columns(self.columns, self.stretches)
 
 
+def _add_growth(model: _Model, measured: bool) -> bool:
+    """Add the growth of the friction with the torque of the teeth, which contains this friction; whether it can be."""
+    part, name = model.stretches, "friction_per_load"
+    load = part.load if measured else np.zeros(part.speed.size)
+    for _ in range(_ITERATIONS):
+        fit = model.fit()
+        carried = load + part.torque - fit.residual
+        if "inertia" in fit.names:
+            carried = carried - fit.values[fit.names.index("inertia")] * part.acceleration
+        model.columns.pop(name, None)
+        if not model.add(name, np.sign(part.speed) * np.abs(carried)):
+            return False
+    return True
+
+
 def _stribeck(model: _Model) -> tuple[float, Fit] | None:
     """Return the Stribeck speed (rad/s) and the fit with this term; None if the data do not resolve it."""
     speed = np.abs(model.stretches.speed)
-    tried = np.geomspace(max(1.2 * float(speed.min()), 1e-3 * float(speed.max())), _STRIBECK * float(speed.max()), _TRIED)
+    tried = np.geomspace(
+        max(1.2 * float(speed.min()), 1e-3 * float(speed.max())), _STRIBECK * float(speed.max()), _TRIED
+    )
     best: tuple[float, float] | None = None
     signed = model.stretches.speed
     base = list(model.columns.values())
@@ -470,7 +497,7 @@ def _stribeck(model: _Model) -> tuple[float, Fit] | None:
 def fit_friction(
     stretches: Stretches, sources: Sequence[str], speeds: tuple[float, float]
 ) -> tuple[dict[str, Figure], dict[str, float], Array, Array, list[str]]:
-    """Return figures, loads, fitted torque, torque of the inertia (both over the stretches) and notes.
+    """Return figures, loads, fitted torque, torque of inertia and drift (both over the stretches), and notes.
 
     Parameters
     ----------
@@ -486,8 +513,7 @@ def fit_friction(
     edge.NoDataError
         If the torque opposes the motion: it is then not what drives.
     """
-    notes: list[str] = []
-    sign, speed = np.sign(stretches.speed), stretches.speed
+    notes, remarks = list[str](), list[str]()
     measured = bool(np.isfinite(stretches.load).all())
     both = _both_ways(stretches)
     loads: dict[str, float] = {}
@@ -506,7 +532,7 @@ def fit_friction(
                 notes.append(
                     f"{edge.listed(single)}: left out; under a load, friction needs both directions in one recording."
                 )
-    used = np.isin(stretches.recording, both) if apart else np.ones(sign.size, bool)
+    used = np.isin(stretches.recording, both) if apart else np.ones(stretches.speed.size, bool)
     every, stretches = stretches, stretches.chosen(used)
     renumbered = np.unique(stretches.block, return_inverse=True)[1]
     stretches = dataclasses.replace(stretches, block=renumbered)
@@ -517,30 +543,24 @@ def fit_friction(
         model.columns.update(_offset_columns(stretches, apart))
     turning = model.add("viscous", speed)
     if not turning:
-        notes.append("The speeds hardly differ: coulomb is the friction at this speed, and viscous is not resolved.")
+        remarks.append("the friction at this speed, as the speeds hardly differ; viscous friction is part of it")
     if not model.add("inertia", stretches.acceleration):
         pushed = float((sign * stretches.acceleration).mean())
         moved = abs(pushed) * float(np.ptp(stretches.time[stretches.run == stretches.run[0]]))
         if moved > 0.1 * float(np.abs(speed).mean()):
-            notes.append(
-                "The speed only rises or only falls, so that the torque of the inertia is part of the friction: "
-                f"{pushed:.2g} N·m for each kg·m² at the output. Record ramps up and down."
+            remarks.append(
+                f"with the torque of the inertia, {pushed:.2g} N·m for each kg·m² at the output, as the speed only "
+                f"{'rises' if pushed > 0.0 else 'falls'}; record ramps up and down"
             )
     middle = np.bincount(stretches.recording, stretches.time) / np.maximum(np.bincount(stretches.recording), 1)
     if model.add("drift", sign * (stretches.time - middle[stretches.recording])):
         value, uncertainty = model.fit().linear({"drift": 1.0})
         if abs(value) > _SURE * uncertainty:
             notes.append(
-                f"The friction drifts by {value * 60.0:.2g} N·m a minute, as while it warms up; it is that of the middle "
-                "of each recording."
+                f"The friction drifts by {value * 60.0:.2g} N·m a minute, as while it warms up; it is that of the "
+                "middle of each recording."
             )
-    loaded = np.zeros(sign.size)
-    if measured:
-        loaded = stretches.load
-    elif apart:
-        for k in both:
-            loaded = np.where(stretches.recording == k, abs(loads[sources[k]]), loaded)
-    if len({round(v, 9) for v in loads.values()}) > 1 and model.add("friction_per_load", sign * loaded):
+    if len({round(v, 9) for v in loads.values()}) > 1 and _add_growth(model, measured):
         value, uncertainty = model.fit().linear({"friction_per_load": 1.0})
         if not value > uncertainty:
             del model.columns["friction_per_load"]
@@ -563,13 +583,13 @@ def fit_friction(
         if value < 0.0 and stribeck is None:
             del model.columns["viscous"]
             fit = model.fit()
-            notes.append(
-                f"Viscous friction is not resolved: {value:.2g} ± {uncertainty:.2g} N·m·s/rad; coulomb is the mean "
-                "friction over these speeds."
-            )
+            notes.append(f"Viscous friction is not resolved: {value:.2g} ± {uncertainty:.2g} N·m·s/rad.")
+            remarks.append("the mean friction over these speeds, as it does not grow with them")
         elif value < uncertainty:
             notes.append("The interval of viscous friction contains zero.")
 
+    if apart:
+        loads = {sources[k]: float(fit.values[fit.names.index(f"offset {k}")]) for k in both}
     sums = _sums(fit, two_ways, sign, apart, measured)
     scale = {}
     if stribeck is not None:
@@ -577,42 +597,44 @@ def fit_friction(
         scale["stribeck_speed"] = at, size
     figures = {}
     spread = _of_recordings(stretches, fit.names, sums, apart or measured, both)
+    growth = fit.linear({"friction_per_load": 1.0})[0]
     for name, weights in sums.items():
         value, uncertainty = fit.linear(weights)
         if name in scale:
             value, uncertainty = scale[name][0], uncertainty / abs(scale[name][1])
+        elif growth and name in WITHOUT_LOAD:
+            value /= 1.0 - growth
+            _, uncertainty = fit.linear({name: 1.0 / (1.0 - growth), "friction_per_load": value / (1.0 - growth)})
         degrees = fit.degrees
         if spread.get(name, 0.0) > uncertainty:
             uncertainty, degrees = spread[name], float(len(both) - 1)
         figures[name] = Figure(
             value, uncertainty, UNITS[name], DEFINITIONS[name], speeds, "rad/s", fit.without.shape[0], "blocks",
-            degrees=degrees,
+            degrees=degrees, remark="; ".join(remarks) if name.startswith("coulomb") else "",
         )  # fmt: skip
     first = next(iter(figures))
     if not figures[first].value > 0.0:
         raise edge.NoDataError(
-            f"{edge.listed(sources)}: the torque opposes the motion ({first} = {figures[first].value:.3g} N·m), so it is "
-            "not the one that drives. If the sensor counts the other way, state direction = -1 for the torque in the "
-            "mapping; if it measures a load, map the torque of the input too."
+            f"{edge.listed(sources)}: the torque opposes the motion ({first} = {figures[first].value:.3g} N·m), so "
+            "it is not the one that drives. If the sensor counts the other way, state direction = -1 for the torque in "
+            "the mapping; if it measures a load, map the torque of the input too."
         )
     if "inertia" in figures and not figures["inertia"].value > figures["inertia"].uncertainty:
         del figures["inertia"]
     if not two_ways:
         notes.append(
-            f"Only one direction was recorded: {first} contains a load and the sensor's zero; coulomb needs both "
-            "directions."
+            f"{edge.listed(sources)}: only one direction was recorded; coulomb, the mean of both, needs the other too."
         )
-    inertia = fit.values[fit.names.index("inertia")] if "inertia" in fit.names else 0.0
-    torque_of_inertia = np.full(every.speed.size, np.nan)
-    torque_of_inertia[used] = inertia * stretches.acceleration
-    fitted = np.full(every.speed.size, np.nan)
-    fitted[used] = stretches.torque - fit.residual - torque_of_inertia[used]
-    return figures, loads, fitted, torque_of_inertia, notes
+    removed, fitted = np.full((2, every.speed.size), np.nan)
+    removed[used] = sum(
+        (fit.values[fit.names.index(name)] * model.columns[name] for name in ("inertia", "drift") if name in fit.names),
+        np.zeros(sign.size),
+    )
+    fitted[used] = stretches.torque - fit.residual - removed[used]
+    return figures, loads, fitted, removed, notes
 
 
-def _sums(
-    fit: Fit, two_ways: bool, sign: Array, apart: bool, measured: bool
-) -> dict[str, dict[str, float]]:
+def _sums(fit: Fit, two_ways: bool, sign: Array, apart: bool, measured: bool) -> dict[str, dict[str, float]]:
     """Return {figure: its weighted sum of estimates}."""
     sums: dict[str, dict[str, float]] = {}
     if not two_ways:
@@ -665,11 +687,14 @@ def _growth_of(loop: str | os.PathLike[str]) -> Figure:
         raise edge.InputError(f'{source}: its format is not "{FIGURES}", the figures of cycloid-fit metrics.')
     found = (content.get("friction_free") or {}).get("friction_per_load")
     if not isinstance(found, dict) or not isinstance(found.get("value"), int | float):
-        raise edge.InputError(f"{source}: it has no friction_free.friction_per_load; it needs loops in both directions.")
+        raise edge.InputError(
+            f"{source}: it has no friction_free.friction_per_load; it needs loops in both directions."
+        )
     uncertainty = found.get("uncertainty")
     return Figure(
         float(found["value"]), math.nan if uncertainty is None else float(uncertainty), "1",
-        str(found.get("definition", DEFINITIONS["friction_per_load"])), None, "", float(found.get("passes", 1)), "passes",
+        str(found.get("definition", DEFINITIONS["friction_per_load"])), None, "", float(found.get("passes", 1)),
+        "passes",
     )  # fmt: skip
 
 
@@ -729,6 +754,8 @@ def friction(
     for number, source in enumerate(given):
         progress(f"recording {number + 1} of {len(given)}")
         stream = open_source(source, ratio)
+        if isinstance(stream, Recording) and not np.ptp(stream.input_angle):
+            stream = dataclasses.replace(stream, has_input_angle=False)  # a locked input turns no output
         overview = overview_of(stream, ratio)
         recording = overview.recording
         notes += [*stream.notes, *overview.notes]
@@ -740,25 +767,33 @@ def friction(
         sources.append(recording.source)
         data[recording.source] = recording.checksum
         if recording.has_input_angle and np.ptp(recording.input_angle) > 0.0:
-            for name, starts_by in (("starting_torque", starting_torques), ("back_driving_torque", back_driving_torques)):
+            for name, starts_by in (
+                ("starting_torque", starting_torques),
+                ("back_driving_torque", back_driving_torques),
+            ):
                 started[name] += starts_by(recording, own)[0]
     every = joined(parts)
     if limits is None:
         fastest = float(np.percentile(np.abs(every.speed), 99.0)) if every.speed.size else 0.0
         limits = SLOWEST * fastest, min(1.05 * fastest, float(np.abs(every.speed).max(initial=0.0)))
     stretches = in_passes(every, limits) if limits[1] > 0.0 else every.chosen(np.zeros(0, np.intp))
+    figures = {name: start_figure(name, [s.torque for s in starts]) for name, starts in started.items() if starts}
     if stretches.speed.size < FEWEST:
-        turns = "does not turn" if not limits[1] > 0.0 else f"turns at {limits[0]:.3g} to {limits[1]:.3g} rad/s too briefly"
-        raise edge.NoDataError(
-            " ".join([*notes, f"{edge.listed(sources)}: the output {turns} to show friction: "
-                      f"{stretches.speed.size} stretches of time of {FEWEST} at least."])
-        )  # fmt: skip
-    figures, loads, fitted, inertia, added = fit_friction(stretches, sources, limits)
+        low, high = limits
+        turns = f"turns at {low:.3g} to {high:.3g} rad/s too briefly" if high > 0.0 else "does not turn"
+        notes.append(
+            f"{edge.listed(sources)}: the output {turns} for a fit of friction over speed "
+            f"({stretches.speed.size} stretches of {FEWEST_SAMPLES} samples or more; {FEWEST} are needed)."
+        )
+        if not figures:
+            raise edge.NoDataError(" ".join(notes))
+        empty = np.zeros(0)
+        nothing = stretches.chosen(np.zeros(0, np.intp))
+        return FrictionFit(figures, limits, {}, nothing, empty, empty, tuple(dict.fromkeys(notes)), data)
+    running, loads, fitted, removed, added = fit_friction(stretches, sources, limits)
+    figures = running | figures
     if growth is not None and "friction_per_load" not in figures:
         figures["friction_per_load"] = growth
         added = [one for one in added if not one.startswith("Growth")]
         added.append(f"{loop}: friction_per_load is that of the loops in this file.")
-    figures |= {name: start_figure(name, [s.torque for s in starts]) for name, starts in started.items() if starts}
-    return FrictionFit(
-        figures, limits, loads, stretches, fitted, inertia, tuple(dict.fromkeys([*notes, *added])), data
-    )
+    return FrictionFit(figures, limits, loads, stretches, fitted, removed, tuple(dict.fromkeys([*notes, *added])), data)

@@ -223,8 +223,8 @@ def survey(
         notes.append(
             f"{stream.source}: the input turns but the ratio is unknown; give the drive or its ratio: {edge.RATIO}."
         )
-    duration = float(table["time"][-1] - table["time"][0]) if stream.timed else np.nan
-    speed = float(np.abs(np.diff(table["output_angle"])).sum()) / duration if duration > 0.0 else 0.0
+    duration = float(shortened.time[-1] - shortened.time[0]) if stream.timed else np.nan
+    speed = float(np.abs(np.diff(shortened.output_angle)).sum()) / duration if duration > 0.0 else 0.0
     return Surveyed(
         stream.source, shortened.checksum, overview.samples, duration, shortened, overview.averaged, tuple(curves),
         loops, tuple(notes), 2.0 * stream.alignment * speed, blocks.count,

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
+from cycloid_fmu import edge
 from fitting.figures.friction import FrictionFit
 from fitting.reports.panels import Panel, Trace
 
 
 def friction_panels(found: FrictionFit) -> list[Panel]:
-    """Return the panels of torque and residual over the speed of the output."""
+    """Return the panels of torque and residual over the speed of the output.
+
+    Raises
+    ------
+    edge.InputError
+        If no friction over speed was fitted.
+    """
     made, load = found.stretches, found.loads
+    if not made.speed.size:
+        raise edge.InputError("There is no plot of starting torques alone; metrics --plot has one.")
     used = np.isfinite(found.fitted)
-    speed, torque = made.speed[used], (made.torque - found.inertia_torque)[used]
+    speed, torque = made.speed[used], (made.torque - found.removed)[used]
     block, recording, fitted = made.block[used], made.recording[used], found.fitted[used]
     count = np.bincount(block)
     at = count > 0
@@ -34,11 +43,11 @@ def friction_panels(found: FrictionFit) -> list[Panel]:
     residuals.append(Trace("", np.array([speed.min(), speed.max()]), np.zeros(2), "dashed", -1))
     low, high = found.speeds
     seen = (
-        f"Fitted from {low:.4g} to {high:.4g} rad/s, both directions; the torque of the inertia is taken off. The scatter "
+        f"Fitted from {low:.4g} to {high:.4g} rad/s, the torque that drives, without inertia and drift. The scatter "
         "of the blocks gives the uncertainty."
     )
     axis = "speed of the output [rad/s]"
     return [
-        Panel("Friction over speed", axis, "torque that drives, at the output [N·m]", tuple(traces), seen),
+        Panel("Friction over speed", axis, "torque at the output [N·m]", tuple(traces), seen),
         Panel("Residual", axis, "torque less fit [N·m]", tuple(residuals), "What the fit leaves."),
     ]

@@ -54,8 +54,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        Result of `fitting.curves`, `metrics`, `friction`, `maps`, `compare`, `identify`, `plan`, `inspect`, a forecast or
-        `fitting.recalibration`, or the pins and teeth of an identification, `result.realised`.
+        Result of `fitting.curves`, `metrics`, `friction`, `maps`, `compare`, `identify`, `plan`, `inspect`, a
+        forecast or `fitting.recalibration`, or the pins and teeth of an identification, `result.realised`.
     path
         File to write, `.png` or `.pdf`.
 
@@ -74,7 +74,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     """
     pictures: list[tuple[type, Callable[[Any], Figure]]] = [
         (Figures, lambda found: plot_panels(panels_of(found))),
-        (FrictionFit, lambda found: plot_panels(friction_panels(found))), (Comparison, lambda found: plot_changes(found.changes)),
+        (FrictionFit, lambda found: plot_panels(friction_panels(found))),
+        (Comparison, lambda found: plot_changes(found.changes)),
         (Identification, plot_identification), (Realised, plot_ring),
         (Inspection, lambda found: plot_channels(found.looks, found.roles)),
         (Curve, plot_curves), (Plan, plot_plans), (Forecast, plot_forecast), (Recalibration, plot_recalibration),
