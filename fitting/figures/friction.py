@@ -70,7 +70,7 @@ STRETCHES = 1000  # most stretches of time of a recording
 FEWEST_SAMPLES = 8  # of a stretch
 FEWEST = 12  # stretches of a fit
 BLOCKS = 32  # of all passes together, about
-PASSES = 12  # from which each is one block: what differs from pass to pass then counts
+PASSES = 12  # from which their scatter counts too
 SLOWEST = 0.02  # of the largest speed: lower limit of the fitted speeds, unless stated
 _APART = 0.05  # of a term's column that the other terms must leave
 _OTHER_LOAD = 0.25  # of the friction: offsets of recordings that differ by more are loads
@@ -192,7 +192,7 @@ def in_passes(stretches: Stretches, speeds: tuple[float, float]) -> Stretches:
     kept, runs, blocks, accelerations = [], [], [], []
     first = 0
     for number, part in enumerate(groups):
-        count = 1 if len(groups) >= PASSES else min(max(1, round(BLOCKS * part.size / total)), part.size // 2)
+        count = min(max(1, round(BLOCKS * part.size / total)), part.size // 2)
         of = np.arange(part.size) * count // part.size
         a = np.empty(part.size)
         for k in range(count):
@@ -212,8 +212,34 @@ def in_passes(stretches: Stretches, speeds: tuple[float, float]) -> Stretches:
 
 
 @dataclass(frozen=True)
+class Scatter:
+    """Estimates without each of some parts of the data.
+
+    Attributes
+    ----------
+    without
+        Shape (parts, columns).
+    factor
+        Factor of the variance because neighbouring parts are correlated.
+    degrees
+        Degrees of freedom.
+    """
+
+    without: Array
+    factor: float
+    degrees: float
+
+    def half_width(self, vector: Array) -> float:
+        """Return half the width of the 95 % interval of a weighted sum of estimates."""
+        each = self.without @ vector
+        count = each.size
+        variance = (count - 1.0) / count * float(((each - each.mean()) ** 2).sum()) * self.factor
+        return math.sqrt(variance) * float(stdtrit(self.degrees, 0.975))
+
+
+@dataclass(frozen=True)
 class Fit:
-    """Least squares over columns of a model, with the estimates from all blocks but one.
+    """Least squares over columns of a model.
 
     Attributes
     ----------
@@ -221,65 +247,74 @@ class Fit:
         Names of the columns.
     values
         Estimates, shape (columns,).
-    without
-        Estimates without each block, shape (blocks, columns).
+    scatters
+        Estimates without each block, and without each pass if there are enough.
     residual
         Shape (stretches,), N·m.
-    stretch
-        Factor of the variance because neighbouring blocks are correlated.
-    degrees
-        Degrees of freedom.
     """
 
     names: tuple[str, ...]
     values: Array
-    without: Array
+    scatters: tuple[Scatter, ...]
     residual: Array
-    stretch: float
-    degrees: float
 
     def linear(self, weights: Mapping[str, float]) -> tuple[float, float]:
         """Return a weighted sum of estimates and half the width of its 95 % interval."""
         vector = np.array([weights.get(name, 0.0) for name in self.names])
-        each = self.without @ vector
-        count = each.size
-        variance = (count - 1.0) / count * float(((each - each.mean()) ** 2).sum()) * self.stretch
-        return float(self.values @ vector), math.sqrt(variance) * float(stdtrit(self.degrees, 0.975))
+        return float(self.values @ vector), max(one.half_width(vector) for one in self.scatters)
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return self.scatters[0].without.shape[0]
+
+    @property
+    def degrees(self) -> float:
+        """Least degrees of freedom."""
+        return min(one.degrees for one in self.scatters)
 
 
 def fit_columns(columns: Mapping[str, Array], stretches: Stretches) -> Fit:
-    """Return the fit of the torque by columns of shape (stretches,), with the scatter of the blocks.
+    """Return the fit of the torque by columns of shape (stretches,), with the scatter of blocks and passes.
 
     Variances are those of leaving out one block at a time (delete-a-group jackknife, Kott, J. Off. Stat. 17 (2001)
-    521), times (1 + r)/(1 - r) with the correlation r ≥ 0 of the mean residuals of neighbouring blocks of a pass.
+    521), times (1 + r)/(1 - r) with the correlation r ≥ 0 of the mean residuals of neighbouring blocks of a pass, at
+    most the number of blocks of a pass. With `PASSES` passes or more, the same with passes counts if it is larger.
     """
     x, y = np.column_stack(list(columns.values())), stretches.torque
     scale = np.sqrt((x * x).mean(axis=0))
     x = x / scale
-    count = int(stretches.block.max()) + 1
-    normal, right = np.zeros((count, x.shape[1], x.shape[1])), np.zeros((count, x.shape[1]))
-    np.add.at(normal, stretches.block, x[:, :, None] * x[:, None, :])
-    np.add.at(right, stretches.block, x * y[:, None])
-    values = np.linalg.lstsq(normal.sum(axis=0), right.sum(axis=0), rcond=1e-12)[0]
-    total, whole = normal.sum(axis=0), right.sum(axis=0)
-    without = np.array([
-        np.linalg.lstsq(total - a, whole - b, rcond=1e-12)[0] for a, b in zip(normal, right, strict=True)
-    ])  # fmt: skip
+    values = np.linalg.lstsq(x, y, rcond=1e-9)[0]
     residual = y - x @ values
-    means = np.bincount(stretches.block, residual) / np.bincount(stretches.block)
+    terms = x.shape[1]
+    block, passes = (np.unique(one, return_inverse=True)[1] for one in (stretches.block, stretches.run))
+
+    def without(part: Numbers) -> Array:
+        count = int(part.max()) + 1
+        normal, right = np.zeros((count, terms, terms)), np.zeros((count, terms))
+        np.add.at(normal, part, x[:, :, None] * x[:, None, :])
+        np.add.at(right, part, x * y[:, None])
+        total, whole = normal.sum(axis=0), right.sum(axis=0)
+        return np.array([
+            np.linalg.lstsq(total - a, whole - b, rcond=1e-12)[0] for a, b in zip(normal, right, strict=True)
+        ]) / scale  # fmt: skip
+
+    count, runs = int(block.max()) + 1, int(passes.max()) + 1
+    means = np.bincount(block, residual) / np.bincount(block)
     run = np.zeros(count, np.intp)
-    run[stretches.block] = stretches.run
+    run[block] = passes
     same = run[1:] == run[:-1]
     alike = 0.0
     if same.any():
         power = float((means * means).mean())
         alike = float((means[1:] * means[:-1])[same].mean()) / power if power > 0.0 else 0.0
-        alike += x.shape[1] / count  # fitted terms take this much of it
-    alike = min(max(alike, 0.0), 0.8)
-    degrees = max(count * (1.0 - alike) / (1.0 + alike) - x.shape[1], 2.0)
-    return Fit(
-        tuple(columns), values / scale, without / scale, residual, (1.0 + alike) / (1.0 - alike), degrees
-    )  # fmt: skip
+    # Fitted terms take their share of it. A negative one, as of ripple, does not count: passes go over it again.
+    alike = min(max(alike, 0.0) + terms / count, 0.8)
+    factor = min((1.0 + alike) / (1.0 - alike), max(count / runs, 1.0))  # at most, all blocks of a pass are alike
+    scatters = [Scatter(without(block), factor, max(count / factor - terms, 2.0))]
+    if runs >= PASSES:
+        scatters.append(Scatter(without(passes), 1.0, max(runs - terms, 2.0)))
+    return Fit(tuple(columns), values / scale, tuple(scatters), residual)
 
 
 def separate(column: Array, others: Iterable[Array]) -> bool:
@@ -609,7 +644,7 @@ def fit_friction(
         if spread.get(name, 0.0) > uncertainty:
             uncertainty, degrees = spread[name], float(len(both) - 1)
         figures[name] = Figure(
-            value, uncertainty, UNITS[name], DEFINITIONS[name], speeds, "rad/s", fit.without.shape[0], "blocks",
+            value, uncertainty, UNITS[name], DEFINITIONS[name], speeds, "rad/s", fit.blocks, "blocks",
             degrees=degrees, remark="; ".join(remarks) if name.startswith("coulomb") else "",
         )  # fmt: skip
     first = next(iter(figures))
