@@ -775,6 +775,18 @@ def friction(
     ------
     edge.InputError
         If an argument or a recording is invalid; `edge.NoDataError` if no friction follows from the recordings.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> time = np.linspace(0.0, 60.0, 6001)
+    >>> speed = 4.0 * np.sin(np.pi * time / 30.0)
+    >>> angle = 120.0 / np.pi * (1.0 - np.cos(np.pi * time / 30.0))
+    >>> run = fitting.Run(input_angle=0.0, output_angle=angle, torque=2.0 * np.sign(speed) + 0.1 * speed, time=time)
+    >>> found = fitting.friction(run, speeds=("0.1 rev/s", "0.6 rev/s"))
+    >>> found.write("friction.toml")
+    >>> round(found.figures["viscous"].value, 3)
+    0.1
     """
     if ratio is not None and not (math.isfinite(ratio) and ratio):
         raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", ratio)
