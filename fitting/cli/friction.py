@@ -70,13 +70,12 @@ def friction(
         found.write(output)
     if as_json:
         commands.print_json(friction_json(found))
-    else:
-        rows = [[name, *in_field_units(one), f"{one.count:.4g} {one.counted}"] for name, one in found.figures.items()]
-        low, high = found.speeds
-        commands.print_table(
-            f"Friction at the output, {low:.4g} to {high:.4g} rad/s", ["figure", "value", "± 95 %", "unit", "of"], rows
-        )
-        for name, one in found.figures.items():
-            if one.remark:
-                typer.echo(f"{name}: {one.remark}.")
+        return
+    rows = [[name, *in_field_units(one), f"{one.count:.4g} {one.counted}"] for name, one in found.figures.items()]
+    low, high = found.speeds
+    title = f"Friction at the output, {low:.4g} to {high:.4g} rad/s"
+    commands.print_table(title, ["figure", "value", "± 95 %", "unit", "of"], rows)
+    for name, one in found.figures.items():
+        if one.remark:
+            typer.echo(f"{name}: {one.remark}.")
     options.print_notes(found.notes)

@@ -266,7 +266,7 @@ class Fit:
     @property
     def blocks(self) -> int:
         """Number of blocks."""
-        return self.scatters[0].without.shape[0]
+        return int(self.scatters[0].without.shape[0])
 
     @property
     def degrees(self) -> float:
@@ -295,9 +295,8 @@ def fit_columns(columns: Mapping[str, Array], stretches: Stretches) -> Fit:
         np.add.at(normal, part, x[:, :, None] * x[:, None, :])
         np.add.at(right, part, x * y[:, None])
         total, whole = normal.sum(axis=0), right.sum(axis=0)
-        return np.array([
-            np.linalg.lstsq(total - a, whole - b, rcond=1e-12)[0] for a, b in zip(normal, right, strict=True)
-        ]) / scale  # fmt: skip
+        each = [np.linalg.lstsq(total - a, whole - b, rcond=1e-12)[0] for a, b in zip(normal, right, strict=True)]
+        return np.asarray(each / scale, float)
 
     count, runs = int(block.max()) + 1, int(passes.max()) + 1
     means = np.bincount(block, residual) / np.bincount(block)
