@@ -18,7 +18,6 @@ from the scatter of blocks of time, by leaving out one at a time.
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -712,17 +711,13 @@ def _of_recordings(
 
 def _growth_of(loop: str | os.PathLike[str]) -> Figure:
     """Return the friction per load of the loops in a figures file."""
-    source = str(loop)
-    try:
-        content = json.loads(edge.read_text(loop))
-    except ValueError as problem:
-        raise edge.InputError(f"{source}: it is not JSON ({problem}).") from None
-    if not isinstance(content, dict) or content.get("format") != FIGURES:
-        raise edge.InputError(f'{source}: its format is not "{FIGURES}", the figures of cycloid-fit metrics.')
-    found = (content.get("friction_free") or {}).get("friction_per_load")
-    if not isinstance(found, dict) or not isinstance(found.get("value"), int | float):
+    content = edge.json_table(loop, FIGURES, "figures of cycloid-fit metrics")
+    free = content.get("friction_free")
+    found = free.get("friction_per_load") if isinstance(free, dict) else None
+    value = found.get("value") if isinstance(found, dict) else None
+    if not isinstance(found, dict) or not isinstance(value, int | float) or not math.isfinite(value):
         raise edge.InputError(
-            f"{source}: it has no friction_free.friction_per_load; it needs loops in both directions."
+            f"{loop}: friction_free.friction_per_load is missing; figures of loops in both directions have it."
         )
     uncertainty = found.get("uncertainty")
     return Figure(
