@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from fitting.estimation.plan import plan as plan
     from fitting.estimation.result import Identification as Identification
     from fitting.figures.comparison import compare as compare
+    from fitting.figures.friction import FrictionFit as FrictionFit
+    from fitting.figures.friction import friction as friction
     from fitting.figures.maps import maps as maps
     from fitting.figures.metrics import Figures as Figures
     from fitting.figures.metrics import metrics as metrics
@@ -32,6 +34,7 @@ _NAMES = {
     "estimation.plan": "Plan plan",
     "estimation.result": "Identification",
     "figures.comparison": "compare",
+    "figures.friction": "FrictionFit friction",
     "figures.maps": "maps",
     "figures.metrics": "Figures metrics",
     "recordings.inspection": "inspect",

@@ -126,7 +126,7 @@ def pooled(figures: Sequence[Figure]) -> Figure:
 
 _FIELD_UNITS = {
     "rad": (10800.0 / math.pi, "arcmin"), "N*m/rad": (math.pi / 10800.0, "N·m/arcmin"), "N*m": (1.0, "N·m"),
-    "1": (1.0, ""),
+    "1": (1.0, ""), "N*m*s/rad": (1.0, "N·m·s/rad"), "rad/s": (1.0, "rad/s"), "kg*m^2": (1.0, "kg·m²"),
 }  # fmt: skip
 
 

@@ -122,6 +122,64 @@ class _Overview:
         return dict(zip(self.names, columns, strict=True))
 
 
+@dataclass(frozen=True)
+class Overview:
+    """A recording in memory, of bounded size for recordings of any length.
+
+    Attributes
+    ----------
+    recording
+        The recording without implausible samples; of a long one each sample is the mean of `averaged` ones.
+    averaged, samples
+        That number, and the number of samples read.
+    blocks
+        The blocks that were read, for their counts.
+    """
+
+    recording: Recording
+    averaged: int
+    samples: int
+    blocks: PlausibleBlocks
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes on samples left out."""
+        return self.blocks.notes()
+
+
+def overview_of(
+    stream: Recording | RecordingStream,
+    ratio: float | None,
+    each: Callable[[Block, int], None] = lambda block, samples: None,
+) -> Overview:
+    """Read a recording once, block by block, and return it at a bounded size.
+
+    Parameters
+    ----------
+    stream
+        The recording, in memory or in its file.
+    ratio
+        Signed ratio input/output; None: that of the recording.
+    each
+        Called with every block and the number of samples read so far.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read.
+    """
+    ratio = stream.ratio if ratio is None else ratio
+    held = _Overview()
+    blocks = PlausibleBlocks(stream, ratio)
+    for block in blocks:
+        held.add(block)
+        each(block, held.samples)
+    table: dict[str, NDArray[Any]] = {**held.table()}
+    table["status"] = np.zeros(table["time"].size, np.uint8)
+    recording = dataclasses.replace(stream.recording(table), ratio=ratio)
+    return Overview(recording, held.averaged, held.samples, blocks)
+
+
 def survey(
     stream: Recording | RecordingStream,
     ratio: float | None,
@@ -147,18 +205,15 @@ def survey(
         If the file can't be read. Unusable content becomes a note.
     """
     ratio = stream.ratio if ratio is None else ratio
-    overview = _Overview()
     folding = Folding(ratio, stream.source, evenly=True) if ratio is not None and stream.has_input_angle else None
-    blocks = PlausibleBlocks(stream, ratio)
-    for block in blocks:
-        overview.add(block)
+
+    def each(block: Block, samples: int) -> None:
         if folding is not None:
             folding.add(block)
-        progress(overview.samples)
-    table: dict[str, NDArray[Any]] = {**overview.table()}
-    notes = [*stream.notes, *blocks.notes()]
-    table["status"] = np.zeros(table["time"].size, np.uint8)
-    shortened = dataclasses.replace(stream.recording(table), ratio=ratio)
+        progress(samples)
+
+    overview = overview_of(stream, ratio, each)
+    shortened, blocks, notes = overview.recording, overview.blocks, [*stream.notes, *overview.notes]
     loops, loop_notes = loops_of(shortened, ratio, rated_torque)
     notes += loop_notes
     curves: list[Curve] = []
@@ -172,8 +227,8 @@ def survey(
         notes.append(
             f"{stream.source}: the input turns but the ratio is unknown; give the drive or its ratio: {edge.RATIO}."
         )
-    duration = float(table["time"][-1] - table["time"][0]) if stream.timed else np.nan
-    speed = float(np.abs(np.diff(table["output_angle"])).sum()) / duration if duration > 0.0 else 0.0
+    duration = float(shortened.time[-1] - shortened.time[0]) if stream.timed else np.nan
+    speed = float(np.abs(np.diff(shortened.output_angle)).sum()) / duration if duration > 0.0 else 0.0
     return Surveyed(
         stream.source, shortened.checksum, overview.samples, duration, shortened, overview.averaged, tuple(curves),
         loops, tuple(notes), 2.0 * stream.alignment * speed, blocks.count,

@@ -22,6 +22,7 @@ from fitting.estimation.plan import Plan
 from fitting.estimation.realised import Realised
 from fitting.estimation.result import Identification
 from fitting.figures.comparison import Change, Comparison
+from fitting.figures.friction import FrictionFit
 from fitting.figures.maps import FORMAT as MAPS
 from fitting.figures.metrics import Figures
 from fitting.model.prior import TOLERANCE
@@ -29,6 +30,7 @@ from fitting.recalibration.plan import PlannedVisit
 from fitting.recalibration.recalibrate import Recalibration
 from fitting.recordings.inspection import Inspection, Look
 from fitting.reports.forecast_plot import plot_forecast
+from fitting.reports.friction_panels import friction_panels
 from fitting.reports.life_plots import plot_recalibration, plot_visits
 from fitting.reports.maps_report import map_panels
 from fitting.reports.panels import Panel, label_of, names_above, panels_of, x_range
@@ -53,8 +55,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        Result of `fitting.curves`, `metrics`, `maps`, `compare`, `identify`, `plan`, `inspect`, a forecast or
-        `fitting.recalibration`, or the pins and teeth of an identification, `result.realised`.
+        Result of `fitting.curves`, `metrics`, `friction`, `maps`, `compare`, `identify`, `plan`, `inspect`, a
+        forecast or `fitting.recalibration`, or the pins and teeth of an identification, `result.realised`.
     path
         File to write, `.png` or `.pdf`.
 
@@ -72,7 +74,9 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     2
     """
     pictures: list[tuple[type, Callable[[Any], Figure]]] = [
-        (Figures, lambda found: plot_panels(panels_of(found))), (Comparison, lambda found: plot_changes(found.changes)),
+        (Figures, lambda found: plot_panels(panels_of(found))),
+        (FrictionFit, lambda found: plot_panels(friction_panels(found))),
+        (Comparison, lambda found: plot_changes(found.changes)),
         (Identification, plot_identification), (Realised, plot_ring),
         (Inspection, lambda found: plot_channels(found.looks, found.roles)),
         (Curve, plot_curves), (Plan, plot_plans), (Forecast, plot_forecast), (Recalibration, plot_recalibration),

@@ -1,0 +1,81 @@
+"""`cycloid-fit friction`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cycloid_fmu.edge import commands
+from fitting.cli import options
+
+
+def friction(
+    files: options.Recordings,
+    drive: options.MaybePair = None,
+    ratio: options.Ratio = None,
+    speeds: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SPEEDS",
+            help='Range of speeds of the output that is fitted, such as "0.1 rev/s, 1 rev/s"; default: from 2 % of the '
+            "largest speed on.",
+            show_default=False,
+        ),
+    ] = None,
+    loop: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FIGURES.json",
+            help="Figures of loops (metrics -o); their friction per load is used if the recordings resolve none.",
+        ),
+    ] = None,
+    mapping: options.MappingFiles = None,
+    output: Annotated[
+        Path | None,
+        commands.output_option(
+            (".toml", ".json"),
+            "FRICTION.toml",
+            "Write the friction file of an FMU (build --friction), or the fit (JSON).",
+        ),
+    ] = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Fit the friction of a turning drive, from ramps of the speed or runs at constant speeds, at one or more loads.
+
+    Coulomb, viscous, Stribeck and load-dependent friction, referred to the output, as far as the recordings resolve
+    them.
+
+    Example: [cyan]cycloid-fit friction ramp.csv --mapping map.toml --speeds "0.1 rev/s, 1 rev/s" -o friction.toml[/]
+    """
+    import fitting
+    from cycloid_fmu import edge
+    from cycloid_fmu.drive import read_drive
+    from fitting.figures.figure import in_field_units
+    from fitting.figures.friction import friction_json
+
+    if drive is not None and ratio is not None:
+        raise edge.InputError("--pair and --ratio: give one of the two; the pair states its ratio.")
+    nominal = ratio if drive is None else read_drive(drive).ratio
+    with commands.status() as progress:
+        found = fitting.friction(
+            fitting.read_recordings(files, mapping), ratio=nominal, loop=loop, progress=progress,
+            speeds=None if speeds is None else [one.strip() for one in speeds.split(",")],
+        )  # fmt: skip
+    if plot is not None:
+        fitting.plot(found, plot)
+    if output is not None:
+        found.write(output)
+    if as_json:
+        commands.print_json(friction_json(found))
+        return
+    rows = [[name, *in_field_units(one), f"{one.count:.4g} {one.counted}"] for name, one in found.figures.items()]
+    low, high = found.speeds
+    title = f"Friction at the output, {low:.4g} to {high:.4g} rad/s"
+    commands.print_table(title, ["figure", "value", "± 95 %", "unit", "of"], rows)
+    for name, one in found.figures.items():
+        if one.remark:
+            typer.echo(f"{name}: {one.remark}.")
+    options.print_notes(found.notes)

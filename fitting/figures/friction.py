@@ -1,0 +1,840 @@
+"""Friction of a turning drive over speed and load, from ramps of speed and runs at constant speeds.
+
+The torque that drives the output, referred to it, is (N·m)
+
+    T = o + s (C + S exp(-(w/w_s)²) + mu |M| + D t) + b w + J a
+
+with the speed w of the output, its sign s, the acceleration a, Coulomb friction C, Stribeck friction S, friction mu per
+torque M of the teeth, viscous friction b, the inertia J that is moved, and an offset o: the load, or the zero of the
+sensor. The law is that of `cycloid_fmu.fmu.friction` at the output, where the teeth carry load and friction,
+M = T - J a. D is a drift over the time t from the middle of a recording, as while it warms up. Figures are those
+without load, where |M| is the friction itself: C, S and b over 1 - mu.
+
+It is fitted to means over short stretches of time, whose speed is the slope of the angle over the time; so coarse ticks
+of a clock or of an encoder hardly matter. The noise of the torque is correlated (ripple, drift): the uncertainty is
+from the scatter of blocks of time, by leaving out one at a time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from cycloid_fmu import edge
+from cycloid_fmu.fmu.friction_file import FORMAT as FRICTION_FILE
+from cycloid_fmu.fmu.friction_file import LIMITS
+from fitting.arguments import positive
+from fitting.figures.figure import Figure, figure_json
+from fitting.figures.metrics import FORMAT as FIGURES
+from fitting.figures.starts import Start, back_driving_torques, start_figure, starting_torques
+from fitting.figures.survey import overview_of
+from fitting.recordings.recording import Recording
+from fitting.recordings.sources import Source, each_source, open_source
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+
+FORMAT = "cycloid-friction-fit/1"
+DEFINITIONS = {
+    "coulomb": "sliding friction without load, extrapolated to zero speed by the fitted line, mean of both directions",
+    "coulomb_forward": "torque extrapolated to zero speed from positive speeds; it contains the offset",
+    "coulomb_backward": "minus the torque extrapolated to zero speed from negative speeds; it contains the offset",
+    "viscous": "slope of the friction over the speed of the output",
+    "stribeck": "additional friction towards rest, S of S exp(-(w/w_s)^2)",
+    "stribeck_speed": "speed w_s of the output at which it has fallen to 1/e",
+    "friction_per_load": "growth of the friction with the torque of the teeth, mu",
+    "offset": "mean torque of both directions: a load, or the zero of the sensor",
+    "inertia": "torque over acceleration, referred to the output",
+}
+UNITS = {
+    "coulomb": "N*m", "coulomb_forward": "N*m", "coulomb_backward": "N*m", "viscous": "N*m*s/rad", "stribeck": "N*m",
+    "stribeck_speed": "rad/s", "friction_per_load": "1", "offset": "N*m", "inertia": "kg*m^2",
+}  # fmt: skip
+FILE_NAMES = {
+    "coulomb": "coulomb", "friction_per_load": "load_share", "stribeck": "stribeck", "stribeck_speed": "stribeck_speed",
+    "viscous": "viscous",
+}  # fmt: skip
+"""{figure: its name in a friction file}."""
+WITHOUT_LOAD = ("coulomb", "stribeck", "viscous")
+"""Figures that are those without load, and 1 - `load_share` times as large in a friction file."""
+STRETCHES = 1000  # most stretches of time of a recording
+FEWEST_SAMPLES = 8  # of a stretch
+FEWEST = 12  # stretches of a fit
+BLOCKS = 32  # of all passes together, about
+PASSES = 12  # from which their scatter counts too
+SLOWEST = 0.02  # of the largest speed: lower limit of the fitted speeds, unless stated
+_APART = 0.05  # of a term's column that the other terms must leave
+_OTHER_LOAD = 0.25  # of the friction: offsets of recordings that differ by more are loads
+_SURE = 1.5  # times its 95 % interval that a term must exceed where it was searched for
+_ITERATIONS = 8  # in which the torque of the teeth and the friction in it agree
+_TRIED = 25  # Stribeck speeds
+_STRIBECK = 0.3  # of the largest speed: largest Stribeck speed; above, the term is no rise towards rest
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Means over stretches of time of recordings, in the order of time, each of shape (stretches,).
+
+    Attributes
+    ----------
+    time
+        Middle, s.
+    speed, acceleration
+        Of the output, rad/s and rad/s².
+    torque
+        Torque that drives the output, N·m, > 0 towards positive angles; without the load where that is measured.
+    load
+        Torque that the output gives to its load, N·m; NaN if only the driving torque is measured.
+    recording, run, block
+        Numbers of the recording, of the pass (in one direction without a gap) and of the block of time.
+    """
+
+    time: Array
+    speed: Array
+    acceleration: Array
+    torque: Array
+    load: Array
+    recording: Numbers
+    run: Numbers
+    block: Numbers
+
+    def chosen(self, keep: NDArray[np.bool_] | Numbers) -> Stretches:
+        """Return some of them."""
+        return Stretches(*(getattr(self, f.name)[keep] for f in dataclasses.fields(self)))
+
+
+def driving_torque(recording: Recording, ratio: float | None) -> tuple[Array, Array]:
+    """Return the torque that drives the output, of two torques what remains of it as friction, and the load, N·m.
+
+    With torques on both shafts, their power balance T_b + i T_a = F s gives the friction, and T_b is the load. A single
+    torque drives; a load is then its offset.
+
+    Parameters
+    ----------
+    recording
+        The recording; its torques are those of the environment on the shafts.
+    ratio
+        Signed ratio input/output; needed for a torque on the input.
+
+    Raises
+    ------
+    edge.InputError
+        If there is no torque, or only one on the input without a ratio.
+    """
+    torque, given = recording.torque, recording.input_torque
+    known = not np.isnan(torque).all()
+    if given is None:
+        if not known:
+            raise edge.InputError(f"{recording.source}: no torque is mapped; friction needs the torque that drives.")
+        return torque, np.full(torque.size, np.nan)
+    if ratio is None:
+        raise edge.InputError(
+            f"{recording.source}: the torque on the input is referred to the output by the ratio: {edge.RATIO}."
+        )
+    if not known:
+        return ratio * given, np.full(torque.size, np.nan)
+    return torque + ratio * given, -torque
+
+
+def stretches_of(time: Array, angle: Array, torque: Array, load: Array, number: int = 0) -> Stretches:
+    """Return means over stretches of time of one recording; the speed is the slope of the angle in each.
+
+    Parameters
+    ----------
+    time, angle, torque, load
+        Shape (samples,): s, output angle (rad), and as in `Stretches`.
+    number
+        Number of the recording.
+    """
+    size = max(FEWEST_SAMPLES, math.ceil(time.size / STRETCHES))
+    whole = time.size // size * size
+    t, phi, driving, loads = (v[:whole].reshape(-1, size) for v in (time, angle, torque, load))
+    away = t - t.mean(axis=1, keepdims=True)
+    spread = (away * away).sum(axis=1)
+    speed = np.divide((away * phi).sum(axis=1), spread, out=np.zeros(spread.size), where=spread > 0.0)
+    lasting = t[:, -1] - t[:, 0]
+    keep = (spread > 0.0) & (lasting <= 3.0 * float(np.median(lasting))) if lasting.size else spread > 0.0
+    count = int(np.count_nonzero(keep))
+    zeros = np.zeros(count, np.intp)
+    return Stretches(
+        t.mean(axis=1)[keep], speed[keep], np.zeros(count), driving.mean(axis=1)[keep], loads.mean(axis=1)[keep],
+        np.full(count, number, np.intp), zeros, zeros,
+    )  # fmt: skip
+
+
+def joined(parts: Sequence[Stretches]) -> Stretches:
+    """Return the stretches of several recordings as one."""
+    return Stretches(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(Stretches)))
+
+
+def in_passes(stretches: Stretches, speeds: tuple[float, float]) -> Stretches:
+    """Return the stretches within a range of speeds (rad/s), with their passes, blocks and accelerations.
+
+    The first and the last stretch of a pass are left out, as the motion may begin, reverse or end in them.
+    """
+    within = np.flatnonzero((np.abs(stretches.speed) >= speeds[0]) & (np.abs(stretches.speed) <= speeds[1]))
+    if not within.size:
+        return stretches.chosen(within)
+    sign, recording = np.sign(stretches.speed[within]), stretches.recording[within]
+    new = (np.diff(within) > 3) | (np.diff(sign) != 0.0) | (np.diff(recording) != 0)  # noise at the limits is no gap
+    groups = [part[1:-1] if part.size > 6 else part for part in np.split(within, np.flatnonzero(new) + 1)]
+    groups = [part for part in groups if part.size > 2]
+    total = sum(part.size for part in groups)
+    kept, runs, blocks, accelerations = [], [], [], []
+    first = 0
+    for number, part in enumerate(groups):
+        count = min(max(1, round(BLOCKS * part.size / total)), part.size // 2)
+        of = np.arange(part.size) * count // part.size
+        a = np.empty(part.size)
+        for k in range(count):
+            t, w = stretches.time[part[of == k]], stretches.speed[part[of == k]]
+            a[of == k] = np.polyfit(t - t.mean(), w, 1)[0] if t.size > 1 else 0.0
+        kept.append(part)
+        runs.append(np.full(part.size, number, np.intp))
+        blocks.append(first + of)
+        accelerations.append(a)
+        first += count
+    if not kept:
+        return stretches.chosen(within[:0])
+    return dataclasses.replace(
+        stretches.chosen(np.concatenate(kept)), run=np.concatenate(runs), block=np.concatenate(blocks),
+        acceleration=np.concatenate(accelerations),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Estimates without each of some parts of the data.
+
+    Attributes
+    ----------
+    without
+        Shape (parts, columns).
+    factor
+        Factor of the variance because neighbouring parts are correlated.
+    degrees
+        Degrees of freedom.
+    """
+
+    without: Array
+    factor: float
+    degrees: float
+
+    def half_width(self, vector: Array) -> float:
+        """Return half the width of the 95 % interval of a weighted sum of estimates."""
+        each = self.without @ vector
+        count = each.size
+        variance = (count - 1.0) / count * float(((each - each.mean()) ** 2).sum()) * self.factor
+        return math.sqrt(variance) * float(stdtrit(self.degrees, 0.975))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Least squares over columns of a model.
+
+    Attributes
+    ----------
+    names
+        Names of the columns.
+    values
+        Estimates, shape (columns,).
+    scatters
+        Estimates without each block, and without each pass if there are enough.
+    residual
+        Shape (stretches,), N·m.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    scatters: tuple[Scatter, ...]
+    residual: Array
+
+    def linear(self, weights: Mapping[str, float]) -> tuple[float, float]:
+        """Return a weighted sum of estimates and half the width of its 95 % interval."""
+        vector = np.array([weights.get(name, 0.0) for name in self.names])
+        return float(self.values @ vector), max(one.half_width(vector) for one in self.scatters)
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return int(self.scatters[0].without.shape[0])
+
+    @property
+    def degrees(self) -> float:
+        """Least degrees of freedom."""
+        return min(one.degrees for one in self.scatters)
+
+
+def fit_columns(columns: Mapping[str, Array], stretches: Stretches) -> Fit:
+    """Return the fit of the torque by columns of shape (stretches,), with the scatter of blocks and passes.
+
+    Variances are those of leaving out one block at a time (delete-a-group jackknife, Kott, J. Off. Stat. 17 (2001)
+    521), times (1 + r)/(1 - r) with the correlation r ≥ 0 of the mean residuals of neighbouring blocks of a pass, at
+    most the number of blocks of a pass. With `PASSES` passes or more, the same with passes counts if it is larger.
+    """
+    x, y = np.column_stack(list(columns.values())), stretches.torque
+    scale = np.sqrt((x * x).mean(axis=0))
+    x = x / scale
+    values = np.linalg.lstsq(x, y, rcond=1e-9)[0]
+    residual = y - x @ values
+    terms = x.shape[1]
+    block, passes = (np.unique(one, return_inverse=True)[1] for one in (stretches.block, stretches.run))
+
+    def without(part: Numbers) -> Array:
+        count = int(part.max()) + 1
+        normal, right = np.zeros((count, terms, terms)), np.zeros((count, terms))
+        np.add.at(normal, part, x[:, :, None] * x[:, None, :])
+        np.add.at(right, part, x * y[:, None])
+        total, whole = normal.sum(axis=0), right.sum(axis=0)
+        each = [np.linalg.lstsq(total - a, whole - b, rcond=1e-12)[0] for a, b in zip(normal, right, strict=True)]
+        return np.asarray(each / scale, float)
+
+    count, runs = int(block.max()) + 1, int(passes.max()) + 1
+    means = np.bincount(block, residual) / np.bincount(block)
+    run = np.zeros(count, np.intp)
+    run[block] = passes
+    same = run[1:] == run[:-1]
+    alike = 0.0
+    if same.any():
+        power = float((means * means).mean())
+        alike = float((means[1:] * means[:-1])[same].mean()) / power if power > 0.0 else 0.0
+    # Fitted terms take their share of it. A negative one, as of ripple, does not count: passes go over it again.
+    alike = min(max(alike, 0.0) + terms / count, 0.8)
+    factor = min((1.0 + alike) / (1.0 - alike), max(count / runs, 1.0))  # at most, all blocks of a pass are alike
+    scatters = [Scatter(without(block), factor, max(count / factor - terms, 2.0))]
+    if runs >= PASSES:
+        scatters.append(Scatter(without(passes), 1.0, max(runs - terms, 2.0)))
+    return Fit(tuple(columns), values / scale, tuple(scatters), residual)
+
+
+def separate(column: Array, others: Iterable[Array]) -> bool:
+    """Return whether a column differs from all combinations of others by more than 5 % of its size."""
+    size = float(np.linalg.norm(column))
+    given = [one for one in others]
+    if size == 0.0:
+        return False
+    if not given:
+        return True
+    base = np.column_stack(given)
+    base = base / np.linalg.norm(base, axis=0)
+    rest = column - base @ np.linalg.lstsq(base, column, rcond=1e-9)[0]
+    return float(np.linalg.norm(rest)) > _APART * size
+
+
+def stribeck_columns(speed: Array, at: float) -> tuple[Array, Array]:
+    """Return the Stribeck term's columns: of the torque, and its derivative by the Stribeck speed (for 1 N·m)."""
+    share = np.exp(-((speed / at) ** 2))
+    return np.sign(speed) * share, np.sign(speed) * share * 2.0 * speed**2 / at**3
+
+
+@dataclass(frozen=True)
+class FrictionFit:
+    """Friction of a drive from its recordings, referred to the output.
+
+    Attributes
+    ----------
+    figures
+        Figures by name (`DEFINITIONS`, and starting torques), SI; terms that the data do not resolve are missing, for
+        reasons in `notes`.
+    speeds
+        The range of speeds that was fitted, rad/s.
+    loads
+        {recording: torque on the output, N·m}, where there are several loads.
+    stretches
+        The means over time that were fitted.
+    fitted, removed
+        Fitted torque without those of the inertia and of a drift, and the sum of these two, N·m, of each stretch; NaN
+        where a stretch was left out.
+    notes
+        Omissions and their reasons, one sentence each.
+    data
+        {recording: SHA-256}.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> time = np.linspace(0.0, 100.0, 20001)
+    >>> angle = 50.0 * np.sin(0.02 * np.pi * time)
+    >>> speed = np.pi * np.cos(0.02 * np.pi * time)
+    >>> run = fitting.Run(input_angle=0.0, output_angle=angle, torque=3.0 * np.sign(speed) + 0.2 * speed, time=time)
+    >>> found = fitting.friction(run).figures
+    >>> round(found["coulomb"].value, 3), round(found["viscous"].value, 3)
+    (3.0, 0.2)
+    """
+
+    figures: dict[str, Figure]
+    speeds: tuple[float, float]
+    loads: dict[str, float]
+    stretches: Stretches
+    fitted: Array
+    removed: Array
+    notes: tuple[str, ...]
+    data: dict[str, str] = field(default_factory=dict)
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the fit, `cycloid-friction-fit/1` (`.json`), or the friction file of an FMU (`.toml`).
+
+        Raises
+        ------
+        edge.InputError
+            If the ending is another one, or the friction file needs a term that is missing.
+        """
+        target = edge.output_path(path, "path", (".json", ".toml"))
+        text = friction_toml(self) if target.suffix.lower() == ".toml" else edge.json_text(friction_json(self))
+        with edge.written_whole(target) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+
+def friction_json(found: FrictionFit) -> dict[str, Any]:
+    """Return the fit as the content of a `cycloid-friction-fit/1` file, SI."""
+    return {
+        "format": FORMAT,
+        **{name: figure_json(one) for name, one in found.figures.items()},
+        "speeds": list(found.speeds),
+        "loads": found.loads,
+        "data": found.data,
+        "notes": list(found.notes),
+    }
+
+
+def friction_toml(found: FrictionFit) -> str:
+    """Return the friction file `cycloid-friction/1` with this friction at the output.
+
+    Its law is of the torque of the teeth, which without load is the friction itself. So the other values are those of
+    the fit times 1 - `load_share`.
+
+    Raises
+    ------
+    edge.InputError
+        If Coulomb friction is missing, or a value is outside the file's limits.
+    """
+    if "coulomb" not in found.figures:
+        raise edge.NoDataError("A friction file needs coulomb, the mean of both directions; record both.")
+    low, high = found.speeds
+    lines = [f'format = "{FRICTION_FILE}"', "", f"[friction.output]  # measured from {low:.4g} to {high:.4g} rad/s"]
+    grown = found.figures.get("friction_per_load")
+    for name, key in FILE_NAMES.items():
+        if name not in found.figures:
+            continue
+        value, (unit, least, most, _) = found.figures[name].value, LIMITS[key]
+        if grown is not None and name in WITHOUT_LOAD:
+            value *= max(1.0 - grown.value, 0.0)
+        if not least <= value <= (math.inf if most is None else most):
+            raise edge.InputError(f"{name} = {value:.4g}: a friction file takes {least:g} to {most}.")
+        number = f"{value:.6g}"
+        lines.append(f"{key} = {number}" if unit == "1" else f'{key} = "{number} {UNITS[name]}"')
+    return "\n".join([*lines, ""])
+
+
+def _offset_columns(stretches: Stretches, loads: bool) -> dict[str, Array]:
+    """Return the columns of the offset: one, or one of each recording."""
+    if not loads:
+        return {"offset": np.ones(stretches.speed.size)}
+    return {f"offset {k}": (stretches.recording == k).astype(float) for k in np.unique(stretches.recording)}
+
+
+def _both_ways(stretches: Stretches) -> list[int]:
+    """Return the numbers of the recordings with both directions."""
+    return [
+        int(k)
+        for k in np.unique(stretches.recording)
+        if len(set(np.sign(stretches.speed[stretches.recording == k]))) == 2
+    ]
+
+
+def _mean_torques(stretches: Stretches, numbers: Sequence[int]) -> tuple[Array, Array]:
+    """Return the offset and the friction of single recordings with both directions, N·m."""
+    values = []
+    for k in numbers:
+        part = stretches.chosen(stretches.recording == k)
+        x = np.column_stack([np.ones(part.speed.size), np.sign(part.speed)])
+        values.append(np.linalg.lstsq(x, part.torque, rcond=None)[0])
+    return np.array([v[0] for v in values]), np.array([v[1] for v in values])
+
+
+@dataclass
+class _Model:
+    """Columns of the model for some stretches, chosen term by term."""
+
+    stretches: Stretches
+    columns: dict[str, Array] = field(default_factory=dict)
+
+    def add(self, name: str, column: Array) -> bool:
+        """Add a column if the others leave enough of it."""
+        if not separate(column, self.columns.values()):
+            return False
+        self.columns[name] = column
+        return True
+
+    def fit(self) -> Fit:
+        return fit_columns(self.columns, self.stretches)
+
+
+def _add_growth(model: _Model, measured: bool) -> bool:
+    """Add the growth of the friction with the torque of the teeth, which contains this friction; whether it can be."""
+    part, name = model.stretches, "friction_per_load"
+    load = part.load if measured else np.zeros(part.speed.size)
+    for _ in range(_ITERATIONS):
+        fit = model.fit()
+        carried = load + part.torque - fit.residual
+        if "inertia" in fit.names:
+            carried = carried - fit.values[fit.names.index("inertia")] * part.acceleration
+        model.columns.pop(name, None)
+        if not model.add(name, np.sign(part.speed) * np.abs(carried)):
+            return False
+    return True
+
+
+def _stribeck(model: _Model) -> tuple[float, Fit] | None:
+    """Return the Stribeck speed (rad/s) and the fit with this term; None if the data do not resolve it."""
+    speed = np.abs(model.stretches.speed)
+    tried = np.geomspace(
+        max(1.2 * float(speed.min()), 1e-3 * float(speed.max())), _STRIBECK * float(speed.max()), _TRIED
+    )
+    best: tuple[float, float] | None = None
+    signed = model.stretches.speed
+    base = list(model.columns.values())
+
+    def power(at: float) -> float:
+        x = np.column_stack([*base, stribeck_columns(signed, at)[0]])
+        x = x / np.linalg.norm(x, axis=0)
+        rest = model.stretches.torque - x @ np.linalg.lstsq(x, model.stretches.torque, rcond=1e-9)[0]
+        return float(rest @ rest)
+
+    for at in tried:
+        if separate(stribeck_columns(signed, at)[0], base):
+            best = min((power(at), float(at)), best or (math.inf, math.nan))
+    if best is None:
+        return None
+    at = best[1]
+    for step in np.geomspace(1.15, 1.01, 12):
+        at = min((at / step, at, at * step), key=power)
+    column, derivative = stribeck_columns(signed, at)
+    fit = fit_columns({**model.columns, "stribeck": column, "stribeck_speed": derivative}, model.stretches)
+    value, uncertainty = fit.linear({"stribeck": 1.0})
+    if not value > _SURE * uncertainty:
+        return None
+    if at > _STRIBECK * float(speed.max()) or fit.linear({"coulomb": 1.0})[0] <= 0.0:
+        return None
+    return (at, fit) if fit.linear({"stribeck_speed": 1.0 / value})[1] < at else None
+
+
+def fit_friction(
+    stretches: Stretches, sources: Sequence[str], speeds: tuple[float, float]
+) -> tuple[dict[str, Figure], dict[str, float], Array, Array, list[str]]:
+    """Return figures, loads, fitted torque, torque of inertia and drift (both over the stretches), and notes.
+
+    Parameters
+    ----------
+    stretches
+        From `in_passes`.
+    sources
+        Names of the recordings.
+    speeds
+        The range of speeds, rad/s, which the figures state.
+
+    Raises
+    ------
+    edge.NoDataError
+        If the torque opposes the motion: it is then not what drives.
+    """
+    notes, remarks = list[str](), list[str]()
+    measured = bool(np.isfinite(stretches.load).all())
+    both = _both_ways(stretches)
+    loads: dict[str, float] = {}
+    apart = False
+    if measured:
+        loads = {
+            sources[k]: float(stretches.load[stretches.recording == k].mean()) for k in np.unique(stretches.recording)
+        }
+    elif len(both) > 1:
+        offsets, frictions = _mean_torques(stretches, both)
+        apart = float(np.ptp(offsets)) > _OTHER_LOAD * float(np.abs(frictions).mean())
+        if apart:
+            loads = {sources[k]: float(o) for k, o in zip(both, offsets, strict=True)}
+            single = [sources[k] for k in np.unique(stretches.recording) if k not in both]
+            if single:
+                notes.append(
+                    f"{edge.listed(single)}: left out; under a load, friction needs both directions in one recording."
+                )
+    used = np.isin(stretches.recording, both) if apart else np.ones(stretches.speed.size, bool)
+    every, stretches = stretches, stretches.chosen(used)
+    renumbered = np.unique(stretches.block, return_inverse=True)[1]
+    stretches = dataclasses.replace(stretches, block=renumbered)
+    sign, speed = np.sign(stretches.speed), stretches.speed
+    model = _Model(stretches, {"coulomb": sign})
+    two_ways = len(set(sign)) == 2
+    if two_ways:
+        model.columns.update(_offset_columns(stretches, apart))
+    turning = model.add("viscous", speed)
+    if not turning:
+        remarks.append("the friction at this speed, as the speeds hardly differ; viscous friction is part of it")
+    if not model.add("inertia", stretches.acceleration):
+        pushed = float((sign * stretches.acceleration).mean())
+        moved = abs(pushed) * float(np.ptp(stretches.time[stretches.run == stretches.run[0]]))
+        if moved > 0.1 * float(np.abs(speed).mean()):
+            remarks.append(
+                f"with the torque of the inertia, {pushed:.2g} N·m for each kg·m² at the output, as the speed only "
+                f"{'rises' if pushed > 0.0 else 'falls'}; record ramps up and down"
+            )
+    middle = np.bincount(stretches.recording, stretches.time) / np.maximum(np.bincount(stretches.recording), 1)
+    if model.add("drift", sign * (stretches.time - middle[stretches.recording])):
+        value, uncertainty = model.fit().linear({"drift": 1.0})
+        if abs(value) > _SURE * uncertainty:
+            notes.append(
+                f"The friction drifts by {value * 60.0:.2g} N·m a minute, as while it warms up; it is that of the "
+                "middle of each recording."
+            )
+    if len({round(v, 9) for v in loads.values()}) > 1 and _add_growth(model, measured):
+        value, uncertainty = model.fit().linear({"friction_per_load": 1.0})
+        if not value > uncertainty:
+            del model.columns["friction_per_load"]
+            notes.append(f"Growth of the friction with the load is not resolved: {value:.2g} ± {uncertainty:.2g}.")
+    stribeck = _stribeck(model) if turning else None
+    fit = model.fit() if stribeck is None else stribeck[1]
+    if turning and stribeck is None:
+        notes.append("No Stribeck term is resolved: friction does not rise significantly towards the lowest speeds.")
+        bent = dict(model.columns)
+        bent["bend"] = speed * np.abs(speed)
+        if separate(bent["bend"], model.columns.values()):
+            value, uncertainty = fit_columns(bent, stretches).linear({"bend": 1.0})
+            if abs(value) > _SURE * uncertainty:
+                notes.append(
+                    "The friction is no straight line over these speeds: its slope "
+                    f"{'rises' if value > 0.0 else 'falls'} with the speed. Fit a narrower range."
+                )
+    if "viscous" in fit.names:
+        value, uncertainty = fit.linear({"viscous": 1.0})
+        if value < 0.0 and stribeck is None:
+            del model.columns["viscous"]
+            fit = model.fit()
+            notes.append(f"Viscous friction is not resolved: {value:.2g} ± {uncertainty:.2g} N·m·s/rad.")
+            remarks.append("the mean friction over these speeds, as it does not grow with them")
+        elif value < uncertainty:
+            notes.append("The interval of viscous friction contains zero.")
+
+    if apart:
+        loads = {sources[k]: float(fit.values[fit.names.index(f"offset {k}")]) for k in both}
+    sums = _sums(fit, two_ways, sign, apart, measured)
+    scale = {}
+    if stribeck is not None:
+        at, size = stribeck[0], fit.linear({"stribeck": 1.0})[0]
+        scale["stribeck_speed"] = at, size
+    figures = {}
+    spread = _of_recordings(stretches, fit.names, sums, apart or measured, both)
+    growth = fit.linear({"friction_per_load": 1.0})[0]
+    for name, weights in sums.items():
+        value, uncertainty = fit.linear(weights)
+        if name in scale:
+            value, uncertainty = scale[name][0], uncertainty / abs(scale[name][1])
+        elif growth and name in WITHOUT_LOAD:
+            value /= 1.0 - growth
+            _, uncertainty = fit.linear({name: 1.0 / (1.0 - growth), "friction_per_load": value / (1.0 - growth)})
+        degrees = fit.degrees
+        if spread.get(name, 0.0) > uncertainty:
+            uncertainty, degrees = spread[name], float(len(both) - 1)
+        figures[name] = Figure(
+            value, uncertainty, UNITS[name], DEFINITIONS[name], speeds, "rad/s", fit.blocks, "blocks",
+            degrees=degrees, remark="; ".join(remarks) if name.startswith("coulomb") else "",
+        )  # fmt: skip
+    first = next(iter(figures))
+    if not figures[first].value > 0.0:
+        raise edge.NoDataError(
+            f"{edge.listed(sources)}: the torque opposes the motion ({first} = {figures[first].value:.3g} N·m), so "
+            "it is not the one that drives. If the sensor counts the other way, state direction = -1 for the torque in "
+            "the mapping; if it measures a load, map the torque of the input too."
+        )
+    if "inertia" in figures and not figures["inertia"].value > figures["inertia"].uncertainty:
+        del figures["inertia"]
+    if not two_ways:
+        notes.append(
+            f"{edge.listed(sources)}: only one direction was recorded; coulomb, the mean of both, needs the other too."
+        )
+    removed, fitted = np.full((2, every.speed.size), np.nan)
+    removed[used] = sum(
+        (fit.values[fit.names.index(name)] * model.columns[name] for name in ("inertia", "drift") if name in fit.names),
+        np.zeros(sign.size),
+    )
+    fitted[used] = stretches.torque - fit.residual - removed[used]
+    return figures, loads, fitted, removed, notes
+
+
+def _sums(fit: Fit, two_ways: bool, sign: Array, apart: bool, measured: bool) -> dict[str, dict[str, float]]:
+    """Return {figure: its weighted sum of estimates}."""
+    sums: dict[str, dict[str, float]] = {}
+    if not two_ways:
+        sums["coulomb_forward" if sign[0] > 0.0 else "coulomb_backward"] = {"coulomb": 1.0}
+    else:
+        sums["coulomb"] = {"coulomb": 1.0}
+        if not apart:
+            sums["coulomb_forward"] = {"coulomb": 1.0, "offset": 1.0}
+            sums["coulomb_backward"] = {"coulomb": 1.0, "offset": -1.0}
+            sums["offset"] = {"offset": 1.0}
+    for name in ("viscous", "stribeck", "stribeck_speed", "friction_per_load", "inertia"):
+        if name in fit.names:
+            sums[name] = {name: 1.0}
+    return sums
+
+
+def _of_recordings(
+    stretches: Stretches, names: Sequence[str], sums: Mapping[str, Mapping[str, float]], loaded: bool,
+    both: Sequence[int],
+) -> dict[str, float]:  # fmt: skip
+    """Return half widths of 95 % intervals from the scatter of three or more recordings that show all terms alone."""
+    if loaded or len(both) < 3 or "stribeck" in names:
+        return {}
+    alone = []
+    for k in both:
+        part = stretches.chosen(stretches.recording == k)
+        part = dataclasses.replace(part, block=np.unique(part.block, return_inverse=True)[1])
+        sign = np.sign(part.speed)
+        model = _Model(part, {"coulomb": sign, "offset": np.ones(sign.size)})
+        given = {"viscous": part.speed, "inertia": part.acceleration}
+        if all(model.add(name, given[name]) for name in names if name in given):
+            alone.append(model.fit())
+    if len(alone) < 3:
+        return {}
+    quantile = float(stdtrit(len(alone) - 1, 0.975)) / math.sqrt(len(alone))
+    return {
+        name: quantile * float(np.std([fit.linear(weights)[0] for fit in alone], ddof=1))
+        for name, weights in sums.items()
+    }
+
+
+def _growth_of(loop: str | os.PathLike[str]) -> Figure:
+    """Return the friction per load of the loops in a figures file."""
+    content = edge.json_table(loop, FIGURES, "figures of cycloid-fit metrics")
+    free = content.get("friction_free")
+    found = free.get("friction_per_load") if isinstance(free, dict) else None
+    value = found.get("value") if isinstance(found, dict) else None
+    if not isinstance(found, dict) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise edge.InputError(
+            f"{loop}: friction_free.friction_per_load is missing; figures of loops in both directions have it."
+        )
+    uncertainty = found.get("uncertainty")
+    return Figure(
+        float(found["value"]), math.nan if uncertainty is None else float(uncertainty), "1",
+        str(found.get("definition", DEFINITIONS["friction_per_load"])), None, "", float(found.get("passes", 1)),
+        "passes",
+    )  # fmt: skip
+
+
+def _range_of(speeds: Sequence[float | str] | None) -> tuple[float, float] | None:
+    """Return the stated range of speeds, rad/s."""
+    if speeds is None:
+        return None
+    limits = [positive(one, "rad/s", "speeds", zero=True) for one in speeds]
+    if len(limits) != 2 or not limits[0] < limits[1]:
+        raise edge.ArgumentError("speeds", 'give two speeds of the output, ascending: "0.1 rev/s", "1 rev/s"', speeds)
+    return limits[0], limits[1]
+
+
+def friction(
+    recordings: Source | Iterable[Source],
+    *,
+    ratio: float | None = None,
+    speeds: Sequence[float | str] | None = None,
+    loop: str | os.PathLike[str] | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> FrictionFit:
+    """Return the friction of a drive over speed and load, referred to the output, from recordings in which it turns.
+
+    Ramps of the speed up and down or runs at constant speeds, in both directions; at several loads also its growth
+    with the load. With torques on both shafts the friction is their difference. A single torque is the one that drives,
+    referred to the output if it is that of the input; a constant load is then found as the mean of both directions.
+
+    Parameters
+    ----------
+    recordings
+        Recordings from `fitting.read_recordings`, or `fitting.Run`, or one of them.
+    ratio
+        Signed ratio input/output; needed for a torque on the input. Default: that stated by the recordings.
+    speeds
+        Range of speeds of the output that is fitted: two of rad/s, or texts with a unit. Default: from 2 % of the
+        largest speed on.
+    loop
+        File of figures from `fitting.metrics` of loops; its friction per load is used if the recordings resolve none.
+    progress
+        Called with the number of the recording being read, as text.
+
+    Raises
+    ------
+    edge.InputError
+        If an argument or a recording is invalid; `edge.NoDataError` if no friction follows from the recordings.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> time = np.linspace(0.0, 60.0, 6001)
+    >>> speed = 4.0 * np.sin(np.pi * time / 30.0)
+    >>> angle = 120.0 / np.pi * (1.0 - np.cos(np.pi * time / 30.0))
+    >>> run = fitting.Run(input_angle=0.0, output_angle=angle, torque=2.0 * np.sign(speed) + 0.1 * speed, time=time)
+    >>> found = fitting.friction(run, speeds=("0.1 rev/s", "0.6 rev/s"))
+    >>> found.write("friction.toml")
+    >>> round(found.figures["viscous"].value, 3)
+    0.1
+    """
+    if ratio is not None and not (math.isfinite(ratio) and ratio):
+        raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", ratio)
+    limits = _range_of(speeds)
+    growth = None if loop is None else _growth_of(loop)
+    given: list[Source] = each_source(recordings)
+    if not given:
+        raise edge.InputError("recordings: there are none.")
+    notes: list[str] = []
+    parts, sources, data = list[Stretches](), list[str](), dict[str, str]()
+    started: dict[str, list[Start]] = {"starting_torque": [], "back_driving_torque": []}
+    for number, source in enumerate(given):
+        progress(f"recording {number + 1} of {len(given)}")
+        stream = open_source(source, ratio)
+        if isinstance(stream, Recording) and not np.ptp(stream.input_angle):
+            stream = dataclasses.replace(stream, has_input_angle=False)  # a locked input turns no output
+        overview = overview_of(stream, ratio)
+        recording = overview.recording
+        notes += [*stream.notes, *overview.notes]
+        if not recording.timed:
+            raise edge.InputError(f"{recording.source}: no time is mapped; friction over speed needs times.")
+        own = ratio if ratio is not None else recording.ratio
+        torque, load = driving_torque(recording, own)
+        parts.append(stretches_of(recording.time, recording.output_angle, torque, load, number))
+        sources.append(recording.source)
+        data[recording.source] = recording.checksum
+        if recording.has_input_angle and np.ptp(recording.input_angle) > 0.0:
+            for name, starts_by in (
+                ("starting_torque", starting_torques),
+                ("back_driving_torque", back_driving_torques),
+            ):
+                started[name] += starts_by(recording, own)[0]
+    every = joined(parts)
+    if limits is None:
+        fastest = float(np.percentile(np.abs(every.speed), 99.0)) if every.speed.size else 0.0
+        limits = SLOWEST * fastest, min(1.05 * fastest, float(np.abs(every.speed).max(initial=0.0)))
+    stretches = in_passes(every, limits) if limits[1] > 0.0 else every.chosen(np.zeros(0, np.intp))
+    figures = {name: start_figure(name, [s.torque for s in starts]) for name, starts in started.items() if starts}
+    if stretches.speed.size < FEWEST:
+        low, high = limits
+        turns = f"turns at {low:.3g} to {high:.3g} rad/s too briefly" if high > 0.0 else "does not turn"
+        notes.append(
+            f"{edge.listed(sources)}: the output {turns} for a fit of friction over speed "
+            f"({stretches.speed.size} stretches of {FEWEST_SAMPLES} samples or more; {FEWEST} are needed)."
+        )
+        if not figures:
+            raise edge.NoDataError(" ".join(notes))
+        empty = np.zeros(0)
+        nothing = stretches.chosen(np.zeros(0, np.intp))
+        return FrictionFit(figures, limits, {}, nothing, empty, empty, tuple(dict.fromkeys(notes)), data)
+    running, loads, fitted, removed, added = fit_friction(stretches, sources, limits)
+    figures = running | figures
+    if growth is not None and "friction_per_load" not in figures:
+        figures["friction_per_load"] = growth
+        added = [one for one in added if not one.startswith("Growth")]
+        added.append(f"{loop}: friction_per_load is that of the loops in this file.")
+    return FrictionFit(figures, limits, loads, stretches, fitted, removed, tuple(dict.fromkeys([*notes, *added])), data)
