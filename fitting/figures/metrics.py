@@ -211,7 +211,8 @@ def figures_of(
             figures[name] = start_figure(name, [s.torque for s in starts])
     return Figures(
         figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)),
-        friction_free=without, mid_curves=tuple(mid_curves), loop_groups=tuple(groups), orders=tuple(of_runs), pair=pair,
+        friction_free=without, mid_curves=tuple(mid_curves), loop_groups=tuple(groups), orders=tuple(of_runs),
+        pair=pair,
     )  # fmt: skip
 
 

@@ -157,7 +157,7 @@ class _Fold:
         travels = count * (self._travel(middle) + self._travelled) + self.direction * places
         self._furthest = float(self._travel(angle[-1])) + self._travelled
         if self._steps is not None:
-            self._steps.add(middle, count, places, squares, errors)
+            self._steps.add(middle, count, *(np.asarray(sums, dtype=float) for sums in (places, squares, errors)))
         # Not `torque @ torque`, which starts all processors for little work: folding takes a third of the time without.
         self._torque += torques.sum(), (torque * torque).sum()
         x = middle - self._origin
