@@ -14,7 +14,7 @@ from cycloid_fmu import edge
 from fitting.figures.hysteresis import LoopData, loops_of
 from fitting.figures.loop_groups import loop_groups
 from fitting.recordings.cleaning import Block
-from fitting.recordings.mapping import OPTIONAL
+from fitting.recordings.mapping import ANGLES, OPTIONAL
 from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Recording, RecordingStream
 from fitting.transmission_error.curve import Curve
@@ -23,6 +23,8 @@ from fitting.transmission_error.folding import Folding
 Array = NDArray[np.float64]
 
 _OVERVIEW = 1 << 20
+_SEEN = 4000  # samples from which an encoder's counts are seen
+_WHOLE = 0.02  # of a count: differences that are whole numbers of counts
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,30 @@ class Overview:
         return self.blocks.notes()
 
 
+def count_of(angle: NDArray[np.float64]) -> float:
+    """Return the angle of one count of an encoder, rad, from the steps between samples; 0 if they show none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> angle = np.cumsum(0.01 + 0.003 * np.sin(np.arange(400.0)))
+    >>> count = 2.0 * np.pi / 8192
+    >>> round(count_of(np.round(angle / count) * count) / count, 6), count_of(angle)
+    (1.0, 0.0)
+    """
+    steps = np.unique(np.abs(np.diff(angle[:_SEEN])))
+    steps = steps[steps > 1e-12 * float(np.abs(angle[:_SEEN]).max(initial=0.0))]
+    if steps.size < 2:
+        return 0.0
+    gaps = np.diff(steps)
+    gaps = gaps[gaps > 1e-6 * float(steps[-1])]
+    count = float(min(gaps.min(initial=np.inf), steps[0]))
+    whole = steps / count
+    if np.unique(np.round(whole)).size < 3:  # an even motion
+        return 0.0
+    return count if bool(np.all(np.abs(whole - np.round(whole)) < _WHOLE)) else 0.0
+
+
 def overview_of(
     stream: Recording | RecordingStream,
     ratio: float | None,
@@ -169,14 +195,18 @@ def overview_of(
         If the file can't be read.
     """
     ratio = stream.ratio if ratio is None else ratio
-    held = _Overview()
+    held, counts = _Overview(), dict[str, float]()
     blocks = PlausibleBlocks(stream, ratio)
     for block in blocks:
+        counts = counts or {role: count_of(getattr(block, role)) for role in ANGLES}
         held.add(block)
         each(block, held.samples)
     table: dict[str, NDArray[Any]] = {**held.table()}
     table["status"] = np.zeros(table["time"].size, np.uint8)
     recording = dataclasses.replace(stream.recording(table), ratio=ratio)
+    shown = {f"{role.removesuffix('_angle')}_resolution": count for role, count in counts.items() if count > 0.0}
+    known = {name: value for name, value in shown.items() if getattr(recording.limits, name) == 0.0}
+    recording = dataclasses.replace(recording, limits=dataclasses.replace(recording.limits, **known))
     return Overview(recording, held.averaged, held.samples, blocks)
 
 

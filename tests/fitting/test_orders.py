@@ -124,3 +124,13 @@ def test_the_command_prints_the_largest_orders_and_writes_all(command, tmp_path)
     ((one,),) = (json.loads((tmp_path / "figures.json").read_text())["orders"],)
     assert {o["order"] for o in one["orders"] if o["source"] == "pulley"} == {m * PULLEY for m in (1, 2, 4)}
     assert one["turn_averaging"].keys() >= {"variance_share_removed", "peak_to_peak_of_one_turn"}
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_counts_of_an_encoder_are_no_orders(noise):
+    """8192 counts of a turn, which no file states: their steps make lines of up to 1/π of a count, 2.6′."""
+    made = run(WHOLE, noise=noise)
+    count = 2.0 * np.pi / 8192
+    made = dataclasses.replace(made, output_angle=np.round(made.output_angle / count) * count)
+    found = figures(made).orders[0]
+    assert all(one.whole for one in found.orders)
