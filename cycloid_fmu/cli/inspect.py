@@ -16,8 +16,8 @@ def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
 
     Example: [cyan]cycloid-fmu inspect drive.fmu[/]
     """
-    from cycloid_fmu.fmu.constants import DAMPING_RATIOS
     from cycloid_fmu.fmu.run import described, stated_drive, told
+    from cycloid_fmu.fmu.variables import DAMPING_RATIOS
 
     description, problems = described(fmu_file)
     if as_json:

@@ -18,8 +18,6 @@ FRICTION_ITERATIONS = 40  # for the output angle of the kinematic interface
 FRICTION_SHARE = 1e-10  # of the friction torque: its last change in these iterations
 SUGGESTED_STEP = 1e-4  # s: of the compliant interface with both inertias outside
 DAMPING_TIME = 1e-4  # s: default mesh damping over the stiffness at the rated torque
-# Damping ratios of gear meshes (R. Kasuba and J. W. Evans, J. Mech. Des. 103 (1981) 398).
-DAMPING_RATIOS = (0.03, 0.17)
 LOSS_COLUMNS = 5  # columns of the loss table
 LARGEST_TRANSMISSION_ERROR = 0.01  # rad: a larger deviation of the flanges is an error of the surrounding model
 SUB_STEP = 0.2  # rad of phase of the internal inertias' fastest oscillation in one sub-step

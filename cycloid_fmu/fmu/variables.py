@@ -188,6 +188,10 @@ class Variable:
     derivative_of: str | None = None
 
 
+DAMPING_RATIOS = (0.03, 0.17)
+"""Damping ratios of gear meshes (R. Kasuba and J. W. Evans, J. Mech. Des. 103 (1981) 398)."""
+
+
 def stiffness_text(pair: Pair, interface: Interface) -> str:
     """Return the text on an FMU's stiffness for its description."""
     text = "mesh alone, rigid bodies" if pair.supports is None else "contacts and bearings alone"
