@@ -53,6 +53,12 @@ from pathlib import Path; from cmm import measure, write_csv; from cycloid_fmu.g
 from cycloid_fmu.surfaces.surface import surface_of_pair; pair = read_pair('made.toml');
 write_csv(Path('cmm.csv'), measure(pair, surface_of_pair(pair), 2e-7, 1))
 """.strip().replace("\n", " ")
+RAMP = """
+import numpy as np; t = np.arange(0.0, 100.0, 0.01); w = 8.0 * np.sin(0.02 * np.pi * t);
+m = 3.5 * np.sign(w) + 0.15 * w + np.random.default_rng(1).normal(0.0, 0.5, t.size);
+np.savetxt('ramp.csv', np.column_stack([t, np.cumsum(w) * 0.01 / (2.0 * np.pi), m]), delimiter=',',
+header='TIME [s],POSITION [rev],TORQUE [Nm]', comments='')
+""".strip().replace("\n", " ")
 # Pages that go on in the folder of another.
 CONTINUES = dict.fromkeys(("controller", "compensation", "fmu", "identify", "recalibrate"), "test_bench_engineer")
 # Given to a page: your files, and your bench.
@@ -61,6 +67,11 @@ GIVEN = {
         cycloid-fmu example drive-39-40-as-made.toml -o made.toml
         cycloid-fmu build made.toml -o as-made.fmu
         {SIMULATE} --torque '-20 N*m' --channel 239.74.163.79 --write-bench BENCH.toml &
+    """,
+    "own_motor": f"""
+        cycloid-fmu example drive-39-40.toml -o drive.toml
+        python -c "{RAMP}"
+        cycloid-fit inspect ramp.csv -o ramp.toml
     """,
     "README": f"""{RUNS}{LOOP}
         {SIMULATE} --torque '-20 N*m' --channel 239.74.163.78 --write-bench bench.toml &

@@ -89,7 +89,7 @@ def read_loop(path: str | os.PathLike[str]) -> tuple[float, float]:
     """Return stiffness (N·m/rad) and dry friction (N·m) of a measured loop, from the file of `cycloid-fit metrics`.
 
     The loading and unloading branches are 2 T_f/K apart, which is the loop's hysteresis loss minus its backlash
-    (docs/theory/measurement.md).
+    (docs/theory/measurement.md). Where friction grows with load, the figures without friction are taken.
 
     Raises
     ------
@@ -97,14 +97,21 @@ def read_loop(path: str | os.PathLike[str]) -> tuple[float, float]:
         If the file can't be read or has no figures of a loop.
     """
     given = edge.json_table(path, FIGURES, "figures of cycloid-fit metrics")
-    values = {}
-    for name in ("torsional_stiffness", "hysteresis_loss", "backlash"):
+    names: tuple[str, ...] = ("torsional_stiffness", "hysteresis_loss", "backlash")
+    values, free = dict[str, float](), given.get("friction_free")
+    standard = given.get("torsional_stiffness")
+    grows = isinstance(free, dict) and isinstance(standard, dict) and "remark" in standard
+    if isinstance(free, dict) and grows:
+        given, names = free, ("torsional_stiffness", "friction_torque")
+    for name in names:
         found = given.get(name)
         value = found.get("value") if isinstance(found, dict) else None
         if not isinstance(value, int | float) or not math.isfinite(value):
             raise edge.InputError(f"{path}: {name} is missing; figures of a measured torque-windup loop have it.")
         values[name] = float(value)
-    stiffness, apart = values["torsional_stiffness"], values["hysteresis_loss"] - values["backlash"]
+    stiffness = values["torsional_stiffness"]
     if stiffness <= 0.0:
         raise edge.InputError(f"{path}: torsional_stiffness = {stiffness:g} N*m/rad: it must be above zero.")
-    return stiffness, max(0.5 * stiffness * apart, 0.0)
+    if grows:
+        return stiffness, values["friction_torque"]
+    return stiffness, max(0.5 * stiffness * (values["hysteresis_loss"] - values["backlash"]), 0.0)

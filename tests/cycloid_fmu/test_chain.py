@@ -99,6 +99,18 @@ def test_a_measured_loop_gives_stiffness_and_friction(tmp_path):
     assert whole == pytest.approx(stiffness, rel=1e-5)
 
 
+def test_where_friction_grows_with_load_the_figures_without_it_are_taken(tmp_path):
+    """The loading branches have 1.4 times the spring's stiffness, and their distance is no friction."""
+    standard = {"torsional_stiffness": {"value": 420.0, "remark": "contains friction that grows with load"},
+                "hysteresis_loss": {"value": 0.04}, "backlash": {"value": 0.015}}  # fmt: skip
+    free = {"torsional_stiffness": {"value": 300.0}, "friction_torque": {"value": 2.5}}
+    (tmp_path / "f.json").write_text(json.dumps({"format": "cycloid-figures/1", **standard, "friction_free": free}))
+    assert read_loop(tmp_path / "f.json") == (300.0, 2.5)
+    del standard["torsional_stiffness"]["remark"]
+    (tmp_path / "f.json").write_text(json.dumps({"format": "cycloid-figures/1", **standard, "friction_free": free}))
+    assert read_loop(tmp_path / "f.json") == (420.0, pytest.approx(0.5 * 420.0 * 0.025))
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
