@@ -427,7 +427,9 @@ def orders_of_run(
     if curve.unaveraged is not None and curve.turns >= 2.0:
         turns = _Turns(curve.unaveraged, curve, whole)
         waves = _Waves(turns)
-        if turns.samples > 4 * _NEAR and turns.span >= 3.0:
+        between = turns.off_whole(turns.lines(turns.rest)[0], _NOTCH)
+        # The noise is seen in the lines between whole orders.
+        if turns.samples > 4 * _NEAR and turns.span >= 3.0 and np.count_nonzero(between) > _NEAR:
             highest = _BAND * turns.each
             for base in bases.values():
                 for order in base * np.arange(1, _MULTIPLES + 1):

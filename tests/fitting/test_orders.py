@@ -134,3 +134,11 @@ def test_counts_of_an_encoder_are_no_orders(noise):
     made = dataclasses.replace(made, output_angle=np.round(made.output_angle / count) * count)
     found = figures(made).orders[0]
     assert all(one.whole for one in found.orders)
+
+
+@pytest.mark.parametrize("turns", [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+def test_whole_turns_have_their_whole_orders(turns):
+    """Three turns have no line between whole orders that shows the noise alone."""
+    found = figures(run(WHOLE, turns=turns, uneven=0.0, each=1000.0)).orders[0]
+    assert {one.order for one in found.orders if one.whole} >= set(WHOLE)
+    assert all(one.whole for one in found.orders)
