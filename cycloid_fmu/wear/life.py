@@ -33,6 +33,8 @@ from cycloid_fmu.wear.sliding import slip_pole
 
 Array = NDArray[np.float64]
 LARGEST_LIFE = 24  # states that a worn surface keeps of its life
+_LIGHT = 1e-6  # m: below it wear hardly changes the contacts
+_LESS = 0.9  # of the exact depth
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +121,26 @@ def run_wear(
             f"The wear limit of {figures['wear_limit'] * 1e6:.1f} µm is reached after {figures['crank_turns']:.4g} of "
             f"{crank_turns:.4g} crank turns; the run ends there."
         )
-    return WearRun(model, new, states, figures, notes)
+    return WearRun(model, new, states, figures, [*notes, *_blunted(figures)])
+
+
+def _blunted(figures: dict[str, Any]) -> list[str]:
+    """Return a note where the average over a contact's width takes much from the deepest point of light wear.
+
+    As long as wear is light the contacts are those of the new drive, and the depth without update is the exact one.
+    """
+    share = {}
+    for body in ("gear", "pin"):
+        exact, averaged = (figures[kind][f"{body}_depth_max"] for kind in ("linear", "updated"))
+        if 0.0 < averaged < _LESS * exact and exact < _LIGHT:
+            share[body] = 1.0 - averaged / exact
+    if not share:
+        return []
+    shares = " and ".join(f"{part:.0%} on the {body}" for body, part in share.items())
+    return [
+        f"The profile is averaged over a contact's width, which takes {shares} from the deepest point; "
+        "at such light wear the depth without update is the exact one."
+    ]
 
 
 def surface_of_run(model: WearModel, states: list[WearState]) -> ErrorSurface:

@@ -589,6 +589,17 @@ def test_the_command_says_what_is_wrong(command, coefficient, words, sentence, t
     assert sentence in run.stderr
 
 
+@pytest.mark.parametrize(("turns", "noted"), [(1e3, True), (2e5, False)])
+def test_light_wear_says_what_the_average_takes_from_the_deepest_point(turns, noted):
+    """The depth in proportion to the turns is exact while the wear is far below the new drive's deformation."""
+    pair = make_pair(PAIR)
+    worn = run_wear(pair, nominal_surface(pair), law(CONSTANT, coefficient=5e-17), (load(),), turns, "wear.toml")
+    exact, averaged = (worn.figures[kind]["pin_depth_max"] for kind in ("linear", "updated"))
+    notes = [note for note in worn.notes if "averaged over a contact's width" in note]
+    assert len(notes) == noted
+    assert not noted or f"{1.0 - averaged / exact:.0%} on the pin" in notes[0]
+
+
 def test_an_interrupted_run_says_how_far_it_was():
     def interrupt(turns):
         if turns > 0.0:
