@@ -8,6 +8,12 @@ import numbers
 from cycloid_fmu import edge
 
 
+def check_ratio(ratio: float | None) -> None:
+    """Raise an `edge.ArgumentError` if a given ratio is zero or not finite."""
+    if ratio is not None and not (math.isfinite(ratio) and ratio):
+        raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", ratio)
+
+
 def positive(value: float | str, si: str, argument: str, *, zero: bool = False) -> float:
     """Return a positive quantity in SI units.
 

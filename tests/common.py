@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 import posixpath
 import re
 import zipfile
@@ -18,6 +19,19 @@ CASES = DATA / "reference-cases"
 BENCH = DATA / "reference-bench"
 EXAMPLES = Path(__file__).parent.parent / "examples"
 ARCSEC = np.pi / 648000
+MEASURED = Path(os.environ.get("CYCLOID_MEASURED_DRIVES", Path(__file__).parents[2] / "shared" / "measured-drives"))
+"""Folder of measured drives, which are not part of the project."""
+MOTOR_MAPPING = """format = "cycloid-mapping/1"
+[time]
+column = "TIME"
+unit = "s"
+[output_angle]
+column = "POSITION"
+unit = "rev"
+[torque]
+column = "TORQUE"
+unit = "N*m"
+"""
 
 PAIR = """format = "cycloid-pair/1"
 [pair]

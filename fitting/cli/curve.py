@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCSEC, commands
 from fitting.cli import options
 
@@ -33,8 +32,7 @@ def curve(
     from fitting.reports.panels import label_of
     from fitting.transmission_error.curve import curves_json, noise_of
 
-    if drive is not None and ratio is not None:
-        raise edge.InputError("--pair and --ratio: give one of the two; the pair states its ratio.")
+    options.check_ratio(drive, ratio)
     nominal = ratio if drive is None else read_drive(drive)
     curves = fitting.curves(fitting.read_recordings(files, mapping, read_head), nominal)
     if output is not None:

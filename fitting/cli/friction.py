@@ -51,18 +51,16 @@ def friction(
     Example: [cyan]cycloid-fit friction ramp.csv --mapping map.toml --speeds "0.1 rev/s, 1 rev/s" -o friction.toml[/]
     """
     import fitting
-    from cycloid_fmu import edge
     from cycloid_fmu.drive import read_drive
     from fitting.figures.figure import in_field_units
     from fitting.figures.friction import friction_json
 
-    if drive is not None and ratio is not None:
-        raise edge.InputError("--pair and --ratio: give one of the two; the pair states its ratio.")
+    options.check_ratio(drive, ratio)
     nominal = ratio if drive is None else read_drive(drive).ratio
     with commands.status() as progress:
         found = fitting.friction(
             fitting.read_recordings(files, mapping), ratio=nominal, loop=loop, progress=progress,
-            speeds=None if speeds is None else [one.strip() for one in speeds.split(",")],
+            speeds=options.separated(speeds),
         )  # fmt: skip
     if plot is not None:
         fitting.plot(found, plot)

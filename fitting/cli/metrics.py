@@ -35,7 +35,7 @@ def metrics(
     with commands.status() as progress:
         found = fitting.metrics(
             recordings, nominal, ratio=ratio, rated_torque=rated_torque, instruments=instruments, progress=progress,
-            stiffness_limits=None if stiffness_limits is None else [one.strip() for one in stiffness_limits.split(",")],
+            stiffness_limits=options.separated(stiffness_limits),
         )  # fmt: skip
     if plot is not None:
         fitting.plot(found, plot)

@@ -56,6 +56,17 @@ def check_report(target: Path | None) -> None:
         script()
 
 
+def check_ratio(pair: Path | None, ratio: float | None) -> None:
+    """Refuse --pair together with --ratio."""
+    if pair is not None and ratio is not None:
+        raise edge.InputError("--pair and --ratio: give one of the two; the pair states its ratio.")
+
+
+def separated(text: str | None) -> list[str] | None:
+    """Return the values of an option that are separated by commas; None if it is not given."""
+    return None if text is None else [part.strip() for part in text.split(",")]
+
+
 def print_notes(notes: Iterable[str]) -> None:
     """Print notes for people on standard error."""
     for note in notes:

@@ -41,7 +41,7 @@ def report(
     with commands.status() as progress:
         found = fitting.metrics(
             recordings, nominal, ratio=ratio, rated_torque=rated_torque, instruments=instruments, progress=progress,
-            stiffness_limits=None if stiffness_limits is None else [one.strip() for one in stiffness_limits.split(",")],
+            stiffness_limits=options.separated(stiffness_limits),
         )  # fmt: skip
     fitting.report(found, output, certificate=certificate)
     options.finish(found, as_json=as_json)

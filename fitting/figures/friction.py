@@ -31,10 +31,10 @@ from scipy.special import stdtrit
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.friction_file import FORMAT as FRICTION_FILE
 from cycloid_fmu.fmu.friction_file import LIMITS
-from fitting.arguments import positive
+from fitting.arguments import check_ratio, positive
 from fitting.figures.figure import Figure, figure_json
 from fitting.figures.metrics import FORMAT as FIGURES
-from fitting.figures.starts import Start, back_driving_torques, start_figure, starting_torques
+from fitting.figures.starts import STARTS, Start, start_figures
 from fitting.figures.survey import overview_of
 from fitting.recordings.recording import Recording
 from fitting.recordings.sources import Source, each_source, open_source
@@ -318,7 +318,7 @@ def fit_columns(columns: Mapping[str, Array], stretches: Stretches) -> Fit:
 def separate(column: Array, others: Iterable[Array]) -> bool:
     """Return whether a column differs from all combinations of others by more than 5 % of its size."""
     size = float(np.linalg.norm(column))
-    given = [one for one in others]
+    given = list(others)
     if size == 0.0:
         return False
     if not given:
@@ -624,17 +624,13 @@ def fit_friction(
     if apart:
         loads = {sources[k]: float(fit.values[fit.names.index(f"offset {k}")]) for k in both}
     sums = _sums(fit, two_ways, sign, apart, measured)
-    scale = {}
-    if stribeck is not None:
-        at, size = stribeck[0], fit.linear({"stribeck": 1.0})[0]
-        scale["stribeck_speed"] = at, size
     figures = {}
     spread = _of_recordings(stretches, fit.names, sums, apart or measured, both)
     growth = fit.linear({"friction_per_load": 1.0})[0]
     for name, weights in sums.items():
         value, uncertainty = fit.linear(weights)
-        if name in scale:
-            value, uncertainty = scale[name][0], uncertainty / abs(scale[name][1])
+        if name == "stribeck_speed" and stribeck is not None:  # its column is the derivative for 1 N·m
+            value, uncertainty = stribeck[0], uncertainty / abs(fit.linear({"stribeck": 1.0})[0])
         elif growth and name in WITHOUT_LOAD:
             value /= 1.0 - growth
             _, uncertainty = fit.linear({name: 1.0 / (1.0 - growth), "friction_per_load": value / (1.0 - growth)})
@@ -721,7 +717,7 @@ def _growth_of(loop: str | os.PathLike[str]) -> Figure:
         )
     uncertainty = found.get("uncertainty")
     return Figure(
-        float(found["value"]), math.nan if uncertainty is None else float(uncertainty), "1",
+        float(value), math.nan if uncertainty is None else float(uncertainty), "1",
         str(found.get("definition", DEFINITIONS["friction_per_load"])), None, "", float(found.get("passes", 1)),
         "passes",
     )  # fmt: skip
@@ -782,8 +778,7 @@ def friction(
     >>> round(found.figures["viscous"].value, 3)
     0.1
     """
-    if ratio is not None and not (math.isfinite(ratio) and ratio):
-        raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", ratio)
+    check_ratio(ratio)
     limits = _range_of(speeds)
     growth = None if loop is None else _growth_of(loop)
     given: list[Source] = each_source(recordings)
@@ -791,7 +786,7 @@ def friction(
         raise edge.InputError("recordings: there are none.")
     notes: list[str] = []
     parts, sources, data = list[Stretches](), list[str](), dict[str, str]()
-    started: dict[str, list[Start]] = {"starting_torque": [], "back_driving_torque": []}
+    started: dict[str, list[Start]] = {name: [] for name in STARTS}
     for number, source in enumerate(given):
         progress(f"recording {number + 1} of {len(given)}")
         stream = open_source(source, ratio)
@@ -808,17 +803,14 @@ def friction(
         sources.append(recording.source)
         data[recording.source] = recording.checksum
         if recording.has_input_angle and np.ptp(recording.input_angle) > 0.0:
-            for name, starts_by in (
-                ("starting_torque", starting_torques),
-                ("back_driving_torque", back_driving_torques),
-            ):
+            for name, starts_by in STARTS.items():
                 started[name] += starts_by(recording, own)[0]
     every = joined(parts)
     if limits is None:
         fastest = float(np.percentile(np.abs(every.speed), 99.0)) if every.speed.size else 0.0
         limits = SLOWEST * fastest, min(1.05 * fastest, float(np.abs(every.speed).max(initial=0.0)))
     stretches = in_passes(every, limits) if limits[1] > 0.0 else every.chosen(np.zeros(0, np.intp))
-    figures = {name: start_figure(name, [s.torque for s in starts]) for name, starts in started.items() if starts}
+    figures = start_figures(started)
     if stretches.speed.size < FEWEST:
         low, high = limits
         turns = f"turns at {low:.3g} to {high:.3g} rad/s too briefly" if high > 0.0 else "does not turn"

@@ -23,7 +23,7 @@ from scipy.optimize import isotonic_regression
 from scipy.special import fdtri, stdtrit
 
 from fitting.figures.figure import Figure
-from fitting.figures.hysteresis import LoopData, fit_line
+from fitting.figures.hysteresis import LoopData, fit_line, sample_noise
 
 Array = NDArray[np.float64]
 
@@ -109,9 +109,8 @@ def turning_points(torque: Array, data: LoopData) -> list[int]:
 def pass_of(time: Array, torque: Array, windup: Array, direction: int) -> Pass:
     """Return a pass from its samples, shape (n,), s, N·m and rad."""
     # Stretches in which the windup moves by several times its noise: hardly any goes back.
-    noise = float(np.median(np.abs(np.diff(windup, 2)))) / (0.6745 * math.sqrt(6.0))
     motion = abs(float(windup[-1] - windup[0])) / windup.size
-    quiet = math.ceil((_ABOVE_NOISE * noise / motion) ** (2.0 / 3.0)) if motion > 0.0 else 1
+    quiet = math.ceil((_ABOVE_NOISE * sample_noise(windup) / motion) ** (2.0 / 3.0)) if motion > 0.0 else 1
     size = min(max(1, torque.size // STRETCHES, quiet), torque.size // FEWEST)
     whole = torque.size // size * size
     t, load, angle = (v[:whole].reshape(-1, size).mean(axis=1) for v in (time, torque, windup))

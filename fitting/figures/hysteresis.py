@@ -218,6 +218,11 @@ def value_at(torque: Array, windup: Array, part: slice, at: float, near: float) 
     return agreed[-1][0], agreed[-1][1] * scatter
 
 
+def sample_noise(values: Array) -> float:
+    """Return the standard deviation of white noise in the samples of a slow signal, from their second differences."""
+    return float(np.median(np.abs(np.diff(values, 2)))) / (0.6745 * math.sqrt(6.0))
+
+
 def _noise(torque: Array, windup: Array) -> float:
     """Return the standard deviation of the noise, rad, from the lines between the two neighbours of each sample."""
     order = np.argsort(torque, kind="stable")

@@ -20,6 +20,7 @@ from fitting.figures.hysteresis import (
     find_loops,
     loop_figures,
     mean_of_loops,
+    sample_noise,
     windup_of,
 )
 from fitting.recordings.recording import Recording
@@ -86,8 +87,7 @@ def _smoothed(torque: Array) -> Array:
     """Return a torque whose noise breaks no half loop in two: a mean over so many samples that it is small."""
     if torque.size < _FEWEST:
         return torque
-    noise = float(np.median(np.abs(np.diff(torque, 2)))) / (0.6745 * math.sqrt(6.0))
-    size = (noise / (_QUIET * float(np.abs(torque).max()) + 1e-300)) ** 2
+    size = (sample_noise(torque) / (_QUIET * float(np.abs(torque).max()) + 1e-300)) ** 2
     return np.asarray(uniform_filter1d(torque, int(min(max(math.ceil(size), 1), torque.size // _FEWEST))))
 
 

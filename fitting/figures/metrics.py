@@ -12,7 +12,7 @@ from typing import Any
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
-from fitting.arguments import positive
+from fitting.arguments import check_ratio, positive
 from fitting.figures.budget import Budget, budget_json, budgets_of
 from fitting.figures.figure import DEFINITIONS, Figure, figure_json, pooled
 from fitting.figures.friction_free import DEFINITIONS as OF_FRICTION_FREE
@@ -29,7 +29,7 @@ from fitting.figures.spectrum import (
     spectrum,
     without_orders,
 )
-from fitting.figures.starts import Start, back_driving_torques, start_figure, starting_torques
+from fitting.figures.starts import STARTS, Start, start_figures
 from fitting.figures.survey import Surveyed, survey
 from fitting.recordings.recording import Recording
 from fitting.recordings.sources import Source, each_source, open_source
@@ -194,11 +194,11 @@ def figures_of(
             runs = {label: f for way in of_ways.values() for label, f in way.items()}
             largest = dataclasses.replace(max(parts.values(), key=lambda f: f.value), parts=parts, runs=runs)
             figures[name] = dataclasses.replace(largest, definition=DEFINITIONS[name])
-    started: dict[str, list[Start]] = {"starting_torque": [], "back_driving_torque": []}
+    started: dict[str, list[Start]] = {name: [] for name in STARTS}
     for one in surveyed:
         if one.loops is not None or not one.overview.has_input_angle:
             continue
-        for name, starts_by in (("starting_torque", starting_torques), ("back_driving_torque", back_driving_torques)):
+        for name, starts_by in STARTS.items():
             starts, added = starts_by(one.overview, ratio if ratio is not None else one.overview.ratio)
             started[name] += starts
             notes += added
@@ -206,9 +206,7 @@ def figures_of(
                 notes.append(
                     f"{one.source}: {name}: torques are means of {one.averaged} samples, as the recording is long."
                 )
-    for name, starts in started.items():
-        if starts:
-            figures[name] = start_figure(name, [s.torque for s in starts])
+    figures |= start_figures(started)
     return Figures(
         figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)),
         friction_free=without, mid_curves=tuple(mid_curves), loop_groups=tuple(groups), orders=tuple(of_runs),
@@ -291,8 +289,7 @@ def metrics(
     """
     if drive is not None and ratio is not None:
         raise edge.ArgumentError("ratio", "the drive states its ratio; give one of the two", ratio)
-    if ratio is not None and not (math.isfinite(ratio) and ratio):
-        raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", ratio)
+    check_ratio(ratio)
     rated = None if rated_torque is None else positive(rated_torque, "N*m", "rated_torque")
     limits = None if stiffness_limits is None else [positive(v, "N*m", "stiffness_limits") for v in stiffness_limits]
     if limits is not None and (len(limits) < 2 or sorted(set(limits)) != limits):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,6 +115,15 @@ def back_driving_torques(recording: Recording, ratio: float | None) -> tuple[lis
         return starts, []
     free = [s for s in starts if float(np.abs(given[s.part]).max()) * abs(ratio) < _UNLOADED * s.torque]
     return free, []
+
+
+STARTS = {"starting_torque": starting_torques, "back_driving_torque": back_driving_torques}
+"""{figure: the function that finds its starts}."""
+
+
+def start_figures(started: Mapping[str, Sequence[Start]]) -> dict[str, Figure]:
+    """Return the figures of `STARTS` that have starts, by name."""
+    return {name: start_figure(name, [one.torque for one in starts]) for name, starts in started.items() if starts}
 
 
 def start_figure(name: str, torques: Sequence[float]) -> Figure:

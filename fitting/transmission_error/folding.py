@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from drivers.recording_format import GAP
+from fitting.arguments import check_ratio
 from fitting.recordings.cleaning import Block
 from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Recording, RecordingStream
@@ -577,8 +578,7 @@ def curves(
     20
     """
     stated = drive.ratio if isinstance(drive, Drive) else drive
-    if stated is not None and not (np.isfinite(stated) and stated):
-        raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", stated)
+    check_ratio(stated)
     found: list[Curve] = []
     given: list[Source] = each_source(recordings)
     for source in given:

@@ -4,10 +4,10 @@ import dataclasses
 import json
 import math
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
+from common import MEASURED, MOTOR_MAPPING
 
 import fitting
 import fitting.figures.metrics
@@ -15,7 +15,6 @@ from fitting.figures.friction_free import friction_free
 from fitting.figures.hysteresis import LoopData, find_lobes, find_loops
 
 STIFFNESS, PLAY = 300.0, math.radians(1.0)  # N·m/rad, rad
-MEASURED = Path(os.environ.get("CYCLOID_MEASURED_DRIVES", Path(__file__).parents[3] / "shared" / "measured-drives"))
 
 
 def moved(torque, friction, growth, slip=0.0, stiffness=STIFFNESS, play=PLAY):
@@ -100,25 +99,12 @@ def test_without_noise_the_figures_are_what_the_drive_was_made_of(growth):
         assert one.uncertainty < 0.05 * value + 0.05, name
 
 
-MAPPING = """format = "cycloid-mapping/1"
-[time]
-column = "TIME"
-unit = "s"
-[output_angle]
-column = "POSITION"
-unit = "rev"
-[torque]
-column = "TORQUE"
-unit = "N*m"
-"""
-
-
 def written(rig, folder):
     """The figures of a rig's recording as a drive's own motor logs it, with its mapping."""
     time, torque, windup = rig.record()
     table = np.column_stack([time, windup / (2.0 * np.pi), torque])
     np.savetxt(folder / "loop.csv", table, delimiter=",", header="TIME,POSITION,TORQUE", comments="")
-    (folder / "m.toml").write_text(MAPPING)
+    (folder / "m.toml").write_text(MOTOR_MAPPING)
     recording = fitting.read_recordings(folder / "loop.csv", folder / "m.toml")
     return fitting.metrics(recording, rated_torque=rig.largest)
 
@@ -178,7 +164,7 @@ def test_loops_of_two_sizes_each_have_their_figures(tmp_path):
     table = np.column_stack([time, *(np.concatenate([part[k] for part in parts]) for k in (2, 1))])
     table[:, 1] /= 2.0 * np.pi
     np.savetxt(tmp_path / "loop.csv", table, delimiter=",", header="TIME,POSITION,TORQUE", comments="")
-    (tmp_path / "m.toml").write_text(MAPPING)
+    (tmp_path / "m.toml").write_text(MOTOR_MAPPING)
     found = fitting.metrics(fitting.read_recordings(tmp_path / "loop.csv", tmp_path / "m.toml"))
     first, second = found.loop_groups
     assert first.largest_torque == pytest.approx(25.0, rel=0.02)
@@ -203,7 +189,7 @@ def test_torque_and_angle_of_the_motor_are_referred_to_the_output(tmp_path, rati
     time, torque, windup = rig.record()
     table = np.column_stack([time, windup * ratio / (2.0 * np.pi), torque / ratio / 0.08])
     np.savetxt(tmp_path / "motor.csv", table, delimiter=",", header="TIME,POSITION,CURRENT", comments="")
-    motor = MAPPING.replace("[time]", f'ratio = {ratio:g}\nlocked = "output"\n[time]').replace(
+    motor = MOTOR_MAPPING.replace("[time]", f'ratio = {ratio:g}\nlocked = "output"\n[time]').replace(
         'unit = "rev"', 'unit = "rev"\nside = "motor"'
     )
     motor = motor.replace('column = "TORQUE"\nunit = "N*m"', 'column = "CURRENT"\nunit = "A"\nconstant = "0.08 N*m/A"')
@@ -229,7 +215,7 @@ def test_torque_and_angle_of_the_motor_are_referred_to_the_output(tmp_path, rati
 )
 def test_a_mapping_that_states_the_wrong_side_is_refused(tmp_path, command, change, sentence):
     written(Rig(), tmp_path)
-    (tmp_path / "m.toml").write_text(MAPPING.replace(*change))
+    (tmp_path / "m.toml").write_text(MOTOR_MAPPING.replace(*change))
     done = command("cycloid-fit", "metrics", "loop.csv", "--mapping", "m.toml")
     assert done.returncode == 2
     assert sentence in done.stderr
@@ -283,7 +269,7 @@ def test_intervals_hold(kind, record_property):
         assert hits / count > 0.95 - 3.0 * math.sqrt(0.05 * 0.95 / count) - 0.03, name
 
 
-MOTOR = MAPPING.replace("[time]", 'ratio = 13\nlocked = "output"\n[time]').replace(
+MOTOR = MOTOR_MAPPING.replace("[time]", 'ratio = 13\nlocked = "output"\n[time]').replace(
     'unit = "rev"', 'unit = "rev"\nside = "motor"'
 )
 
@@ -292,8 +278,8 @@ MOTOR = MAPPING.replace("[time]", 'ratio = 13\nlocked = "output"\n[time]').repla
 @pytest.mark.parametrize(
     ("file", "mapping", "group", "wanted"),
     [
-        ("onyx_init1_raw.csv.gz", MAPPING, 1, {"hysteresis_loss": (math.radians(1.256), math.radians(0.03))}),
-        ("onyx_init1.csv", MAPPING, 1, {"hysteresis_loss": (math.radians(1.256), math.radians(0.02))}),
+        ("onyx_init1_raw.csv.gz", MOTOR_MAPPING, 1, {"hysteresis_loss": (math.radians(1.256), math.radians(0.03))}),
+        ("onyx_init1.csv", MOTOR_MAPPING, 1, {"hysteresis_loss": (math.radians(1.256), math.radians(0.02))}),
         ("june_motor_side.csv", f'{MOTOR}side = "motor"\n', 0, {"loading_stiffness": (653.0, 40.0)}),
         ("june_motor_side.csv", f'{MOTOR}side = "motor"\n', 1,
          {"hysteresis_loss": (math.radians(2.09), math.radians(0.27))}),
@@ -328,7 +314,7 @@ def test_a_measured_drive(file, wanted, tmp_path):
     """Runs of a printed actuator with the output locked; the figures are of a second evaluation."""
     if not (MEASURED / file).exists():
         pytest.skip(f"{MEASURED / file} is missing")
-    (tmp_path / "m.toml").write_text(MAPPING)
+    (tmp_path / "m.toml").write_text(MOTOR_MAPPING)
     found = fitting.metrics(fitting.read_recordings(MEASURED / file, tmp_path / "m.toml")).friction_free
     for name, (value, uncertainty) in wanted.items():
         assert abs(found[name].value - value) < uncertainty, (name, found[name].value)

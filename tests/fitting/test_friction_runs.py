@@ -4,10 +4,10 @@ import dataclasses
 import json
 import math
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
+from common import MEASURED, MOTOR_MAPPING
 from scipy.signal import lfilter
 
 import cycloid_fmu as cy
@@ -15,7 +15,6 @@ import fitting
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.friction_file import read_friction
 
-MEASURED = Path(os.environ.get("CYCLOID_MEASURED_DRIVES", Path(__file__).parents[3] / "shared" / "measured-drives"))
 COULOMB, VISCOUS = 3.5, 0.15  # N·m, N·m·s/rad
 TURN = 2.0 * np.pi
 
@@ -259,24 +258,11 @@ def test_measured_friction_is_the_friction_of_the_fmu(tmp_path, command, nominal
     assert again["friction_per_load"].value == pytest.approx(stated.load_share, rel=0.02)
 
 
-MAPPING = """format = "cycloid-mapping/1"
-[time]
-column = "TIME"
-unit = "s"
-[output_angle]
-column = "POSITION"
-unit = "rev"
-[torque]
-column = "TORQUE"
-unit = "N*m"
-"""
-
-
 def test_the_command_writes_the_friction_file_with_the_growth_of_loops(tmp_path, command):
     run = Rig(**RIPPLE).run()
     table = np.column_stack([run.time, run.output_angle / TURN, run.torque])
     np.savetxt(tmp_path / "ramp.csv", table, delimiter=",", header="TIME,POSITION,TORQUE", comments="")
-    (tmp_path / "m.toml").write_text(MAPPING)
+    (tmp_path / "m.toml").write_text(MOTOR_MAPPING)
     growth = {"value": 0.4, "uncertainty": 0.02, "unit": "1", "definition": "mu", "passes": 6}
     figures = {"format": "cycloid-figures/1", "friction_free": {"friction_per_load": growth}}
     (tmp_path / "figures.json").write_text(json.dumps(figures))
@@ -303,7 +289,7 @@ def test_the_command_writes_the_friction_file_with_the_growth_of_loops(tmp_path,
         assert "figures.json" in done.stderr
         assert said in done.stderr
         assert len(done.stderr.splitlines()) < 3
-    (tmp_path / "angle.toml").write_text(MAPPING[: MAPPING.index("[torque]")])
+    (tmp_path / "angle.toml").write_text(MOTOR_MAPPING[: MOTOR_MAPPING.index("[torque]")])
     done = command(*words[:3], "--mapping", "angle.toml")
     assert done.returncode == 2
     assert "no torque is mapped" in done.stderr
@@ -371,7 +357,7 @@ def test_a_measured_drive(speeds, coulomb, viscous, tmp_path):
     file = MEASURED / "speedramp_onyx_topspeed.csv"
     if not file.exists():
         pytest.skip(f"{file} is missing")
-    (tmp_path / "m.toml").write_text(MAPPING)
+    (tmp_path / "m.toml").write_text(MOTOR_MAPPING)
     found = fitting.friction(fitting.read_recordings(file, tmp_path / "m.toml"), speeds=speeds).figures
     for name, (value, uncertainty) in (("coulomb", coulomb), ("viscous", viscous)):
         assert abs(found[name].value - value) < min(uncertainty, found[name].uncertainty), name

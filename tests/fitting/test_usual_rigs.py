@@ -2,13 +2,11 @@
 
 import gzip
 import json
-import os
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pytest
-from common import EXAMPLES
+from common import EXAMPLES, MEASURED
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -27,7 +25,6 @@ ARCMIN = np.pi / 10800
 ARCSEC = ARCMIN / 60
 RATIO = -39.0
 NOISE = 0.3 * ARCSEC
-MEASURED = Path(os.environ.get("CYCLOID_MEASURED_DRIVES", Path(__file__).parents[3] / "shared" / "measured-drives"))
 measured_drives = pytest.mark.skipif(not MEASURED.is_dir(), reason=f"the measured drives are not in {MEASURED}")
 
 
