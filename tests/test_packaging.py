@@ -215,7 +215,7 @@ PLC = (
 DRIVE, TOLERANCES = EXAMPLES / "drive-39-40.toml", EXAMPLES / "tolerances.toml"
 RECORD = ("cycloid-bench", "record", "bench.toml", "-o", "run.arrows")
 SIMULATE = ("cycloid-bench", "simulate", "--ratio", "-39", "--torque", "20 N*m")
-STUDY = ("cycloid-fmu", "tolerance", DRIVE, "--tolerances", TOLERANCES, "--samples", "64", "-o", "study.nc")
+STUDY = ("cycloid-fmu", "tolerance", DRIVE, "--tolerances", TOLERANCES, "-o", "study.nc")
 # Uses of an extra: the input files, the missing package, and the command.
 TAKES = {
     "ads": [({"bench.toml": PLC + 'protocol = "ads"\ncolumn = 1\n'}, "pyads", RECORD)],
@@ -224,7 +224,7 @@ TAKES = {
         ({"run.mf4": "x"}, "asammdf", ("cycloid-fit", "inspect", "run.mf4")),
     ],
     "cad": [({}, "ezdxf", ("cycloid-fmu", "profile", DRIVE, "-o", "disc.dxf"))],
-    "distributed": [({}, "distributed", (*STUDY, "--scheduler", "tcp://127.0.0.1:1"))],
+    "distributed": [({}, "distributed", (*STUDY, "--samples", "64", "--scheduler", "tcp://127.0.0.1:1"))],
     "modbus": [
         ({"bench.toml": LINE + 'protocol = "modbus"\nregister = 0\n'}, "pymodbus", RECORD),
         ({}, "pymodbus", (*SIMULATE, "--serial", "modbus")),
