@@ -10,6 +10,7 @@ import typer
 from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import SurfaceFile, with_measured
 from cycloid_fmu.edge import ARCSEC, commands
+from fitting.cli.options import separated
 
 if TYPE_CHECKING:
     from cycloid_fmu.fmu.description import Version
@@ -110,7 +111,7 @@ def compensate(
         name_of(output, "output")
     drive = read_drive(drive_file, surface_file)
     friction, stiffness, compliance = _chain(fit, friction_file, stiffness, loop)
-    between = None if temperatures is None else tuple(one.strip() for one in temperatures.split(","))
+    between = separated(temperatures)
     if between is not None and len(between) != 2:
         raise edge.ArgumentError(
             "temperatures", 'give two values separated by a comma, such as "10 degC, 60 degC"', temperatures

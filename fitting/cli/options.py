@@ -94,6 +94,9 @@ def finish(found: Figures, *, as_json: bool) -> None:
             typer.echo(remark)
         if len(found.loop_groups) > 1:
             commands.print_table("Loops by size and position", GROUPS_HEAD, group_rows(found.loop_groups))
+        if found.play_range is not None:
+            low, high = ("{} ± {} {}".format(*in_field_units(one)) for one in found.play_range)
+            typer.echo(f"Play over the positions of the loops, without friction: {low} to {high}.")
         if found.orders:
             commands.print_table(
                 "Largest orders of the transmission error, per output turn", ORDERS_HEAD, order_rows(found.orders)

@@ -149,17 +149,16 @@ class Problem:
         self.prior = surface_of_pair(pair) if prior is None else prior
         self.bounds = [stated_range(name) for name in chosen]
         self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
-        known = np.isfinite(observed.bench_prior)
+        known, rubs = np.isfinite(observed.bench_prior), np.isfinite(observed.friction_priors)
         crank = [_CRANK_SCALE] if observed.fit_crank else []
         scattered = spread_of(pair, {}).size
         self.scale = np.concatenate([
             tolerances_of(chosen, observed.profile), np.where(known, observed.bench_prior, 1e-4),
-            np.full(len(observed.friction_names), observed.friction_prior), crank, observed.bearing_prior,
+            np.where(rubs, observed.friction_priors, observed.friction_prior), crank, observed.bearing_prior,
             spread_of(pair, {n: _SCATTER_SCALE[unit_of(n)] for n in scatter_parts(pair)}),
         ])  # fmt: skip
-        loops = len(observed.friction_names) - 1
         flat = np.concatenate([
-            [n not in observed.profile for n in chosen], ~known, [False], np.ones(loops + len(crank), bool),
+            [n not in observed.profile for n in chosen], ~known, ~rubs, np.ones(len(crank), bool),
             np.zeros(observed.bearing_prior.size, bool), np.ones(scattered, bool),
         ])  # fmt: skip
         self.known = np.where(flat, UNKNOWN, 1.0)
@@ -176,7 +175,7 @@ class Problem:
         self.bearings = slice(self.first_scatter - observed.bearing_prior.size, self.first_scatter)
         self.lowest = np.full(self.scale.size, -np.inf)
         self.lowest[self.bearings] = observed.bearing_lowest / self.scale[self.bearings]
-        self.fit_crank, self.with_loops = observed.fit_crank, loops > 0
+        self.fit_crank, self.with_loops = observed.fit_crank, observed.with_loops
         crank_name = ["crank_angle_offset"] if observed.fit_crank else []
         self.names = [*chosen, *observed.bench_names, *observed.friction_names, *crank_name,
                       *observed.bearing_names, *scatter_names(pair)]  # fmt: skip
@@ -186,7 +185,8 @@ class Problem:
         plain = with_scatter(self.pair, state.surface, -state.scatter)
         errors = [structured_value(self.pair, plain, n) for n in self.chosen]
         crank = [state.crank_offset] if self.fit_crank else []
-        friction = [state.friction, state.loop_friction] if self.with_loops else [state.friction]
+        friction = [state.friction]
+        friction += [state.loop_friction, state.loop_friction_per_load] if self.with_loops else []
         bearings = state.bearings if state.bearings.size else np.zeros(self.bearings.stop - self.bearings.start)
         values = np.concatenate([errors, state.bench, friction, crank, bearings, state.scatter])
         scaled: Array = values / self.scale
@@ -211,6 +211,7 @@ class Problem:
             bench=values[self.bench],
             friction=float(values[self.bench.stop]),
             loop_friction=float(values[self.bench.stop + 1]) if self.with_loops else 0.0,
+            loop_friction_per_load=float(values[self.bench.stop + 2]) if self.with_loops else 0.0,
             crank_offset=float(values[self.bearings.start - 1]) if self.fit_crank else 0.0,
             bearings=values[self.bearings],
         )

@@ -181,7 +181,7 @@ def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:
         return {n: _figure(one) for n, one in (data | free).items() if isinstance(one, dict) and n not in _SOURCES}
 
 
-_SOURCES = ("data", "implausible")  # tables of the file that are not figures
+_SOURCES = ("data", "implausible", "locked")  # tables of the file that are not figures
 _COUNTED = ("loops", "turns", "starts", "passes")
 _SAME, _ALIKE = 1e-3, 0.25  # relative difference of intervals; that of friction-free figures is the loop's own
 

@@ -706,7 +706,11 @@ def _of_recordings(
 
 
 def _growth_of(loop: str | os.PathLike[str]) -> Figure:
-    """Return the friction per load of the loops in a figures file."""
+    """Return the growth of the friction with the torque of the teeth from the loops in a figures file.
+
+    Loops have mu of F = F_0 + mu |M| over the spring's torque M. Loaded at the output, the teeth carry M. Driven by the
+    motor they carry the friction too, F = c + s (|M| + F), so s = mu/(1 + mu).
+    """
     content = edge.json_table(loop, FIGURES, "figures of cycloid-fit metrics")
     free = content.get("friction_free")
     found = free.get("friction_per_load") if isinstance(free, dict) else None
@@ -716,8 +720,12 @@ def _growth_of(loop: str | os.PathLike[str]) -> Figure:
             f"{loop}: friction_free.friction_per_load is missing; figures of loops in both directions have it."
         )
     uncertainty = found.get("uncertainty")
+    half = math.nan if uncertainty is None else float(uncertainty)
+    locked = content.get("locked")
+    if isinstance(locked, dict) and set(locked.values()) == {"output"}:
+        value, half = value / (1.0 + value), half / (1.0 + value) ** 2
     return Figure(
-        float(value), math.nan if uncertainty is None else float(uncertainty), "1",
+        float(value), half, "1",
         str(found.get("definition", DEFINITIONS["friction_per_load"])), None, "", float(found.get("passes", 1)),
         "passes",
     )  # fmt: skip

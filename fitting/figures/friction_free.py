@@ -28,7 +28,7 @@ from fitting.figures.hysteresis import LoopData, fit_line, sample_noise
 Array = NDArray[np.float64]
 
 STRETCHES = 400  # most stretches of time that a pass is averaged over
-GRID = 161  # windups
+GRID = 1601  # windups: a stiff drive with much play has few of them under load
 MARGIN = 0.02  # of the common range of the passes that is left out at both ends, where they turn
 LINE = (0.20, 0.70)  # of the largest spring torque: lines for play and stiffness
 SEGMENTS = (0.10, 0.30, 0.50, 0.70, 0.90)  # of the largest spring torque: limits of the stiffness by segments

@@ -343,7 +343,7 @@ class LoopData:
 
     `windup` is as measured, minus its mean. `late` is the torque shifted in time by half the 95 % interval of its clock
     against the windup's; None for one clock. `runaway` is the possible drift of the windup, rad, from the uncertainty
-    of the two angles' clocks.
+    of the two angles' clocks. `group` is the number that the recording states for these loops, if any.
     """
 
     time: Array
@@ -355,6 +355,7 @@ class LoopData:
     source: str
     late: Array | None = None
     runaway: float = 0.0
+    group: float | None = None
 
     @property
     def steady(self) -> tuple[Loop, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ Array = NDArray[np.float64]
 
 _SMALLEST = 0.03  # of the recording's largest torque: a smaller group is noise
 _ALIKE = 0.75  # of a group's largest torque: a loop that reaches less belongs to another group
+_SHIFTED = 0.5  # of a group's width in windup: a loop whose peak is further away is at another position
 _FEWEST = 8  # samples of a branch
 _QUIET = 0.02  # of the largest torque: noise that breaks no half loop in two
 _ROUND = 0.85  # of a group's largest torque, up to which the loading stiffness is taken
@@ -44,6 +46,8 @@ class LoopGroup:
         Name of the recording.
     largest_torque
         Largest torque of the group, N·m.
+    group
+        Number that the recording states for these loops; None without such a column.
     loops_found, loops_used
         Number of loops, and of those that the hysteresis loss is from.
     figures
@@ -56,6 +60,7 @@ class LoopGroup:
 
     source: str
     largest_torque: float
+    group: float | None
     loops_found: int
     loops_used: int
     figures: dict[str, Figure]
@@ -79,6 +84,7 @@ def _stretches(torque: Array, windup: Array, start: int, stop: int, least: float
             groups[-1].append(lobe)
         else:
             groups.append([lobe])
+    groups = [_at_one_position(windup, group) for group in groups]
     before = _stretches(torque, windup, start, lobes[0].loading.start, least)
     return before + groups + _stretches(torque, windup, lobes[-1].unloading.stop, stop, least)
 
@@ -100,19 +106,45 @@ def _length(part: slice) -> int:
 
 
 def _alike(torque: Array, windup: Array, group: list[Lobe], lobe: Lobe) -> bool:
-    """Whether a half loop is as large as those of a group and goes on where the last one ended."""
+    """Whether a half loop is as large as those of a group, and goes as far as the last one on its side."""
     reached = [float(np.abs(torque[one.loading.start : one.unloading.stop]).max()) for one in (*group, lobe)]
     if min(reached) < _ALIKE * max(reached):
         return False
-    end, begin = group[-1].unloading.stop - 1, lobe.loading.start
-    width = float(np.ptp(windup[group[0].loading.start : end + 1]))
-    return abs(float(windup[begin] - windup[end])) < width
+    peaks = {one.sign: float(windup[one.loading.stop]) for one in group}
+    width = abs(peaks[1] - peaks[-1]) if len(peaks) > 1 else math.inf
+    return abs(float(windup[lobe.loading.stop]) - peaks.get(lobe.sign, math.nan)) < _SHIFTED * width or (
+        lobe.sign not in peaks
+    )
+
+
+def _at_one_position(windup: Array, group: list[Lobe]) -> list[Lobe]:
+    """Return half loops without the way from the position before them and to the one after them."""
+    first, last = group[0].loading.stop, group[-1].unloading.start
+    here = windup[first : last + 1]
+    beyond = _SHIFTED * float(np.ptp(here)) if len(group) > 1 else math.inf
+    away = (windup < here.min() - beyond) | (windup > here.max() + beyond)
+    before, after = np.flatnonzero(away[:first]), np.flatnonzero(away[last:])
+    start = max(group[0].loading.start, int(before[-1]) + 1 if before.size else 0)
+    stop = min(group[-1].unloading.stop, last + int(after[0]) if after.size else windup.size)
+    trimmed = [Lobe(group[0].sign, slice(start, first), group[0].unloading), *group[1:]]
+    trimmed[-1] = Lobe(group[-1].sign, trimmed[-1].loading, slice(last, stop))
+    return trimmed
+
+
+def _stated(recording: Recording) -> list[tuple[int, int, float | None]]:
+    """Return begin, end and number of each part of a recording with one number of a group; one part without any."""
+    number = recording.group
+    if number is None:
+        return [(0, recording.torque.size, None)]
+    ends = [0, *(np.flatnonzero(np.diff(number) != 0.0) + 1), number.size]
+    return [(int(a), int(b), float(number[a])) for a, b in itertools.pairwise(ends)]
 
 
 def loop_groups(recording: Recording, ratio: float | None) -> list[LoopData]:
     """Return the loops of a recording by size and position, each group as a recording of its own, the largest first.
 
-    A group's rated torque is the largest that it reaches.
+    Loops are of one group where they are alike and follow one another, and the recording states no other number of a
+    group for them. A group's rated torque is the largest that it reaches.
 
     Parameters
     ----------
@@ -122,7 +154,12 @@ def loop_groups(recording: Recording, ratio: float | None) -> list[LoopData]:
     torque, windup = recording.torque, windup_of(recording, ratio)
     largest = float(np.abs(torque).max(initial=0.0))
     found = []
-    for lobes in _stretches(torque, windup, 0, torque.size, _SMALLEST * largest):
+    parts = [
+        (lobes, number)
+        for begin, end, number in _stated(recording)
+        for lobes in _stretches(torque, windup, begin, end, _SMALLEST * largest)
+    ]
+    for lobes, number in parts:
         start, stop = lobes[0].loading.start, lobes[-1].unloading.stop
         here = slice(start, stop)
         own = [_moved(lobe, -start) for lobe in lobes]
@@ -131,10 +168,18 @@ def loop_groups(recording: Recording, ratio: float | None) -> list[LoopData]:
             found.append(
                 LoopData(
                     recording.time[here], quiet, windup[here] - windup[here].mean(), loops, tuple(own),
-                    float(np.abs(quiet).max()), recording.source,
+                    float(np.abs(quiet).max()), recording.source, group=number,
                 )
             )  # fmt: skip
     return sorted(found, key=lambda one: -one.rated_torque)
+
+
+def positions_of(groups: Sequence[LoopData]) -> tuple[list[LoopData], list[LoopData]]:
+    """Return the loops of the largest size at each position, in the order of time, and the smaller groups."""
+    largest = max((one.rated_torque for one in groups), default=0.0)
+    large = [one for one in groups if one.rated_torque > _ALIKE * largest]
+    smaller = [one for one in groups if one.rated_torque <= _ALIKE * largest]
+    return sorted(large, key=lambda one: float(one.time[0])), smaller
 
 
 def round_interval(largest: float) -> tuple[float, float]:
@@ -185,12 +230,28 @@ def group_of(data: LoopData) -> LoopGroup:
         figures["loading_stiffness"] = stiffness
     used = int(figures["hysteresis_loss"].count) if "hysteresis_loss" in figures else 0
     return LoopGroup(
-        data.source, data.rated_torque, len(data.loops), used, figures, friction_free(data),
+        data.source, data.rated_torque, data.group, len(data.loops), used, figures, friction_free(data),
         tuple(note for note in notes if "drift" not in note),
     )  # fmt: skip
 
 
-GROUPS_HEAD = ("recording", "largest torque", "loops used", "hysteresis loss", "play", "loading stiffness")
+def play_range(groups: Sequence[LoopGroup]) -> tuple[Figure, Figure] | None:
+    """Return the smallest and the largest play over the positions of loops; None with fewer than two positions.
+
+    Of the groups that reach `_ALIKE` of the largest torque, as play depends on the load up to which it is extrapolated.
+    """
+    largest = max((one.largest_torque for one in groups), default=0.0)
+    plays = [
+        one.friction_free.figures["play"]
+        for one in groups
+        if one.friction_free is not None and one.largest_torque > _ALIKE * largest
+    ]
+    if len(plays) < 2:
+        return None
+    return min(plays, key=lambda f: f.value), max(plays, key=lambda f: f.value)
+
+
+GROUPS_HEAD = ("recording", "group", "largest torque", "loops used", "hysteresis loss", "play", "loading stiffness")
 """Columns of `group_rows`."""
 
 
@@ -205,8 +266,15 @@ def group_rows(groups: Sequence[LoopGroup]) -> list[list[str]]:
         stiffness = one.figures.get("loading_stiffness")
         over = "" if stiffness is None or stiffness.interval is None else "{:g} … {:g} N·m".format(*stiffness.interval)
         play = None if one.friction_free is None else one.friction_free.figures["play"]
-        rows.append([
-            Path(one.source).name, f"{one.largest_torque:.4g} N·m", f"{one.loops_used} of {one.loops_found}",
-            shown(one.figures.get("hysteresis_loss")), shown(play), f"{shown(stiffness)} {f'({over})' if over else ''}",
-        ])  # fmt: skip
+        rows.append(
+            [
+                Path(one.source).name,
+                "" if one.group is None else f"{one.group:g}",
+                f"{one.largest_torque:.4g} N·m",
+                f"{one.loops_used} of {one.loops_found}",
+                shown(one.figures.get("hysteresis_loss")),
+                shown(play),
+                f"{shown(stiffness)} {f'({over})' if over else ''}",
+            ]
+        )
     return rows

@@ -19,7 +19,7 @@ from fitting.figures.friction_free import DEFINITIONS as OF_FRICTION_FREE
 from fitting.figures.friction_free import FrictionFree, friction_free
 from fitting.figures.hysteresis import loop_figures
 from fitting.figures.instruments import Instruments, read_instruments
-from fitting.figures.loop_groups import LoopGroup, group_of
+from fitting.figures.loop_groups import LoopGroup, group_of, play_range
 from fitting.figures.orders import RunOrders, averaging_note, orders_json, orders_of_run
 from fitting.figures.spectrum import (
     RIG_ORDERS,
@@ -30,7 +30,7 @@ from fitting.figures.spectrum import (
     without_orders,
 )
 from fitting.figures.starts import STARTS, Start, start_figures
-from fitting.figures.survey import Surveyed, survey
+from fitting.figures.survey import Surveyed, at_positions, survey
 from fitting.recordings.recording import Recording
 from fitting.recordings.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
@@ -107,6 +107,11 @@ class Figures:
     def shown(self) -> dict[str, Figure]:
         """All figures by the names under which a table shows them."""
         return {**self.figures, **{f"{FRICTION_FREE}{name}": one for name, one in self.friction_free.items()}}
+
+    @property
+    def play_range(self) -> tuple[Figure, Figure] | None:
+        """The smallest and the largest play without friction over the positions of the loops; None for one position."""
+        return play_range(self.loop_groups)
 
     @property
     def curves(self) -> list[Curve]:
@@ -209,7 +214,8 @@ def figures_of(
     figures |= start_figures(started)
     return Figures(
         figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)),
-        friction_free=without, mid_curves=tuple(mid_curves), loop_groups=tuple(groups), orders=tuple(of_runs),
+        friction_free=without, mid_curves=tuple(mid_curves),
+        loop_groups=tuple(sorted(groups, key=lambda one: -one.largest_torque)), orders=tuple(of_runs),
         pair=pair,
     )  # fmt: skip
 
@@ -308,7 +314,7 @@ def metrics(
             progress(f"recording {number} of {len(given)}: {samples / 1e6:.1f} million samples")
 
         try:
-            surveyed.append(survey(open_source(source, ratio), ratio, rated, report))
+            surveyed += at_positions(survey(open_source(source, ratio), ratio, rated, report), ratio, rated)
         except edge.InputError as problem:
             if len(given) == 1:
                 raise
@@ -334,11 +340,15 @@ def group_json(group: LoopGroup) -> dict[str, Any]:
     """Return a group of loops as part of a `cycloid-figures/1` file."""
     free = None if group.friction_free is None else group.friction_free.figures
     return {
-        "source": group.source, "largest_torque": group.largest_torque, "loops_found": group.loops_found,
-        "loops_used": group.loops_used, **{name: figure_json(one) for name, one in group.figures.items()},
+        "source": group.source,
+        "group": group.group,
+        "largest_torque": group.largest_torque,
+        "loops_found": group.loops_found,
+        "loops_used": group.loops_used,
+        **{name: figure_json(one) for name, one in group.figures.items()},
         "friction_free": None if free is None else {name: figure_json(one) for name, one in free.items()},
         "notes": list(group.notes),
-    }  # fmt: skip
+    }
 
 
 def figures_json(found: Figures) -> dict[str, Any]:
@@ -350,11 +360,13 @@ def figures_json(found: Figures) -> dict[str, Any]:
             for name, f in found.figures.items()
         },
         "friction_free": {name: figure_json(one) for name, one in found.friction_free.items()},
+        "play_range": None if found.play_range is None else [figure_json(one) for one in found.play_range],
         "loop_groups": [group_json(one) for one in found.loop_groups],
         "orders": [orders_json(one) for one in found.orders],
         "rated_torque": found.rated_torque,
         "ratio": found.ratio,
         "data": {s.source: s.checksum for s in found.surveyed},
+        "locked": {s.source: s.overview.locked or None for s in found.surveyed if s.loops is not None},
         "implausible": {s.source: s.implausible for s in found.surveyed},
         "notes": list(found.notes),
     }

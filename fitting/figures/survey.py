@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from fitting.figures.hysteresis import LoopData, loops_of
-from fitting.figures.loop_groups import loop_groups
+from fitting.figures.loop_groups import loop_groups, positions_of
 from fitting.recordings.cleaning import Block
 from fitting.recordings.mapping import ANGLES, OPTIONAL
 from fitting.recordings.plausible import PlausibleBlocks
@@ -264,6 +264,39 @@ def survey(
         loops, tuple(notes), 2.0 * stream.alignment * speed, blocks.count,
         tuple(loop_groups(shortened, ratio)) if loops is not None else (),
     )  # fmt: skip
+
+
+def at_positions(surveyed: Surveyed, ratio: float | None, rated_torque: float | None) -> list[Surveyed]:
+    """Return a survey for each position at which a recording has loops of the largest size; smaller ones go with one.
+
+    Between positions the windup has no common zero: their loops are pooled like those of several recordings.
+
+    Parameters
+    ----------
+    surveyed, ratio, rated_torque
+        A recording's survey, and what it was called with.
+    """
+    positions, smaller = positions_of(surveyed.loop_groups)
+    if len(positions) < 2:
+        return [surveyed]
+    overview = surveyed.overview
+    rated = rated_torque or float(np.abs(overview.torque).max())
+    found = []
+    for number, group in enumerate(positions):
+        part = slice(*np.searchsorted(overview.time, [group.time[0], np.nextafter(group.time[-1], np.inf)]))
+        columns = {f.name: getattr(overview, f.name) for f in dataclasses.fields(Block)}
+        here = dataclasses.replace(overview, **{n: v[part] for n, v in columns.items() if v is not None})
+        name = f"position {number + 1}" if group.group is None else f"group {group.group:g}"
+        here = dataclasses.replace(here, source=f"{surveyed.source}, {name}")
+        loops, notes = loops_of(here, ratio, rated)
+        found.append(
+            dataclasses.replace(
+                surveyed, source=here.source, overview=here, loops=loops, loop_groups=(group, *smaller),
+                notes=(*surveyed.notes, *notes), samples=here.time.size,
+            )
+        )  # fmt: skip
+        smaller = []
+    return found
 
 
 def _lag_note(recording: Recording, ratio: float) -> list[str]:

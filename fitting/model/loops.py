@@ -24,7 +24,7 @@ from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.supports.transmission import play_loads, sensitivity, solve
 from cycloid_fmu.surfaces.structured import displacement_columns
 from cycloid_fmu.surfaces.surface import ErrorSurface
-from fitting.figures.hysteresis import FRICTION, FRICTION_NEAR, Lobe, LoopData, branch_line
+from fitting.figures.friction_free import friction_free
 from fitting.figures.survey import Surveyed, survey
 from fitting.model.first_stage import of_cranks
 from fitting.recordings.plausible import PlausibleBlocks
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 BINS = 24  # steps of the torque on a branch
 _LEAST = 4  # samples in each step
-_FRICTIONS = 2.5  # excluded range at zero and at the peak, in friction torques: friction reverses there
+_REVERSAL = 1.25  # excluded range at zero and at the peak, over that in which friction reverses: twice the friction
 _REACH = 0.97  # largest torque of a branch over the peak
 _NO_TORQUE = 1e-2  # N·m: one flank touches at each end, with hardly any deflection
 
@@ -145,7 +145,10 @@ def branches_of(surveyed: Surveyed, ratio: float) -> list[Curve]:
         )
     crank = recording.input_angle
     error = recording.output_angle - crank / ratio
-    friction = _friction(loop)
+    free = friction_free(loop)
+    friction, growth = (
+        (np.inf, 0.0) if free is None else (free.figures[n].value for n in ("friction_torque", "friction_per_load"))
+    )
     found = []
     for side in (1, -1):
         for loading in (True, False):
@@ -153,25 +156,11 @@ def branches_of(surveyed: Surveyed, ratio: float) -> list[Curve]:
             at = np.concatenate([np.arange(part.start, part.stop) for part in parts])
             name = f"{'positive' if side > 0 else 'negative'} {'loading' if loading else 'unloading'}"
             found.append(
-                _branch(surveyed, loop.torque[at], error[at], crank[at], (name, side, loading), friction, ratio)
+                _branch(
+                    surveyed, loop.torque[at], error[at], crank[at], (name, side, loading), (friction, growth), ratio
+                )
             )
     return found
-
-
-def _friction(loop: LoopData) -> float:
-    """Dry friction torque of a loop, N·m: half the distance of its branches."""
-    widths = []
-    low, high = (FRICTION - FRICTION_NEAR) * loop.rated_torque, (FRICTION + FRICTION_NEAR) * loop.rated_torque
-
-    def line(lobe: Lobe, part: slice) -> tuple[float, float] | None:
-        found = branch_line(loop.torque, loop.windup, part, low, high)
-        return None if found is None else (found.at(lobe.sign * FRICTION * loop.rated_torque)[0], found.slope)
-
-    for lobe in loop.lobes:
-        up, down = line(lobe, lobe.loading), line(lobe, lobe.unloading)
-        if up is not None and down is not None and up[1] > 0.0:
-            widths.append(0.5 * lobe.sign * (down[0] - up[0]) / up[1])
-    return max(float(np.mean(widths)), 0.0) if widths else 0.0
 
 
 def _branch(
@@ -180,21 +169,24 @@ def _branch(
     error: Array,
     crank: Array,
     which: tuple[str, int, bool],
-    friction: float,
+    friction: tuple[float, float],
     ratio: float,
 ) -> Curve:
     name, side, loading = which
     assert surveyed.loops is not None
     size = side * torque
-    low = max(LOST_MOTION_LOAD * surveyed.loops.rated_torque, _FRICTIONS * friction)
-    high = _REACH * float(size.max())
+    peak = float(size.max())
+    without_load, growth = friction
+    low = max(LOST_MOTION_LOAD * surveyed.loops.rated_torque, 2.0 * _REVERSAL * without_load)
+    high = _REACH * peak
     if not loading:
-        high = min(high, float(size.max()) - _FRICTIONS * friction)
+        reversing = 2.0 * (without_load + growth * peak) / (1.0 + growth)
+        high = min(high, peak - _REVERSAL * reversing)
     if not high > low:
         raise edge.InputError(
-            f"{surveyed.source}: friction hides the {name} branch of the loop, which reaches {float(size.max()):.4g} "
-            "N·m: the play is within the friction. Load the drive further, or take play and stiffness from "
-            "friction_free of cycloid-fit metrics."
+            f"{surveyed.source}: friction hides the {name} branch of the loop, which reaches {peak:.4g} N·m: the play "
+            "is within the friction. Load the drive further, or take play and stiffness from friction_free of "
+            "cycloid-fit metrics."
         )
     place = np.floor((size - low) / (high - low) * BINS).astype(int)
     inside = (place >= 0) & (place < BINS)

@@ -57,6 +57,8 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
 _OTHER_LOAD = 1.2  # times the smallest load: one at which wind-up differs from play
 FRICTION_SHARE, SOFT_FRICTION_SHARE = 0.002, 0.02  # of the largest torque; where hysteresis is unknown too
+LOOP_FRICTION_PER_LOAD = 0.5  # growth of a loop's friction with load: measured drives have up to 0.7
+_SELF_LOCKING = 0.95  # largest growth in the model: from 1 on a drive does not unload
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance; a softer chain is a cause of misfit, whose size is found
 KNOWN_SIZES = {
     DISC_PHASE: 10e-6, "hole_x": 5e-6, "hole_y": 5e-6, "crank_x": 5e-6, "crank_y": 5e-6, "roller_x": 5e-6,
@@ -101,9 +103,9 @@ class Observations:
     fit_crank
         Whether the crank's zero is unknown too.
     friction_prior
-        Prior standard deviation of the friction torque, N·m; that of loops is unknown.
+        Prior standard deviation of the friction torque of curves, N·m.
     with_loops
-        Whether there are branches of loops, which have their own friction.
+        Whether there are branches of loops, which have their own friction, growing with load.
     errors, profile
         The structured errors considered, and {order of the profile deviation: prior size, m} of those among them.
     give
@@ -163,8 +165,14 @@ class Observations:
 
     @property
     def friction_names(self) -> tuple[str, ...]:
-        """Dry friction at the output while it turns and, with loops, while it is only wound up."""
-        return ("friction_torque", "loop_friction_torque") if self.with_loops else ("friction_torque",)
+        """Friction at the output while it turns and, with loops, while it is only wound up, which grows with load."""
+        of_loops = ("loop_friction_torque", "loop_friction_per_load") if self.with_loops else ()
+        return ("friction_torque", *of_loops)
+
+    @property
+    def friction_priors(self) -> Array:
+        """Prior standard deviations of `friction_names`, N·m and 1; infinite: unknown."""
+        return np.array([self.friction_prior, *((np.inf, LOOP_FRICTION_PER_LOAD) if self.with_loops else ())])
 
     @property
     def estimated(self) -> dict[str, slice]:
@@ -366,8 +374,11 @@ class State:
         That scatter alone, shape (2 pins + discs x teeth,), m.
     bench
         The bench's nuisances as in `Observations.bench_names`.
-    crank_offset, friction, loop_friction
-        The crank's zero (rad) and the friction torques of curves and of loops (N·m).
+    crank_offset
+        The crank's zero, rad.
+    friction, loop_friction, loop_friction_per_load
+        The friction torques of curves and of loops without load (N·m), and the growth of the latter with the load at
+        the flanks: F = F_0 + mu |M|.
     bearings
         Deviations of each bearing's stiffness and clearance from the pair file, in the order of
         `Observations.bearing_names`: logarithms of stiffness, m, and rad of a first stage's play; none where nothing
@@ -380,6 +391,7 @@ class State:
     crank_offset: float = 0.0
     friction: float = 0.0
     loop_friction: float = 0.0
+    loop_friction_per_load: float = 0.0
     bearings: Array = field(default_factory=lambda: np.zeros(0))
 
 
@@ -388,7 +400,8 @@ class Linear:
     """The model at one state: transmission error without the bench, shape (points,), and its derivatives.
 
     `structured` (points, errors as in `Observations.errors`), `scatter` (points, those of `scatter_names`), `bearings`
-    (points, those of `Observations.bearing_names`), and by crank angle and friction torque (points,).
+    (points, those of `Observations.bearing_names`), by crank angle, by friction torque, and by the growth of a loop's
+    friction with load (points,).
     """
 
     model: Array
@@ -397,6 +410,7 @@ class Linear:
     bearings: Array
     by_crank: Array
     by_friction: Array
+    by_friction_per_load: Array
 
 
 def errors_of(pair: Pair) -> list[str]:
@@ -502,8 +516,11 @@ def linearised_curve(
     """
     curve = observed.curves[number]
     against = -float(curve.direction) * np.sign(curve.ratio)
-    friction = state.loop_friction if curve.branch else state.friction
-    torque, least = observed.torque_of(number) + against * friction, _LEAST_TORQUE * curve.torque
+    torque, least = observed.torque_of(number), _LEAST_TORQUE * curve.torque
+    growth = min(state.loop_friction_per_load, _SELF_LOCKING) if curve.branch else 0.0
+    # M = T ± (F_0 + mu |M|) at the flanks.
+    by_torque_stated = 1.0 / (1.0 - against * np.sign(torque) * growth)
+    torque = by_torque_stated * (torque + against * (state.loop_friction if curve.branch else state.friction))
     torque = np.where(np.abs(torque) < abs(least), least, torque)
     surface, crank = state.surface, state.crank_offset
     if observed.give is not None:
@@ -531,15 +548,17 @@ def linearised_curve(
         model, each, by_torque = around[number].sensitivities(0, displacement_vector(pair, surface), torque)
         jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
     scatter = scatter_columns(pair, each)
+    by_friction = against * by_torque_stated * by_torque
+    by_growth = by_friction * np.abs(torque) * bool(curve.branch)
     if observed.first_stage is None:
-        return Linear(model, jacobian, scatter, by_bearing, by_crank, against * by_torque)
+        return Linear(model, jacobian, scatter, by_bearing, by_crank, by_friction, by_growth)
     by_play = -0.5 * np.sign(torque) * (by_crank - 1.0 / pair.gear_teeth)
     by_bearing = np.column_stack([by_bearing, by_play])
     # The cranks turn with the output's deviation, to first order.
     share = s / (1.0 - s * observed.first_stage.crank_share * by_crank)
     of = share[:, None]
     return Linear(share * (model + beside), of * jacobian, of * scatter, of * by_bearing,
-                  share * by_crank, share * s * against * by_torque)  # fmt: skip
+                  share * by_crank, share * s * by_friction, share * s * by_growth)  # fmt: skip
 
 
 def form_columns(pair: Pair, observed: Observations, state: State, linear: Linear, size: float) -> Array:
@@ -602,10 +621,9 @@ def nuisance_columns(observed: Observations, linear: Linear) -> tuple[Array, Arr
     """Return the columns of all nuisances, shape (points, nuisances), and their prior standard deviations."""
     locked = observed.of_loops
     columns = [observed.bench, (linear.by_friction * ~locked)[:, None]]
-    priors = [*observed.bench_prior, observed.friction_prior]
+    priors = [*observed.bench_prior, *observed.friction_priors]
     if observed.with_loops:
-        columns.append((linear.by_friction * locked)[:, None])
-        priors.append(np.inf)
+        columns += [(linear.by_friction * locked)[:, None], linear.by_friction_per_load[:, None]]
     if observed.fit_crank:
         columns.append(linear.by_crank[:, None])
         priors.append(np.inf)

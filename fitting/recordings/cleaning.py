@@ -34,6 +34,8 @@ class Block:
         Bits of the recording format: 1 gap before, 32 an angle rolled over, 128 implausible.
     input_torque
         Torque of the environment on the input, N·m, or None if not recorded.
+    group
+        Number of the group of loops, or None if not recorded.
     """
 
     time: Array
@@ -43,6 +45,7 @@ class Block:
     status: Bytes
     temperature: Array | None = None
     input_torque: Array | None = None
+    group: Array | None = None
 
 
 class _Angle:

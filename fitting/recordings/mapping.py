@@ -16,7 +16,7 @@ from cycloid_fmu import edge
 from fitting.recordings.formats import BenchFile, measures, stem_of, unit_text
 
 COLUMNS = {"time": "s", "input_angle": "rad", "output_angle": "rad", "torque": "N*m"}
-OPTIONAL = {"temperature": "K", "input_torque": "N*m"}
+OPTIONAL = {"temperature": "K", "input_torque": "N*m", "group": "1"}
 ANGLES = ("input_angle", "output_angle")
 BESIDE = {"transmission_error": "rad", "speed": "rad/s"}  # allowed in a file, but no column of a block
 CHANNELS = (*ANGLES, "torque", *OPTIONAL, *BESIDE)
@@ -106,6 +106,7 @@ class _OneRun(edge.Config):
     speed: ChannelMapping | None = None
     temperature: ChannelMapping | None = None
     input_torque: ChannelMapping | None = None
+    group: ChannelMapping | None = None
     last_row_first: bool = False
 
 
@@ -118,7 +119,7 @@ class RunMapping(_OneRun):
         Name of the run in messages and reports, such as "forward".
     last_row_first
         Whether the run's last sample is in the first row, such as when both directions share a column of angles.
-    input_angle, output_angle, transmission_error, torque, speed, temperature, input_torque
+    input_angle, output_angle, transmission_error, torque, speed, temperature, input_torque, group
         As in `FileMapping`.
     """
 
@@ -153,6 +154,8 @@ class FileMapping(_OneRun):
         Optional: speed of the run, of the shaft to which the bench's speed refers.
     temperature, input_torque
         Optional. The input torque gives the no-load starting torque.
+    group
+        Optional: a number of the position, size or repetition of loops, the same in all samples of a group.
     runs
         Several runs in one table, each a separate recording.
     last_row_first
@@ -413,7 +416,7 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
         if isinstance(channel, ChannelMapping) and channel.counts_per_turn is not None:
             scale, offset = _TURN / channel.counts_per_turn, 0.0
         else:
-            unit = channel.unit or channels[channel.column].unit
+            unit = channel.unit or channels[channel.column].unit or ("1" if role == "group" else "")
             if not unit:
                 raise edge.InputError(
                     f'{file.source}: the column "{channel.column}" for {role} has no unit; give it in the mapping.'

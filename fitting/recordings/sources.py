@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from cycloid_fmu import edge
 from fitting.recordings.cleaning import Cleaning
-from fitting.recordings.mapping import ANGLES, FileMapping, read_mapping
+from fitting.recordings.mapping import ANGLES, OPTIONAL, FileMapping, read_mapping
 from fitting.recordings.read_head import ReadHead, read_read_head, without_coaxiality_error
 from fitting.recordings.recording import Recording, RecordingStream, open_with_mapping
 
@@ -60,6 +60,8 @@ class Run:
         Times, s; None for evenly spaced samples at an unknown rate, so that speeds are unknown.
     temperature, input_torque
         Temperature, K, and torque of the environment on the input, N·m, if measured.
+    group
+        Number of the group of loops (their position or size) to which each sample belongs, if there are several.
     name
         Name of the run in messages and reports.
     common_zero
@@ -84,6 +86,7 @@ class Run:
     time: ArrayLike | None = None
     temperature: ArrayLike | None = None
     input_torque: ArrayLike | None = None
+    group: ArrayLike | None = None
     name: str = "run"
     common_zero: bool = False
     known_index: bool = False
@@ -98,7 +101,7 @@ class Run:
             If the arrays' shapes differ or fewer than two samples remain.
         """
         size = np.size(self.output_angle)
-        given = {n: getattr(self, n) for n in (*ANGLES, "torque", "temperature", "input_torque")}
+        given = {n: getattr(self, n) for n in (*ANGLES, "torque", *OPTIONAL)}
         given["time"] = np.arange(float(size)) if self.time is None else self.time
         columns = {n: np.asarray(v, dtype=float) for n, v in given.items() if v is not None}
         for name, values in columns.items():
@@ -115,7 +118,7 @@ class Run:
         return Recording(
             **vars(block), source=self.name, checksum=digest, common_zero=self.common_zero,
             known_index=self.known_index, speed=self.speed,
-            timed=self.time is not None,
+            timed=self.time is not None, locked="" if np.ndim(self.input_angle) else "input",
             notes=tuple(f"{self.name}: {note}" for note in cleaning.notes()),
         )  # fmt: skip
 

@@ -16,6 +16,7 @@ from cycloid_fmu.draw.figure import figure_of_names
 from fitting.figures.budget import BUDGET_HEAD, budget_rows
 from fitting.figures.figure import Figure, in_field_units
 from fitting.figures.metrics import FRICTION_FREE, Figures
+from fitting.figures.orders import ORDERS_HEAD, order_rows
 from fitting.reports.page import html_page, made_now
 from fitting.reports.panels import Panel, panels_of
 
@@ -112,6 +113,11 @@ _FIGURES = (
 {% endfor %}</tbody></table>{% else %}<p>No figure could be computed; the notes give the reasons.</p>{% endif %}
 """
     + BUDGETS
+    + """{% if orders %}<h2>Largest orders of the transmission error, per output turn</h2><table id="orders"><thead><tr>
+{% for h in orders_head %}<th>{{ h }}</th>{% endfor %}</tr></thead><tbody>
+{% for row in orders %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}</tbody></table>{% endif %}
+"""
 )
 SOURCES = """<h2>Excluded data and notes</h2>
 {% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
@@ -127,9 +133,19 @@ SOURCES = """<h2>Excluded data and notes</h2>
 def html_report(found: Figures, panels: Sequence[Panel]) -> str:
     """Return the report as one self-contained HTML page."""
     return html_page(
-        "Test bench report", _facts(found), _FIGURES, panels, SOURCES, rows=figure_rows(found), notes=found.notes,
-        sources=sources_of(found), budgets=budget_tables(found), budget_head=BUDGET_HEAD,
-    )  # fmt: skip
+        "Test bench report",
+        _facts(found),
+        _FIGURES,
+        panels,
+        SOURCES,
+        rows=figure_rows(found),
+        notes=found.notes,
+        sources=sources_of(found),
+        budgets=budget_tables(found),
+        budget_head=BUDGET_HEAD,
+        orders=order_rows(found.orders),
+        orders_head=ORDERS_HEAD,
+    )
 
 
 _A4 = (8.27, 11.69)
@@ -180,6 +196,9 @@ def _text_pages(found: Figures) -> list[Any]:
             source, kind, distribution, uncertainty, sensitivity, contribution, degrees = cells
             text = f"{source:<32} {kind:<4} {distribution:<12} {uncertainty:<20} {sensitivity:>11} {contribution:>20}"
             lines.append((f"{text} {degrees:>8.7}", {**mono, "fontsize": 6.5}))
+    if orders := order_rows(found.orders):
+        lines += [("", {}), ("Largest orders of the transmission error, per output turn", heading)]
+        lines += [("{:<30} {:>12} {:>12} {:<10} {}".format(*row), mono) for row in (ORDERS_HEAD, *orders)]
     lines += [("", {}), ("Excluded data and notes", heading)]
     for note in found.notes or ("No data were excluded.",):
         lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]

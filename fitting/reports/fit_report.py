@@ -306,4 +306,6 @@ def _bench_unit(name: str) -> tuple[float, str]:
     """Return the factor from SI, and the unit of an unknown of the bench."""
     if name == CHAIN:
         return ARCSEC, "arcsec/(N·m)"
+    if name.endswith("friction_per_load"):
+        return 1.0, "N·m/(N·m)"
     return (1.0, "N·m") if name.endswith("friction_torque") else (ARCSEC, "arcsec")

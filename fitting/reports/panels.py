@@ -18,14 +18,16 @@ from cycloid_fmu.geometry.pair import Pair
 from fitting.figures.friction_free import LINE, FrictionFree
 from fitting.figures.hysteresis import SIDES, LoopData, drift_of, loop_marks, without_drift
 from fitting.figures.metrics import Figures
+from fitting.figures.orders import RunOrders
 from fitting.figures.spectrum import Spectrum, order_name
-from fitting.figures.starts import back_driving_torques, starting_torques
+from fitting.figures.starts import STARTS
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
 _MIDDLE = 0.12  # share of the rated torque shown around zero torque
 _NAMED = 14  # most labelled orders
+_BROKEN = 4  # most orders of a run that are no whole number
 _APART = 0.045  # of the x axis: least distance of upright names, also on a phone
 _DRAWN = 100_000  # most points of all lines of a panel
 
@@ -130,7 +132,7 @@ def panels_of(found: Figures) -> list[Panel]:
     panels = []
     if found.curves:
         panels.append(_curves_panel(found.curves))
-        spectra = spectra_panel(found.curves, found.spectra, found.pair)
+        spectra = spectra_panel(found.curves, found.spectra, found.pair, orders=found.orders)
         if spectra is not None:
             panels.append(spectra)
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
@@ -174,19 +176,26 @@ def _curves_panel(curves: list[Curve]) -> Panel:
 
 
 def spectra_panel(
-    curves: Sequence[Curve], spectra: Sequence[Spectrum | None], pair: Pair | None, title: str = "Orders of the output"
+    curves: Sequence[Curve],
+    spectra: Sequence[Spectrum | None],
+    pair: Pair | None,
+    title: str = "Orders of the output",
+    orders: Sequence[RunOrders] = (),
 ) -> Panel | None:
-    """Return the panel of the orders of curves with their noise floors, or None without a spectrum."""
+    """Return the panel of the orders of curves with their noise floors, or None without a spectrum.
+
+    `orders` are those of the runs before averaging; those that are no whole number are drawn with their intervals.
+    """
     pairs = [(c, s) for c, s in zip(curves, spectra, strict=True) if s is not None]
     if not pairs:
         return None
     highest = max(int(np.flatnonzero(s.significant).max(initial=10)) for _, s in pairs)
     traces = []
-    for number, (curve, orders) in enumerate(pairs):
-        upto = min(orders.amplitude.size, math.ceil(1.1 * highest) + 1)
+    for number, (curve, of_curve) in enumerate(pairs):
+        upto = min(of_curve.amplitude.size, math.ceil(1.1 * highest) + 1)
         order = np.arange(1, upto, dtype=float)
-        amplitude, floor = orders.amplitude[1:upto] * ARCSEC, orders.floor[1:upto] * ARCSEC
-        seen = orders.significant[1:upto]
+        amplitude, floor = of_curve.amplitude[1:upto] * ARCSEC, of_curve.floor[1:upto] * ARCSEC
+        seen = of_curve.significant[1:upto]
         at, top, count = order[seen], amplitude[seen], np.count_nonzero(seen)
         stems = np.stack([floor[seen], top, np.full(count, np.nan)], axis=1).ravel()
         traces.append(Trace("", order[~seen], amplitude[~seen], "points", -1))
@@ -194,19 +203,39 @@ def spectra_panel(
         traces.append(Trace(label_of(curve), at, top, "dots", number))
         traces.append(Trace("noise floor" if number == 0 else "", order, floor, "dashed", -1))
     largest = np.zeros(highest + 1)
-    for _, orders in pairs:
-        kept = np.where(orders.significant, orders.amplitude, 0.0)[: highest + 1]
+    for _, of_curve in pairs:
+        kept = np.where(of_curve.significant, of_curve.amplitude, 0.0)[: highest + 1]
         largest[: kept.size] = np.maximum(largest[: kept.size], kept * ARCSEC)
     leading = np.array(_well_spaced(largest), dtype=int)
     names = tuple(f"{k} {order_name(int(k), pairs[0][0].ratio, pair)}".strip() for k in leading)
     traces.append(Trace("", leading.astype(float), largest[leading], "points", -1, names))
+    traces += _broken_orders(orders)
     return Panel(
         title, "order of the output turn", "amplitude [arcsec]", tuple(traces),
         "Pin: errors of pins and ring; tooth: errors of the gear's teeth; mesh: both; rig: coaxiality and couplings "
         "(large errors of pins and teeth also beat at order 1). Orders above the noise have a line, others are grey "
-        "points. Dashed: noise floor. The 95 % interval of an amplitude is ± 1.4 times the dashed line.",
+        "points. Dashed: noise floor. The 95 % interval of an amplitude is ± 1.4 times the dashed line. Orders that "
+        "are no whole number, which averaging over turns removes, are points with their intervals.",
         log_y=True, log_x=True,
     )  # fmt: skip
+
+
+def _broken_orders(runs: Sequence[RunOrders]) -> list[Trace]:
+    """Return traces of the orders that are no whole number: the largest of each run at each of them, with intervals."""
+    traces = []
+    for number, run in enumerate(runs):
+        broken = [one for one in run.orders if not one.whole][:_BROKEN]
+        if not broken:
+            continue
+        order, size, interval = (
+            np.array([getattr(one, name) for one in broken]) for name in ("order", "amplitude", "uncertainty")
+        )
+        low, high = np.maximum(size - interval, 0.05 * size) * ARCSEC, (size + interval) * ARCSEC
+        bars = np.stack([low, high, np.full(order.size, np.nan)], axis=1).ravel()
+        names = tuple(f"{one.order:.4g} {one.source}".strip() for one in broken) if number == 0 else ()
+        traces.append(Trace("", np.repeat(order, 3), bars, "thin", number))
+        traces.append(Trace("no whole order" if number == 0 else "", order, size * ARCSEC, "points", -1, names))
+    return traces
 
 
 def _well_spaced(amplitude: Array) -> list[int]:
@@ -319,11 +348,8 @@ def _start_panels(found: Figures) -> list[Panel]:
     It is over the time, or over the samples of recordings without times.
     """
     panels = []
-    kinds = (
-        ("input", "no-load starting torque", starting_torques),
-        ("output", "back-driving torque", back_driving_torques),
-    )
-    for (shaft, name, starts_of), timed in itertools.product(kinds, (True, False)):
+    for (name, starts_of), timed in itertools.product(STARTS.items(), (True, False)):
+        shaft = "input" if name == "starting_torque" else "output"
         traces: list[Trace] = []
         for one in (s.overview for s in found.surveyed if s.loops is None and s.overview.timed == timed):
             torque = one.input_torque if shaft == "input" else one.torque
@@ -335,7 +361,8 @@ def _start_panels(found: Figures) -> list[Panel]:
                 at = slice(start.peak - start.part.start, start.peak - start.part.start + 1)
                 traces.append(Trace("", time[at], np.array([start.torque]), "points", number, (str(number + 1),)))
         if traces:
-            caption = f"The {name} is the mean of the marked values, the largest before the crank has turned 1°."
+            quantity = name.replace("_", " ")
+            caption = f"The {quantity} is the mean of the marked values, the largest before the crank has turned 1°."
             axes = (
                 "time since standstill [s]" if timed else "samples since standstill", f"torque on the {shaft} [N·m]"
             )  # fmt: skip

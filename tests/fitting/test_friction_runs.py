@@ -277,6 +277,13 @@ def test_the_command_writes_the_friction_file_with_the_growth_of_loops(tmp_path,
     assert stated.load_share == 0.4
     for name in ("coulomb", "viscous"):  # without load the teeth carry the friction itself
         assert getattr(stated, name) / (1.0 - 0.4) == pytest.approx(found[name]["value"], rel=1e-5)
+    # Of a loop with the output locked, the motor's torque on the teeth, M + F, has the friction in it.
+    (tmp_path / "figures.json").write_text(json.dumps(figures | {"locked": {"loop.csv": "output"}}))
+    done = command(*words, "--loop", "figures.json", "-o", "friction.toml", "--json")
+    law, coulomb = read_friction(tmp_path / "friction.toml").output, json.loads(done.stdout)["coulomb"]["value"]
+    spring = 20.0
+    driven = spring + coulomb + 0.4 * spring
+    assert driven == pytest.approx(spring + law.coulomb + law.load_share * driven, rel=1e-4)
     done = command(*words)
     assert done.returncode == 0
     assert "viscous" in done.stdout

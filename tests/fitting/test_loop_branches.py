@@ -46,6 +46,20 @@ def wound_up(pair, *, friction, crank=CRANK, sides=(1, -1), samples=800, noise=0
     )  # fmt: skip
 
 
+def rubbing_more_with_load(pair, *, without_load, growth, noise=0.5 * ARCSEC):
+    """Recording of the exact contacts wound up by M, where the bench reads M ± (F_0 + mu |M|)."""
+    top, samples = (RATED - without_load) / (1.0 + growth), 800
+    spring = np.concatenate([np.linspace(a, b, samples) for a, b in ((0, top), (top, 0), (0, -top), (-top, 0))])
+    way = np.repeat([1.0, -1.0, -1.0, 1.0], samples)
+    torque = spring + way * (without_load + growth * np.abs(spring))
+    (winding,) = solve(pair, surface_of_pair(pair), spring[:, None], CRANK).transmission_error.T
+    output = CRANK / pair.ratio + winding + 3e-4 + np.random.default_rng(0).normal(0.0, noise, torque.size)
+    return Recording(
+        np.arange(torque.size) * 0.01, np.full(torque.size, CRANK), output, torque, np.zeros(torque.size, np.uint8),
+        common_zero=False, known_index=True, ratio=pair.ratio, source="loop.csv", checksum="0",
+    )  # fmt: skip
+
+
 def branches(pair, **how):
     return branches_of(survey(wound_up(pair, **how), pair.ratio, RATED), pair.ratio)
 
@@ -68,6 +82,23 @@ def test_branches_of_the_model_s_drive_are_what_the_fit_calls_the_same_friction(
     assert np.abs(left(0.0)).min() > 0.15 * ARCSEC
 
 
+def test_friction_that_grows_with_load_is_an_unknown_of_the_loop(made):
+    """Its exact value leaves nothing, and the derivatives by both unknowns are those of the model."""
+    recording = rubbing_more_with_load(made, without_load=2.5, growth=0.4, noise=0.0)
+    observed = observations(branches_of(survey(recording, made.ratio, RATED), made.ratio), made)
+    nothing = np.zeros(spread_of(made, {}).size), np.zeros(observed.bench.shape[1])
+
+    def at(without_load, growth):
+        state = State(surface_of_pair(made), *nothing, loop_friction=without_load, loop_friction_per_load=growth)
+        return linearise(made, observed, state)
+
+    exact = at(2.5, 0.4)
+    assert np.abs(observed.measured - exact.model - 3e-4).max() < 0.05 * ARCSEC
+    assert np.abs(observed.measured - at(2.5, 0.0).model - 3e-4).max() > 2.0 * ARCSEC
+    for by, moved in ((exact.by_friction, at(2.51, 0.4)), (exact.by_friction_per_load * 0.1, at(2.5, 0.401))):
+        assert by == pytest.approx((moved.model - exact.model) / 0.01, rel=1e-2)
+
+
 def test_the_play_and_its_derivatives_are_those_of_the_contact_model(made):
     surface = surface_of_pair(made)
     names = ["pin_radius", "pin_circle_radius", "isometric", "offset", "eccentricity", "centre_distance_x"]
@@ -80,6 +111,22 @@ def test_the_play_and_its_derivatives_are_those_of_the_contact_model(made):
             for way in (-1.0, 1.0)
         ]  # fmt: skip
         assert slope == pytest.approx((ends[1] - ends[0]) / 2e-8, rel=1e-3, abs=1e-3)
+
+
+def test_a_loop_whose_friction_grows_with_load_tells_the_play(measured, nominal, made):
+    """Constant friction would put the growth into errors; the interval would be as small, and false."""
+    curves = measured(1, each=12, zeros=(3e-4, -2e-4, 1e-4, 5e-5), common_zero=False)
+    recording = rubbing_more_with_load(made, without_load=2.5, growth=0.4)
+    loop = branches_of(survey(recording, made.ratio, RATED), made.ratio)
+    found = identify([*curves, *loop], Drive(nominal), form=0.0)
+    truth = surface_of_pair(made)
+    far = [abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
+           for p in found.parameters if p.held is None]  # fmt: skip
+    assert max(far) < 4.0
+    assert found.bench["loop_friction_torque"] == pytest.approx(2.5, abs=0.3)
+    assert found.bench["loop_friction_per_load"] == pytest.approx(0.4, abs=0.01)
+    (fitted,) = found.loops
+    assert abs(fitted.play - solve(made, truth, 1.0, CRANK).backlash[0]) < 4.0 * fitted.standard_error
 
 
 @pytest.mark.slow(5)

@@ -10,6 +10,7 @@ import pytest
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
 from fitting.recordings.recording import Recording
+from fitting.reports.figures_report import write_figures_report
 
 SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))
 ARCMIN = np.pi / 10800
@@ -124,6 +125,16 @@ def test_the_command_prints_the_largest_orders_and_writes_all(command, tmp_path)
     ((one,),) = (json.loads((tmp_path / "figures.json").read_text())["orders"],)
     assert {o["order"] for o in one["orders"] if o["source"] == "pulley"} == {m * PULLEY for m in (1, 2, 4)}
     assert one["turn_averaging"].keys() >= {"variance_share_removed", "peak_to_peak_of_one_turn"}
+
+
+def test_a_report_has_the_orders_that_averaging_removes(tmp_path):
+    found = figures(run(WHOLE | OTHERS, pulley=-PULLEY))
+    write_figures_report(found, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert 'id="orders"' in page
+    assert f"{PULLEY:.4g} pulley" in page
+    write_figures_report(found, tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])
