@@ -16,9 +16,12 @@ from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 MANY_TEETH = {
-    "pair.gear_teeth": "299", "pair.pin_circle_radius": "128 mm", "pair.pin_radius": "1 mm", "pair.discs": "2",
+    "pair.gear_teeth": "299",
+    "pair.pin_circle_radius": "128 mm",
+    "pair.pin_radius": "1 mm",
+    "pair.discs": "2",
     "pair.eccentricity": "0.3 mm",
-}  # fmt: skip
+}
 TURN = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
 
 

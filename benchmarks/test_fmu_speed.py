@@ -16,10 +16,14 @@ from cycloid_fmu.geometry.pair import read_pair
 
 ROUNDS, STEPS = 1500, 20
 # The values that modellers exchange in a step; a slave that does nothing has as many under the same references.
-INPUTS = {"kinematic": ("flange_a.phi", "flange_a.w", "flange_b.tau"),
-          "compliant": ("flange_a.phi", "flange_a.w", "flange_b.phi", "flange_b.w")}  # fmt: skip
-OUTPUTS = {"kinematic": ("flange_b.phi", "flange_b.w", "flange_a.tau", "transmission_error"),
-           "compliant": ("flange_a.tau", "flange_b.tau", "transmission_error", "elastic_energy")}  # fmt: skip
+INPUTS = {
+    "kinematic": ("flange_a.phi", "flange_a.w", "flange_b.tau"),
+    "compliant": ("flange_a.phi", "flange_a.w", "flange_b.phi", "flange_b.w"),
+}
+OUTPUTS = {
+    "kinematic": ("flange_b.phi", "flange_b.w", "flange_a.tau", "transmission_error"),
+    "compliant": ("flange_a.tau", "flange_b.tau", "transmission_error", "elastic_energy"),
+}
 EMPTY = """
 from pythonfmu import Fmi2Causality, Fmi2Slave, Real
 class Empty(Fmi2Slave):
@@ -80,9 +84,11 @@ def slaves(tmp_path_factory):
             description = fmpy.read_model_description(str(folder / f"{name}.fmu"))
             v = {m.name: m.valueReference for m in description.modelVariables}
             slave = FMU2Slave(
-                guid=description.guid, unzipDirectory=fmpy.extract(str(folder / f"{name}.fmu")), instanceName=name,
+                guid=description.guid,
+                unzipDirectory=fmpy.extract(str(folder / f"{name}.fmu")),
+                instanceName=name,
                 modelIdentifier=description.coSimulation.modelIdentifier,
-            )  # fmt: skip
+            )
             slave.instantiate()
             slave.setupExperiment(startTime=0.0)
             slave.enterInitializationMode()

@@ -47,8 +47,22 @@ def drive(pair, seed):
     for load in LOADS:
         error = solve(pair, surface, load, angle, with_play=False).transmission_error[0]
         noisy = error + generator.normal(0.0, 0.5 * ARCSEC, angle.size)
-        curves.append(Curve(angle, noisy, np.full(angle.size, np.nan), np.ones(angle.size, int), load, 0.0,
-                            int(np.sign(load)), -39.0, True, True, f"{load:g}", "0"))  # fmt: skip
+        curves.append(
+            Curve(
+                angle,
+                noisy,
+                np.full(angle.size, np.nan),
+                np.ones(angle.size, int),
+                load,
+                0.0,
+                int(np.sign(load)),
+                -39.0,
+                True,
+                True,
+                f"{load:g}",
+                "0",
+            )
+        )
     return curves, values
 
 
@@ -96,8 +110,12 @@ def plain_fit(pair, curves):
         evaluations += 1
         values = unknowns * scale
         surface = with_structured(pair, surface_of_pair(pair), dict(zip(names, values, strict=False)))
-        model = [solve(pair, surface, c.torque + c.direction * values[-1], c.input_angle, with_play=False)
-                 .transmission_error[0] for c in curves]  # fmt: skip
+        model = [
+            solve(
+                pair, surface, c.torque + c.direction * values[-1], c.input_angle, with_play=False
+            ).transmission_error[0]
+            for c in curves
+        ]
         rest = observed.measured - np.concatenate(model) - observed.bench[:, keep] @ values[len(names) : -1]
         return observed.weight * rest
 

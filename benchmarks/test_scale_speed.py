@@ -19,9 +19,10 @@ from cycloid_fmu.studies.machines import Solved, complete
 DRIVES = int(float(os.environ.get("CYCLOID_DRIVES", "2e4")))
 # The machine's state that a worker watches each half second: a hundred would watch this one, all from one thread.
 ALONE = {
-    "distributed.admin.system-monitor.interval": "1h", "distributed.admin.system-monitor.disk": False,
+    "distributed.admin.system-monitor.interval": "1h",
+    "distributed.admin.system-monitor.disk": False,
     "distributed.worker.profile.enabled": False,
-}  # fmt: skip
+}
 EACH = 7e-3  # s: a drive at 360 crank angles under two loads
 
 

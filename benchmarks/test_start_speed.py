@@ -17,9 +17,15 @@ from common import EXAMPLES
 BARE = ("numba", "scipy", "matplotlib")
 COMMANDS = ("cycloid-fmu", "cycloid-fit", "cycloid-bench")
 IMPORTED = (
-    "cycloid_fmu", "fitting", "drivers", "cycloid_fmu.geometry.pair", "cycloid_fmu.contact.transmission",
-    "fitting.recordings.recording", "fitting.estimation.identify", "drivers.recorder.session",
-)  # fmt: skip
+    "cycloid_fmu",
+    "fitting",
+    "drivers",
+    "cycloid_fmu.geometry.pair",
+    "cycloid_fmu.contact.transmission",
+    "fitting.recordings.recording",
+    "fitting.estimation.identify",
+    "drivers.recorder.session",
+)
 
 
 def spent(work, *words):

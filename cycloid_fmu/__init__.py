@@ -41,10 +41,29 @@ _HOMES = {
 }
 
 __all__ = [
-    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "Friction", "InputError", "Interface", "Material", "Pair",
-    "Reducer", "Tolerances", "__version__", "budget", "field_units", "plot", "read_drive", "read_reducer",
-    "read_surface", "read_tolerances", "register_error_kind", "simulate_fmu",
-]  # fmt: skip
+    "ARCMIN",
+    "ARCSEC",
+    "Drive",
+    "ErrorKind",
+    "ErrorSurface",
+    "Friction",
+    "InputError",
+    "Interface",
+    "Material",
+    "Pair",
+    "Reducer",
+    "Tolerances",
+    "__version__",
+    "budget",
+    "field_units",
+    "plot",
+    "read_drive",
+    "read_reducer",
+    "read_surface",
+    "read_tolerances",
+    "register_error_kind",
+    "simulate_fmu",
+]
 
 
 def __getattr__(name: str) -> Any:

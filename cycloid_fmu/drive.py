@@ -42,8 +42,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _FIELD_UNITS = {
-    "rad": ("arcsec", edge.ARCSEC), "N*m/rad": ("N*m/arcmin", 1.0 / edge.ARCMIN), "Pa": ("MPa", 1e-6), "m": ("um", 1e6),
-}  # fmt: skip
+    "rad": ("arcsec", edge.ARCSEC),
+    "N*m/rad": ("N*m/arcmin", 1.0 / edge.ARCMIN),
+    "Pa": ("MPa", 1e-6),
+    "m": ("um", 1e6),
+}
 
 
 def _quantity(name: str, given: Any, unit: str) -> float:
@@ -238,10 +241,16 @@ class Drive:
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
         return analyze(
-            self.pair, self.surface, self.first_stage, _torques(torque, self.pair), crank_angle,
-            slices or slices_needed(self.surface), with_elements=slices is not None,
-            workers=workers or os.cpu_count() or 1, progress=progress,
-        )  # fmt: skip
+            self.pair,
+            self.surface,
+            self.first_stage,
+            _torques(torque, self.pair),
+            crank_angle,
+            slices or slices_needed(self.surface),
+            with_elements=slices is not None,
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
 
     def motion(
         self,
@@ -350,11 +359,15 @@ class Drive:
 
         stated = requirements if isinstance(requirements, Requirements) else read_requirements(requirements)
         return judge_drive(
-            self.pair, self.surface, self.first_stage, stated,
+            self.pair,
+            self.surface,
+            self.first_stage,
+            stated,
             [] if torque is None else _torques(torque, self.pair),
-            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False), workers=workers or os.cpu_count() or 1,
+            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
+            workers=workers or os.cpu_count() or 1,
             progress=progress,
-        )  # fmt: skip
+        )
 
     def compliance(self, *, progress: Callable[[int], None] = lambda parts: None) -> list[Share]:
         """Shares of mesh, bearings, seats and clearances in compliance and lost motion of the drive as drawn.
@@ -553,9 +566,14 @@ class Drive:
         if torque is None:
             loads.append(-loads[0])
         study = Study(
-            self.pair, _tolerances(tolerances), samples, seed, tuple(loads),
-            angles=angles, first_stage=self.first_stage,
-        )  # fmt: skip
+            self.pair,
+            _tolerances(tolerances),
+            samples,
+            seed,
+            tuple(loads),
+            angles=angles,
+            first_stage=self.first_stage,
+        )
         yields.check(study, "pair", "tolerances", to_first_order=first_order is not None)
         return yields.conduct(study, first_order, workers=workers or os.cpu_count() or 1, progress=progress)
 
@@ -671,9 +689,15 @@ class Drive:
         stated = law if isinstance(law, WearLaw) else read_wear_law(law)
         loads = (Load(torque=_torque(torque), crank_turns=1.0),)
         return run_wear(
-            self.pair, self.surface, stated, loads, crank_turns, source, workers=workers or os.cpu_count() or 1,
+            self.pair,
+            self.surface,
+            stated,
+            loads,
+            crank_turns,
+            source,
+            workers=workers or os.cpu_count() or 1,
             progress=progress,
-        )  # fmt: skip
+        )
 
     def design(
         self,
@@ -741,10 +765,13 @@ class Drive:
         if self.pair.errors or self.surface != surface_of_pair(self.pair):
             raise edge.ArgumentError("drive", "has errors; a search needs the drive as drawn: give it without errors")
         task = DesignTask(
-            goals=(goals,) if isinstance(goals, str) else tuple(goals), vary=dict(vary), limits=dict(limits or {}),
-            duty=tuple(duty), friction_coefficient=friction_coefficient,
+            goals=(goals,) if isinstance(goals, str) else tuple(goals),
+            vary=dict(vary),
+            limits=dict(limits or {}),
+            duty=tuple(duty),
+            friction_coefficient=friction_coefficient,
             robust=None if tolerances is None else {"yield": required_yield},
-        )  # fmt: skip
+        )
         allowed = None if tolerances is None else _tolerances(tolerances)
         return search(self.pair, task, allowed, starts=starts, points=points, seed=seed, progress=progress)
 
@@ -802,9 +829,15 @@ class Drive:
             from cycloid_fmu.native.build import build_native
 
             build_native(
-                self, path, interface=interface, fmi_version=fmi_version, largest_torque=largest_torque, draws=draws,
-                seed=seed, workers=os.cpu_count() or 1,
-            )  # fmt: skip
+                self,
+                path,
+                interface=interface,
+                fmi_version=fmi_version,
+                largest_torque=largest_torque,
+                draws=draws,
+                seed=seed,
+                workers=os.cpu_count() or 1,
+            )
         else:
             from cycloid_fmu.fmu.build import build_fmu
 
@@ -885,19 +918,32 @@ class Drive:
         """
         from cycloid_fmu.compensation.build import drive_compensator
 
-        given = {"stiffness": (stiffness, "N*m/rad"), "torque_accuracy": (torque_accuracy, "N*m"),
-                 "largest_torque": (largest_torque, "N*m"), "residual": (residual, "rad"),
-                 "sensor": (sensor, "rad")}  # fmt: skip
+        given = {
+            "stiffness": (stiffness, "N*m/rad"),
+            "torque_accuracy": (torque_accuracy, "N*m"),
+            "largest_torque": (largest_torque, "N*m"),
+            "residual": (residual, "rad"),
+            "sensor": (sensor, "rad"),
+        }
         values = {
             name: None if value is None else _quantity(name, value, unit) for name, (value, unit) in given.items()
         }
         between = temperatures and tuple(_quantity("temperatures", one, "K") for one in temperatures)
         return drive_compensator(
-            self.pair, self.surface, self.first_stage, self.ratio, friction=friction, temperatures=between,
-            series_compliance=series_compliance, torque_share=torque_share, workers=workers or os.cpu_count() or 1,
-            tolerances=None if tolerances is None else _tolerances(tolerances), total=total, progress=progress,
+            self.pair,
+            self.surface,
+            self.first_stage,
+            self.ratio,
+            friction=friction,
+            temperatures=between,
+            series_compliance=series_compliance,
+            torque_share=torque_share,
+            workers=workers or os.cpu_count() or 1,
+            tolerances=None if tolerances is None else _tolerances(tolerances),
+            total=total,
+            progress=progress,
             **values,
-        )  # fmt: skip
+        )
 
     def profile(self, *, disc: int = 0, chord_error: float | str = 1e-7) -> Profile:
         """Return a disc as made for CAD, CAM and measuring machines: outline in arcs, holes, pins and pin circle.

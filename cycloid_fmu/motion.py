@@ -225,9 +225,22 @@ def motion_of(
     pin_axis = ring[..., None] * (problem.pin_x + 1j * problem.pin_y)
     contacts = _contacts(problem, warm, tilted, found, shift, turned, centre, rotation, pin_axis, middle, progress)
     motion = Motion(
-        warm, loads, theta, x, turn, curve, 1.0, *profile, centre, rotation, ideal_gear, pin_axis,
-        problem.pin_radius, *contacts, found.pin_pressure,
-    )  # fmt: skip
+        warm,
+        loads,
+        theta,
+        x,
+        turn,
+        curve,
+        1.0,
+        *profile,
+        centre,
+        rotation,
+        ideal_gear,
+        pin_axis,
+        problem.pin_radius,
+        *contacts,
+        found.pin_pressure,
+    )
     return dataclasses.replace(motion, exaggeration=exaggeration or _fitting(motion))
 
 
@@ -272,9 +285,18 @@ def _flank(
 
 
 def _contacts(
-    problem: contact.Problem, warm: Pair, sizes: dict[str, float], found: Transmission, shift: Points, turned: Array,
-    centre: Points, rotation: Array, pin_axis: Points, middle: complex, progress: Callable[[int], None],
-) -> tuple[Array, Array, Points, Points]:  # fmt: skip
+    problem: contact.Problem,
+    warm: Pair,
+    sizes: dict[str, float],
+    found: Transmission,
+    shift: Points,
+    turned: Array,
+    centre: Points,
+    rotation: Array,
+    pin_axis: Points,
+    middle: complex,
+    progress: Callable[[int], None],
+) -> tuple[Array, Array, Points, Points]:
     """Gap, force, nearest point of the flank and direction of every pin's contacts, of `Motion`."""
     places = (*found.transmission_error.shape, warm.discs, warm.pins, 2)
     gap, force = np.full(places, np.inf), np.zeros(places)
@@ -313,10 +335,16 @@ def _press(problem: contact.Problem, rows: contact.Rows) -> None:
     for row in np.flatnonzero(rows["gap"] + problem.seat_gap < 0.0):
         _, _, pin = contact.disc_slice_pin(problem, int(row))
         rows["force"][row], _, _ = contact.hertz(
-            -float(rows["gap"][row]) - problem.seat_gap, float(rows["curvature"][row]), float(problem.pin_radius[pin]),
-            problem.slice_width, problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius, 0.0,
+            -float(rows["gap"][row]) - problem.seat_gap,
+            float(rows["curvature"][row]),
+            float(problem.pin_radius[pin]),
+            problem.slice_width,
+            problem.compliance_gear,
+            problem.compliance_pin,
+            problem.largest_log_radius,
+            0.0,
             problem.seat_compliance,
-        )  # fmt: skip
+        )
 
 
 def _fitting(motion: Motion) -> float:

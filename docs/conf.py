@@ -70,9 +70,14 @@ def documented(
 ) -> docscrape.NumpyDocString:
     """Return the docstring of an object as numpydoc does, with the one template."""
     return docscrape.get_doc_object(
-        obj, what, doc, {**(config or {}), "template": TEMPLATE}, docscrape_sphinx.SphinxClassDoc,
-        docscrape_sphinx.SphinxFunctionDoc, docscrape_sphinx.SphinxObjDoc,
-    )  # fmt: skip
+        obj,
+        what,
+        doc,
+        {**(config or {}), "template": TEMPLATE},
+        docscrape_sphinx.SphinxClassDoc,
+        docscrape_sphinx.SphinxFunctionDoc,
+        docscrape_sphinx.SphinxObjDoc,
+    )
 
 
 EXAMPLES = HERE / "generated" / "examples"

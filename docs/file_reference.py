@@ -47,11 +47,23 @@ FILES = (
 # Tables whose meaning another class states: a pair is one value in Python and three tables in its file.
 STATED_BY = {pair._Geometry: pair.Pair, pair._File: pair.Pair, sampling.file_model(): sampling.Tolerances}
 QUANTITIES = {
-    "m": "length", "rad": "angle", "N*m": "torque", "Pa": "pressure", "s": "time", "rad/s": "speed",
-    "K": "temperature", "N": "force", "N/m": "stiffness", "N*m/rad": "torsional stiffness",
-    "1/K": "per kelvin", "N*m*s/rad": "rotational damping", "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
-    "m/s": "velocity", "W/m^2": "power over area",
-}  # fmt: skip
+    "m": "length",
+    "rad": "angle",
+    "N*m": "torque",
+    "Pa": "pressure",
+    "s": "time",
+    "rad/s": "speed",
+    "K": "temperature",
+    "N": "force",
+    "N/m": "stiffness",
+    "N*m/rad": "torsional stiffness",
+    "1/K": "per kelvin",
+    "N*m*s/rad": "rotational damping",
+    "1/Pa": "pressure viscosity",
+    "m^2/N": "wear coefficient",
+    "m/s": "velocity",
+    "W/m^2": "power over area",
+}
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification], [material] and [supports] are those of a pair file
 INTRODUCTION = """# Files
 
@@ -104,9 +116,16 @@ def _kind(schema: dict, definitions: dict) -> str:
         return ", ".join(f"`{json.dumps(v)}`" for v in schema.get("enum", [schema.get("const")]))
     if schema.get("type") == "array":
         return f"list of {_kind(schema.get('items', {}), definitions) or 'values'}"
-    limits = [f"{sign} {schema[key]:g}" for key, sign in (
-        ("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"),
-    ) if key in schema]  # fmt: skip
+    limits = [
+        f"{sign} {schema[key]:g}"
+        for key, sign in (
+            ("minimum", "≥"),
+            ("exclusiveMinimum", ">"),
+            ("maximum", "≤"),
+            ("exclusiveMaximum", "<"),
+        )
+        if key in schema
+    ]
     kind = {"integer": "whole number", "number": "number", "string": "text", "boolean": "`true` or `false`"}
     return " ".join([kind.get(schema.get("type", ""), ""), ", ".join(limits)]).strip()
 
@@ -194,9 +213,11 @@ def _errors() -> list[str]:
         "**`[errors]`** What was really made, beyond the nominal; 0 where left out. An error of the drive is a "
         "quantity; one of each pin or tooth is a list with a value for each, or its waves round the circle, "
         '`{ order_2 = ["2.5 um", "40 deg"] }` for amplitude and phase. Errors of holes, cranks, rollers and eccentrics '
-        'stand in **`[errors.supports]`**, as a list, of holes and eccentrics a list for each disc.',
-        "", *error_table(), "",
-    ]  # fmt: skip
+        "stand in **`[errors.supports]`**, as a list, of holes and eccentrics a list for each disc.",
+        "",
+        *error_table(),
+        "",
+    ]
 
 
 def _toleranced() -> list[str]:

@@ -9,12 +9,21 @@ from packaging.requirements import Requirement
 OURS = {"docs", "measure", "test"}  # extras for development
 # SPDX names of licences that packages state in words. The Python Package Index does not state which BSD licence it is.
 SPDX = {
-    "Apache License 2.0": "Apache-2.0", "Apache Software License": "Apache-2.0", "BSD License": "BSD-3-Clause",
-    "BSD": "BSD-3-Clause", "3-Clause BSD License": "BSD-3-Clause", "ISC License (ISCL)": "ISC", "MIT License": "MIT",
-    "GNU Lesser General Public License v3 (LGPLv3)": "LGPL-3.0-only", "Apache": "Apache-2.0", "BSD-3": "BSD-3-Clause",
-    "GNU Lesser General Public License v3 or later (LGPLv3+)": "LGPL-3.0-or-later", "PSF": "PSF-2.0",
-    "Mozilla Public License 2.0 (MPL 2.0)": "MPL-2.0", "Python Software Foundation License": "PSF-2.0",
-}  # fmt: skip
+    "Apache License 2.0": "Apache-2.0",
+    "Apache Software License": "Apache-2.0",
+    "BSD License": "BSD-3-Clause",
+    "BSD": "BSD-3-Clause",
+    "3-Clause BSD License": "BSD-3-Clause",
+    "ISC License (ISCL)": "ISC",
+    "MIT License": "MIT",
+    "GNU Lesser General Public License v3 (LGPLv3)": "LGPL-3.0-only",
+    "Apache": "Apache-2.0",
+    "BSD-3": "BSD-3-Clause",
+    "GNU Lesser General Public License v3 or later (LGPLv3+)": "LGPL-3.0-or-later",
+    "PSF": "PSF-2.0",
+    "Mozilla Public License 2.0 (MPL 2.0)": "MPL-2.0",
+    "Python Software Foundation License": "PSF-2.0",
+}
 STATED = {
     "fmpy": "BSD-2-Clause",  # by the licence file alone
     # The binding states Apache-2.0; the wheel contains Open CASCADE as well.
@@ -22,9 +31,23 @@ STATED = {
 }
 # Anything may be built on these, as long as packages under LGPL or MPL stay packages of their own that can be replaced.
 ALLOWED = {
-    "0BSD", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "CC0-1.0", "ISC", "LGPL-2.1-only", "LGPL-3.0-only",
-    "LGPL-3.0-or-later", "LLVM-exception", "MIT", "MIT-CMU", "MPL-2.0", "OCCT-exception-1.0", "PSF-2.0", "Zlib",
-}  # fmt: skip
+    "0BSD",
+    "Apache-2.0",
+    "BSD-2-Clause",
+    "BSD-3-Clause",
+    "CC0-1.0",
+    "ISC",
+    "LGPL-2.1-only",
+    "LGPL-3.0-only",
+    "LGPL-3.0-or-later",
+    "LLVM-exception",
+    "MIT",
+    "MIT-CMU",
+    "MPL-2.0",
+    "OCCT-exception-1.0",
+    "PSF-2.0",
+    "Zlib",
+}
 HEAD = """# Licences
 
 cycloid-fmu is under the MIT licence. These are the packages that it and its extras for users install on Linux, with the

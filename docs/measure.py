@@ -30,9 +30,12 @@ ROOT = Path(__file__).parent.parent
 RECORD = questions.RECORD
 PACKAGES = ("cycloid_fmu", "fitting", "drivers")
 QUICK = {
-    "CYCLOID_SEEDS": "10", "CYCLOID_KILLS": "30", "CYCLOID_STOPS": "10", "CYCLOID_MUTATIONS": "1e5",
+    "CYCLOID_SEEDS": "10",
+    "CYCLOID_KILLS": "30",
+    "CYCLOID_STOPS": "10",
+    "CYCLOID_MUTATIONS": "1e5",
     "CYCLOID_STEPS": "1e4",
-}  # fmt: skip
+}
 BENCHMARKS = sorted(p.stem for p in (ROOT / "benchmarks").glob("test_*.py"))
 STUDIES = {name: [f"tests/{name}"] for name in ("cycloid_fmu", "fitting", "drivers", "native")}
 STUDIES["together"] = sorted(f"tests/{p.name}" for p in (ROOT / "tests").glob("test_*.py"))
@@ -75,9 +78,11 @@ def measured(name: str, report: Path, calls: list[list[str]], environment: dict[
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     took = {
-        "seconds": time.perf_counter() - begin, "processor": processor, "load": [load, os.getloadavg()[0]],
+        "seconds": time.perf_counter() - begin,
+        "processor": processor,
+        "load": [load, os.getloadavg()[0]],
         "date": datetime.date.today().isoformat(),
-    }  # fmt: skip
+    }
     report.with_suffix(".took").write_text(json.dumps(took), encoding="utf-8")
     os.replace(f"{report}.part", report)
 
@@ -147,9 +152,16 @@ def run_through(report: Path) -> str:
 def counted(report: Path) -> str:
     """Numbers of a report's tests by result."""
     (suite,) = ElementTree.parse(report).iter("testsuite")
-    return ", ".join(f"{suite.get(kind)} {said}" for kind, said in (
-        ("tests", "tests"), ("failures", "failed"), ("errors", "errors"), ("skipped", "skipped"),
-    ) if kind == "tests" or suite.get(kind) != "0")  # fmt: skip
+    return ", ".join(
+        f"{suite.get(kind)} {said}"
+        for kind, said in (
+            ("tests", "tests"),
+            ("failures", "failed"),
+            ("errors", "errors"),
+            ("skipped", "skipped"),
+        )
+        if kind == "tests" or suite.get(kind) != "0"
+    )
 
 
 def page(folder: Path, quick: bool) -> str:

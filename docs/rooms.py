@@ -14,12 +14,27 @@ ROOT = Path(__file__).parents[1]
 OUT = ROOT / "docs" / "_static" / "rooms.svg"
 FRAME, RADIUS, TORQUE = "#1258a8", "#1d7a3c", "#b3261e"
 WAYS = {
-    FRAME: ("drivers.can", "drivers.encoders", "drivers.recorder", "drivers.recording_format", "fitting.recordings",
-            "fitting.transmission_error", "fitting.model", "fitting.estimation", "cycloid_fmu.surfaces"),
-    RADIUS: ("cycloid_fmu.geometry", "cycloid_fmu.errors", "cycloid_fmu.surfaces", "cycloid_fmu.contact",
-             "cycloid_fmu.drive", "cycloid_fmu.fmu"),
+    FRAME: (
+        "drivers.can",
+        "drivers.encoders",
+        "drivers.recorder",
+        "drivers.recording_format",
+        "fitting.recordings",
+        "fitting.transmission_error",
+        "fitting.model",
+        "fitting.estimation",
+        "cycloid_fmu.surfaces",
+    ),
+    RADIUS: (
+        "cycloid_fmu.geometry",
+        "cycloid_fmu.errors",
+        "cycloid_fmu.surfaces",
+        "cycloid_fmu.contact",
+        "cycloid_fmu.drive",
+        "cycloid_fmu.fmu",
+    ),
     TORQUE: ("cycloid_fmu.edge", "cycloid_fmu.drive", "cycloid_fmu.contact", "cycloid_fmu.supports", "cycloid_fmu.fmu"),
-}  # fmt: skip
+}
 ROW, TOP, WIDE = 46, 108, 250
 LEFT = {"drivers": 10, "fitting": 280, "cycloid_fmu": 550}
 KNOWS = {"drivers": "encoders and buses", "fitting": "measurements", "cycloid_fmu": "the drive"}
@@ -40,12 +55,10 @@ def layers_found(package: str) -> list[list[str]]:
         room: {
             other
             for other in rooms - {room}
-            if graph.direct_import_exists(
-                importer=f"{package}.{room}", imported=f"{package}.{other}", as_packages=True
-            )
+            if graph.direct_import_exists(importer=f"{package}.{room}", imported=f"{package}.{other}", as_packages=True)
         }
         for room in rooms
-    }  # fmt: skip
+    }
     levels: list[list[str]] = []
     while rooms:
         lowest = sorted(room for room in rooms if not imports[room] & rooms)
@@ -111,9 +124,10 @@ def drawing() -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 810 {height + 10}" role="img" font-family="sans-serif" '
         'font-size="18">\n<title>The rooms of the three packages, and the ways of a frame, a pin radius and a torque '
-        f'through them</title>\n<rect width="810" height="{height + 10}" fill="#fff"/>\n' + "\n".join(drawn)
+        f'through them</title>\n<rect width="810" height="{height + 10}" fill="#fff"/>\n'
+        + "\n".join(drawn)
         + "\n</svg>\n"
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

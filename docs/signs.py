@@ -84,8 +84,10 @@ def signs() -> str:
         text(0.5 * circle * np.exp(0.55j * THETA), "θ", RED),
         path(np.array([disc, teeth[0, 0]]), f'stroke="{BLUE}" stroke-width="1.6" stroke-dasharray="6 5"'),
     ]
-    for point, words, shift in ((0.0, "O<tspan dy='5' font-size='15'>f</tspan>", -4.4e-3 - 4.2e-3j),
-                                (disc, "O<tspan dy='5' font-size='15'>c</tspan>", -6.4e-3 + 1.5e-3j)):  # fmt: skip
+    for point, words, shift in (
+        (0.0, "O<tspan dy='5' font-size='15'>f</tspan>", -4.4e-3 - 4.2e-3j),
+        (disc, "O<tspan dy='5' font-size='15'>c</tspan>", -6.4e-3 + 1.5e-3j),
+    ):
         p = at(point)
         drawn.append(f'<circle cx="{p.real:.1f}" cy="{p.imag:.1f}" r="4.5" fill="#111"/>')
         drawn.append(text(point + shift, words))

@@ -22,10 +22,16 @@ OUT.mkdir(exist_ok=True)
 # Signs first: torque is that of the environment on the output, and all angles are counter-clockwise seen from the same
 # side. With the gear as output the ratio is negative: this output turns once backwards in 39 crank turns.
 
-nominal = cy.Drive(cy.Pair(
-    gear_teeth=39, pin_circle_radius=0.064, pin_radius=0.003, eccentricity=0.0013, face_width=0.010,
-    modification={"isometric": -15e-6, "offset": -40e-6},
-))  # fmt: skip
+nominal = cy.Drive(
+    cy.Pair(
+        gear_teeth=39,
+        pin_circle_radius=0.064,
+        pin_radius=0.003,
+        eccentricity=0.0013,
+        face_width=0.010,
+        modification={"isometric": -15e-6, "offset": -40e-6},
+    )
+)
 print(f"ratio {nominal.pair.ratio:g}")
 
 # %%
@@ -63,11 +69,15 @@ print("shapes of one run:", [array.shape for array in arrays[20.0, 1]])
 
 runs = [
     fitting.Run(
-        input_angle=crank, output_angle=output, torque=torque, common_zero=True, known_index=True,
+        input_angle=crank,
+        output_angle=output,
+        torque=torque,
+        common_zero=True,
+        known_index=True,
         name=f"{load:g} N·m, {'forward' if sign > 0 else 'backward'}",
     )
     for (load, sign), (crank, output, torque) in arrays.items()
-]  # fmt: skip
+]
 curves = fitting.curves(runs, nominal)
 fitting.plot(curves, OUT / "curves.png")
 

@@ -32,10 +32,18 @@ def main() -> None:
             path = OUT / f"{load:g}Nm-{direction}.arrows"
             path.unlink(missing_ok=True)
             bench = drivers.simulate_bench(
-                OUT / "as-made.fmu", ratio=nominal.pair.ratio, pair=nominal.pair.hash, torque=sign * load,
-                direction=direction, turns=39, samples_per_turn=48, noise="0.5 arcsec", torque_noise=0.2,
-                seed=len(recordings), interface="virtual",
-            )  # fmt: skip
+                OUT / "as-made.fmu",
+                ratio=nominal.pair.ratio,
+                pair=nominal.pair.hash,
+                torque=sign * load,
+                direction=direction,
+                turns=39,
+                samples_per_turn=48,
+                noise="0.5 arcsec",
+                torque_noise=0.2,
+                seed=len(recordings),
+                interface="virtual",
+            )
             with bench:
                 done = bench.record(path, wiring=OUT / "bench.toml")
             print(f"   {path}: {min(done.samples.values())} samples per channel")

@@ -36,10 +36,18 @@ def recorded(joint: Path, nominal: cy.Drive) -> list[Path]:
             path = OUT / f"{load:g}Nm-{direction}.arrows"
             path.unlink(missing_ok=True)
             bench = drivers.simulate_bench(
-                joint, ratio=nominal.pair.ratio, pair=nominal.pair.hash, torque=sign * load, direction=direction,
-                turns=39, samples_per_turn=48, noise="0.5 arcsec", torque_noise=0.2, seed=len(recordings),
+                joint,
+                ratio=nominal.pair.ratio,
+                pair=nominal.pair.hash,
+                torque=sign * load,
+                direction=direction,
+                turns=39,
+                samples_per_turn=48,
+                noise="0.5 arcsec",
+                torque_noise=0.2,
+                seed=len(recordings),
                 interface="virtual",
-            )  # fmt: skip
+            )
             with bench:
                 bench.record(path, wiring=OUT / "bench.toml")
             recordings.append(path)
@@ -51,10 +59,13 @@ def profile() -> tuple[Array, Array, Array, Array]:
     begin, parts, s = 0.0, [], np.linspace(0.0, 1.0, round(SECONDS / STEP), endpoint=False)
     for end in MOVES:
         way = end - begin
-        parts.append([
-            begin + way * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), way * 30.0 * (s * (1.0 - s)) ** 2 / SECONDS,
-            way * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / SECONDS**2,
-        ])  # fmt: skip
+        parts.append(
+            [
+                begin + way * s**3 * (10.0 - 15.0 * s + 6.0 * s**2),
+                way * 30.0 * (s * (1.0 - s)) ** 2 / SECONDS,
+                way * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / SECONDS**2,
+            ]
+        )
         begin = end
     angle, speed, acceleration = np.concatenate(parts, axis=1)
     return STEP * np.arange(angle.size), angle, speed, acceleration

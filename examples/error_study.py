@@ -22,10 +22,16 @@ def figures(drive):
     data = drive.analyze(TORQUE, angles=ANGLES).isel(torque=0)
     error, backlash, count = (data[n].values for n in ("transmission_error", "backlash", "contact_count"))
     return {
-        "MTE": error.mean(), "PPTE": np.ptp(error), "MB": backlash.mean(), "PPB": np.ptp(backlash),
-        "MCS": data.max_contact_pressure.values.max(), "pins": count.mean(), "fewest": count.min(), "most": count.max(),
+        "MTE": error.mean(),
+        "PPTE": np.ptp(error),
+        "MB": backlash.mean(),
+        "PPB": np.ptp(backlash),
+        "MCS": data.max_contact_pressure.values.max(),
+        "pins": count.mean(),
+        "fewest": count.min(),
+        "most": count.max(),
         "load": data.pin_force.values.max(),
-    }  # fmt: skip
+    }
 
 
 def with_errors(drive):
@@ -59,8 +65,15 @@ def table(title, results):
 
 def main() -> None:
     drawn = cy.read_drive(Path(__file__).parent / "drive-39-40.toml")
-    kinds = {"none": (0, 0), "isometric -25": (-25, 0), "isometric +25": (25, 0), "offset -35": (0, -35),
-             "offset +35": (0, 35), "compound -25/-70": (-25, -70), "compound -50/-140": (-50, -140)}  # fmt: skip
+    kinds = {
+        "none": (0, 0),
+        "isometric -25": (-25, 0),
+        "isometric +25": (25, 0),
+        "offset -35": (0, -35),
+        "offset +35": (0, 35),
+        "compound -25/-70": (-25, -70),
+        "compound -50/-140": (-50, -140),
+    }
     modified = {n: drawn.replace(isometric=i * 1e-6, offset=o * 1e-6) for n, (i, o) in kinds.items()}
     modifications = {name: figures(drive) for name, drive in modified.items()}
     table("Modifications, µm", modifications)
@@ -99,9 +112,14 @@ def main() -> None:
     figure = Figure(figsize=(10.8, 5.6), layout="constrained")
     for axis, (name, factor, label) in zip(
         figure.subplots(2, 2).flat,
-        (("MTE", cy.ARCSEC, "mean TE [″]"), ("PPTE", cy.ARCSEC, "peak-to-peak TE [″]"),
-         ("PPB", cy.ARCSEC, "peak-to-peak backlash [″]"), ("MCS", 1e-6, "contact stress [MPa]")), strict=True,
-    ):  # fmt: skip
+        (
+            ("MTE", cy.ARCSEC, "mean TE [″]"),
+            ("PPTE", cy.ARCSEC, "peak-to-peak TE [″]"),
+            ("PPB", cy.ARCSEC, "peak-to-peak backlash [″]"),
+            ("MCS", 1e-6, "contact stress [MPa]"),
+        ),
+        strict=True,
+    ):
         axis.barh(list(change), [c[name] * factor for c in change.values()])
         axis.set_axisbelow(True)
         axis.grid(alpha=0.3)

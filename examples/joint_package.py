@@ -30,10 +30,12 @@ HERE, OUT = Path(__file__).parent, Path("joint_package_out")
 ARM = cy.Interface("compliant", output_inertia=2.0)  # kg·m², of the arm, in the FMU with the stiff contacts
 COMPONENTS = {"motor": "Motor.fmu", "drive": "drive.fmu", "arm": "Arm.fmu"}
 CONNECTIONS = (
-    ("motor", "flange.phi", "drive", "flange_a.phi"), ("motor", "flange.w", "drive", "flange_a.w"),
-    ("drive", "flange_a.tau", "motor", "flange.tau"), ("drive", "flange_b.phi", "arm", "flange.phi"),
+    ("motor", "flange.phi", "drive", "flange_a.phi"),
+    ("motor", "flange.w", "drive", "flange_a.w"),
+    ("drive", "flange_a.tau", "motor", "flange.tau"),
+    ("drive", "flange_b.phi", "arm", "flange.phi"),
     ("arm", "flange.tau", "drive", "flange_b.tau"),
-)  # fmt: skip
+)
 Array = NDArray[np.float64]
 
 
@@ -46,9 +48,12 @@ def write_ssp(path: Path, fmus: Path) -> None:
     elements = SubElement(system, f"{{{ns}Description}}Elements")
     for component, file in COMPONENTS.items():
         node = SubElement(
-            elements, f"{{{ns}Description}}Component", name=component, type="application/x-fmu-sharedlibrary",
+            elements,
+            f"{{{ns}Description}}Component",
+            name=component,
+            type="application/x-fmu-sharedlibrary",
             source=f"resources/{file}",
-        )  # fmt: skip
+        )
         connectors = SubElement(node, f"{{{ns}Description}}Connectors")
         for variable in read_model_description(str(fmus / file), validate=False).modelVariables:
             if variable.causality in ("input", "output") and variable.type == "Real":
@@ -59,9 +64,13 @@ def write_ssp(path: Path, fmus: Path) -> None:
     connections = SubElement(system, f"{{{ns}Description}}Connections")
     for a, start, b, stop in CONNECTIONS:
         SubElement(
-            connections, f"{{{ns}Description}}Connection", startElement=a, startConnector=start, endElement=b,
+            connections,
+            f"{{{ns}Description}}Connection",
+            startElement=a,
+            startConnector=start,
+            endElement=b,
             endConnector=stop,
-        )  # fmt: skip
+        )
     SubElement(root, f"{{{ns}Description}}DefaultExperiment", startTime="0", stopTime=str(END))
     indent(root)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -126,8 +135,9 @@ def tip_error(fmu: Path, parameters: Mapping[str, float] | None) -> tuple[Array,
             crank = crank + 39.0 * correction(parameters, crank)
         reached.append(cy.simulate_fmu(fmu, crank, load, ("flange_b.phi",))["flange_b.phi"])
     first, second = reached[0], reached[0] + reached[1]
-    tip = np.column_stack([upper * np.cos(first) + lower * np.cos(second),
-                           upper * np.sin(first) + lower * np.sin(second)])  # fmt: skip
+    tip = np.column_stack(
+        [upper * np.cos(first) + lower * np.cos(second), upper * np.sin(first) + lower * np.sin(second)]
+    )
     return line, (tip - line) * 1e6
 
 

@@ -23,12 +23,14 @@ class JointPart(Fmi2Slave):
         fixed = causality == Fmi2Causality.parameter
         self.register_variable(
             Real(
-                name, causality=causality, variability=Fmi2Variability.fixed if fixed else Fmi2Variability.continuous,
+                name,
+                causality=causality,
+                variability=Fmi2Variability.fixed if fixed else Fmi2Variability.continuous,
                 getter=lambda: getattr(self, name.replace(".", "__")),
                 setter=lambda v: setattr(self, name.replace(".", "__"), v),
             ),
             nested=False,
-        )  # fmt: skip
+        )
 
 
 class Motor(JointPart):
@@ -43,9 +45,14 @@ class Motor(JointPart):
         for name in ("flange.phi", "flange.w", "path"):
             self.variable(name, Fmi2Causality.output)
         values = {
-            "ratio": -39.0, "inertia": 1e-3, "stiffness": 60.0, "damping": 0.5, "target": math.radians(90.0),
-            "duration": 0.8, "filter": 2e-3,
-        }  # fmt: skip
+            "ratio": -39.0,
+            "inertia": 1e-3,
+            "stiffness": 60.0,
+            "damping": 0.5,
+            "target": math.radians(90.0),
+            "duration": 0.8,
+            "filter": 2e-3,
+        }
         for name, value in values.items():
             self.variable(name, Fmi2Causality.parameter, value)
         # The transmission error to compensate: Σ cosine_i cos(order_i φ) + sine_i sin(order_i φ), φ the crank angle.

@@ -20,10 +20,15 @@ HERE = Path(__file__).parent
 # Table 10: tilt of the output disk and of the input shaft, degrees, and the lost motion, arcmin.
 TABLE_10 = np.array(
     [
-        (0.0, 0.0, 0.5462), (3.77e-4, 7.67e-6, 0.5976), (6.07e-4, 1.31e-5, 0.5982), (8.37e-4, 1.86e-5, 0.6018),
-        (1.07e-3, 2.38e-5, 0.6029), (1.30e-3, 2.89e-5, 0.6032), (1.53e-3, 3.44e-5, 0.6063),
+        (0.0, 0.0, 0.5462),
+        (3.77e-4, 7.67e-6, 0.5976),
+        (6.07e-4, 1.31e-5, 0.5982),
+        (8.37e-4, 1.86e-5, 0.6018),
+        (1.07e-3, 2.38e-5, 0.6029),
+        (1.30e-3, 2.89e-5, 0.6032),
+        (1.53e-3, 3.44e-5, 0.6063),
     ]
-)  # fmt: skip
+)
 HEADLINE, OUTPUT_SHAFT, INPUT_SHAFT = 0.5467, 0.160, 0.120  # arcmin, m, m
 
 reducer = cy.read_reducer(HERE / "rv-20e.toml")

@@ -38,8 +38,9 @@ END = 2.0 * (MOVE + REST)
 WARM, COLD = 313.15, 283.15  # K
 STIFFNESS = 49.0 * 10800.0 / math.pi  # N·m/rad, of the catalogue
 # As in friction.toml, with the defaults written out, because the reference needs them too.
-INPUT = cy.Friction(coulomb=0.02, stribeck=0.01, stribeck_speed=2.0, viscous=1e-4, presliding_angle=2e-3,
-                    temperature_coefficient=0.015)  # fmt: skip
+INPUT = cy.Friction(
+    coulomb=0.02, stribeck=0.01, stribeck_speed=2.0, viscous=1e-4, presliding_angle=2e-3, temperature_coefficient=0.015
+)
 OUTPUT = cy.Friction(coulomb=2.0, load_share=0.02, stribeck_speed=0.05, presliding_angle=2e-5)
 
 
@@ -126,9 +127,11 @@ class Instance:
         described = fmpy.read_model_description(str(fmu))
         self.variables = {v.name: v for v in described.modelVariables}
         self.slave = FMU2Slave(
-            guid=described.guid, unzipDirectory=fmpy.extract(str(fmu), unzipdir=folder), instanceName=fmu.stem,
+            guid=described.guid,
+            unzipDirectory=fmpy.extract(str(fmu), unzipdir=folder),
+            instanceName=fmu.stem,
             modelIdentifier=described.coSimulation.modelIdentifier,
-        )  # fmt: skip
+        )
         self.slave.instantiate()
         self.slave.setupExperiment(startTime=0.0)
         self.slave.enterInitializationMode()
@@ -210,8 +213,14 @@ def reference(law: Instance, ratio: float, rated: float, damping: float, begin: 
     for at in times[:-1]:
         torques.append(controller(float(at), states[-1][0], states[-1][1], ratio, at_ratio(ratio)))
         solved = solve_ivp(
-            change, (0.0, STEP), states[-1], method="LSODA", rtol=1e-10, atol=1e-10, args=(torques[-1],),
-        )  # fmt: skip
+            change,
+            (0.0, STEP),
+            states[-1],
+            method="LSODA",
+            rtol=1e-10,
+            atol=1e-10,
+            args=(torques[-1],),
+        )
         states.append(solved.y[:, -1])
     return Run(times, *np.array(states).T[:4], np.array(torques))
 

@@ -26,10 +26,14 @@ OUT.mkdir(exist_ok=True)
 # their values are; ``replace`` returns a changed copy, validated like a new one.
 
 pair = cy.Pair(
-    gear_teeth=39, pin_circle_radius="64 mm", pin_radius=0.003,
-    eccentricity="1.3 mm", face_width=0.010, rated_torque="181 N*m",
+    gear_teeth=39,
+    pin_circle_radius="64 mm",
+    pin_radius=0.003,
+    eccentricity="1.3 mm",
+    face_width=0.010,
+    rated_torque="181 N*m",
     modification={"isometric": "-15 um", "offset": "-40 um"},
-)  # fmt: skip
+)
 nominal = cy.Drive(pair)
 made = nominal.replace(errors={"eccentricity": "3 um", "pin_radius": -1e-6, "pin_radial": {2: ("2.5 um", "40 deg")}})
 print(nominal)
@@ -83,9 +87,11 @@ for name, row in zip(slope.error.values, slope.values * cy.ARCSEC * 1e-6, strict
 # here are few, so the yield's 95 % interval is wide.
 
 tolerances = cy.Tolerances(
-    pin_radius={"tolerance": "2 um"}, eccentricity={"tolerance": "3 um"},
-    pin_pitch={"single": "4 um", "cumulative": "12 um"}, limits={"backlash": "80 arcsec"},
-)  # fmt: skip
+    pin_radius={"tolerance": "2 um"},
+    eccentricity={"tolerance": "3 um"},
+    pin_pitch={"single": "4 um", "cumulative": "12 um"},
+    limits={"backlash": "80 arcsec"},
+)
 print(nominal.sample(tolerances, seed=1))
 found = nominal.study(tolerances, ["181 N*m"], samples=64, angles=60, workers=1)
 for limit, value in found.yields.items():
@@ -115,9 +121,16 @@ for seed, (load, direction) in enumerate([(20, "forward"), (-20, "backward"), (2
     path = OUT / f"{load}Nm.arrows"
     path.unlink(missing_ok=True)
     with drivers.simulate_bench(
-        OUT / "made.fmu", ratio=pair.ratio, torque=load, direction=direction, samples_per_turn=24,
-        noise="0.5 arcsec", torque_noise=0.2, seed=seed, interface="virtual",
-    ) as bench:  # fmt: skip
+        OUT / "made.fmu",
+        ratio=pair.ratio,
+        torque=load,
+        direction=direction,
+        samples_per_turn=24,
+        noise="0.5 arcsec",
+        torque_noise=0.2,
+        seed=seed,
+        interface="virtual",
+    ) as bench:
         done = bench.record(path)
     recordings.append(path)
     print(f"{path.name}: {done.samples['output_angle']} samples")

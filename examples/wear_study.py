@@ -55,12 +55,21 @@ panels = [
     ("6: wear coefficient", [("", coefficient)], "k_0 [m²/N]"),
     ("7: largest pressure", [("", loaded.pressure * 1e-6)], "pressure [MPa]"),
     ("7: contact half width", [("", loaded.half_width * 1e3)], "a [mm]"),
-    ("8: velocities", [("v_1r, pin", speed.pin * 1e3), ("v_2r, gear", speed.gear * 1e3), ("v_12", speed.sliding * 1e3)],
-     "[mm/rad of the ring]"),
+    (
+        "8: velocities",
+        [("v_1r, pin", speed.pin * 1e3), ("v_2r, gear", speed.gear * 1e3), ("v_12", speed.sliding * 1e3)],
+        "[mm/rad of the ring]",
+    ),
     ("9: slip coefficients", [("gear", speed.gear_slip), ("pin", speed.pin_slip)], "σ"),
-    ("10: slip distance 2a|σ|", [("gear", 2e3 * loaded.half_width * np.abs(speed.gear_slip)),
-                                 ("pin", 2e3 * loaded.half_width * np.abs(speed.pin_slip))], "[mm]"),
-]  # fmt: skip
+    (
+        "10: slip distance 2a|σ|",
+        [
+            ("gear", 2e3 * loaded.half_width * np.abs(speed.gear_slip)),
+            ("pin", 2e3 * loaded.half_width * np.abs(speed.pin_slip)),
+        ],
+        "[mm]",
+    ),
+]
 for axis, (title, curves, label) in zip(axes[2:], panels, strict=False):
     for name, values in curves:
         axis.plot(loaded.phase, values, ".", ms=1.5, label=name)

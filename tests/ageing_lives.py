@@ -20,9 +20,11 @@ def worn(made, depth, pin_depth, waves):
     shape = 2.0 * np.cos(np.pi * orders[:, None] * place) @ depth / _BINS
     shape *= np.sinc(orders / (waves + 1.0))  # Lanczos: without it the edges of the worn part ring
     return dataclasses.replace(
-        made, form=tuple(-shape), pin_radius=made.pin_radius - pin_depth,
+        made,
+        form=tuple(-shape),
+        pin_radius=made.pin_radius - pin_depth,
         cut=(made.cut[0], made.cut[1] + float(depth.mean()), made.cut[2]),
-    )  # fmt: skip
+    )
 
 
 def rate(made, loads):

@@ -110,10 +110,17 @@ EFFECTS = {
     "flank form 1 µm": Effect(("flank_form",), form=1e-6),
     "flank form 3 µm": Effect(("flank_form",), form=3e-6),
     "a realistic mixture": Effect(
-        ("support_give", "compliance", "drift", "run_out", "orders", "flank_form"), scatter=1e-6,
-        crank=0.5e-6 - 1e-6j, drift=3.0, run_out=(20.0, 3.0, 1.0), output=0.3, bits=20, outliers=0.002, form=0.5e-6,
+        ("support_give", "compliance", "drift", "run_out", "orders", "flank_form"),
+        scatter=1e-6,
+        crank=0.5e-6 - 1e-6j,
+        drift=3.0,
+        run_out=(20.0, 3.0, 1.0),
+        output=0.3,
+        bits=20,
+        outliers=0.002,
+        form=0.5e-6,
     ),
-}  # fmt: skip
+}
 
 NOTHING = [name for name, effect in EFFECTS.items() if not effect.causes]
 
@@ -126,10 +133,14 @@ def small():
 def on_bearings(pair, surface, stiffness=STIFF):
     """The same drive and errors on three cranks in bearings of this stiffness, N/m."""
     supports = {
-        "kind": "cranks", "count": 3, "circle_radius": CIRCLE, "first_angle": 0.3,
-        "turning_arm": {"stiffness": stiffness}, "crank_shaft": {"stiffness": stiffness},
+        "kind": "cranks",
+        "count": 3,
+        "circle_radius": CIRCLE,
+        "first_angle": 0.3,
+        "turning_arm": {"stiffness": stiffness},
+        "crank_shaft": {"stiffness": stiffness},
         "main": {"stiffness": 3.0 * stiffness},
-    }  # fmt: skip
+    }
     floating = pair.replace(supports=supports)
     own = surface_of_pair(floating)
     there = {n: e for n, e in surface.errors.items() if n in own.errors and not n.startswith("misalignment")}
@@ -138,8 +149,10 @@ def on_bearings(pair, surface, stiffness=STIFF):
 
 def springs(stiffness=STIFF):
     """The effect of bearings of `on_bearings` on one disc: a spring at its centre, and a compliance of the output."""
-    return {"bearing": 1.0 / (2.0 / (3.0 * stiffness) + 1.0 / (3.0 * stiffness)),
-            "windup": 2.0 / (3.0 * stiffness * CIRCLE**2)}  # fmt: skip
+    return {
+        "bearing": 1.0 / (2.0 / (3.0 * stiffness) + 1.0 / (3.0 * stiffness)),
+        "windup": 2.0 / (3.0 * stiffness * CIRCLE**2),
+    }
 
 
 def random_body(effect, pair, generator):
@@ -154,9 +167,15 @@ def random_body(effect, pair, generator):
     held = springs() if effect.bearings else {}
     m = pair.modification
     made = second_drive.body(
-        second_drive.sizes_of(pair), values, scatter, isometric=m.isometric, offset=m.offset, discs=effect.discs,
-        form=form if effect.form else (), **held,
-    )  # fmt: skip
+        second_drive.sizes_of(pair),
+        values,
+        scatter,
+        isometric=m.isometric,
+        offset=m.offset,
+        discs=effect.discs,
+        form=form if effect.form else (),
+        **held,
+    )
     return made, {**values, **{f"profile_deviation_{k}": one for k, one in enumerate(made.form, 1)}}
 
 
@@ -191,9 +210,14 @@ def recorded(effect, made, load, generator, phases, each=24.37, turns=2):
         place = np.mod(output / (2.0 * np.pi), 1.0)
         there &= ~((place > 0.2) & (place < 0.4) | (place > 0.6) & (place < 0.7))
     return fitting.Run(
-        input_angle=seen[there], output_angle=shown[there], torque=load, time=at[there], common_zero=True,
-        known_index=True, name=f"{load:g} N·m",
-    )  # fmt: skip
+        input_angle=seen[there],
+        output_angle=shown[there],
+        torque=load,
+        time=at[there],
+        common_zero=True,
+        known_index=True,
+        name=f"{load:g} N·m",
+    )
 
 
 def identified(name, pair, seed, *, each=24.37, turns=2, loads=LOADS):
@@ -236,9 +260,13 @@ def outcome(name, seed):
     verdict = found.verdict
     away = {} if verdict.state == "not explained" else scores(found, values)
     return {
-        "effect": name, "seed": seed, "state": verdict.state, "causes": sorted(names(verdict)), "away": away,
+        "effect": name,
+        "seed": seed,
+        "state": verdict.state,
+        "causes": sorted(names(verdict)),
+        "away": away,
         "sentence": verdict.sentence,
-    }  # fmt: skip
+    }
 
 
 def resumed(task, wanted, kept, what):
@@ -276,8 +304,13 @@ def table(every, effects):
         "| farthest, standard errors |"
     )
     yield "| --- | --- | --- | --- | --- | --- | --- | --- |"
-    kinds = [("explained", None), ("explained but for", True), ("explained but for", False), ("not explained", True),
-             ("not explained", False)]  # fmt: skip
+    kinds = [
+        ("explained", None),
+        ("explained but for", True),
+        ("explained but for", False),
+        ("not explained", True),
+        ("not explained", False),
+    ]
     for effect in effects:
         of = [one for one in every if one["effect"] == effect]
         named = [bool(set(EFFECTS[effect].causes) & set(one["causes"])) for one in of]

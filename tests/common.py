@@ -69,10 +69,33 @@ def resolved(name):
 
 _TOKEN = re.compile(rb"[-+.\w]+")
 _ODD = (
-    b"", b"nan", b"-inf", b"1e999", b"1e-320", b"-1", b"0", b"9" * 400, b"1e18", b"0x", b"true", b"null", b"{}",
-    b"[" * 2000, b'"', b"\\u0000", b"\n", b"\0", b"\xff\xfe", "٣".encode(), b"../..", b"%s{0}", b"1" + b"0" * 20,
-    b"1e308", b"-1e308", b".1e308",
-)  # fmt: skip
+    b"",
+    b"nan",
+    b"-inf",
+    b"1e999",
+    b"1e-320",
+    b"-1",
+    b"0",
+    b"9" * 400,
+    b"1e18",
+    b"0x",
+    b"true",
+    b"null",
+    b"{}",
+    b"[" * 2000,
+    b'"',
+    b"\\u0000",
+    b"\n",
+    b"\0",
+    b"\xff\xfe",
+    "٣".encode(),
+    b"../..",
+    b"%s{0}",
+    b"1" + b"0" * 20,
+    b"1e308",
+    b"-1e308",
+    b".1e308",
+)
 
 
 def damaged(random, data):
@@ -120,15 +143,25 @@ def smoke_tested(path, kind="CoSimulation"):
     (source,) = (s for s, node in related.items() if node.get("role") == "experiment/smoke-test")
     experiment = ElementTree.fromstring(files[source]).find("Experiment")
     stimuli, references = (
-        np.genfromtxt(files[experiment.find(tag).get("source")].decode().splitlines(), delimiter=",", names=True,
-                      deletechars="", replace_space="")
+        np.genfromtxt(
+            files[experiment.find(tag).get("source")].decode().splitlines(),
+            delimiter=",",
+            names=True,
+            deletechars="",
+            replace_space="",
+        )
         for tag in ("Stimuli", "References")
-    )  # fmt: skip
+    )
     found = fmpy.simulate_fmu(
-        str(path), fmi_type=kind, input=stimuli, output=references.dtype.names[1:], relative_tolerance=1e-6,
-        stop_time=float(experiment.get("stopTime")), step_size=float(experiment.get("stepSize")),
+        str(path),
+        fmi_type=kind,
+        input=stimuli,
+        output=references.dtype.names[1:],
+        relative_tolerance=1e-6,
+        stop_time=float(experiment.get("stopTime")),
+        step_size=float(experiment.get("stepSize")),
         output_interval=float(experiment.get("stepSize")),
-    )  # fmt: skip
+    )
     for name in references.dtype.names[1:]:
         values = np.interp(references["time"], found["time"], found[name])
         assert (

@@ -72,9 +72,13 @@ def installed_command(tmp_path):
     def run(*words, folder=tmp_path):
         name = str(Path(sys.executable).with_name(words[0]))
         return subprocess.run(
-            [name, *map(str, words[1:])], cwd=folder, capture_output=True, text=True, timeout=300,
+            [name, *map(str, words[1:])],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=300,
             env={**os.environ, "COLUMNS": "200"},
-        )  # fmt: skip
+        )
 
     return run
 

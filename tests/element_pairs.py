@@ -72,9 +72,18 @@ class Elements:
     """All elements of a pair at one crank angle, ready to be searched; parameters as in `solve_elements`."""
 
     def __init__(
-        self, pair: Any, surface: Any, crank_angle: float, sizes: tuple[int, int, int], reading: str, contact: str,
-        pairs: str, arcs: int, each_tooth: bool, sampling: float,
-    ) -> None:  # fmt: skip
+        self,
+        pair: Any,
+        surface: Any,
+        crank_angle: float,
+        sizes: tuple[int, int, int],
+        reading: str,
+        contact: str,
+        pairs: str,
+        arcs: int,
+        each_tooth: bool,
+        sampling: float,
+    ) -> None:
         main = pair
         if main.output != "gear":
             raise ValueError('only output = "gear" is solved here: the pin ring stands still')
@@ -140,10 +149,12 @@ class Elements:
         """
         big, small = generating
         z, e = self.teeth + 1, self.eccentricity
-        speed = np.stack([-big * np.sin(alpha) + e * z * np.sin(z * alpha),
-                          big * np.cos(alpha) - e * z * np.cos(z * alpha)])  # fmt: skip
-        bend = np.stack([-big * np.cos(alpha) + e * z * z * np.cos(z * alpha),
-                         -big * np.sin(alpha) + e * z * z * np.sin(z * alpha)])  # fmt: skip
+        speed = np.stack(
+            [-big * np.sin(alpha) + e * z * np.sin(z * alpha), big * np.cos(alpha) - e * z * np.cos(z * alpha)]
+        )
+        bend = np.stack(
+            [-big * np.cos(alpha) + e * z * z * np.cos(z * alpha), -big * np.sin(alpha) + e * z * z * np.sin(z * alpha)]
+        )
         length = np.hypot(*speed)
         normal = np.stack([speed[1], -speed[0]]) / length
         curvature = (speed[0] * bend[1] - speed[1] * bend[0]) / length**3
@@ -293,9 +304,15 @@ class Elements:
         return depth, arm, self._curvature_at(at), at.astype(int), angle.astype(int)
 
     def _depth_of_points(
-        self, row: np.ndarray, place: np.ndarray, axis: np.ndarray, inwards: np.ndarray, radius: np.ndarray,
-        gear: np.ndarray, pins: np.ndarray,
-    ) -> tuple[np.ndarray, ...]:  # fmt: skip
+        self,
+        row: np.ndarray,
+        place: np.ndarray,
+        axis: np.ndarray,
+        inwards: np.ndarray,
+        radius: np.ndarray,
+        gear: np.ndarray,
+        pins: np.ndarray,
+    ) -> tuple[np.ndarray, ...]:
         element = place.astype(int)
         along = np.interp(place - 0.5, self.by_arc, self.by_parameter)
         lift = self._interpolated(gear, row, along) if self.linear else gear[row, element]

@@ -50,10 +50,16 @@ class Friction:
     def at(self, rise):
         """Its numbers as the plant takes them, warmer by `rise` kelvin than 20 °C."""
         share = np.exp(-self.fade * rise)
-        return np.array([
-            share * self.sliding, share * self.sticking, share * self.load_share, self.stribeck, share * self.viscous,
-            share * self.sliding / self.presliding,
-        ])  # fmt: skip
+        return np.array(
+            [
+                share * self.sliding,
+                share * self.sticking,
+                share * self.load_share,
+                self.stribeck,
+                share * self.viscous,
+                share * self.sliding / self.presliding,
+            ]
+        )
 
     def steady(self, speed, torque, rise=0.0):
         """Friction at constant speed, opposite to it, N·m."""
@@ -156,9 +162,11 @@ def _between(k, torque, root, column):
     if u < 0.0:
         return column[k] + u * p
     return (
-        (1.0 + 2.0 * u) * (1.0 - u) ** 2 * column[k] + u * (1.0 - u) ** 2 * p
-        + u * u * (3.0 - 2.0 * u) * column[k + 1] + u * u * (u - 1.0) * q
-    )  # fmt: skip
+        (1.0 + 2.0 * u) * (1.0 - u) ** 2 * column[k]
+        + u * (1.0 - u) ** 2 * p
+        + u * u * (3.0 - 2.0 * u) * column[k + 1]
+        + u * u * (u - 1.0) * q
+    )
 
 
 @njit(cache=True)
@@ -332,9 +340,16 @@ class Joint:
         high = level(self.friction, abs(speed), abs(torque))
         drag = self.friction[4] / duration
         torque, angle = _settled(
-            motor / self.ratio, self.column(motor), self.teeth.root, load, bristle, before, drag, high,
+            motor / self.ratio,
+            self.column(motor),
+            self.teeth.root,
+            load,
+            bristle,
+            before,
+            drag,
+            high,
             self.friction[5],
-        )  # fmt: skip
+        )
         return torque, angle, bent(bristle, angle - before, high, self.friction[5])
 
     def locked(self, motor, loads):
@@ -461,18 +476,39 @@ def moved(joint, profile, controller, sensors=PERFECT, kelvin=293.15, *, swings=
     servo = np.array([joint.servo.rotor * joint.inertia / ratio**2, 2.0 * np.pi * joint.servo.band])
     for k in range(size - 1):
         command = controller(
-            profile.angle[k + 1], profile.speed[k + 1], told[k], kelvin + sensors.warm, motor,
+            profile.angle[k + 1],
+            profile.speed[k + 1],
+            told[k],
+            kelvin + sensors.warm,
+            motor,
             sensors.output(angle, generator),
-        )  # fmt: skip
+        )
         added = command - ratio * profile.angle[k + 1]
         if swings:
-            asked = np.array([
-                ratio * profile.angle[k] + before + joint.index, command + joint.index, 0.0,
-                ratio * 0.5 * (profile.acceleration[k] + profile.acceleration[k + 1]), profile.load[k],
-                profile.load[k + 1],
-            ])  # fmt: skip
-            state = _swung(state, asked, np.array([teeth.first, teeth.step]), teeth.root, teeth.beyond, ratio,
-                           joint.index, joint.friction, arm, servo, count, profile.step)  # fmt: skip
+            asked = np.array(
+                [
+                    ratio * profile.angle[k] + before + joint.index,
+                    command + joint.index,
+                    0.0,
+                    ratio * 0.5 * (profile.acceleration[k] + profile.acceleration[k + 1]),
+                    profile.load[k],
+                    profile.load[k + 1],
+                ]
+            )
+            state = _swung(
+                state,
+                asked,
+                np.array([teeth.first, teeth.step]),
+                teeth.root,
+                teeth.beyond,
+                ratio,
+                joint.index,
+                joint.friction,
+                arm,
+                servo,
+                count,
+                profile.step,
+            )
             angle, motor = state[0], state[3] - joint.index
             torque = pressed(motor / ratio, joint.column(motor), teeth.root, angle)
         else:

@@ -127,21 +127,35 @@ def recordings(made, friction, generator, rig=Rig(), loads=LOADS, each=24.37, tu
             speed = way * 2.0 * np.pi / rig.rate / ratio
             torque = load - friction.steady(speed, load)
             angle = theta / ratio + second_drive.transmission_error(made, theta, torque) - speed * rig.late
-            runs.append(fitting.Run(
-                input_angle=rig.shown(theta, generator), output_angle=rig.output(angle, generator), time=time,
-                torque=load * (1.0 + rig.torque), temperature=293.15, common_zero=True, known_index=True,
-                name=f"{load:g} N·m, {'forward' if way > 0.0 else 'backward'}",
-            ))  # fmt: skip
+            runs.append(
+                fitting.Run(
+                    input_angle=rig.shown(theta, generator),
+                    output_angle=rig.output(angle, generator),
+                    time=time,
+                    torque=load * (1.0 + rig.torque),
+                    temperature=293.15,
+                    common_zero=True,
+                    known_index=True,
+                    name=f"{load:g} N·m, {'forward' if way > 0.0 else 'backward'}",
+                )
+            )
     swing = np.concatenate([np.linspace(0.0, 1.0, 60), np.linspace(1.0, -1.0, 120), np.linspace(-1.0, 0.0, 60)])
     for theta in generator.uniform(0.0, 2.0 * np.pi, loops):
         joint = Joint(tabulated(made, theta, theta, 1.2 * RATED), ratio, friction.at(0.0))
         load = RATED * np.concatenate([swing, swing, swing])
         angle = joint.locked(theta, load)
-        runs.append(fitting.Run(
-            input_angle=rig.shown(np.full(load.size, theta), generator), output_angle=rig.output(angle, generator),
-            time=0.1 * np.arange(load.size), torque=load * (1.0 + rig.torque), temperature=293.15, common_zero=True,
-            known_index=True, name=f"loop at {theta:.2f} rad",
-        ))  # fmt: skip
+        runs.append(
+            fitting.Run(
+                input_angle=rig.shown(np.full(load.size, theta), generator),
+                output_angle=rig.output(angle, generator),
+                time=0.1 * np.arange(load.size),
+                torque=load * (1.0 + rig.torque),
+                temperature=293.15,
+                common_zero=True,
+                known_index=True,
+                name=f"loop at {theta:.2f} rad",
+            )
+        )
     return runs
 
 
@@ -154,9 +168,16 @@ def as_made(pair, generator, *, scatter=1e-6, form=0.0, bearing=None):
     waves = draw(size=4) * form / 2.0
     m = pair.modification
     return second_drive.body(
-        second_drive.sizes_of(pair), values, each, isometric=m.isometric, offset=m.offset, discs=pair.discs,
-        form=waves if form else (), bearing=bearing, windup=WINDUP,
-    )  # fmt: skip
+        second_drive.sizes_of(pair),
+        values,
+        each,
+        isometric=m.isometric,
+        offset=m.offset,
+        discs=pair.discs,
+        form=waves if form else (),
+        bearing=bearing,
+        windup=WINDUP,
+    )
 
 
 def warm(made, rise, ring=None):
@@ -164,9 +185,12 @@ def warm(made, rise, ring=None):
     inside, outside = 1.0 + STEEL * rise, 1.0 + IRON * (rise if ring is None else ring)
     seat = made.pins / np.abs(made.pins)
     return dataclasses.replace(
-        made, cut=tuple(one * inside for one in made.cut), pin_radius=made.pin_radius * inside,
-        pins=made.pins + np.abs(made.pins).mean() * (outside - 1.0) * seat, throw=made.throw * inside,
-    )  # fmt: skip
+        made,
+        cut=tuple(one * inside for one in made.cut),
+        pin_radius=made.pin_radius * inside,
+        pins=made.pins + np.abs(made.pins).mean() * (outside - 1.0) * seat,
+        throw=made.throw * inside,
+    )
 
 
 def worn(made, flanks=10e-6, pins=5e-6):
@@ -320,9 +344,13 @@ class Found:
     def compensator(self):
         """The compensator of the product, for 0 to 70 °C."""
         return self.drive.compensator(
-            friction=cy.Friction(coulomb=self.friction), series_compliance=self.windup, temperatures=(273.15, 343.15),
-            largest_torque=1.2 * RATED, torque_accuracy=0.01 * RATED, residual="2 arcsec",
-        )  # fmt: skip
+            friction=cy.Friction(coulomb=self.friction),
+            series_compliance=self.windup,
+            temperatures=(273.15, 343.15),
+            largest_torque=1.2 * RATED,
+            torque_accuracy=0.01 * RATED,
+            residual="2 arcsec",
+        )
 
     def teeth(self, profiles, kelvin=0.0, each=360):
         """The teeth of the exact model at the temperature signal, above 20 °C."""
@@ -488,8 +516,10 @@ def table(every):
     yield f"|{' --- |' * 13}"
     for key in sorted(dict.fromkeys(row[:4] for row in every), key=lambda key: list(PROFILES).index(key[0])):
         of = [row[4] for row in every if row[:4] == key]
-        rms = {name: np.sqrt(np.mean([getattr(one, name) ** 2 for one in of])) / ARCSEC
-               for name in ("rms", "plain_rms", "seated", "plain_seated")}  # fmt: skip
+        rms = {
+            name: np.sqrt(np.mean([getattr(one, name) ** 2 for one in of])) / ARCSEC
+            for name in ("rms", "plain_rms", "seated", "plain_seated")
+        }
         peak, before = (max(getattr(one, name) for one in of) / ARCSEC for name in ("peak", "plain_peak"))
         motion, case, controller, encoder = key
         own = [np.mean([getattr(one, name) for one in of]) for name in ("band", "gain", "holds")]

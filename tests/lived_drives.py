@@ -31,9 +31,14 @@ HELD = ("misalignment_xz", "misalignment_yz", "isometric", "offset", "pin_radial
 def small():
     """A pair of 11 teeth whose flanks have an isometric clearance of 20 µm."""
     return Pair(
-        gear_teeth=11, pin_circle_radius=50e-3, pin_radius=5e-3, eccentricity=2.5e-3, face_width=10e-3,
-        rated_torque=200.0, modification={"isometric": "20 um"},
-    )  # fmt: skip
+        gear_teeth=11,
+        pin_circle_radius=50e-3,
+        pin_radius=5e-3,
+        eccentricity=2.5e-3,
+        face_width=10e-3,
+        rated_torque=200.0,
+        modification={"isometric": "20 um"},
+    )
 
 
 def fitted(pair, generator):
@@ -84,9 +89,13 @@ def made(pair, values, scatter, **more):
     each = {n: scatter[p] for n, p in scatter_parts(pair).items()}
     each["pin_radius"] = each.pop("pin_radius_deviation")
     return second_drive.body(
-        second_drive.sizes_of(pair), values, each, isometric=pair.modification.isometric,
-        offset=pair.modification.offset, **more,
-    )  # fmt: skip
+        second_drive.sizes_of(pair),
+        values,
+        each,
+        isometric=pair.modification.isometric,
+        offset=pair.modification.offset,
+        **more,
+    )
 
 
 def worn(pair, values, scatter, generator, turns=TURNS, drift=DRIFT, monotone=False):
@@ -115,8 +124,11 @@ class Joint:
     @classmethod
     def drawn(cls, generator):
         """A joint with usual errors."""
-        return cls(generator.normal(0.0, [[1.5e-4]] + [[5e-5]] * 3, (4, 2)), generator.normal(1.0, 0.04),
-                   0.01 * abs(generator.normal()))  # fmt: skip
+        return cls(
+            generator.normal(0.0, [[1.5e-4]] + [[5e-5]] * 3, (4, 2)),
+            generator.normal(1.0, 0.04),
+            0.01 * abs(generator.normal()),
+        )
 
 
 def recorded(pair, body, joint, load, generator, *, each=73.37, turns=1.0, bits=BITS, noise=0.3 * ARCSEC, stage=None):
@@ -145,8 +157,11 @@ def recorded(pair, body, joint, load, generator, *, each=73.37, turns=1.0, bits=
 
 def visit(pair, body, joint, generator, loads=LOADS, **more):
     """The recordings of a date: a turn in each direction at every load."""
-    return [recorded(pair, body, joint, way * share * pair.rated_torque, generator, **more)
-            for share in loads for way in (1.0, -1.0)]  # fmt: skip
+    return [
+        recorded(pair, body, joint, way * share * pair.rated_torque, generator, **more)
+        for share in loads
+        for way in (1.0, -1.0)
+    ]
 
 
 def backlash(pair, body, torque=1e-2, stage=None):

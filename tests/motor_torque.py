@@ -78,9 +78,10 @@ if __name__ == "__main__":
             f"{told_by_encoder() / ARCSEC:.2f} arcsec"
         )
     for play, degrees in ((60.0, 0.0), (180.0, 0.0), (60.0, 0.3), (180.0, 0.3)):
-        every = np.array([
-            play_by_torque(play * ARCSEC, seed, presliding=np.radians(degrees)) for seed in range(20)
-        ]) / ARCSEC  # fmt: skip
+        every = (
+            np.array([play_by_torque(play * ARCSEC, seed, presliding=np.radians(degrees)) for seed in range(20)])
+            / ARCSEC
+        )
         means = every.mean(axis=1)
         print(
             f"play of {play:g} arcsec, friction turns round within {degrees:g} deg: one reversal {every.std():.1f}, "

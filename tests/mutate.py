@@ -53,8 +53,14 @@ class Target:
 
 TARGETS = {
     "metrics": Target(
-        ("fitting/figures/figure.py", "fitting/figures/hysteresis.py", "fitting/figures/metrics.py",
-         "fitting/figures/spectrum.py", "fitting/figures/starts.py", "fitting/figures/survey.py"),
+        (
+            "fitting/figures/figure.py",
+            "fitting/figures/hysteresis.py",
+            "fitting/figures/metrics.py",
+            "fitting/figures/spectrum.py",
+            "fitting/figures/starts.py",
+            "fitting/figures/survey.py",
+        ),
         ("tests/fitting/test_metrics.py", "tests/fitting/test_loop_drift.py", "tests/fitting/test_comparison.py"),
     ),
     "recorder": Target(
@@ -62,21 +68,44 @@ TARGETS = {
         ("tests/drivers/test_recorder.py",),
     ),
     "contact": Target(
-        tuple(f"cycloid_fmu/contact/{name}.py" for name in (
-            "deviations", "energy", "equilibrium", "foot", "gap", "hertz", "load_sharing", "local_frame", "placement",
-            "play", "problem", "rows", "sensitivity", "sweeps")),
-        ("tests/cycloid_fmu/test_contact.py", "tests/cycloid_fmu/test_reference_cases.py",
-         "tests/cycloid_fmu/test_element_pairs.py", "tests/cycloid_fmu/test_tooth_contact.py",
-         "tests/cycloid_fmu/test_wear.py", "tests/cycloid_fmu/test_elements.py"),
-        ("-k",
-         "five_are or larger_flank or two_elements "
-         "or inverse or without_end or moment_arm or linear_check or equivalent_errors or two_discs_cancel "
-         "or (sensitivities and not misaligned) or flanges or crank_does or the_play_ends or told_by or adds_up "
-         "or form_of_all or brute_force_of_a_random or turns_the_other_way or loaded_contacts_are "
-         "or (pairs_agree and rough) "
-         "or (test_reference_case and not (wear_pair or ten_micro or ripple or of_the_paper or dataset))"),
+        tuple(
+            f"cycloid_fmu/contact/{name}.py"
+            for name in (
+                "deviations",
+                "energy",
+                "equilibrium",
+                "foot",
+                "gap",
+                "hertz",
+                "load_sharing",
+                "local_frame",
+                "placement",
+                "play",
+                "problem",
+                "rows",
+                "sensitivity",
+                "sweeps",
+            )
+        ),
+        (
+            "tests/cycloid_fmu/test_contact.py",
+            "tests/cycloid_fmu/test_reference_cases.py",
+            "tests/cycloid_fmu/test_element_pairs.py",
+            "tests/cycloid_fmu/test_tooth_contact.py",
+            "tests/cycloid_fmu/test_wear.py",
+            "tests/cycloid_fmu/test_elements.py",
+        ),
+        (
+            "-k",
+            "five_are or larger_flank or two_elements "
+            "or inverse or without_end or moment_arm or linear_check or equivalent_errors or two_discs_cancel "
+            "or (sensitivities and not misaligned) or flanges or crank_does or the_play_ends or told_by or adds_up "
+            "or form_of_all or brute_force_of_a_random or turns_the_other_way or loaded_contacts_are "
+            "or (pairs_agree and rough) "
+            "or (test_reference_case and not (wear_pair or ten_micro or ripple or of_the_paper or dataset))",
+        ),
     ),
-}  # fmt: skip
+}
 Place = tuple[int, int]
 
 

@@ -57,9 +57,13 @@ def recorded(pair, surface, load, generator, *, each, turns, noise=0.5 * ARCSEC,
     if left is not None:
         error = error + left(angle, load)
     return fitting.Run(
-        input_angle=angle, output_angle=angle / pair.ratio + error, torque=load, common_zero=True, known_index=True,
+        input_angle=angle,
+        output_angle=angle / pair.ratio + error,
+        torque=load,
+        common_zero=True,
+        known_index=True,
         name=f"{load:g} N·m",
-    )  # fmt: skip
+    )
 
 
 def distances(found, values):

@@ -97,16 +97,21 @@ def body(sizes, values=None, scatter=None, *, isometric=0.0, offset=0.0, discs=1
     return Body(
         teeth=teeth,
         width=sizes["face_width"],
-        cut=(big + offset + values.get("offset", 0.0), sizes["pin_radius"] + isometric + values.get("isometric", 0.0),
-             sizes["eccentricity"]),
+        cut=(
+            big + offset + values.get("offset", 0.0),
+            sizes["pin_radius"] + isometric + values.get("isometric", 0.0),
+            sizes["eccentricity"],
+        ),
         longest=big,
         pins=(big + values.get("pin_circle_radius", 0.0) + radial) * np.exp(1j * (place + tangential / big)),
         pin_radius=sizes["pin_radius"] + values.get("pin_radius", 0.0) + scatter.get("pin_radius", np.zeros(teeth + 1)),
         throw=sizes["eccentricity"] + values.get("eccentricity", 0.0),
         axis=complex(values.get("centre_distance_x", 0.0), values.get("centre_distance_y", 0.0)),
         turned=np.broadcast_to(of("tooth_cumulative_pitch", teeth) / big, (discs, teeth)),
-        form=tuple(form), bearing=bearing, windup=windup,
-    )  # fmt: skip
+        form=tuple(form),
+        bearing=bearing,
+        windup=windup,
+    )
 
 
 def _trochoid(s, made):
@@ -173,8 +178,11 @@ def _pushed(made, theta, state, shift, told=None):
         beside = np.where(ideal / (2.0 * np.pi) - near < 0.5, near - 1, near + 1)
         for tooth in (near, beside):
             # The neighbouring tooth can only be in contact near the root.
-            there = np.ones(tooth.shape, bool) if tooth is near else np.abs(
-                ideal - 2.0 * np.pi * np.round(ideal / (2.0 * np.pi))) < 0.3  # fmt: skip
+            there = (
+                np.ones(tooth.shape, bool)
+                if tooth is near
+                else np.abs(ideal - 2.0 * np.pi * np.round(ideal / (2.0 * np.pi))) < 0.3
+            )
             row, pin = np.nonzero(there)
             of = tooth[row, pin]
             place = seen[row, pin] * np.exp(-1j * made.turned[disc, of % made.teeth])

@@ -41,10 +41,12 @@ def body(warm, bearing=BEARING):
     disc = SIZES["pin_radius"] + ISOMETRIC
     ring = SIZES["pin_circle_radius"] * (grown["ring"] - 1.0) * cold.pins / np.abs(cold.pins)
     return dataclasses.replace(
-        cold, cut=tuple(one * grown["disc"] for one in (SIZES["pin_circle_radius"], disc, SIZES["eccentricity"])),
-        pins=cold.pins + ring, pin_radius=cold.pin_radius * grown["pin"],
+        cold,
+        cut=tuple(one * grown["disc"] for one in (SIZES["pin_circle_radius"], disc, SIZES["eccentricity"])),
+        pins=cold.pins + ring,
+        pin_radius=cold.pin_radius * grown["pin"],
         throw=cold.throw + SIZES["eccentricity"] * (grown["crank"] - 1.0),
-    )  # fmt: skip
+    )
 
 
 def transmission_error(theta, torque, warm=20.0, bearing=BEARING):
@@ -63,9 +65,14 @@ def recorded(load, way, warm, *, bearing=BEARING, rig=True):
         error = error + ARCSEC * (DRIFT * (warm - 20.0) + sum(a * np.cos(k * output - p) for k, (a, p) in RIG.items()))
     shown = output + error + noise.normal(0.0, NOISE, count)
     return fitting.Run(
-        input_angle=theta, output_angle=shown, torque=way * load, temperature=warm + 273.15, common_zero=True,
-        known_index=True, name=f"{way * load:g} N·m, {warm:g} °C",
-    )  # fmt: skip
+        input_angle=theta,
+        output_angle=shown,
+        torque=way * load,
+        temperature=warm + 273.15,
+        common_zero=True,
+        known_index=True,
+        name=f"{way * load:g} N·m, {warm:g} °C",
+    )
 
 
 def drive():
@@ -137,15 +144,20 @@ def misses(model, load, way, warm, **how):
     mean = float(orders.coefficient[0].real)
     rest = max(float(np.mean(left**2)) - mean**2 - sum(by.values()), 0.0)
     leading = [int(k) for k in np.argsort(-orders.amplitude) if out[k]]
-    return {"all": np.sqrt(np.mean(left**2)) / ARCSEC, "mean": mean / ARCSEC,
-            **{kind: np.sqrt(v) / ARCSEC for kind, v in by.items()}, "noise": np.sqrt(rest) / ARCSEC,
-            "orders": leading}  # fmt: skip
+    return {
+        "all": np.sqrt(np.mean(left**2)) / ARCSEC,
+        "mean": mean / ARCSEC,
+        **{kind: np.sqrt(v) / ARCSEC for kind, v in by.items()},
+        "noise": np.sqrt(rest) / ARCSEC,
+        "orders": leading,
+    }
 
 
 def predicted_conditions():
     """The conditions of the campaign that no model was calibrated with."""
-    return [(load, way, warm) for warm in WARM for load in LOADS for way in (1, -1)
-            if (load, way, warm) not in CALIBRATION]  # fmt: skip
+    return [
+        (load, way, warm) for warm in WARM for load in LOADS for way in (1, -1) if (load, way, warm) not in CALIBRATION
+    ]
 
 
 def table(**how):

@@ -40,8 +40,9 @@ GROUPS = {
     "orders of the pins' radial places": tuple(f"pin_radial_{k}_" for k in (1, 2, 3)),
     "orders of their tangential places": tuple(f"pin_tangential_{k}_" for k in (1, 2, 3)),
     "orders of the teeth": tuple(f"tooth_cumulative_pitch_{k}_" for k in (1, 2, 3)),
-    "single pins and teeth": SINGLE, "bench": ("friction_torque", "chain_compliance"),
-}  # fmt: skip
+    "single pins and teeth": SINGLE,
+    "bench": ("friction_torque", "chain_compliance"),
+}
 
 
 def drawn(seed):
@@ -76,10 +77,22 @@ def drawn(seed):
         for angle, lever, wave in ((theta / pair.gear_teeth, 1.0, outer), (theta, 1.0 / pair.gear_teeth, inner)):
             error = error + lever * (wave[0] * np.cos(angle) + wave[1] * np.sin(angle))
         error = error + zero + draw(0.0, creep) + draw(0.0, DRIFT) * (place - place.mean()) + draw(0.0, noise, count)
-        runs.append(fitting.Run(input_angle=theta, output_angle=theta / pair.ratio + error, torque=load,
-                                common_zero=True, known_index=True, name=f"{load:g} N·m"))  # fmt: skip
-    truth = {**values, "friction_torque": friction, "chain_compliance": chain,
-             **dict(zip(scatter_names(pair), displaced(pair, surface), strict=False))}  # fmt: skip
+        runs.append(
+            fitting.Run(
+                input_angle=theta,
+                output_angle=theta / pair.ratio + error,
+                torque=load,
+                common_zero=True,
+                known_index=True,
+                name=f"{load:g} N·m",
+            )
+        )
+    truth = {
+        **values,
+        "friction_torque": friction,
+        "chain_compliance": chain,
+        **dict(zip(scatter_names(pair), displaced(pair, surface), strict=False)),
+    }
     return runs, truth
 
 
@@ -93,8 +106,11 @@ def ranks(seed):
     state = found.verdict.state
     if state == "not explained":
         return {"state": state, "ranks": {}}
-    stated = {p.name: (p.value, p.standard_error, 0.5 * (p.interval[1] - p.interval[0]))
-              for p in (*found.parameters, *found.realised.elements) if p.held is None}  # fmt: skip
+    stated = {
+        p.name: (p.value, p.standard_error, 0.5 * (p.interval[1] - p.interval[0]))
+        for p in (*found.parameters, *found.realised.elements)
+        if p.held is None
+    }
     for name in GROUPS["bench"]:
         one = found.lmfit_parameters[name]
         stated[name] = one.value, one.stderr, 1.96 * one.stderr
@@ -149,8 +165,10 @@ def lines(every):
         band_is = "inside" if inside else "outside"
         yield f"{name}: {len(found[name])} drives, chi-square {chance:.3f}, {band_is} the band"
     least = min(chance for chance, _ in tests.values())
-    yield (f"{sum(inside for _, inside in tests.values())} of {len(tests)} keep to their 95 % band; least chance of a "
-           f"chi-square {least:.4f}, of {len(tests)}.")  # fmt: skip
+    yield (
+        f"{sum(inside for _, inside in tests.values())} of {len(tests)} keep to their 95 % band; least chance of a "
+        f"chi-square {least:.4f}, of {len(tests)}."
+    )
     pooled = np.concatenate([*found.values()])
     for share in (50, 90, 95):
         inside = np.mean(np.abs(pooled - 0.5 * DRAWS) < 0.5 * share / 100 * (DRAWS + 1))

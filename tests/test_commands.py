@@ -172,11 +172,15 @@ def test_keys_of_files_lead_to_the_right_one(command, tmp_path):
     limits = 'format = "cycloid-requirements/1"\n[limits]\nstifness = "100 N*m/arcmin"\n'
     (tmp_path / "limits.toml").write_text(limits)
     for words, said in (
-        (["p.toml"], "p.toml: [material] youngs_modulus is not a known key; it belongs to [material.gear] or "
-                     "[material.pin].\n"),
-        (["pair.toml", "--limits", "limits.toml"], "limits.toml: [limits] stifness is not a known key; "
-                                                   "did you mean torsional_stiffness?\n"),
-    ):  # fmt: skip
+        (
+            ["p.toml"],
+            "p.toml: [material] youngs_modulus is not a known key; it belongs to [material.gear] or [material.pin].\n",
+        ),
+        (
+            ["pair.toml", "--limits", "limits.toml"],
+            "limits.toml: [limits] stifness is not a known key; did you mean torsional_stiffness?\n",
+        ),
+    ):
         run = command("cycloid-fmu", "analyze", *words)
         assert (run.returncode, run.stderr) == (2, said)
 
@@ -205,11 +209,15 @@ def test_errors_name_the_argument_in_python_and_the_option_in_a_command(ran):
     for words, sentence in (
         (["--output-torque", "3 Nm", "--seed", "-1"], "--seed = -1: it must not be negative."),
         (["--output-torque", "0 Nm"], '--output-torque = "0 Nm": it must not be zero.'),
-        (["--output-torque", "3 kg"], '--output-torque = "3 kg": the unit "kg" measures something else; '
-                                      "use one such as N*m."),
-        (["--output-torque", "3 Nm", "--kind", "sobl"], '--kind = "sobl": it must be one of sobol, saltelli; '
-                                                        "did you mean sobol?"),
-    ):  # fmt: skip
+        (
+            ["--output-torque", "3 kg"],
+            '--output-torque = "3 kg": the unit "kg" measures something else; use one such as N*m.',
+        ),
+        (
+            ["--output-torque", "3 Nm", "--kind", "sobl"],
+            '--kind = "sobl": it must be one of sobol, saltelli; did you mean sobol?',
+        ),
+    ):
         assert ran(app, "study", *words) == (2, "", sentence + "\n")
     assert ran(app, "study", "--output-torque", "3 Nm") == (0, "", "")
 
@@ -285,8 +293,13 @@ def test_a_stage_of_unknown_length_is_named_in_a_log(monkeypatch, capsys):
 
 def test_times_left_are_words():
     assert [commands._left(s) for s in (None, 8.2, 59.0, 100.0, 3599.0, 8000.0)] == [
-        "", "about 9 s left", "about 59 s left", "about 2 min left", "about 1 h 0 min left", "about 2 h 13 min left",
-    ]  # fmt: skip
+        "",
+        "about 9 s left",
+        "about 59 s left",
+        "about 2 min left",
+        "about 1 h 0 min left",
+        "about 2 h 13 min left",
+    ]
 
 
 def test_a_short_computation_says_nothing_in_a_log(capsys):
@@ -341,9 +354,11 @@ def test_a_command_says_which_option_the_library_objects_to(command, tmp_path):
         ([], "--torque is missing; give it, or state [pair] rated_torque in pair.toml."),
         (["--torque", "0 Nm"], '--torque = "0 Nm": a study\'s loads must not be zero; the play has its own figures.'),
         (["--torque", "9 Nm", "--screen", "2"], "--screen = 2.0: the share must be between 0 and 1."),
-        (["--design", "sobl"],
-         '--design = "sobl": it must be one of sobol, latin-hypercube, saltelli; did you mean sobol?'),
-    ):  # fmt: skip
+        (
+            ["--design", "sobl"],
+            '--design = "sobl": it must be one of sobol, latin-hypercube, saltelli; did you mean sobol?',
+        ),
+    ):
         run = command(*words, *more)
         assert (run.returncode, run.stderr) == (2, sentence + "\n")
 

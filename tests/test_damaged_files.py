@@ -56,9 +56,11 @@ COUNT = int(float(os.environ.get("CYCLOID_DAMAGED_FILES", "2e4")))
 SAMPLES = 24
 TIME = np.arange(SAMPLES) * 1e-2
 OWN = {
-    "time": ("s", TIME), "input_angle": ("rad", 20.0 * TIME), "output_angle": ("rad", -20.0 * TIME / 39),
+    "time": ("s", TIME),
+    "input_angle": ("rad", 20.0 * TIME),
+    "output_angle": ("rad", -20.0 * TIME / 39),
     "torque": ("N*m", 20.0 + np.sin(TIME)),
-}  # fmt: skip
+}
 SMALL = make_pair(gear_teeth=6, pins=7, pin_circle_radius="40 mm", eccentricity="2.5 mm", pin_radius="6 mm")
 ERRORS = """[errors]
 centre_distance_x = "5 um"
@@ -130,12 +132,23 @@ figures = "f.json"
 """
 HISTORY_OF_FILE = History(crank_turns_per_hour=9e4, recorded=[{"age": "1 h", "figures": "f.json"}])
 FIGURE = {
-    "value": 1e-4, "uncertainty": None, "unit": "rad", "definition": "as the standard says", "interval": [0.0, 20.0],
-    "interval_unit": "N*m", "turns": 1, "forward": {
-        "value": 1e-4, "uncertainty": 1e-6, "unit": "rad", "definition": "", "interval": None, "interval_unit": "",
+    "value": 1e-4,
+    "uncertainty": None,
+    "unit": "rad",
+    "definition": "as the standard says",
+    "interval": [0.0, 20.0],
+    "interval_unit": "N*m",
+    "turns": 1,
+    "forward": {
+        "value": 1e-4,
+        "uncertainty": 1e-6,
+        "unit": "rad",
+        "definition": "",
+        "interval": None,
+        "interval_unit": "",
         "turns": 1,
     },
-}  # fmt: skip
+}
 PARAMETERS = [
     [name, 1e-6, True, None, -1e-3, 1e-3, None, 1e-7, {}, 0.0, None] for name in ("pin_radial_1_cos", "offset")
 ]
@@ -353,7 +366,8 @@ READERS = {
     "TRC": (can_log(".trc"), read_run),
     "DBC of a log": (beside(can_log(".asc"), "bench.dbc"), lambda path: read_run(path.with_name("run.asc"))),
     "mapping": (
-        lambda f: (table(f), text_file("map.toml", MAPPING)(f))[1], lambda path: read_run(path.with_name("run.csv")),
+        lambda f: (table(f), text_file("map.toml", MAPPING)(f))[1],
+        lambda path: read_run(path.with_name("run.csv")),
     ),
     "CSV inspected": (table, inspected),
     "read head": (example("rv-20e-read-head.toml", "rv-20e-tilt.csv"), read_read_head),
@@ -371,14 +385,18 @@ READERS = {
         ),
         read_lmfit_parameters,
     ),
-}  # fmt: skip
+}
 
 
 # Files that stopped the program, or would have; each is read once, and damaged further now and then.
 SEEDS = {
-    "MDF4": hostile.self_linked_group, "MDF4 compressed": hostile.compressed_bomb, "DBC": hostile.endless_signal,
-    "DBC of a log": hostile.far_signal, "surface": hostile.far_member, "twin": hostile.far_member,
-}  # fmt: skip
+    "MDF4": hostile.self_linked_group,
+    "MDF4 compressed": hostile.compressed_bomb,
+    "DBC": hostile.endless_signal,
+    "DBC of a log": hostile.far_signal,
+    "surface": hostile.far_member,
+    "twin": hostile.far_member,
+}
 
 
 # The remains of a library's failed constructor raise warnings when they are freed.

@@ -184,8 +184,14 @@ def same_line(page, found):
 def missing_in(shown, output):
     """The first line of a page that is not in the output in this order, or ""; a line "…" matches any lines."""
     lines = iter(line for line in output.splitlines() if line.strip())
-    return next((line for line in shown.splitlines() if line.strip() not in ("", "…")
-                 and not any(same_line(line, found) for found in lines)), "")  # fmt: skip
+    return next(
+        (
+            line
+            for line in shown.splitlines()
+            if line.strip() not in ("", "…") and not any(same_line(line, found) for found in lines)
+        ),
+        "",
+    )
 
 
 def test_an_output_on_a_page_is_compared():
@@ -411,8 +417,13 @@ def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:3] == "| `"]
     meanings = {cells[0]: cells[-1] for cells in rows if len(cells) == 4}
     assert {f"`{name}`" for name in (*Pair.model_fields, "isometric", "offset")} - set(meanings) == {
-        "`modification`", "`material`", "`errors`", "`supports`", "`temperature`", "`expansion`"
-    }  # fmt: skip
+        "`modification`",
+        "`material`",
+        "`errors`",
+        "`supports`",
+        "`temperature`",
+        "`expansion`",
+    }
     assert all(meanings.values())
     assert len(set(meanings.values())) == len(meanings)
     assert "> 0 removes" in meanings["`isometric`"]

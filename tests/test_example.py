@@ -66,9 +66,15 @@ def test_from_the_bench_to_the_fmu_and_back(tmp_path, example):
 DOORS = ("cycloid_fmu", "fitting", "drivers")
 EVERY = sorted(file.stem for file in EXAMPLES.glob("*.py"))
 BY_THE_DOOR = {
-    "arrays_to_errors", "bench_to_fmu", "error_study", "joint_package", "record_can", "record_serial", "robot_joint",
+    "arrays_to_errors",
+    "bench_to_fmu",
+    "error_study",
+    "joint_package",
+    "record_can",
+    "record_serial",
+    "robot_joint",
     "use_from_python",
-}  # fmt: skip
+}
 
 
 def taken(name):

@@ -16,10 +16,17 @@ ROOT = EXAMPLES.parent
 DOORS = {"cycloid-fmu": "cycloid_fmu", "cycloid-fit": "fitting", "cycloid-bench": "drivers"}
 GROUPS = {name: typer.main.get_command(importlib.import_module(f"{door}.cli").app) for name, door in DOORS.items()}
 TAKEN = {
-    "pair": "drive-39-40.toml", "reducer": "rv-20e.toml", "tolerances": "tolerances.toml", "wear": "wear.toml",
-    "requirements": "requirements.toml", "design": "design.toml", "friction": "friction.toml",
-    "instruments": "instruments.toml", "certificate": "certificate.toml", "read-head": "rv-20e-read-head.toml",
-}  # fmt: skip
+    "pair": "drive-39-40.toml",
+    "reducer": "rv-20e.toml",
+    "tolerances": "tolerances.toml",
+    "wear": "wear.toml",
+    "requirements": "requirements.toml",
+    "design": "design.toml",
+    "friction": "friction.toml",
+    "instruments": "instruments.toml",
+    "certificate": "certificate.toml",
+    "read-head": "rv-20e-read-head.toml",
+}
 
 
 def test_every_format_that_is_read_or_written_is_known():
@@ -100,8 +107,15 @@ def test_a_file_is_looked_at_quickly(tmp_path):
 
     random = np.random.default_rng(1)
     began = time.monotonic()
-    for data in (b" " * 10**6, b"\n" * 10**6, b"[" * 10**6, b'{"format"' * 10**5, b"\x89HDF\r\n\x1a\n", b"PK\x03\x04",
-                 random.bytes(10**6)):  # fmt: skip
+    for data in (
+        b" " * 10**6,
+        b"\n" * 10**6,
+        b"[" * 10**6,
+        b'{"format"' * 10**5,
+        b"\x89HDF\r\n\x1a\n",
+        b"PK\x03\x04",
+        random.bytes(10**6),
+    ):
         (tmp_path / "odd").write_bytes(data)
         assert kind_of(tmp_path / "odd") in ("", "a netCDF or HDF5 file")
     assert time.monotonic() - began < 2.0

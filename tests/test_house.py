@@ -172,8 +172,9 @@ def test_the_drawing_of_signs_shows_where_pins_and_teeth_are(monkeypatch):
     pins, teeth = signs.PAIR.pins, signs.PAIR.gear_teeth
     centre = signs.at(signs.PAIR.eccentricity * cmath.exp(1j * signs.THETA))
     for colour, middle, count, first in (
-        ("#111", signs.MIDDLE, pins, 0.0), (signs.BLUE, centre, teeth, (cmath.pi - signs.THETA) / teeth),
-    ):  # fmt: skip
+        ("#111", signs.MIDDLE, pins, 0.0),
+        (signs.BLUE, centre, teeth, (cmath.pi - signs.THETA) / teeth),
+    ):
         places = {int(n): complex(float(x), float(y)) - middle for x, y, fill, n in numbers if fill == colour}
         assert sorted(places) == list(range(count))
         for number, place in places.items():
@@ -189,3 +190,10 @@ def test_the_forge_s_workflows_run_what_every_machine_runs_with_pinned_actions()
     assert used
     assert all(re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", name) and " # v" in note for name, note in used)
     assert "permissions:\n  contents: read" in text
+
+
+def test_the_formatter_formats_all_of_it():
+    said = subprocess.run(
+        ["git", "grep", "-nE", "# fmt: ?(skip|off)", "--", "*.py"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert said.stdout == ""

@@ -32,8 +32,11 @@ def build(source, folder, *kinds):
     """Build with the tools that are installed, so that nothing is downloaded."""
     subprocess.run(
         [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), *kinds, str(source)],
-        check=True, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -100,8 +103,12 @@ def test_the_wheel_alone_runs_the_three_commands(published, python, tmp_path):
     def run(*words):
         done = subprocess.run(
             [str(scripts / words[0]), *map(str, words[1:])],
-            cwd=tmp_path, env=settings, capture_output=True, text=True, timeout=1800,
-        )  # fmt: skip
+            cwd=tmp_path,
+            env=settings,
+            capture_output=True,
+            text=True,
+            timeout=1800,
+        )
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -204,8 +211,10 @@ def test_front_doors_and_help_pages_need_no_extra(core, tmp_path):
     done = run_core(core, tmp_path, DOORS)
     assert done.returncode == 0, done.stderr
     assert {line.split()[0]: int(line.split()[1]) > 7 for line in done.stdout.splitlines()} == {
-        "cycloid_fmu": True, "fitting": True, "drivers": True,
-    }  # fmt: skip
+        "cycloid_fmu": True,
+        "fitting": True,
+        "drivers": True,
+    }
 
 
 LINE = '[port.tty]\nurl = "/dev/null"\n[channel.input_angle]\nport = "tty"\ncounts_per_turn = 4096\n'

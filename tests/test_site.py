@@ -36,8 +36,11 @@ def site(tmp_path_factory):
         shutil.copy(page, copy)
     built = subprocess.run(
         [sys.executable, "-m", "sphinx", "-q", "-W", "-D", "plot_gallery=0", copy / "docs", copy / "html"],
-        capture_output=True, text=True, timeout=1800, env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=1800,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
     assert built.returncode == 0, built.stderr[-3000:]
     return copy / "html"
 

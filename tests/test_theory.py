@@ -80,11 +80,14 @@ def test_the_table_of_error_kinds_is_that_of_their_definitions():
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:3] == "| `"]
     assert rows == [
         [
-            f"`{k.name}`", k.of, ", ".join(f"`{d}`" for d in k.displaces), k.breaks or "–",
+            f"`{k.name}`",
+            k.of,
+            ", ".join(f"`{d}`" for d in k.displaces),
+            k.breaks or "–",
             f"`{k.tolerance.key}`" if k.tolerance else "–",
         ]
         for k in KINDS.values()
-    ]  # fmt: skip
+    ]
 
 
 def test_a_kind_is_added_as_the_page_does():

@@ -134,9 +134,14 @@ def _fitted(
 
 
 def _largest(
-    tooth: Tooth, low: float, high: float, start: tuple[complex, complex], meet: tuple[complex, complex], end: complex,
+    tooth: Tooth,
+    low: float,
+    high: float,
+    start: tuple[complex, complex],
+    meet: tuple[complex, complex],
+    end: complex,
     samples: int,
-) -> float:  # fmt: skip
+) -> float:
     """Largest distance of a span of the curve from its two arcs."""
     alpha = np.linspace(low, high, samples)
     if tooth.knots.size:

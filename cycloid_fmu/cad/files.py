@@ -23,9 +23,15 @@ _COLOURS = {"DISC": "#000000", "PINS": "#0060c0", "RING": "#808080", "HOLES": "#
 _INDICES = {"DISC": 7, "PINS": 5, "RING": 8, "HOLES": 1}  # AutoCAD colour indices
 # Columns of the table: unit in the file, None for a number without unit, and its factor from SI.
 _COLUMNS = {
-    "tooth": (None, 1.0), "arc_length": ("mm", MM), "angle": ("deg", 180.0 / math.pi), "x": ("mm", MM), "y": ("mm", MM),
-    "normal_x": (None, 1.0), "normal_y": (None, 1.0), "curvature": ("1/mm", 1.0 / MM),
-}  # fmt: skip
+    "tooth": (None, 1.0),
+    "arc_length": ("mm", MM),
+    "angle": ("deg", 180.0 / math.pi),
+    "x": ("mm", MM),
+    "y": ("mm", MM),
+    "normal_x": (None, 1.0),
+    "normal_y": (None, 1.0),
+    "curvature": ("1/mm", 1.0 / MM),
+}
 _FLAT = 1e-9  # bulge below which an arc is written as a line: its sagitta is below 1e-9 of the chord
 
 
@@ -102,14 +108,19 @@ def _pair(point: complex) -> str:
 def _write_svg(profile: Profile, path: Path) -> None:
     low, high = (MM * corner for corner in corners(profile))
     side = 2.0 * math.ceil(1.02 * max(-low.real, -low.imag, high.real, high.imag))
-    root = ElementTree.Element("svg", {
-        "xmlns": "http://www.w3.org/2000/svg", "width": f"{side:g}mm", "height": f"{side:g}mm",
-        "viewBox": f"{-side / 2:g} {-side / 2:g} {side:g} {side:g}",
-    })  # fmt: skip
+    root = ElementTree.Element(
+        "svg",
+        {
+            "xmlns": "http://www.w3.org/2000/svg",
+            "width": f"{side:g}mm",
+            "height": f"{side:g}mm",
+            "viewBox": f"{-side / 2:g} {-side / 2:g} {side:g} {side:g}",
+        },
+    )
     ElementTree.SubElement(root, "desc").text = ", ".join(f"{name}: {value}" for name, value in about(profile).items())
-    up = ElementTree.SubElement(root, "g", {
-        "transform": "scale(1 -1)", "fill": "none", "stroke-width": f"{side / 600:g}"
-    })  # fmt: skip
+    up = ElementTree.SubElement(
+        root, "g", {"transform": "scale(1 -1)", "fill": "none", "stroke-width": f"{side / 600:g}"}
+    )
     layers = {name: ElementTree.SubElement(up, "g", {"id": name, "stroke": _COLOURS[name]}) for name in LAYERS}
     ElementTree.SubElement(layers["DISC"], "path", {"d": svg_path(profile)})
     for layer, place, radius in circles(profile):
@@ -130,6 +141,9 @@ def _write_step(profile: Profile, path: Path) -> None:
 _DXF: tuple[str, str] = ("ezdxf", "cad")
 _STEP: tuple[str, str] = ("OCP", "step")
 WRITERS: dict[str, tuple[tuple[str, str] | None, Callable[[Any, Path], None]]] = {
-    ".dxf": (_DXF, _write_dxf), ".svg": (None, _write_svg), ".csv": (None, _write_csv), ".step": (_STEP, _write_step),
+    ".dxf": (_DXF, _write_dxf),
+    ".svg": (None, _write_svg),
+    ".csv": (None, _write_csv),
+    ".step": (_STEP, _write_step),
     ".stp": (_STEP, _write_step),
-}  # fmt: skip
+}

@@ -110,11 +110,15 @@ def teeth_of(pair: Pair, surface: ErrorSurface, disc: int) -> list[Tooth]:
     rate = float(flank_speed(flank, 0.0)) / abs(complex(*map(float, flank_points(flank, 0.0))))
     return [
         Tooth(
-            flank, cmath.exp(1j * (j * pitch + float(turn[j]) + clocked)), -float(ahead[j - 1]) / rate,
-            pitch + float(ahead[j]) / rate, knots, heights[j],
+            flank,
+            cmath.exp(1j * (j * pitch + float(turn[j]) + clocked)),
+            -float(ahead[j - 1]) / rate,
+            pitch + float(ahead[j]) / rate,
+            knots,
+            heights[j],
         )
         for j in range(count)
-    ]  # fmt: skip
+    ]
 
 
 def _form(pair: Pair, surface: ErrorSurface, disc: int) -> tuple[Array, Array]:

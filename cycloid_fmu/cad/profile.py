@@ -100,10 +100,15 @@ class Profile:
             arc = length + np.concatenate([[0.0], np.cumsum(_arc_lengths(tooth, alpha))])
             length = float(arc[-1])
             row = {
-                "tooth": np.full(at.size, float(number)), "arc_length": arc[:-1],
-                "angle": np.angle(at) % (2.0 * math.pi), "x": at.real, "y": at.imag, "normal_x": normal.real,
-                "normal_y": normal.imag, "curvature": tooth.curvature(alpha[:-1]),
-            }  # fmt: skip
+                "tooth": np.full(at.size, float(number)),
+                "arc_length": arc[:-1],
+                "angle": np.angle(at) % (2.0 * math.pi),
+                "x": at.real,
+                "y": at.imag,
+                "normal_x": normal.real,
+                "normal_y": normal.imag,
+                "curvature": tooth.curvature(alpha[:-1]),
+            }
             for name, values in row.items():
                 found.setdefault(name, []).append(values)
         return {name: np.concatenate(values) for name, values in found.items()}
@@ -162,11 +167,21 @@ def profile_of(pair: Pair, surface: ErrorSurface, disc: int = 0, chord_error: fl
             f"are at {np.abs(start).min() * 1e3:.6g} mm."
         )
     return Profile(
-        pair=pair, disc=disc, chord_error=chord_error, largest_error=largest, start=start, bulge=bulge,
-        pin_place=ring + made["pin_radial"] * np.exp(1j * around), pin_radius=np.asarray(made["pin_radius"]),
-        ring_place=ring, ring_radius=cold.pin_circle_radius + float(surface.errors["pin_circle_radius"]),
-        hole_place=place, hole_radius=radius, notes=notes, teeth=teeth,
-    )  # fmt: skip
+        pair=pair,
+        disc=disc,
+        chord_error=chord_error,
+        largest_error=largest,
+        start=start,
+        bulge=bulge,
+        pin_place=ring + made["pin_radial"] * np.exp(1j * around),
+        pin_radius=np.asarray(made["pin_radius"]),
+        ring_place=ring,
+        ring_radius=cold.pin_circle_radius + float(surface.errors["pin_circle_radius"]),
+        hole_place=place,
+        hole_radius=radius,
+        notes=notes,
+        teeth=teeth,
+    )
 
 
 def _holes(pair: Pair, made: dict[str, Array], disc: int) -> tuple[Points, Array, tuple[str, ...]]:

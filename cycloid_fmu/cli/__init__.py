@@ -23,7 +23,7 @@ app = commands.command_line(
         "profile",
         "example",
     ),
-)  # fmt: skip
+)
 
 
 def main() -> None:

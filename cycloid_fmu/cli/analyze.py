@@ -78,9 +78,16 @@ def analyze(
     with commands.progress("crank angles", angles * len(torque)) as progress:
         try:
             found = transmission.solve(
-                drive.pair, drive.surface, drive.first_stage, torque, angle, used, with_elements=slices is not None,
-                workers=os.cpu_count() or 1, progress=progress,
-            )  # fmt: skip
+                drive.pair,
+                drive.surface,
+                drive.first_stage,
+                torque,
+                angle,
+                used,
+                with_elements=slices is not None,
+                workers=os.cpu_count() or 1,
+                progress=progress,
+            )
         except Interrupted as interrupted:
             found = interrupted.result
     finished = found.crank_angle.size
@@ -90,9 +97,7 @@ def analyze(
         raise typer.Exit(edge.INTERRUPTED)
     judged = None
     if asked is not None and finished == angles:
-        judged = verdicts.judge_sweep(
-            drive.pair, drive.surface, drive.first_stage, asked, found, os.cpu_count() or 1
-        )  # fmt: skip
+        judged = verdicts.judge_sweep(drive.pair, drive.surface, drive.first_stage, asked, found, os.cpu_count() or 1)
     supported = drive.pair.supports is not None and drive.pair.rated_torque is not None
     shares = drive.compliance() if supported and (plot is not None or not as_json) else []
     if output is not None or plot is not None or as_json:
@@ -153,9 +158,15 @@ def _print(found: Transmission, title: str) -> None:
         backlash = [f"{play:.4f}″", f"{play_range:.4f}″"] if has_play else ["interference", f"{deepest:.3f} µm"]
         count = found.contact_count[k]
         rows.append(
-            [f"{load:g} N·m", f"{mean:.4f}″", f"{range_:.4f}″", *backlash, f"{figures['MCS'][k] * 1e-6:.1f} MPa",
-             f"{count.min()}–{count.max()}"]
-        )  # fmt: skip
+            [
+                f"{load:g} N·m",
+                f"{mean:.4f}″",
+                f"{range_:.4f}″",
+                *backlash,
+                f"{figures['MCS'][k] * 1e-6:.1f} MPa",
+                f"{count.min()}–{count.max()}",
+            ]
+        )
     commands.print_table(title, ["torque", "MTE", "PPTE", "MB", "PPB", "MCS", "pins"], rows)
     typer.echo("Mean and peak-to-peak transmission error and backlash, largest contact pressure, pins in contact.")
 
@@ -165,10 +176,14 @@ def _print_bearings(drive: Drive, found: Transmission, shares: list[Share]) -> N
 
     for k, load in enumerate(found.torque):
         rows = [
-            [one.bearing, f"{one.largest:.0f} N", f"{one.equivalent:.0f} N",
-             "-" if math.isnan(one.life) else f"{one.life:.3g}"]
+            [
+                one.bearing,
+                f"{one.largest:.0f} N",
+                f"{one.equivalent:.0f} N",
+                "-" if math.isnan(one.life) else f"{one.life:.3g}",
+            ]
             for one in figures.bearing_loads(drive.pair, found, k)
-        ]  # fmt: skip
+        ]
         commands.print_table(
             f"Bearings at {load:g} N·m", ["bearing", "largest", "equivalent", "L10, crank turns (ISO 281)"], rows
         )
@@ -177,13 +192,19 @@ def _print_bearings(drive: Drive, found: Transmission, shares: list[Share]) -> N
     whole, rows = 0.0, []
     for share in shares:
         whole += share.compliance
-        rows.append([share.part, f"{share.compliance * 1e6:.4f}", f"{1.0 / whole / edge.ARCMIN:.1f}",
-                     f"{share.lost_motion * edge.ARCMIN:.3f}′"])  # fmt: skip
+        rows.append(
+            [
+                share.part,
+                f"{share.compliance * 1e6:.4f}",
+                f"{1.0 / whole / edge.ARCMIN:.1f}",
+                f"{share.lost_motion * edge.ARCMIN:.3f}′",
+            ]
+        )
     left = figures.remaining(drive.pair.supports, shares)
     if not math.isnan(left):
         rows.append(["rest, up to catalogue", f"{left * 1e6:.4f}", f"{1.0 / (whole + left) / edge.ARCMIN:.1f}", ""])
     commands.print_table(
-        "Shares of compliance and lost motion, as drawn"
-        + ("" if drive.pair.temperature is None else ", at 20 °C"),
-        ["part", "compliance, µrad/(N·m)", "stiffness up to here, N·m/arcmin", "lost motion"], rows,
-    )  # fmt: skip
+        "Shares of compliance and lost motion, as drawn" + ("" if drive.pair.temperature is None else ", at 20 °C"),
+        ["part", "compliance, µrad/(N·m)", "stiffness up to here, N·m/arcmin", "lost motion"],
+        rows,
+    )

@@ -104,9 +104,12 @@ def _print_stack(stack: Stack, samples: int) -> None:
         one = shown["monte_carlo"][name]
         low, high = one["interval"]
         rows.append(
-            [f"Monte Carlo, {name}", *(f"{v * edge.ARCMIN:.4f}" for v in (*one["central"], one["mean"])),
-             f"{one['interfering']:.1%} ({low:.1%} … {high:.1%})"]
-        )  # fmt: skip
+            [
+                f"Monte Carlo, {name}",
+                *(f"{v * edge.ARCMIN:.4f}" for v in (*one["central"], one["mean"])),
+                f"{one['interfering']:.1%} ({low:.1%} … {high:.1%})",
+            ]
+        )
     columns = ["stack", "from", "to", "mean", "interference (95 %)"]
     commands.print_table("Total play within the tolerances [arcmin]", columns, rows)
     typer.echo(f"Monte Carlo: {samples} reducers, their central 99.73 %; geometric: with the sun locked.")

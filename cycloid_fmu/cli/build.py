@@ -136,9 +136,15 @@ def build(
         friction = friction.replace(output=with_measured(friction.output, coulomb, "--loop"))
     kind: Any = interface
     offered = Interface(
-        kind, output_inertia, table, crank_inertia=crank_inertia, stiffness=stiffness, support_flange=support_flange,
-        input_friction=friction.input, output_friction=friction.output,
-    )  # fmt: skip
+        kind,
+        output_inertia,
+        table,
+        crank_inertia=crank_inertia,
+        stiffness=stiffness,
+        support_flange=support_flange,
+        input_friction=friction.input,
+        output_friction=friction.output,
+    )
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version, "draws": draws}
     turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     free = solve(drive.pair, drive.surface, drive.first_stage, [], turn, slices_needed(drive.surface))
@@ -167,11 +173,17 @@ def build(
 
     with commands.Bar("compiling", len(names)) as bar:
         made = build_native(
-            drive, output, **options, platforms=names, largest_torque=largest_torque,
-            workers=os.cpu_count() or 1, compiled=lambda name: bar.advance(), progress=bar.advance,
+            drive,
+            output,
+            **options,
+            platforms=names,
+            largest_torque=largest_torque,
+            workers=os.cpu_count() or 1,
+            compiled=lambda name: bar.advance(),
+            progress=bar.advance,
             total=lambda count: bar.update(completed=0, total=count),
             drawing=lambda number: bar.update(completed=0, description=of(number)),
-        )  # fmt: skip
+        )
     places = "random crank angles and torques, the transmission error also around its largest errors"
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, {made.told}; compared with the exact model at {PROBES} "

@@ -26,13 +26,16 @@ def design(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FOLDER", file_okay=False,
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            file_okay=False,
             help="Folder for a pair file of each drive, a surface file if its flanks have form, and designs.json.",
         ),
     ] = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
-) -> None:  # fmt: skip
+) -> None:
     """Search for the geometry and modification that meet given limits and optimize one goal, or two.
 
     Example: [cyan]cycloid-fmu design design.toml -o found --plot found.png[/]
@@ -42,9 +45,15 @@ def design(
     pair, task, tolerances = searching.read_design_task(design_file)
     with commands.status() as progress:
         found = searching.search(
-            pair, task, tolerances, starts=starts, seed=seed, points=points, workers=os.cpu_count() or 1,
+            pair,
+            task,
+            tolerances,
+            starts=starts,
+            seed=seed,
+            points=points,
+            workers=os.cpu_count() or 1,
             progress=progress,
-        )  # fmt: skip
+        )
     if output is not None:
         searching.write_designs(found, output)
     if plot is not None:

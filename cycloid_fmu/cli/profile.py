@@ -49,10 +49,14 @@ def profile(
     if as_json:
         commands.print_json(
             {
-                "arcs": made.bulge.size, "chord_error": made.chord_error, "largest_error": made.largest_error,
-                "length": made.length, "area": made.area, "notes": list(made.notes),
+                "arcs": made.bulge.size,
+                "chord_error": made.chord_error,
+                "largest_error": made.largest_error,
+                "length": made.length,
+                "area": made.area,
+                "notes": list(made.notes),
             }
-        )  # fmt: skip
+        )
         return
     rows = [
         ["arcs", str(made.bulge.size)],

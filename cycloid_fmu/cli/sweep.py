@@ -67,9 +67,7 @@ def sweep(
     torque = torque or [drive.pair.rated_load(str(pair_file))]
     size = math.prod(len(one.values) for one in vary_of(given))  # type: ignore[arg-type]
     with commands.progress("drives", size) as progress:
-        data = drive.sweep(
-            given, torque, output, angles=angles, turns=turns, workers=workers, progress=progress
-        )  # fmt: skip
+        data = drive.sweep(given, torque, output, angles=angles, turns=turns, workers=workers, progress=progress)
     if plot is not None:
         from cycloid_fmu.draw import plots, sweeps
 
@@ -99,8 +97,7 @@ def _print(data: xr.Dataset, title: str) -> None:
             values = data[name] if load is None else data[name].sel(torque=load)
             if not values.notnull().any():
                 continue
-            ends = [{str(d): int(k) for d, k in found.items()}
-                    for found in (values.argmin(...), values.argmax(...))]  # fmt: skip
+            ends = [{str(d): int(k) for d, k in found.items()} for found in (values.argmin(...), values.argmax(...))]
             shown = [f"{float(values[place]) * factor:.5g}" for place in ends]
             at = "" if load is None else f"{load:g} N·m"
             if shown[0] == shown[1]:

@@ -60,9 +60,15 @@ def wear(
         verdicts.check(asked.of_wear, drive.pair, str(limits_file), str(pair_file))
     with commands.Bar("crank turns", turns or 1.0) as bar:
         run = life.run_wear(
-            drive.pair, drive.surface, law, loads, turns, str(wear_file), workers=os.cpu_count() or 1,
+            drive.pair,
+            drive.surface,
+            law,
+            loads,
+            turns,
+            str(wear_file),
+            workers=os.cpu_count() or 1,
             progress=lambda done: bar.update(completed=done),
-        )  # fmt: skip
+        )
     figures = run.figures
     judged = None
     if asked is not None:

@@ -36,11 +36,21 @@ _TEMPERATURES = 3  # at which the table knows the drive
 
 
 def drive_compensator(
-    pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None, ratio: float, *, friction: Friction | None,
-    stiffness: float | None, series_compliance: float, temperatures: Sequence[float] | None,
-    torque_accuracy: float | None, largest_torque: float | None, tolerances: Tolerances | None, workers: int,
+    pair: Pair,
+    surface: ErrorSurface,
+    first_stage: FirstStage | None,
+    ratio: float,
+    *,
+    friction: Friction | None,
+    stiffness: float | None,
+    series_compliance: float,
+    temperatures: Sequence[float] | None,
+    torque_accuracy: float | None,
+    largest_torque: float | None,
+    tolerances: Tolerances | None,
+    workers: int,
     **options: Any,
-) -> Compensator:  # fmt: skip
+) -> Compensator:
     """Return the compensator of a drive; parameters are those of `Drive.compensator` and `compensator_of`."""
     for name, value in (("torque_accuracy", torque_accuracy), ("largest_torque", largest_torque)):
         if value is None and pair.rated_torque is None:
@@ -66,10 +76,15 @@ def drive_compensator(
     elif models[0].surface.covariance is not None:
         others = drawn_surfaces(models[0].pair, models[0].surface, DRAWS, 0)
     return compensator_of(
-        models, (friction or Friction()).law(1), compliance, ratio, others=others,
+        models,
+        (friction or Friction()).law(1),
+        compliance,
+        ratio,
+        others=others,
         largest_torque=LARGEST_LOAD * rated if largest_torque is None else largest_torque,
-        torque_accuracy=_TORQUE_ACCURACY * rated if torque_accuracy is None else torque_accuracy, **options,
-    )  # fmt: skip
+        torque_accuracy=_TORQUE_ACCURACY * rated if torque_accuracy is None else torque_accuracy,
+        **options,
+    )
 
 
 def compensator_of(
@@ -121,22 +136,36 @@ def compensator_of(
     if not 0.0 < largest_torque < math.inf:
         raise ArgumentError("largest_torque", "it must be finite and above zero (N*m)", largest_torque)
     inverse = inverse_of(
-        models, largest_torque=largest_torque, torque_accuracy=torque_accuracy, residual=residual, total=total,
+        models,
+        largest_torque=largest_torque,
+        torque_accuracy=torque_accuracy,
+        residual=residual,
+        total=total,
         progress=progress,
-    )  # fmt: skip
+    )
     first, last = (inverse.temperature[0], inverse.temperature[-1]) if len(models) > 1 else _UNLIMITED
     warmth = np.linspace(first, last, _WARMTHS) if law.temperature_coefficient else np.zeros(1)
     table = inverse.residual**2 / 9.0  # largest of as good as normal errors: three standard deviations
     give = compliance + np.gradient(inverse.mean, inverse.torque, axis=1)
     stated = (compliance * torque_accuracy) ** 2 + (give * torque_share * inverse.torque) ** 2
     return Compensator(
-        ratio=ratio, crank_ratio=models[0].pair.ratio, inverse=inverse, compliance=compliance, coulomb=law.coulomb,
-        load_share=law.load_share, stribeck=law.stribeck, viscous=law.viscous, presliding_angle=law.presliding_angle,
-        stribeck_speed=law.stribeck_speed * _SPEEDS, stribeck_share=np.exp(-(_SPEEDS**2)), warmth_temperature=warmth,
+        ratio=ratio,
+        crank_ratio=models[0].pair.ratio,
+        inverse=inverse,
+        compliance=compliance,
+        coulomb=law.coulomb,
+        load_share=law.load_share,
+        stribeck=law.stribeck,
+        viscous=law.viscous,
+        presliding_angle=law.presliding_angle,
+        stribeck_speed=law.stribeck_speed * _SPEEDS,
+        stribeck_share=np.exp(-(_SPEEDS**2)),
+        warmth_temperature=warmth,
         warmth=np.array([factor(law, t) for t in warmth]) if law.temperature_coefficient else np.ones(1),
         variance=inverse.spread + stated + _spread(models[0], inverse, others) + table,
-        ripple_variance=inverse.ripple_variance, sensor=sensor,
-    )  # fmt: skip
+        ripple_variance=inverse.ripple_variance,
+        sensor=sensor,
+    )
 
 
 def _spread(model: Model, inverse: Inverse, others: Sequence[ErrorSurface]) -> Array:

@@ -110,9 +110,19 @@ class Compensator:
         stiffness = 2.0 / (self.presliding_angle * (FRICTION_ELEMENTS + 1))
         noise = self.sensor * self.sensor
         return Tables(
-            1.0 / self.ratio, 1.0 / t.period, strain, stiffness, noise, self.least_variance + noise, node, steps,
-            _rates(t.torque), _rates(t.temperature), _rates(self.stribeck_speed), _rates(self.warmth_temperature),
-        )  # fmt: skip
+            1.0 / self.ratio,
+            1.0 / t.period,
+            strain,
+            stiffness,
+            noise,
+            self.least_variance + noise,
+            node,
+            steps,
+            _rates(t.torque),
+            _rates(t.temperature),
+            _rates(self.stribeck_speed),
+            _rates(self.warmth_temperature),
+        )
 
     def start(self, index: float = math.nan, probability: float = 1.0) -> Memory:
         """Return an empty memory.
@@ -127,9 +137,15 @@ class Compensator:
         return Memory(index, probability)
 
     def step(
-        self, memory: Memory, desired_angle: float, desired_speed: float, load_torque: float, temperature: float,
-        motor_angle: float = math.nan, output_angle: float = math.nan,
-    ) -> Command:  # fmt: skip
+        self,
+        memory: Memory,
+        desired_angle: float,
+        desired_speed: float,
+        load_torque: float,
+        temperature: float,
+        motor_angle: float = math.nan,
+        output_angle: float = math.nan,
+    ) -> Command:
         """Make a step of the controller: `step`."""
         return step(self, memory, desired_angle, desired_speed, load_torque, temperature, motor_angle, output_angle)
 
@@ -267,9 +283,15 @@ class _State(NamedTuple):
 
 
 def step(
-    compensator: Compensator, memory: Memory, desired_angle: float, desired_speed: float, load_torque: float,
-    temperature: float, motor_angle: float = math.nan, output_angle: float = math.nan,
-) -> Command:  # fmt: skip
+    compensator: Compensator,
+    memory: Memory,
+    desired_angle: float,
+    desired_speed: float,
+    load_torque: float,
+    temperature: float,
+    motor_angle: float = math.nan,
+    output_angle: float = math.nan,
+) -> Command:
     """Return the motor angle for a desired output angle, and learn from measurements.
 
     Parameters
@@ -305,8 +327,11 @@ def step(
     holds = plausible and inside and not (m.count > ENOUGH and (more or another))
     return Command(
         c.ratio * (angle - play * state.flank - wound * state.mean - gain * ripple),
-        c.ratio * desired_speed * (1.0 - gain * c.crank_ratio * slope), math.sqrt(variance), gain, holds,
-    )  # fmt: skip
+        c.ratio * desired_speed * (1.0 - gain * c.crank_ratio * slope),
+        math.sqrt(variance),
+        gain,
+        holds,
+    )
 
 
 def _given(value: float) -> bool:
@@ -413,9 +438,11 @@ def _learn(c: Compensator, m: Memory, state: _State, motor_angle: float, output_
     g = KNOWN[3] * m.learned[3]
     ripple = g * g * g / (g * g + m.sure) if g > 0.0 else 0.0
     targets = (
-        KNOWN[0] * m.learned[0], KNOWN[1] * m.learned[1], min(max(KNOWN[2] * m.learned[2], 0.0), LARGEST_GAIN),
+        KNOWN[0] * m.learned[0],
+        KNOWN[1] * m.learned[1],
+        min(max(KNOWN[2] * m.learned[2], 0.0), LARGEST_GAIN),
         min(ripple, LARGEST_GAIN),
-    )  # fmt: skip
+    )
     for i in range(4):
         most = way * (ANGLE_RATE if i < 2 else GAIN_RATE)
         m.applied[i] += min(max(targets[i] - m.applied[i], -most), most)

@@ -42,9 +42,14 @@ class Index(NamedTuple):
 
 
 def find_index(
-    compensator: Compensator, motor_angle: ArrayLike, output_angle: ArrayLike, load_torque: ArrayLike,
-    temperature: float, *, spacing: float | None = None,
-) -> Index:  # fmt: skip
+    compensator: Compensator,
+    motor_angle: ArrayLike,
+    output_angle: ArrayLike,
+    load_torque: ArrayLike,
+    temperature: float,
+    *,
+    spacing: float | None = None,
+) -> Index:
     """Find the index from a slow motion of a crank turn or more with both angles measured.
 
     Each candidate's ripple is compared with the measured deviation, with the zero, the play and the gain of wind-up

@@ -159,16 +159,30 @@ class Model(NamedTuple):
     def solved(self, torque: ArrayLike, crank: Array, progress: Callable[[int], None] = lambda n: None) -> Array:
         """Return deviations under torques other than 0, shape (torques, angles) or as `contact.transmission` (rad)."""
         return solve(
-            self.pair, self.surface, self.first_stage, torque, crank, slices_needed(self.surface), with_play=False,
-            with_stiffness=False, workers=self.workers, progress=progress,
-        ).transmission_error  # fmt: skip
+            self.pair,
+            self.surface,
+            self.first_stage,
+            torque,
+            crank,
+            slices_needed(self.surface),
+            with_play=False,
+            with_stiffness=False,
+            workers=self.workers,
+            progress=progress,
+        ).transmission_error
 
     def ends(self, crank: Array) -> tuple[Array, Array]:
         """Return the ends of the play, or the unloaded position as both, each of shape (angles,), rad."""
         found = solve(
-            self.pair, self.surface, self.first_stage, [0.0], crank, slices_needed(self.surface), with_stiffness=False,
+            self.pair,
+            self.surface,
+            self.first_stage,
+            [0.0],
+            crank,
+            slices_needed(self.surface),
+            with_stiffness=False,
             workers=self.workers,
-        )  # fmt: skip
+        )
         rest, free = found.transmission_error[0], np.isfinite(found.play_low)
         return np.where(free, found.play_low, rest), np.where(free, found.play_high, rest)
 
@@ -217,8 +231,9 @@ def inverse_of(
         )
     period = pitches * 2.0 * math.pi / (pair.pins if pair.output == "gear" else pair.gear_teeth)
     spread = np.sort(np.random.default_rng(1).uniform(0.0, period, _SPREAD))
-    loads = [[_chosen_loads(m, sign, largest_torque, spread, _LOAD_SHARE * residual) for sign in (-1.0, 1.0)]
-             for m in models]  # fmt: skip
+    loads = [
+        [_chosen_loads(m, sign, largest_torque, spread, _LOAD_SHARE * residual) for sign in (-1.0, 1.0)] for m in models
+    ]
     best: Inverse | None = None
     for samples in _SAMPLES:
         crank: Array = np.arange(float(pitches * samples)) * (period / (pitches * samples))
@@ -239,9 +254,12 @@ def inverse_of(
 
 
 def _inverses(
-    models: Sequence[Model], loads: Sequence[Sequence[Array]], crank: Array, period: float,
+    models: Sequence[Model],
+    loads: Sequence[Sequence[Array]],
+    crank: Array,
+    period: float,
     progress: Callable[[int], None],
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Array, Array]:
     """Solve the drive: torques of both directions, zero in each, and deviations there over ideal crank angles.
 
     Their shape is (temperatures, torques, angles).
@@ -291,11 +309,17 @@ def _table(
     sizes = np.abs(functions).max(axis=1)
     nodes = _nodes(torque, np.concatenate([mean[..., None], share * sizes], axis=-1), _NODE_SHARE * residual)
     table = Inverse(
-        period=period, steps=steps, scale=scale, torque=torque[nodes],
-        temperature=np.array([m.temperature for m in models]), mean=mean[:, nodes], share=share[:, nodes],
+        period=period,
+        steps=steps,
+        scale=scale,
+        torque=torque[nodes],
+        temperature=np.array([m.temperature for m in models]),
+        mean=mean[:, nodes],
+        share=share[:, nodes],
         flank=special.erf(torque[nodes] / (math.sqrt(2.0) * torque_accuracy)),
-        spread=spread[:, nodes], residual=math.nan,
-    )  # fmt: skip
+        spread=spread[:, nodes],
+        residual=math.nan,
+    )
     return dataclasses.replace(table, residual=_largest_error(table, models, torque_accuracy))
 
 
@@ -380,8 +404,9 @@ def _splines(functions: Array, share: Array, allowed: float) -> tuple[tuple[NDAr
         return (), np.zeros(0)
     size, rows = functions.shape[1], share.reshape(-1, len(functions))
     turn, largest = np.arange(size) / size, np.abs(rows).max(axis=0)
-    smooth = CubicSpline(np.linspace(0.0, 1.0, size + 1), np.append(functions, functions[:, :1], axis=1), axis=1,
-                         bc_type="periodic")  # fmt: skip
+    smooth = CubicSpline(
+        np.linspace(0.0, 1.0, size + 1), np.append(functions, functions[:, :1], axis=1), axis=1, bc_type="periodic"
+    )
     tried: dict[tuple[int, int, bool], _Spline] = {}
 
     def spline(k: int, knots: int) -> _Spline:

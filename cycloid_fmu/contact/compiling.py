@@ -177,10 +177,18 @@ class _PartLowering(NativeLowering):  # type: ignore[misc]
 # For closures, comprehensions, array expressions, `with`, messages made at run time and literal arguments. Parts have
 # none of these, and each pass analyses the whole part again: a first analysis takes 1.2 times as long with them.
 _UNUSED = {
-    AnnotateTypes, DumpParforDiagnostics, FindLiterallyCalls, InlineClosureLikes, LiteralPropagationSubPipelinePass,
-    LiteralUnroll, MakeFunctionToJitFunction, NopythonRewrites, NoPythonSupportedFeatureValidation,
-    RewriteDynamicRaises, WithLifting,
-}  # fmt: skip
+    AnnotateTypes,
+    DumpParforDiagnostics,
+    FindLiterallyCalls,
+    InlineClosureLikes,
+    LiteralPropagationSubPipelinePass,
+    LiteralUnroll,
+    MakeFunctionToJitFunction,
+    NopythonRewrites,
+    NoPythonSupportedFeatureValidation,
+    RewriteDynamicRaises,
+    WithLifting,
+}
 
 
 class _PartCompiler(CompilerBase):  # type: ignore[misc]
@@ -249,8 +257,11 @@ def _within(name: _Function, function: _Function, forceinline: bool = False, all
     """
     if not config.DISABLE_JIT:
         options = {
-            "error_model": "numpy", "forceinline": forceinline, "pipeline_class": _PartCompiler, "_nrt": allocates,
-        }  # fmt: skip
+            "error_model": "numpy",
+            "forceinline": forceinline,
+            "pipeline_class": _PartCompiler,
+            "_nrt": allocates,
+        }
         kernel = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
         name._numba_type_ = _Part(kernel)  # type: ignore[attr-defined]
         name._kernel = kernel  # type: ignore[attr-defined]  # the type holds no reference

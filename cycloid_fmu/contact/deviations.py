@@ -101,9 +101,12 @@ def move_to_deviations(
         place = base + at
         state = tangency(px, py, place, problem.circle_radius, problem.generating_eccentricity, teeth)
         flank = Flank(
-            problem.circle_radius, problem.generating_eccentricity, problem.generating_radius - gear_height, teeth,
+            problem.circle_radius,
+            problem.generating_eccentricity,
+            problem.generating_radius - gear_height,
+            teeth,
             problem.ring,
-        )  # fmt: skip
+        )
         offset = Offset(ox, oy, 0.0, 0.0)
         found = contact_at(flank, offset, pin_radius + pin_height, contact.foot, place, state)
         write_contact(contact, found, theta, x)

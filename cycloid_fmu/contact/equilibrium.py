@@ -39,16 +39,28 @@ def load(problem: Problem, contacts: Rows) -> tuple[float, float]:
     """Forces of all rows where they were placed; returns the torque that balances them (N·m), its derivative by x."""
     # The whole problem as an argument would have the references to each of its arrays counted at every call.
     return _press(
-        contacts, problem.pin_radius, problem.slice_width, problem.compliance_gear, problem.compliance_pin,
-        problem.largest_log_radius, problem.seat_gap, problem.seat_compliance,
-    )  # fmt: skip
+        contacts,
+        problem.pin_radius,
+        problem.slice_width,
+        problem.compliance_gear,
+        problem.compliance_pin,
+        problem.largest_log_radius,
+        problem.seat_gap,
+        problem.seat_compliance,
+    )
 
 
 @part
 def _press(
-    contacts: Rows, pin_radius: Array, width: float, compliance_gear: float, compliance_pin: float,
-    largest_log_radius: float, seat_gap: float, seat_compliance: float,
-) -> tuple[float, float]:  # fmt: skip
+    contacts: Rows,
+    pin_radius: Array,
+    width: float,
+    compliance_gear: float,
+    compliance_pin: float,
+    largest_log_radius: float,
+    seat_gap: float,
+    seat_compliance: float,
+) -> tuple[float, float]:
     torque = stiffness = 0.0
     touching = touching_count(contacts)
     one = on_stack(PRESSED)

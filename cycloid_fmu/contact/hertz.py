@@ -10,9 +10,19 @@ from cycloid_fmu.contact.lanes import Lanes, lanes_of, logarithm, vectors
 
 _FORCE_STEP = 1e-5  # of the force: Halley's last step; the next one would be a fiftieth of its cube, or less
 PRESSED = lanes_of(
-    "approach", "curvature", "pin_radius", "force", "stiffness", "by_curvature", "guess", "target", "h", "bending",
-    "start", "q",
-)  # fmt: skip
+    "approach",
+    "curvature",
+    "pin_radius",
+    "force",
+    "stiffness",
+    "by_curvature",
+    "guess",
+    "target",
+    "h",
+    "bending",
+    "start",
+    "q",
+)
 
 
 @compiled
@@ -95,9 +105,13 @@ class _Law(NamedTuple):
 
 @inlined
 def _law(
-    curvature: float, pin_radius: float, width: float, compliance_gear: float, compliance_pin: float,
+    curvature: float,
+    pin_radius: float,
+    width: float,
+    compliance_gear: float,
+    compliance_pin: float,
     largest_log_radius: float,
-) -> _Law:  # fmt: skip
+) -> _Law:
     both = compliance_gear + compliance_pin
     kappa, share = both / (math.pi * width), compliance_gear / both
     pin_curvature = 1.0 / pin_radius
@@ -196,6 +210,13 @@ def hertz_in_lanes(
         for lane in range(lanes):
             if (one.approach[lane] > 0.0) & (one.q[lane] < 3.0 + series):
                 one.force[lane], one.stiffness[lane], one.by_curvature[lane] = hertz(
-                    one.approach[lane], one.curvature[lane], one.pin_radius[lane], width, compliance_gear,
-                    compliance_pin, largest_log_radius, one.guess[lane], seat_compliance,
-                )  # fmt: skip
+                    one.approach[lane],
+                    one.curvature[lane],
+                    one.pin_radius[lane],
+                    width,
+                    compliance_gear,
+                    compliance_pin,
+                    largest_log_radius,
+                    one.guess[lane],
+                    seat_compliance,
+                )

@@ -86,9 +86,13 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
 @inlined
 def _half_width(problem: Problem, contact: np.record, pin: int) -> float:
     return half_width(
-        contact.force, contact.curvature, problem.pin_radius[pin], problem.slice_width, problem.compliance_gear,
+        contact.force,
+        contact.curvature,
+        problem.pin_radius[pin],
+        problem.slice_width,
+        problem.compliance_gear,
         problem.compliance_pin,
-    )  # fmt: skip
+    )
 
 
 @part

@@ -86,9 +86,16 @@ def flank_frame(
 
 @inlined
 def levers(
-    problem: Problem, pin_x: float, pin_y: float, sr: float, cr: float, sc: float, cc: float, centre_x: float,
+    problem: Problem,
+    pin_x: float,
+    pin_y: float,
+    sr: float,
+    cr: float,
+    sc: float,
+    cc: float,
+    centre_x: float,
     centre_y: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
+) -> tuple[float, float, float, float]:
     """Lever and place from the gear's centre of a pin's axis, as in `LocalFrame`.
 
     Parameters
@@ -120,15 +127,41 @@ def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: i
         sr, cr = sine_cosine(ring)
     sc, cc = sine_cosine(crank)
     lx, ly, gx, gy = levers(
-        problem, problem.pin_x[pin], problem.pin_y[pin], sr, cr, sc, cc,
-        problem.centre_x[slice_] + problem.shift_x[disc], problem.centre_y[slice_] + problem.shift_y[disc],
-    )  # fmt: skip
+        problem,
+        problem.pin_x[pin],
+        problem.pin_y[pin],
+        sr,
+        cr,
+        sc,
+        cc,
+        problem.centre_x[slice_] + problem.shift_x[disc],
+        problem.centre_y[slice_] + problem.shift_y[disc],
+    )
     distance = contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius
     seen = flank_frame(problem, alpha, alpha + gear + problem.tooth_turn[disc, tooth], lx, ly, distance)
     return LocalFrame(
-        disc, slice_, pin, tooth, alpha, place + ring, cc, sc, seen.normal_x, seen.normal_y, lx, ly, gx, gy, seen.slide,
-        seen.bend, seen.speed, seen.foot, seen.facing, seen.leaning, seen.turning,
-    )  # fmt: skip
+        disc,
+        slice_,
+        pin,
+        tooth,
+        alpha,
+        place + ring,
+        cc,
+        sc,
+        seen.normal_x,
+        seen.normal_y,
+        lx,
+        ly,
+        gx,
+        gy,
+        seen.slide,
+        seen.bend,
+        seen.speed,
+        seen.foot,
+        seen.facing,
+        seen.leaning,
+        seen.turning,
+    )
 
 
 class Carrying(NamedTuple):

@@ -45,9 +45,13 @@ class NearDrives:
     """
 
     def __init__(
-        self, pair: Pair, surface: ErrorSurface, loads: Sequence[tuple[float, Array]], slices: int,
+        self,
+        pair: Pair,
+        surface: ErrorSurface,
+        loads: Sequence[tuple[float, Array]],
+        slices: int,
         first_order: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.pair, self.loads, self.slices, self.first_order = pair, loads, slices, first_order
         self._problem = drive_of(pair, surface, slices)
         self._solved = displacement_vector(pair, surface)
@@ -104,9 +108,17 @@ class NearDrives:
         for at, some, work in drives.parts(self._contacts):
             for guide in self._along(sweep_number):
                 sweep_drives(
-                    self._problem, some, work, guide, angles, torque, self.first_order, deviation[at], stiffness[at],
+                    self._problem,
+                    some,
+                    work,
+                    guide,
+                    angles,
+                    torque,
+                    self.first_order,
+                    deviation[at],
+                    stiffness[at],
                     pressure[at],
-                )  # fmt: skip
+                )
         left = np.isnan(deviation)
         for j in np.flatnonzero(left.any(axis=1)):
             few = angles[left[j]]

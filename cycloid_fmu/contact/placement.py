@@ -26,14 +26,39 @@ _FEET_STEP = 1e-11  # m: Newton's last step along the flanks
 
 SOLVED = lanes_of(
     # A pin's axis and the gear's centre in its tooth's frame, where its foot is expected and where it must be:
-    "row", "axis_x", "axis_y", "offset_x", "offset_y", "crank_x", "crank_y", "pin_radius", "conjugate_point",
-    "start", "number", "along", "turn", "turn_beyond", "circle_radius", "generating_radius", "root_phase",
-    "root_radius", "root_margin",
+    "row",
+    "axis_x",
+    "axis_y",
+    "offset_x",
+    "offset_y",
+    "crank_x",
+    "crank_y",
+    "pin_radius",
+    "conjugate_point",
+    "start",
+    "number",
+    "along",
+    "turn",
+    "turn_beyond",
+    "circle_radius",
+    "generating_radius",
+    "root_phase",
+    "root_radius",
+    "root_margin",
     # What is found:
-    *Contact._fields, "alpha", "last", "alone",
+    *Contact._fields,
+    "alpha",
+    "last",
+    "alone",
     # Of the pins that are clear:
-    "clear_row", "clear_gap", "clear_by_crank", "clear_phase", "clear_near", "fall", "bounded_for",
-)  # fmt: skip
+    "clear_row",
+    "clear_gap",
+    "clear_by_crank",
+    "clear_phase",
+    "clear_near",
+    "fall",
+    "bounded_for",
+)
 
 
 class Disc(NamedTuple):
@@ -141,9 +166,11 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
                 row = first + slice_ * stride
                 contact = contacts[row]
                 if (
-                    keeps and slices > 1 and step >= five
+                    keeps
+                    and slices > 1
+                    and step >= five
                     and _stays_clear(contacts, row, contact.gap, theta, x, clear, lever)
-                ):  # fmt: skip
+                ):
                     continue
                 start = conjugate + contact.foot + contact.foot_rate * (x - contact.deviation)
                 start += contact.foot_by_crank * (theta - contact.crank_angle)
@@ -173,9 +200,17 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
 
 @inlined
 def enter(
-    one: Lanes, lane: int, at: Disc, px: float, py: float, centre_x: float, centre_y: float, conjugate: float,
-    number: float, along: float,
-) -> None:  # fmt: skip
+    one: Lanes,
+    lane: int,
+    at: Disc,
+    px: float,
+    py: float,
+    centre_x: float,
+    centre_y: float,
+    conjugate: float,
+    number: float,
+    along: float,
+) -> None:
     """Enter a pin whose axis is (px, py) in the gear's frame, of a gear whose centre is displaced, m."""
     ux, uy = at.x + centre_x, at.y + centre_y
     cx, cy = ux * at.cosine + uy * at.sine, uy * at.cosine - ux * at.sine
@@ -198,9 +233,19 @@ def disc_at(problem: Problem, eccentricity: float, theta: float, x: float, disc:
     pitches = shift * teeth / (2.0 * math.pi)
     number = math.floor(pitches)
     return Disc(
-        shift, number, number % teeth, pitches - number, turned_cosine, turned_sine, c, s,
-        ox + problem.shift_x[disc], oy + problem.shift_y[disc], ox * c + oy * s, oy * c - ox * s,
-    )  # fmt: skip
+        shift,
+        number,
+        number % teeth,
+        pitches - number,
+        turned_cosine,
+        turned_sine,
+        c,
+        s,
+        ox + problem.shift_x[disc],
+        oy + problem.shift_y[disc],
+        ox * c + oy * s,
+        oy * c - ox * s,
+    )
 
 
 @inlined
@@ -231,10 +276,18 @@ def _tooth_at(number: float, along: float, turn: float, turn_beyond: float, teet
     # Two teeth end where they meet, midway between where pitch errors leave the root of each.
     extent = 0.5 * (turn_beyond - turn) if near else 0.0
     return _Tooth(
-        number, number - 1.0 if before else number + 1.0, turn, turn_beyond, phase, near,
-        root=lower if before else upper, inwards=1.0 if before else -1.0, extent=extent,
-        lower=lower + extent if before else lower, upper=upper if before else upper + extent,
-    )  # fmt: skip
+        number,
+        number - 1.0 if before else number + 1.0,
+        turn,
+        turn_beyond,
+        phase,
+        near,
+        root=lower if before else upper,
+        inwards=1.0 if before else -1.0,
+        extent=extent,
+        lower=lower + extent if before else lower,
+        upper=upper if before else upper + extent,
+    )
 
 
 @inlined
@@ -259,8 +312,17 @@ def _solve(
     if filled > 0:
         raised = _largest(problem.deviations)
         listed = _solve_in_lanes(
-            flank, problem.stray, problem.root_phase, raised, theta, x, contacts, one, filled, listed,
-        )  # fmt: skip
+            flank,
+            problem.stray,
+            problem.root_phase,
+            raised,
+            theta,
+            x,
+            contacts,
+            one,
+            filled,
+            listed,
+        )
         for lane in range(filled):
             if one.alone[lane] > 0.0:
                 listed = _solve_alone(problem, theta, x, contacts, int(one.row[lane]), False, listed)
@@ -307,7 +369,7 @@ def feet_in_lanes(one: Lanes, filled: int, eccentricity: float, teeth: int, ring
         flank = Flank(R, e, r, teeth, ring)
         tooth = _tooth_at(
             one.number[lane], one.along[lane], one.turn[lane], one.turn_beyond[lane], teeth, one.root_phase[lane]
-        )  # fmt: skip
+        )
         alpha, start = one.alpha[lane], one.start[lane]
         state = tangency(one.axis_x[lane], one.axis_y[lane], alpha, R, e, teeth)
         speed = math.sqrt(state.path_x * state.path_x + state.path_y * state.path_y)
@@ -331,9 +393,17 @@ def feet_in_lanes(one: Lanes, filled: int, eccentricity: float, teeth: int, ring
 
 @part
 def _solve_in_lanes(
-    flank: Flank, stray: float, root_phase: float, raised: float, theta: float, x: float, contacts: Rows, one: Lanes,
-    filled: int, listed: int,
-) -> int:  # fmt: skip
+    flank: Flank,
+    stray: float,
+    root_phase: float,
+    raised: float,
+    theta: float,
+    x: float,
+    contacts: Rows,
+    one: Lanes,
+    filled: int,
+    listed: int,
+) -> int:
     """Solve the contacts in the lanes as far as these can, write and list them."""
     teeth = flank.teeth
     feet_in_lanes(one, filled, flank.eccentricity, teeth, flank.ring)
@@ -344,9 +414,17 @@ def _solve_in_lanes(
         row = int(one.row[lane])
         contact, across = contacts[row], contacts[row + 1]
         found = Contact(
-            one.foot[lane], one.place[lane], one.foot_rate[lane], one.gap[lane], one.arm[lane], one.arm_rate[lane],
-            one.curvature[lane], one.curvature_rate[lane], one.gap_by_crank[lane], one.foot_by_crank[lane],
-        )  # fmt: skip
+            one.foot[lane],
+            one.place[lane],
+            one.foot_rate[lane],
+            one.gap[lane],
+            one.arm[lane],
+            one.arm_rate[lane],
+            one.curvature[lane],
+            one.curvature_rate[lane],
+            one.gap_by_crank[lane],
+            one.foot_by_crank[lane],
+        )
         write_contact(contact, found, theta, x)
         across.crank_angle, across.deviation, across.gap, across.foot = theta, x, math.inf, math.nan
         listed = _list(contacts, row, raised, listed)
@@ -363,9 +441,14 @@ def _solve_in_lanes(
         one.clear_gap[lane] = one.clear_by_crank[lane] = one.clear_phase[lane] = one.clear_near[lane] = 0.0
     for lane in range(vectors(clear)):
         one.fall[lane], one.bounded_for[lane] = _bound(
-            one.clear_gap[lane], one.clear_by_crank[lane], one.clear_phase[lane], one.clear_near[lane] > 0.0, x, flank,
+            one.clear_gap[lane],
+            one.clear_by_crank[lane],
+            one.clear_phase[lane],
+            one.clear_near[lane] > 0.0,
+            x,
+            flank,
             stray,
-        )  # fmt: skip
+        )
     for lane in range(clear):
         contact = contacts[int(one.clear_row[lane])]
         contact.fall, contact.bounded_for = one.fall[lane], one.bounded_for[lane]
@@ -505,9 +588,7 @@ def _bound(
 
 
 @inlined
-def _stays_clear(
-    contacts: Rows, row: int, gap: float, theta: float, x: float, clear: float, lever: float
-) -> bool:  # fmt: skip
+def _stays_clear(contacts: Rows, row: int, gap: float, theta: float, x: float, clear: float, lever: float) -> bool:
     """Whether a pin whose gap was solved elsewhere is certainly farther than `clear` from both teeth."""
     contact, across = contacts[row], contacts[row + 1]
     since, turned = abs(theta - contact.crank_angle), abs(x - contact.deviation)

@@ -39,10 +39,26 @@ from cycloid_fmu.contact.compiling import allocating, inlined, part
 from cycloid_fmu.contact.problem import Problem
 
 _FIELDS = (
-    "foot", "foot_rate", "gap", "arm", "arm_rate", "curvature", "curvature_rate", "force", "stiffness",
-    "force_by_curvature", "deviation", "place", "crank_angle", "gap_by_crank", "foot_by_crank", "fall", "bounded_for",
-    "nearest", "touching",
-)  # fmt: skip
+    "foot",
+    "foot_rate",
+    "gap",
+    "arm",
+    "arm_rate",
+    "curvature",
+    "curvature_rate",
+    "force",
+    "stiffness",
+    "force_by_curvature",
+    "deviation",
+    "place",
+    "crank_angle",
+    "gap_by_crank",
+    "foot_by_crank",
+    "fall",
+    "bounded_for",
+    "nearest",
+    "touching",
+)
 ROW = np.dtype((np.record, [(name, np.float64) for name in _FIELDS]))  # a record, so that `.gap` works in Python too
 Rows = NDArray[np.void]
 _Index = TypeVar("_Index", int, NDArray[np.int64])

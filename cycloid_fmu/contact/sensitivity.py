@@ -108,12 +108,37 @@ def derivatives(problem: Problem, theta: float, x: float, contacts: Rows, out: A
 
 _SEEN = lanes_of(
     # what is known of contacts that carry, as in `LocalFrame` and contact rows
-    "row", "disc", "slice", "pin", "tooth", "foot", "alpha", "gear", "angle", "crank", "pin_x", "pin_y", "centre_x",
-    "centre_y", "distance", "force", "stiffness", "force_by_curvature", "curvature_rate", "arm",
+    "row",
+    "disc",
+    "slice",
+    "pin",
+    "tooth",
+    "foot",
+    "alpha",
+    "gear",
+    "angle",
+    "crank",
+    "pin_x",
+    "pin_y",
+    "centre_x",
+    "centre_y",
+    "distance",
+    "force",
+    "stiffness",
+    "force_by_curvature",
+    "curvature_rate",
+    "arm",
     # changes of their torques: by the gear's centre, by the crank's throw along and across it, by the pin outwards and
     # sideways, by the generating circle, by the tooth's turn
-    "along_x", "along_y", "throw", "across", "outwards", "sideways", "circle", "turned",
-)  # fmt: skip
+    "along_x",
+    "along_y",
+    "throw",
+    "across",
+    "outwards",
+    "sideways",
+    "circle",
+    "turned",
+)
 
 
 @inlined
@@ -153,9 +178,12 @@ def _torques(problem: Problem, theta: float, x: float, seen: Lanes, filled: int)
         )
         local = flank_frame(problem, seen.alpha[lane], seen.angle[lane], lever_x, lever_y, seen.distance[lane])
         contact = Carrying(
-            seen.force[lane], seen.stiffness[lane], seen.force_by_curvature[lane], seen.curvature_rate[lane],
+            seen.force[lane],
+            seen.stiffness[lane],
+            seen.force_by_curvature[lane],
+            seen.curvature_rate[lane],
             seen.arm[lane],
-        )  # fmt: skip
+        )
         along_x = displaced(contact, local, -1.0, 0.0, 0.0, turn)
         along_y = displaced(contact, local, 0.0, -1.0, -turn, 0.0)
         seen.along_x[lane], seen.along_y[lane] = along_x, along_y

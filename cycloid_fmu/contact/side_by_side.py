@@ -37,13 +37,34 @@ from cycloid_fmu.contact.sensitivity import (
     PIN_GENERATING,
     TILT_X,
     TILT_Y,
-)  # fmt: skip
+)
 
 Indices = NDArray[np.int64]
 (
-    _GAP, _ARM, _RATE, _RIGID_RATE, _BEND, _RADIAL, _TANGENTIAL, _X, _Y, _HEIGHT, _CRANK, _CRANK_ALONG, _FACING,
-    _LEANING, _TURN, _TURN_ALONG, _SLIDE, _TOOTH, _BEYOND, _FOOT, _FOOT_RATE, _CURVATURE, COLUMNS,
-) = range(23)  # fmt: skip
+    _GAP,
+    _ARM,
+    _RATE,
+    _RIGID_RATE,
+    _BEND,
+    _RADIAL,
+    _TANGENTIAL,
+    _X,
+    _Y,
+    _HEIGHT,
+    _CRANK,
+    _CRANK_ALONG,
+    _FACING,
+    _LEANING,
+    _TURN,
+    _TURN_ALONG,
+    _SLIDE,
+    _TOOTH,
+    _BEYOND,
+    _FOOT,
+    _FOOT_RATE,
+    _CURVATURE,
+    COLUMNS,
+) = range(23)
 _BENT = 0.2  # of a contact's curvature radius: what displaces a pin farther along its flank is beyond second order
 _SURE = 2e-7  # m: what is left to a gap for another foot, and for the rotation while contacts are not placed again
 _REACHED = 1e-7  # rad: a play's last step, to second order
@@ -115,17 +136,54 @@ def guide_rows(problem: Problem, thetas: Array, deviation: Array, rows: Array) -
 
 _GAPS = lanes_of("gap")
 
-_DRIVE = np.dtype((np.record, [(name, np.float64) for name in (
-    # Where contacts were placed, and ends of the bracket, rad; what the forces give:
-    "state", "placed", "low", "high", "torque", "stiffness", "count",
-    # Of the last crank angles: by how much they differ from the drive beside, how far beyond the first touch the last
-    # one was, by how much two first guesses missed it, and how many were solved in a row.
-    "changed", "changed_before", "changed_first", "beyond", "touch_missed", "line_missed", "solved",
-)]))  # fmt: skip
-_NEAR = np.dtype((np.record, [(name, np.float64) for name in (
-    "contact", "gap", "arm", "arm_rate", "foot_rate", "curvature", "curvature_rate", "pin_radius", "force", "stiffness",
-    "force_by_curvature",
-)]))  # fmt: skip
+_DRIVE = np.dtype(
+    (
+        np.record,
+        [
+            (name, np.float64)
+            for name in (
+                # Where contacts were placed, and ends of the bracket, rad; what the forces give:
+                "state",
+                "placed",
+                "low",
+                "high",
+                "torque",
+                "stiffness",
+                "count",
+                # Of the last crank angles: by how much they differ from the drive beside, how far beyond the first
+                # touch the last one was, by how much two first guesses missed it, and how many were solved in a row.
+                "changed",
+                "changed_before",
+                "changed_first",
+                "beyond",
+                "touch_missed",
+                "line_missed",
+                "solved",
+            )
+        ],
+    )
+)
+_NEAR = np.dtype(
+    (
+        np.record,
+        [
+            (name, np.float64)
+            for name in (
+                "contact",
+                "gap",
+                "arm",
+                "arm_rate",
+                "foot_rate",
+                "curvature",
+                "curvature_rate",
+                "pin_radius",
+                "force",
+                "stiffness",
+                "force_by_curvature",
+            )
+        ],
+    )
+)
 
 
 class Memory(NamedTuple):
@@ -149,9 +207,16 @@ def memory(contacts: int, errors: Array) -> Memory:
     lanes[:, :drives] = errors.T
     listed_drive, listed = np.zeros((2, drives * contacts), np.int64)
     return Memory(
-        lanes, np.zeros(contacts, _BESIDE), np.zeros(1, _GAPS), np.zeros(LANES), np.zeros(LANES),
-        np.zeros(drives, _DRIVE), np.zeros((drives, contacts), _NEAR), listed_drive, listed,
-    )  # fmt: skip
+        lanes,
+        np.zeros(contacts, _BESIDE),
+        np.zeros(1, _GAPS),
+        np.zeros(LANES),
+        np.zeros(LANES),
+        np.zeros(drives, _DRIVE),
+        np.zeros((drives, contacts), _NEAR),
+        listed_drive,
+        listed,
+    )
 
 
 @part
@@ -170,15 +235,20 @@ def _displace(rows: Array, pins: int, first_order: bool, work: Memory) -> None:
         # In two loops, because the compiler gives up where it must compare too many arrays.
         for j in range(vectors(work.drives.size)):
             beside.gap[j] = (
-                gap + a * errors[radial + pin, j] + b * errors[tangential + pin, j] - errors[radius + pin, j]
+                gap
+                + a * errors[radial + pin, j]
+                + b * errors[tangential + pin, j]
+                - errors[radius + pin, j]
                 + turn * errors[tooth, j]
-            )  # fmt: skip
+            )
         for j in range(vectors(work.drives.size)):
             beside.gap[j] += (
-                errors[PIN_GENERATING, j] - facing * errors[CIRCLE_GENERATING, j] - crank * errors[CRANK_THROW, j]
+                errors[PIN_GENERATING, j]
+                - facing * errors[CIRCLE_GENERATING, j]
+                - crank * errors[CRANK_THROW, j]
                 - nx * (errors[CENTRE_X, j] + height * errors[TILT_X, j])
                 - ny * (errors[CENTRE_Y, j] + height * errors[TILT_Y, j])
-            )  # fmt: skip
+            )
         if first_order:
             continue
         turn_along, crank_along, leaning = one[_TURN_ALONG], one[_CRANK_ALONG], one[_LEANING]
@@ -192,8 +262,9 @@ def _displace(rows: Array, pins: int, first_order: bool, work: Memory) -> None:
             beside.along[j] += (
                 ny * (errors[CENTRE_X, j] + height * errors[TILT_X, j])
                 - nx * (errors[CENTRE_Y, j] + height * errors[TILT_Y, j])
-                + leaning * errors[CIRCLE_GENERATING, j] - crank_along * errors[CRANK_THROW, j]
-            )  # fmt: skip
+                + leaning * errors[CIRCLE_GENERATING, j]
+                - crank_along * errors[CRANK_THROW, j]
+            )
 
 
 @inlined
@@ -380,8 +451,10 @@ def _press(
             j, n = listed_drive[first + lane], listed[first + lane]
             near = work.near[j, n]
             near.force, near.stiffness, near.force_by_curvature = (
-                one.force[lane], one.stiffness[lane], one.by_curvature[lane],
-            )  # fmt: skip
+                one.force[lane],
+                one.stiffness[lane],
+                one.by_curvature[lane],
+            )
             work.drives[j].torque += near.force * near.arm
             work.drives[j].stiffness += rotational_stiffness(near)
 
@@ -473,9 +546,15 @@ def _end(one: np.record, x: float, at: float) -> None:
 
 @part
 def _settle(
-    problem: Problem, drives: Drives, rows: Array, at: float, theta: float, torque: float, first_order: bool,
+    problem: Problem,
+    drives: Drives,
+    rows: Array,
+    at: float,
+    theta: float,
+    torque: float,
+    first_order: bool,
     work: Memory,
-) -> None:  # fmt: skip
+) -> None:
     """Balance the torque."""
     for _ in range(_PLACED):
         _place(problem, drives, rows, at, theta, first_order, work)
@@ -500,9 +579,17 @@ def _settle(
 
 @compiled
 def sweep_drives(
-    problem: Problem, drives: Drives, work: Memory, guide: Guide, thetas: Array, torque: float, first_order: bool,
-    deviation: Array, stiffness: Array, pressure: Array,
-) -> None:  # fmt: skip
+    problem: Problem,
+    drives: Drives,
+    work: Memory,
+    guide: Guide,
+    thetas: Array,
+    torque: float,
+    first_order: bool,
+    deviation: Array,
+    stiffness: Array,
+    pressure: Array,
+) -> None:
     """Solve the loaded contact of many drives at the crank angles of a guide, in a row.
 
     Parameters
@@ -545,9 +632,15 @@ def sweep_drives(
 
 @part
 def _reach(
-    problem: Problem, drives: Drives, rows: Array, at: float, theta: float, direction: float, first_order: bool,
+    problem: Problem,
+    drives: Drives,
+    rows: Array,
+    at: float,
+    theta: float,
+    direction: float,
+    first_order: bool,
     work: Memory,
-) -> None:  # fmt: skip
+) -> None:
     """Find the end of the play in a direction (±1)."""
     _first_touch(rows, direction, work)
     for j in range(work.drives.size):
@@ -569,9 +662,15 @@ def _reach(
 
 @compiled
 def sweep_play_of_drives(
-    problem: Problem, drives: Drives, work: Memory, guide: Guide, thetas: Array, first_order: bool, low: Array,
+    problem: Problem,
+    drives: Drives,
+    work: Memory,
+    guide: Guide,
+    thetas: Array,
+    first_order: bool,
+    low: Array,
     high: Array,
-) -> None:  # fmt: skip
+) -> None:
     """Solve the play of many drives at the crank angles of a guide.
 
     Parameters are those of `sweep_drives`; `low` and `high` (rad), shape (drives, angles), are overwritten as by
@@ -596,9 +695,16 @@ def sweep_play_of_drives(
 
 @compiled
 def sweep_near_sensitivities(
-    problem: Problem, drives: Drives, work: Memory, guide: Guide, thetas: Array, torque: Array, deviation: Array,
-    each: Array, by_torque: Array,
-) -> None:  # fmt: skip
+    problem: Problem,
+    drives: Drives,
+    work: Memory,
+    guide: Guide,
+    thetas: Array,
+    torque: Array,
+    deviation: Array,
+    each: Array,
+    by_torque: Array,
+) -> None:
     """Solve one drive to first order at the crank angles of a guide, with the derivatives of its deviation.
 
     Parameters

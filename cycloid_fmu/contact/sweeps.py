@@ -177,9 +177,16 @@ def sweep_crank_side(
 
 @compiled
 def sweep_sensitivities(
-    problem: Problem, thetas: Array, torque: Array, columns: Array, deviation: Array, each: Array, jacobian: Array,
-    by_angle: Array, by_torque: Array,
-) -> None:  # fmt: skip
+    problem: Problem,
+    thetas: Array,
+    torque: Array,
+    columns: Array,
+    deviation: Array,
+    each: Array,
+    jacobian: Array,
+    by_angle: Array,
+    by_torque: Array,
+) -> None:
     """Solve every crank angle at its torque, with the derivatives of the deviation.
 
     Parameters

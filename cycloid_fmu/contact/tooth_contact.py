@@ -119,9 +119,13 @@ def unloaded_contact(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, 
     touching_pin = flat.argmin(axis=1)
     smallest = flat[np.arange(flat.shape[0]), touching_pin]
     return UnloadedContact(
-        theta[:, 0, 0], error, alpha, np.where(np.isinf(smallest), math.nan, side * smallest),
-        touching_pin // (teeth + 1), touching_pin % (teeth + 1),
-    )  # fmt: skip
+        theta[:, 0, 0],
+        error,
+        alpha,
+        np.where(np.isinf(smallest), math.nan, side * smallest),
+        touching_pin // (teeth + 1),
+        touching_pin % (teeth + 1),
+    )
 
 
 @contact.compiled
@@ -380,11 +384,26 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     half = np.sqrt(4.0 * force * radius * both / (np.pi * drive.slice_width))
     phase = 2.0 * np.pi * pin / pins + ring - crank
     return LoadedContacts(
-        crank_angle, deviation, angle, disc, slice_, pin, tooth, (phase + np.pi) % (2.0 * np.pi) - np.pi, place,
-        np.angle((flank.point * turned - axis + centre) / inwards), force, held["arm"], -held["gap"], half,
-        2.0 * force / (np.pi * half * drive.slice_width), radius, axis - centre, -1j * flank.tangent * turned,
+        crank_angle,
+        deviation,
+        angle,
+        disc,
+        slice_,
+        pin,
+        tooth,
+        (phase + np.pi) % (2.0 * np.pi) - np.pi,
+        place,
+        np.angle((flank.point * turned - axis + centre) / inwards),
+        force,
+        held["arm"],
+        -held["gap"],
+        half,
+        2.0 * force / (np.pi * half * drive.slice_width),
+        radius,
+        axis - centre,
+        -1j * flank.tangent * turned,
         held["curvature"],
-    )  # fmt: skip
+    )
 
 
 def contact_ratio(contacts: LoadedContacts) -> float:

@@ -181,8 +181,9 @@ def _heights(pair: Pair, slices: int) -> Array:
 
 def _modification(pair: Pair) -> dict[str, float]:
     return {
-        "generating_pin_radius": pair.modification.isometric, "generating_circle_radius": pair.modification.offset,
-    }  # fmt: skip
+        "generating_pin_radius": pair.modification.isometric,
+        "generating_circle_radius": pair.modification.offset,
+    }
 
 
 def _made(pair: Pair, made: Mapping[str, Any], stray: Any, z: Array) -> dict[str, Any]:
@@ -192,21 +193,26 @@ def _made(pair: Pair, made: Mapping[str, Any], stray: Any, z: Array) -> dict[str
     circle = np.asarray(made["generating_circle_radius"])
     spread = np.ptp(made["tooth_turn"], axis=-1).max(axis=-1)
     found = {
-        "circle_radius": circle, "generating_radius": np.asarray(made["generating_pin_radius"]),
-        "eccentricity": np.asarray(made["crank_throw"]), "stray": np.asarray(stray),
+        "circle_radius": circle,
+        "generating_radius": np.asarray(made["generating_pin_radius"]),
+        "eccentricity": np.asarray(made["crank_throw"]),
+        "stray": np.asarray(stray),
         "root_phase": _root_phase(warm, np.asarray(stray), circle),
         "root_margin": 1e-6 + 1.5 * warm.pin_circle_radius * spread,
-    }  # fmt: skip
+    }
     if circle.ndim == 0:
         found = {name: float(value) for name, value in found.items()}
     centre_x, centre_y, tilt_x, tilt_y = (
         np.asarray(made[name])[..., None] for name in ("centre_x", "centre_y", "tilt_x", "tilt_y")
     )
     return found | {
-        "pin_x": made["pin_radial"] * np.cos(angle), "pin_y": made["pin_radial"] * np.sin(angle),
-        "pin_radius": made["pin_radius"], "tooth_turn": np.ascontiguousarray(made["tooth_turn"]),
-        "centre_x": centre_x + tilt_x * z, "centre_y": centre_y + tilt_y * z,
-    }  # fmt: skip
+        "pin_x": made["pin_radial"] * np.cos(angle),
+        "pin_y": made["pin_radial"] * np.sin(angle),
+        "pin_radius": made["pin_radius"],
+        "tooth_turn": np.ascontiguousarray(made["tooth_turn"]),
+        "centre_x": centre_x + tilt_x * z,
+        "centre_y": centre_y + tilt_y * z,
+    }
 
 
 def _deviations(pair: Pair, surface: ErrorSurface, z: Array) -> contact.Deviations | None:
@@ -367,10 +373,14 @@ def empty_lines(pair: Pair, surface: ErrorSurface, slices: int, places: tuple[in
     around = ANGLE_ELEMENTS if surface.pin_deviation is None else surface.pin_deviation.shape[1]
     alpha, x, y, _, _ = _flank_points(pair, surface, profile)
     return contact.ContactLines(
-        np.zeros((*places, slices), np.float32), np.zeros((*places, slices), np.float32),
-        np.zeros((places[0], g.discs, g.gear_teeth, profile, slices)), np.zeros((places[0], g.pins, around, slices)),
-        alpha, x, y,
-    )  # fmt: skip
+        np.zeros((*places, slices), np.float32),
+        np.zeros((*places, slices), np.float32),
+        np.zeros((places[0], g.discs, g.gear_teeth, profile, slices)),
+        np.zeros((places[0], g.pins, around, slices)),
+        alpha,
+        x,
+        y,
+    )
 
 
 def no_lines(torques: int) -> contact.ContactLines:
@@ -447,10 +457,22 @@ def solve(
     def result(done: slice) -> Transmission:
         kept = lines or no_lines(loads[0])
         return Transmission(
-            torques, angles[done], deviation[:, done], stiffness[:, done], found.contact_count[:, done],
-            pressure[:, done], found.pin_force[:, done], found.pin_pressure[:, done], low[done], high[done], gap[done],
-            kept.slice_force[:, done], kept.slice_direction[:, done], kept.gear_pressure, kept.pin_pressure,
-        )  # fmt: skip
+            torques,
+            angles[done],
+            deviation[:, done],
+            stiffness[:, done],
+            found.contact_count[:, done],
+            pressure[:, done],
+            found.pin_force[:, done],
+            found.pin_pressure[:, done],
+            low[done],
+            high[done],
+            gap[done],
+            kept.slice_force[:, done],
+            kept.slice_direction[:, done],
+            kept.gear_pressure,
+            kept.pin_pressure,
+        )
 
     try:
         solve_in_parts(part, angles.size, PART, workers, lambda size: progress(size * loads[0]))
@@ -487,9 +509,18 @@ def solve_problem(problem: contact.Problem, torque: Array, crank_angle: Array, *
     """
     found = _unsolved(problem, torque.shape)
     contact.sweep(
-        problem, crank_angle, torque, 0, crank_angle.size, with_play, found.low, found.high, found.interference,
-        found.loaded, None,
-    )  # fmt: skip
+        problem,
+        crank_angle,
+        torque,
+        0,
+        crank_angle.size,
+        with_play,
+        found.low,
+        found.high,
+        found.interference,
+        found.loaded,
+        None,
+    )
     return found
 
 

@@ -87,10 +87,16 @@ class _Handler(PageHandler):
         desk = self.server.desk
         if path != "/start":
             return False
-        self._json({
-            "source": desk.source, "name": self.server.path.name, "fields": [one._asdict() for one in FIELDS.values()],
-            "values": desk.values, "kept": desk.kept, "view": self.server.first.numbers(),
-        })  # fmt: skip
+        self._json(
+            {
+                "source": desk.source,
+                "name": self.server.path.name,
+                "fields": [one._asdict() for one in FIELDS.values()],
+                "values": desk.values,
+                "kept": desk.kept,
+                "view": self.server.first.numbers(),
+            }
+        )
         return True
 
     def do_POST(self) -> None:  # noqa: N802 - the name that http.server calls

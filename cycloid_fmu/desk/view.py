@@ -63,9 +63,13 @@ class Field(NamedTuple):
 
 
 _EMPTY = {
-    "gear_teeth": "a whole number", "discs": "1", "rated_torque": "not stated",
-    "pressure_limit": f"{LARGEST_PRESSURE * 1e-9:g} GPa of bearing steel", "isometric": "0 mm", "offset": "0 mm",
-}  # fmt: skip
+    "gear_teeth": "a whole number",
+    "discs": "1",
+    "rated_torque": "not stated",
+    "pressure_limit": f"{LARGEST_PRESSURE * 1e-9:g} GPa of bearing steel",
+    "isometric": "0 mm",
+    "offset": "0 mm",
+}
 
 
 def _fields() -> dict[str, Field]:
@@ -199,21 +203,27 @@ class View:
     def numbers(self) -> dict[str, Any]:
         """Return the data of the page: angles in degrees, errors and play in arcsec, pressure in MPa."""
         curves = {
-            "transmission_error": self.transmission_error * edge.ARCSEC, "backlash": self.backlash * edge.ARCSEC,
+            "transmission_error": self.transmission_error * edge.ARCSEC,
+            "backlash": self.backlash * edge.ARCSEC,
             "pressure": self.pressure * 1e-6,
-        }  # fmt: skip
+        }
         return {
-            "problems": dict(self.problems), "torque": f"{self.torque:g} N·m", "figures": list(self.figures.items()),
+            "problems": dict(self.problems),
+            "torque": f"{self.torque:g} N·m",
+            "figures": list(self.figures.items()),
             "crank_angle": np.degrees(self.crank_angle).round(3),
             "curves": {name: values.round(5) for name, values in curves.items()},
             "verdicts": [{"met": one.met, "cells": row_of(one)} for one in self.verdicts],
-            "not_judged": [name.replace("_", " ") for name in self.not_judged], "notes": list(self.notes),
-            "drive": self.drive, "tooth": self.tooth, "caption": self.caption,
+            "not_judged": [name.replace("_", " ") for name in self.not_judged],
+            "notes": list(self.notes),
+            "drive": self.drive,
+            "tooth": self.tooth,
+            "caption": self.caption,
             "tooth_title": "" if self.close_up is None else self.close_up.title,
-            "tooth_curves": [] if self.close_up is None else [
-                {"label": one.label, "colour": one.colour, "dashed": one.dashed} for one in self.close_up.curves
-            ],
-        }  # fmt: skip
+            "tooth_curves": []
+            if self.close_up is None
+            else [{"label": one.label, "colour": one.colour, "dashed": one.dashed} for one in self.close_up.curves],
+        }
 
 
 def pair_of(desk: Desk, values: Mapping[str, str]) -> Pair:
@@ -313,11 +323,22 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
     surface = surface_of_pair(pair)
     motion = motion_of(pair, surface, loads[:1], angle, with_curve=False)
     return View(
-        {}, pair, loads[0], curves.crank_angle, curves.transmission_error[0], curves.backlash,
+        {},
+        pair,
+        loads[0],
+        curves.crank_angle,
+        curves.transmission_error[0],
+        curves.backlash,
         curves.pin_pressure[0].max(axis=(1, 2)),
-        _figures(pair, found, series), judged.verdicts, judged.not_judged, tuple(notes(pair, surface, found)),
-        drive_svg(motion), tooth_svg(motion), _caption(motion), close_up(motion),
-    )  # fmt: skip
+        _figures(pair, found, series),
+        judged.verdicts,
+        judged.not_judged,
+        tuple(notes(pair, surface, found)),
+        drive_svg(motion),
+        tooth_svg(motion),
+        _caption(motion),
+        close_up(motion),
+    )
 
 
 @functools.lru_cache(maxsize=4)  # so that moving the crank needs no new solution
@@ -345,8 +366,9 @@ def _figures(pair: Pair, found: Transmission, series: float) -> dict[str, str]:
     of = {name: values[0] for name, values in statistics({**vars(found), "backlash": found.backlash[None]}).items()}
     deepest, count = found.interference.max(), found.contact_count[0]
     play = {
-        "backlash, mean": f"{of['MB'] * edge.ARCSEC:.3f}″", "backlash, peak to peak": f"{of['PPB'] * edge.ARCSEC:.3f}″"
-    }  # fmt: skip
+        "backlash, mean": f"{of['MB'] * edge.ARCSEC:.3f}″",
+        "backlash, peak to peak": f"{of['PPB'] * edge.ARCSEC:.3f}″",
+    }
     if deepest > 0.0:
         # On bearings the output has play in clearances, whatever interferes.
         play = {} if np.isnan(of["MB"]) else play

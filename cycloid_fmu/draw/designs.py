@@ -52,8 +52,14 @@ def _front(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
     axes.plot(x[best], y[best], color="0.7", lw=1.0, zorder=1)
     for number, (one, a, b) in enumerate(zip(found, x, y, strict=True), 1):
         of_front = best[number - 1]
-        axes.plot(a, b, "o" if one.met else "x", color="C0" if one.met else "tab:red",
-                  mfc="C0" if of_front else "white", zorder=2)  # fmt: skip
+        axes.plot(
+            a,
+            b,
+            "o" if one.met else "x",
+            color="C0" if one.met else "tab:red",
+            mfc="C0" if of_front else "white",
+            zorder=2,
+        )
         axes.annotate(f" {number}", (a, b), fontsize=8)
     said = "Pareto front"
     if any(one.met and not front for one, front in zip(found, best, strict=True)):
@@ -88,10 +94,17 @@ def _ranges(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
         axes.plot(share, at, "o-", color=shade, lw=1.0, ms=4, label=f"{number}" if len(found) > 1 else "")
         if len(found) == 1:
             for k, name in enumerate(names):
-                axes.annotate(" ".join(shown(name, one.values[name])), (share[k], k), xytext=(0, 6),
-                              textcoords="offset points", ha="center", fontsize=8)  # fmt: skip
-    labels = [f"{n.replace('_', ' ')}\n{shown(n, task.vary[n][0])[0]} … {' '.join(shown(n, task.vary[n][1]))}"
-              for n in names]  # fmt: skip
+                axes.annotate(
+                    " ".join(shown(name, one.values[name])),
+                    (share[k], k),
+                    xytext=(0, 6),
+                    textcoords="offset points",
+                    ha="center",
+                    fontsize=8,
+                )
+    labels = [
+        f"{n.replace('_', ' ')}\n{shown(n, task.vary[n][0])[0]} … {' '.join(shown(n, task.vary[n][1]))}" for n in names
+    ]
     axes.set_yticks(at, labels, fontsize=8)
     axes.set(
         xlabel="position in the range [%]", xlim=(-5.0, 105.0), ylim=(len(names) - 0.5, -0.7), title="searched values"

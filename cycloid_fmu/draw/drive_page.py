@@ -30,10 +30,15 @@ def _contacts(motion: Motion, load: int, angle: int) -> list[list[float]]:
     force, pressure = motion.force[load, angle], motion.pressure[load, angle] * 1e-6
     towards = np.angle(motion.direction[load, angle]) * 1e3
     return [
-        [int(disc), int(pin), round(float(force[disc, pin, side]), 1), round(float(pressure[disc, pin]), 1),
-         round(float(towards[disc, pin, side]))]
+        [
+            int(disc),
+            int(pin),
+            round(float(force[disc, pin, side]), 1),
+            round(float(pressure[disc, pin]), 1),
+            round(float(towards[disc, pin, side])),
+        ]
         for disc, pin, side in np.argwhere(force > 0.0)
-    ]  # fmt: skip
+    ]
 
 
 def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
@@ -76,13 +81,24 @@ def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
         "radii": (motion.pin_radius * 1e3).round(5).tolist(),
         "error": (motion.transmission_error * ARCSEC).round(4).tolist(),
         "arcsec": ARCSEC,
-        "gap": table([[[None if not np.isfinite(v) else round(float(v), 2) for v in row] for row in nearest[a]]
-                      for a in at]),
+        "gap": table(
+            [[[None if not np.isfinite(v) else round(float(v), 2) for v in row] for row in nearest[a]] for a in at]
+        ),
         "contacts": table([_contacts(motion, *a) for a in at]),
-        "holders": table([
-            [[round(c.centre.real * 1e3, 3), round(c.centre.imag * 1e3, 3), round(c.radius * 1e3, 3), int(c.hole)]
-             for c in drive_picture.holders(motion, *a)] for a in at
-        ]),
+        "holders": table(
+            [
+                [
+                    [
+                        round(c.centre.real * 1e3, 3),
+                        round(c.centre.imag * 1e3, 3),
+                        round(c.radius * 1e3, 3),
+                        int(c.hole),
+                    ]
+                    for c in drive_picture.holders(motion, *a)
+                ]
+                for a in at
+            ]
+        ),
         "curve": (curve - mean[:, None]).round(4).tolist(),
         "mean": mean.round(4).tolist(),
         "longest": drive_picture.LONGEST_ARROW * pair.pin_circle_radius * 1e3,
@@ -90,7 +106,7 @@ def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
         "scale_force": round_number(largest) if largest > 0.0 else 0.0,
         "largest_pressure": max(float(motion.pressure.max()) * 1e-6, 1.0),
         "tooth": _tooth(motion),
-    }  # fmt: skip
+    }
 
 
 def _tooth(motion: Motion) -> dict[str, Any]:

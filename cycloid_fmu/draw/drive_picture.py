@@ -80,9 +80,7 @@ def hole_radius(motion: Motion) -> float:
 def sizes_are_stated(motion: Motion) -> bool:
     """Whether the pair states the sizes of the circles that `holders` returns."""
     supports = motion.pair.supports
-    return (
-        supports is not None and supports.kind == "cranks" and supports.turning_arm.raceway_diameter is not None
-    )  # fmt: skip
+    return supports is not None and supports.kind == "cranks" and supports.turning_arm.raceway_diameter is not None
 
 
 def drive_name(motion: Motion) -> str:
@@ -159,18 +157,36 @@ def draw_drive(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> Non
         end = begin + longest * forces[disc, pin, side] / largest * towards
         colour = colours(pressure[disc, pin] / highest)
         face = colour if disc == 0 else "white"
-        axis.add_patch(FancyArrowPatch(
-            (begin.real, begin.imag), (end.real, end.imag), arrowstyle=_ARROW,
-            fc=face, ec=EDGE if disc == 0 else BEHIND, lw=0.4, shrinkA=0, shrinkB=0, zorder=6,
-        ))  # fmt: skip
+        axis.add_patch(
+            FancyArrowPatch(
+                (begin.real, begin.imag),
+                (end.real, end.imag),
+                arrowstyle=_ARROW,
+                fc=face,
+                ec=EDGE if disc == 0 else BEHIND,
+                lw=0.4,
+                shrinkA=0,
+                shrinkB=0,
+                zorder=6,
+            )
+        )
         axis.plot([begin.real], [begin.imag], ".", color="#111111", ms=2.5, zorder=7)
     if forces.any():
         bar = round_number(largest)
         x, y = -rim, -rim - 2.0
-        axis.add_patch(FancyArrowPatch(
-            (x, y), (x + longest * bar / largest, y), arrowstyle=_ARROW,
-            fc="#8a97a6", ec=EDGE, lw=0.4, shrinkA=0, shrinkB=0, zorder=6,
-        ))  # fmt: skip
+        axis.add_patch(
+            FancyArrowPatch(
+                (x, y),
+                (x + longest * bar / largest, y),
+                arrowstyle=_ARROW,
+                fc="#8a97a6",
+                ec=EDGE,
+                lw=0.4,
+                shrinkA=0,
+                shrinkB=0,
+                zorder=6,
+            )
+        )
         axis.text(x + longest * bar / largest + 1.5, y, f"{bar:g} N", va="center", fontsize=8)
         shown = ScalarMappable(cmap=colours)
         shown.set_clim(0.0, highest * 1e-6)

@@ -42,8 +42,9 @@ def _arrow(begin: complex, step: complex, rim: float) -> str:
     length = abs(step)
     head = min(0.35 * length, 0.05 * rim)
     neck, wide, thin = length - head, 0.5 * head, 0.22 * head
-    shape = np.array([thin * 1j, neck + thin * 1j, neck + wide * 1j, length, neck - wide * 1j, neck - thin * 1j,
-                      -thin * 1j])  # fmt: skip
+    shape = np.array(
+        [thin * 1j, neck + thin * 1j, neck + wide * 1j, length, neck - wide * 1j, neck - thin * 1j, -thin * 1j]
+    )
     return _path(begin + step / length * shape, closed=True)
 
 

@@ -37,9 +37,11 @@ def figure_of_names() -> type[Figure]:
         def draw(self, renderer: Any) -> None:
             axes = [axis for one in self.axes for axis in (one.xaxis, one.yaxis)]
             numbers = {
-                text for axis in axes if not isinstance(axis.get_major_formatter(), FixedFormatter | FuncFormatter)
+                text
+                for axis in axes
+                if not isinstance(axis.get_major_formatter(), FixedFormatter | FuncFormatter)
                 for text in (*axis.get_majorticklabels(), *axis.get_minorticklabels())
-            }  # fmt: skip
+            }
             for text in self.findobj(Text):
                 if text not in numbers:
                     text.set_parse_math(False)

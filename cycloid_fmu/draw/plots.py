@@ -192,9 +192,14 @@ def plot_analysis(data: xr.Dataset) -> Figure:
     zoom = f"transmission error (TE) about its mean, {_ALIKE}" if alike else f"the first {_ZOOMED} pin pitches"
     axes[1].set_title(zoom, fontsize=9)
     figure.legend(
-        *axes[0].get_legend_handles_labels(), title=title_of(data), title_fontsize=11, loc="outside upper center",
-        ncols=2, fontsize=8, frameon=False,
-    )  # fmt: skip
+        *axes[0].get_legend_handles_labels(),
+        title=title_of(data),
+        title_fontsize=11,
+        loc="outside upper center",
+        ncols=2,
+        fontsize=8,
+        frameon=False,
+    )
     if alike:
         figure.delaxes(axes[0])
         axes[1].set_subplotspec(axes[1].get_subplotspec().get_gridspec()[0, :])
@@ -309,9 +314,14 @@ def plot_surface(surface: object) -> Figure:
     for axis, (title, elements, (label, ends)) in zip(axes[2:], maps, strict=True):
         largest = max(np.abs(elements).max() * 1e6, 1e-3)
         image = axis.imshow(
-            elements.T * 1e6, origin="lower", aspect="auto", extent=(*ends, -0.5, 0.5), cmap="RdBu_r", vmin=-largest,
+            elements.T * 1e6,
+            origin="lower",
+            aspect="auto",
+            extent=(*ends, -0.5, 0.5),
+            cmap="RdBu_r",
+            vmin=-largest,
             vmax=largest,
-        )  # fmt: skip
+        )
         axis.set(xlabel=label, ylabel="fraction of the width")
         axis.set_title(f"deviation, {title}", fontsize=9)
         axis.grid(False)
@@ -436,8 +446,15 @@ def plot_indices(factors: Sequence[str], indices: Mapping[str, Mapping[str, NDAr
     place = np.arange(len(factors))
     for axis, (name, found) in zip(axes, indices.items(), strict=False):
         for shift, kind in ((-0.2, "first_order"), (0.2, "total")):
-            axis.bar(place + shift, found[kind], 0.38, yerr=found[f"{kind}_confidence"], capsize=2,
-                     error_kw={"lw": 0.8}, label=kind.replace("_", " "))  # fmt: skip
+            axis.bar(
+                place + shift,
+                found[kind],
+                0.38,
+                yerr=found[f"{kind}_confidence"],
+                capsize=2,
+                error_kw={"lw": 0.8},
+                label=kind.replace("_", " "),
+            )
         axis.set_xticks(place, [f.replace("_", " ") for f in factors], rotation=60, ha="right", fontsize=7)
         axis.set(ylabel="Sobol index")
         axis.set_title(name.replace("_", " "), fontsize=9)
@@ -490,12 +507,20 @@ def plot_simulation(results: Mapping[str, NDArray[np.float64]], title: str) -> F
 _ROUNDING = 1e-9  # of the larger variable: differences below are rounding
 # Units in which differences of an FMU's variables are shown.
 DIFFERENCE_UNITS = {
-    "flange_a.phi": ("arcsec", ARCSEC), "flange_b.phi": ("arcsec", ARCSEC), "transmission_error": ("arcsec", ARCSEC),
-    "backlash": ("arcsec", ARCSEC), "flange_a.w": ("rad/s", 1.0), "flange_b.w": ("rad/s", 1.0),
-    "flange_a.tau": ("N·m", 1.0), "flange_b.tau": ("N·m", 1.0), "torsional_stiffness": ("N·m/arcmin", 1.0 / ARCMIN),
-    "max_contact_pressure": ("MPa", 1e-6), "power_loss": ("W", 1.0), "elastic_energy": ("J", 1.0),
+    "flange_a.phi": ("arcsec", ARCSEC),
+    "flange_b.phi": ("arcsec", ARCSEC),
+    "transmission_error": ("arcsec", ARCSEC),
+    "backlash": ("arcsec", ARCSEC),
+    "flange_a.w": ("rad/s", 1.0),
+    "flange_b.w": ("rad/s", 1.0),
+    "flange_a.tau": ("N·m", 1.0),
+    "flange_b.tau": ("N·m", 1.0),
+    "torsional_stiffness": ("N·m/arcmin", 1.0 / ARCMIN),
+    "max_contact_pressure": ("MPa", 1e-6),
+    "power_loss": ("W", 1.0),
+    "elastic_energy": ("J", 1.0),
     "dissipated_energy": ("J", 1.0),
-}  # fmt: skip
+}
 
 
 def plot_comparison(

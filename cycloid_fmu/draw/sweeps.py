@@ -48,8 +48,14 @@ def plot_sweep(data: xr.Dataset) -> Figure:
             loads = data["torque"].values if name in LOADED else [None]
             for load in loads:
                 values = one[name] if load is None else one[name].sel(torque=load)
-                axis.plot(places[0], values.values * factor, ".-", ms=4, lw=1.2,
-                          label=None if load is None else f"{load:g} N·m")  # fmt: skip
+                axis.plot(
+                    places[0],
+                    values.values * factor,
+                    ".-",
+                    ms=4,
+                    lw=1.2,
+                    label=None if load is None else f"{load:g} N·m",
+                )
             at_least(axis, least)
             axis.ticklabel_format(useOffset=False)
             axis.xaxis.set_major_locator(MaxNLocator(6))
@@ -71,8 +77,10 @@ def plot_sweep(data: xr.Dataset) -> Figure:
         axis.grid(False)
         axis.set(xlabel=labels[1], ylabel=labels[0])
         figure.colorbar(image, ax=axis, label=label)
-    held = [f"{name.replace('_', ' ')} = {shown_values(data, name)[0][0]:g} {shown_values(data, name)[1]}"
-            for name in others]  # fmt: skip
+    held = [
+        f"{name.replace('_', ' ')} = {shown_values(data, name)[0][0]:g} {shown_values(data, name)[1]}"
+        for name in others
+    ]
     if len(several) > 1:
         held.insert(0, f"{float(data['torque'].values[0]):g} N·m")
     if missing:

@@ -37,11 +37,13 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
             ("force [N]", [("", contacts.force)]),
             ("pressure [MPa]", [("", contacts.pressure * 1e-6)]),
             ("half width [µm]", [("", contacts.half_width * 1e6)]),
-            ("velocity [mm per rad of the ring]",
-             [("along pin", speed.pin * 1e3), ("along gear", speed.gear * 1e3), ("sliding", speed.sliding * 1e3)]),
+            (
+                "velocity [mm per rad of the ring]",
+                [("along pin", speed.pin * 1e3), ("along gear", speed.gear * 1e3), ("sliding", speed.sliding * 1e3)],
+            ),
             ("slip coefficient", [("gear", speed.gear_slip), ("pin", speed.pin_slip)]),
             ("k_0 [m²/N]", [("", coefficient)]),
-        ]  # fmt: skip
+        ]
         for axis, (label, curves) in zip(axes, mesh, strict=False):
             for name, values in curves:
                 axis.plot(phase, values[order], ".", ms=2, label=name)

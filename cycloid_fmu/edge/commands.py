@@ -51,8 +51,11 @@ if TYPE_CHECKING:
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]  # typer's own, or click's with older versions
 _SETTINGS: dict[str, Any] = {
-    "no_args_is_help": True, "add_completion": False, "pretty_exceptions_enable": False, "rich_markup_mode": "rich",
-}  # fmt: skip
+    "no_args_is_help": True,
+    "add_completion": False,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": "rich",
+}
 _QUIET, _LONGEST_QUIET = 10.0, 30.0  # seconds between the lines of a progress that is written to a file
 _FORESEEN, _LONG = 3.0, 20.0  # seconds after which a computation is announced that takes at least so long
 _SHORT = 0.5  # seconds: shorter computations show no bar, as its package is slow to load

@@ -84,9 +84,14 @@ _DEEPEST, _MOST_TABLES = 4, 5  # tables in tables; tables that a sentence lists
 _LIST = "a list in square brackets"
 _NUMBER = "a number without quotes"
 _WORDS = {
-    "list_type": _LIST, "tuple_type": _LIST, "dict_type": "a table", "model_type": "a table",
-    "float_type": _NUMBER, "float_parsing": _NUMBER, "string_type": "text in quotes",
-}  # fmt: skip
+    "list_type": _LIST,
+    "tuple_type": _LIST,
+    "dict_type": "a table",
+    "model_type": "a table",
+    "float_type": _NUMBER,
+    "float_parsing": _NUMBER,
+    "string_type": "text in quotes",
+}
 """Expected entries for pydantic's error types, in TOML's terms."""
 
 

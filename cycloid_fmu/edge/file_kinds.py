@@ -46,9 +46,13 @@ _FMU = "an FMU, for cycloid-fmu simulate, inspect and compare"
 _TABLE, _LOGGER = "a table (CSV)", "a file of a data logger"
 _HDF5, _ZIP, _ARROW = b"\x89HDF\r\n\x1a\n", b"PK\x03\x04", b"\xff\xff\xff\xff"
 _BEGINNINGS = {
-    b"PAR1": f"{_LOGGER} (Parquet)", b"TDSm": f"{_LOGGER} (TDMS)", b"MDF ": f"{_LOGGER} (MDF)",
-    b"LOGG": f"{_LOGGER} (BLF)", b"\x89PNG": "a picture", b"%PDF": "a PDF",
-}  # fmt: skip
+    b"PAR1": f"{_LOGGER} (Parquet)",
+    b"TDSm": f"{_LOGGER} (TDMS)",
+    b"MDF ": f"{_LOGGER} (MDF)",
+    b"LOGG": f"{_LOGGER} (BLF)",
+    b"\x89PNG": "a picture",
+    b"%PDF": "a PDF",
+}
 _STATED = re.compile(rb'^[ \t{]*(?:format|"format")[ \t]*[=:][ \t]*"(cycloid-[\w-]+/\d+)"', re.MULTILINE)
 _HEAD = 1 << 16  # bytes from the beginning that are looked at
 

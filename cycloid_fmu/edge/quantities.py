@@ -27,22 +27,52 @@ _EXPONENT = 9  # largest exponent of a unit
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
 _SYMBOL = re.compile(r"(?:\*\*|\^)\s*(?P<exponent>[+-]?\d+)|(?P<sign>[*·⋅×/()])|(?P<unit>[°%]?[^\W\d]\w*|[°%1])|\s+")
 EXAMPLES = {
-    "m": "64 mm", "rad": "0.5 arcmin", "N": "5 N", "N*m": "181 N*m", "Pa": "206 GPa", "s": "10 ms", "rad/s": "15 rpm",
-    "K": "20 degC", "1/K": "11.5e-6 1/K", "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa",
-    "m^2/N": "1e-18 m^2/N", "kg*m^2": "0.05 kg*m^2", "N/m": "400 N/um", "N*m/rad": "49 N*m/arcmin",
-    "N*m*s/rad": "1e-3 N*m*s/rad", "m/s": "0.5 m/s", "W/m^2": "20 W/mm^2",
-}  # fmt: skip
+    "m": "64 mm",
+    "rad": "0.5 arcmin",
+    "N": "5 N",
+    "N*m": "181 N*m",
+    "Pa": "206 GPa",
+    "s": "10 ms",
+    "rad/s": "15 rpm",
+    "K": "20 degC",
+    "1/K": "11.5e-6 1/K",
+    "rad/(N*m)": "0.02 arcsec/(N*m)",
+    "1/Pa": "2.2e-8 1/Pa",
+    "m^2/N": "1e-18 m^2/N",
+    "kg*m^2": "0.05 kg*m^2",
+    "N/m": "400 N/um",
+    "N*m/rad": "49 N*m/arcmin",
+    "N*m*s/rad": "1e-3 N*m*s/rad",
+    "m/s": "0.5 m/s",
+    "W/m^2": "20 W/mm^2",
+}
 # The usual units, so that reading them takes no half a second to load pint; a test compares each with pint.
 USUAL = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
     "rad": {
-        "rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "µrad": 1e-6, "deg": math.pi / 180.0, "°": math.pi / 180.0,
-        "arcmin": 0.00029088820866572163, "arcsec": 4.84813681109536e-06, "rev": 2.0 * math.pi, "turn": 2.0 * math.pi,
+        "rad": 1.0,
+        "mrad": 1e-3,
+        "urad": 1e-6,
+        "µrad": 1e-6,
+        "deg": math.pi / 180.0,
+        "°": math.pi / 180.0,
+        "arcmin": 0.00029088820866572163,
+        "arcsec": 4.84813681109536e-06,
+        "rev": 2.0 * math.pi,
+        "turn": 2.0 * math.pi,
     },
     "N": {"N": 1.0, "kN": 1e3},
     "N*m": {
-        "N*m": 1.0, "Nm": 1.0, "N·m": 1.0, "N m": 1.0, "mN*m": 1e-3, "mNm": 1e-3, "N*mm": 1e-3, "Nmm": 1e-3,
-        "kN*m": 1e3, "kNm": 1e3,
+        "N*m": 1.0,
+        "Nm": 1.0,
+        "N·m": 1.0,
+        "N m": 1.0,
+        "mN*m": 1e-3,
+        "mNm": 1e-3,
+        "N*mm": 1e-3,
+        "Nmm": 1e-3,
+        "kN*m": 1e3,
+        "kNm": 1e3,
     },
     "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
@@ -53,13 +83,15 @@ USUAL = {
     "m^2/N": {"m^2/N": 1.0},
     "kg*m^2": {"kg*m^2": 1.0},
     "N*m/rad": {
-        "N*m/rad": 1.0, "N*m/arcmin": 3437.7467707849396, "kN*m/rad": 1e3,
+        "N*m/rad": 1.0,
+        "N*m/arcmin": 3437.7467707849396,
+        "kN*m/rad": 1e3,
     },
     "N*m*s/rad": {"N*m*s/rad": 1.0},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "W/m^2": {"W/m^2": 1.0, "W/mm^2": 1e6},
     "N/m": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6, "kN/mm": 1e6},
-}  # fmt: skip
+}
 _CELSIUS, _ICE = ("degC", "°C"), 273.15  # the one unit with an offset: a temperature, never a difference
 
 

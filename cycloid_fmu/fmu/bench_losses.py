@@ -104,9 +104,9 @@ def fitted_losses(
                 left += off**2
             (a, b), (back, friction) = found
             efficiency = max(1.0 - back, 0.0)
-            rows.append((
-                float(one), 1.0 / (1.0 + a), efficiency, b / (1.0 + a), friction / efficiency if efficiency else 0.0
-            ))  # fmt: skip
+            rows.append(
+                (float(one), 1.0 / (1.0 + a), efficiency, b / (1.0 + a), friction / efficiency if efficiency else 0.0)
+            )
         return rows, left
 
     coefficient = 0.0

@@ -177,7 +177,7 @@ def surfaces_of_draws(pair: Pair, surface: ErrorSurface, draws: int, seed: int) 
     if draws > 0 and surface.covariance is None:
         raise ArgumentError(
             "draws", "the drive's errors have no covariance to draw from; give a surface written by identify", draws
-        )  # fmt: skip
+        )
     return drawn_surfaces(pair, surface, draws, seed) if draws > 0 else []
 
 

@@ -34,7 +34,7 @@ def own_stiffness(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | N
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
     found = solve(
         pair, surface, first_stage, loads, angles, slices_needed(surface), with_play=False, with_stiffness=False
-    )  # fmt: skip
+    )
     low, high = found.transmission_error.mean(axis=1)
     return float((loads[1] - loads[0]) / (high - low))
 

@@ -41,9 +41,17 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 # Fields of the state that are copied to a quasi-static drive at the same position.
 _SHARED = (
-    "errors", "pin_arrays", "_crank_turns_worn", "_age", "_wear_factor", "_draw", "crank_angle", "crank_speed",
-    "series_compliance", "backlash_on",
-)  # fmt: skip
+    "errors",
+    "pin_arrays",
+    "_crank_turns_worn",
+    "_age",
+    "_wear_factor",
+    "_draw",
+    "crank_angle",
+    "crank_speed",
+    "series_compliance",
+    "backlash_on",
+)
 
 
 _FREE = Slid(list(UNSTRAINED), 0.0, 0.0, 0.0, 0.0)
@@ -193,8 +201,14 @@ class CompliantModel(SteppedModel, CompliantState):
         crank = self.crank_angle if self._held else self._turned
         crank_speed, output, speed = self.crank_speed, self.output_angle, self.output_speed
         at = [
-            crank, crank_speed, output, speed, self.series_compliance, self.mesh_damping, self.backlash_on,
-        ]  # fmt: skip
+            crank,
+            crank_speed,
+            output,
+            speed,
+            self.series_compliance,
+            self.mesh_damping,
+            self.backlash_on,
+        ]
         if at != self._solved_at:
             energy, by_angle, by_rotation = self._contact(self._reduced(crank), output - crank / self._ratio)
             damping = 0.0
@@ -365,9 +379,13 @@ class CompliantModel(SteppedModel, CompliantState):
             if last or not led:
                 end = self._pressed(start + turn, deviation + off)
             mean, slope = _mean_over(
-                off, SAME_PLACE, after.energy - before.energy, before.by_rotation, after.by_rotation,
+                off,
+                SAME_PLACE,
+                after.energy - before.energy,
+                before.by_rotation,
+                after.by_rotation,
                 max(before.stiffness, after.stiffness),
-            )  # fmt: skip
+            )
             damping = self._damping(mean, off / part)
             damped = self.mesh_damping / part if abs(damping) < abs(mean) else math.copysign(slope, off * mean)
             if rubs_output:
@@ -379,7 +397,7 @@ class CompliantModel(SteppedModel, CompliantState):
                 stored = before.energy - at.energy + end.energy - after.energy
                 phase, _ = _mean_over(
                     turn, SAME_PLACE * abs(ratio), stored, self._by_phase(at), self._by_phase(end), 0.0
-                )  # fmt: skip
+                )
                 torque = phase - (mean + damping) / ratio
                 if rubs_crank:
                     at_crank = self._rub(0, turn, part, torque)
@@ -388,7 +406,7 @@ class CompliantModel(SteppedModel, CompliantState):
                     self._strains = [
                         at_crank.strains if rubs_crank else self._strains[0],
                         at_output.strains if rubs_output else self._strains[1],
-                    ]  # fmt: skip
+                    ]
                 self._seen = self.output_angle = self.output_angle + way
                 self.output_speed = 2.0 * way / part - speed
                 if not led:
@@ -404,10 +422,9 @@ class CompliantModel(SteppedModel, CompliantState):
                 change = (missing * (q + k / ratio) + missing_a * k) / determinant
                 change_a = (missing_a * r + missing * k) / determinant
             share = math.ldexp(LAST_SHARE, min(i, MOST_DOUBLED))
-            last = (
-                abs(change) <= LAST_CHANGE + share * abs(way)
-                and abs(change_a) <= LAST_CHANGE * abs(ratio) + share * abs(turn)
-            )  # fmt: skip
+            last = abs(change) <= LAST_CHANGE + share * abs(way) and abs(change_a) <= LAST_CHANGE * abs(
+                ratio
+            ) + share * abs(turn)
             way, turn = way + change, turn + change_a
         return None
 

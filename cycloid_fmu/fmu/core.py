@@ -40,8 +40,11 @@ FORMAT = 3  # of the resource files
 MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 7
 # Phases of an instance as named in messages; the native FMU has the same (native/sources/instance.c).
 INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
-    "before initialization", "during initialization", "while stepping", "after termination",
-)  # fmt: skip
+    "before initialization",
+    "during initialization",
+    "while stepping",
+    "after termination",
+)
 _LARGEST = sys.float_info.max
 _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the resources, length
 

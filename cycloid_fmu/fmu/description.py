@@ -54,9 +54,12 @@ def model_variables(table: Sequence[Variable], version: Version, references: Seq
     places = _places(table, version, references)
     for reference, variable in zip(references or range(len(table)), table, strict=True):
         outer = {
-            "name": variable.name, "valueReference": str(reference), "description": variable.description,
-            "causality": variable.causality, "variability": variable.variability,
-        }  # fmt: skip
+            "name": variable.name,
+            "valueReference": str(reference),
+            "description": variable.description,
+            "causality": variable.causality,
+            "variability": variable.variability,
+        }
         if variable.causality == "parameter":
             outer["initial"] = "exact"
         start = variable.start

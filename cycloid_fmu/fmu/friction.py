@@ -267,8 +267,9 @@ class FrictionState:
         self._laws = Law(*self.friction[0]), Law(*self.friction[1])
         self._table = self.loss_table if any(row[1:] != list(LOSSLESS) for row in self.loss_table) else None
         self._elements = (
-            element_stiffness(self._laws[0], loads[0], self._table), element_stiffness(self._laws[1], loads[1])
-        )  # fmt: skip
+            element_stiffness(self._laws[0], loads[0], self._table),
+            element_stiffness(self._laws[1], loads[1]),
+        )
         self._rubs = tuple(  # type: ignore[assignment]
             k > 0.0 or law.viscous > 0.0 for k, law in zip(self._elements, self._laws, strict=True)
         )
@@ -290,9 +291,12 @@ class FrictionState:
         if viscous > 0.0 and time > 0.0:
             torque = viscous * speed
             found = Slid(
-                found.strains, found.torque + torque, found.slope + viscous / time, found.stored,
+                found.strains,
+                found.torque + torque,
+                found.slope + viscous / time,
+                found.stored,
                 found.lost + torque * way,
-            )  # fmt: skip
+            )
         return found
 
     def _press(self, flange: int, way: float, speed: float, load: float, time: float = PRESLIDING_TIME) -> Pressed:

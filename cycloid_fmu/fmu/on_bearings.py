@@ -184,9 +184,12 @@ class SupportedTeeth:
         self._press(theta, flange, compliance, True)
         found = self._main.found.tolist()
         return (
-            found[energy.X], found[energy.STIFFNESS], found[energy.ENERGY], found[energy.BY_ANGLE],
+            found[energy.X],
+            found[energy.STIFFNESS],
+            found[energy.ENERGY],
+            found[energy.BY_ANGLE],
             found[energy.BY_FLANGE],
-        )  # fmt: skip
+        )
 
     def crank_side(self, theta: float, x: float) -> tuple[float, float]:
         """Return the torque required at the crank (N·m), and dφ_b/dθ at constant torque (dimensionless)."""

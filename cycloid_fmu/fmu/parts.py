@@ -80,9 +80,12 @@ def terminals(interface: Interface) -> bytes:
         flange = SubElement(node, "Terminal", name=end, matchingRule="plug", terminalKind=kind_of_end, description=text)
         for member, kind in (("phi", "signal"), ("w", "signal"), ("tau", "inflow")):
             SubElement(
-                flange, "TerminalMemberVariable", variableName=f"{end}.{member}", memberName=member,
+                flange,
+                "TerminalMemberVariable",
+                variableName=f"{end}.{member}",
+                memberName=member,
                 variableKind=kind,
-            )  # fmt: skip
+            )
     indent(root)
     return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
 
@@ -146,8 +149,11 @@ def parts(
     }
     if version == "2.0":
         return {**found, "model.png": icon(pair)}
-    return {**found, "terminalsAndIcons/terminalsAndIcons.xml": terminals(interface),
-            "terminalsAndIcons/icon.png": icon(pair)}  # fmt: skip
+    return {
+        **found,
+        "terminalsAndIcons/terminalsAndIcons.xml": terminals(interface),
+        "terminalsAndIcons/icon.png": icon(pair),
+    }
 
 
 def write_archive(path: str | os.PathLike[str], contents: Mapping[str, bytes]) -> None:

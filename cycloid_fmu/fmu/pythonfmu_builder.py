@@ -31,9 +31,14 @@ def build_archive(library: str, script: Path, files: Sequence[Path], folder: Pat
     script = Path(shutil.copy(script, folder))
     try:
         builder.FmuBuilder.build_FMU(
-            script, dest=folder, project_files=list(files), canGetAndSetFMUstate=True, canSerializeFMUstate=True,
-            canGetAndSetFMUState=True, canSerializeFMUState=True,
-        )  # fmt: skip
+            script,
+            dest=folder,
+            project_files=list(files),
+            canGetAndSetFMUstate=True,
+            canSerializeFMUstate=True,
+            canGetAndSetFMUState=True,
+            canSerializeFMUState=True,
+        )
     finally:
         # The builder leaves the script's folder in the path and its module loaded; the next build would find the old
         # one.

@@ -121,16 +121,26 @@ def reference_files(
     told = f"computed by the exact model; tolerance {TOLERANCE:g} of the variable's largest reference"
     experiments = Element("Experiments", name="Smoke test", description=f"One run of the drive, {told}.")
     one = SubElement(
-        experiments, "Experiment", name=interface.kind, description=f"The drive under load, {told}.", startTime="0.0",
-        stopTime=repr(stimuli[-1][0]), stepSize=repr(_STEP), tolerance=repr(TOLERANCE),
-    )  # fmt: skip
+        experiments,
+        "Experiment",
+        name=interface.kind,
+        description=f"The drive under load, {told}.",
+        startTime="0.0",
+        stopTime=repr(stimuli[-1][0]),
+        stepSize=repr(_STEP),
+        tolerance=repr(TOLERANCE),
+    )
     SubElement(one, "Stimuli", source="smoke-test-in.csv", type="text/csv")
     SubElement(one, "References", source="smoke-test-ref.csv", type="text/csv")
     register_namespace("fmi-ls", _NAMESPACE)
-    manifest = Element("fmiReferences", {
-        f"{{{_NAMESPACE}}}fmi-ls-name": "org.fmi-standard.fmi-ls-ref",
-        f"{{{_NAMESPACE}}}fmi-ls-version": "1.0.0-alpha.1", f"{{{_NAMESPACE}}}fmi-ls-description": _ABOUT,
-    })  # fmt: skip
+    manifest = Element(
+        "fmiReferences",
+        {
+            f"{{{_NAMESPACE}}}fmi-ls-name": "org.fmi-standard.fmi-ls-ref",
+            f"{{{_NAMESPACE}}}fmi-ls-version": "1.0.0-alpha.1",
+            f"{{{_NAMESPACE}}}fmi-ls-description": _ABOUT,
+        },
+    )
     for source, kind, role, text in (
         ("smoke-test.exp", "application/x-ma-hs-experiments", "experiment/smoke-test", "A test run of the FMU"),
         ("smoke-test-in.csv", "text/csv", "other", "Its inputs over time (s, SI units)"),

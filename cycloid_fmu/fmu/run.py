@@ -20,9 +20,14 @@ from cycloid_fmu import edge
 
 Array = NDArray[np.float64]
 OUTPUTS = (
-    "flange_b.phi", "flange_b.w", "flange_a.tau", "transmission_error", "backlash", "torsional_stiffness",
+    "flange_b.phi",
+    "flange_b.w",
+    "flange_a.tau",
+    "transmission_error",
+    "backlash",
+    "torsional_stiffness",
     "max_contact_pressure",
-)  # fmt: skip
+)
 # Names of the flanges' variables in bench recordings.
 RECORDED = {"input_angle": "flange_a.phi", "output_angle": "flange_b.phi", "torque": "flange_b.tau"}
 

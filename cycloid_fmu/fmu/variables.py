@@ -31,17 +31,26 @@ FRICTIONLESS = Friction()
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
 # Attributes of the models for variables with a different name.
 ATTRIBUTES = {
-    "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
-    "flange_b.phi": "output_angle", "flange_b.w": "output_speed", "flange_b.tau": "torque",
-    "flange_a.a": "crank_acceleration", "flange_b.a": "output_acceleration",
-    "support.phi": "support_angle", "support.w": "support_speed", "support.tau": "support_torque",
-}  # fmt: skip
+    "flange_a.phi": "crank_angle",
+    "flange_a.w": "crank_speed",
+    "flange_a.tau": "crank_torque",
+    "flange_b.phi": "output_angle",
+    "flange_b.w": "output_speed",
+    "flange_b.tau": "torque",
+    "flange_a.a": "crank_acceleration",
+    "flange_b.a": "output_acceleration",
+    "support.phi": "support_angle",
+    "support.w": "support_speed",
+    "support.tau": "support_torque",
+}
 
 # With a support flange the flanges' angles and speeds are absolute.
 ABSOLUTE = {
-    "flange_a.phi": "absolute_crank_angle", "flange_a.w": "absolute_crank_speed",
-    "flange_b.phi": "absolute_output_angle", "flange_b.w": "absolute_output_speed",
-}  # fmt: skip
+    "flange_a.phi": "absolute_crank_angle",
+    "flange_a.w": "absolute_crank_speed",
+    "flange_b.phi": "absolute_output_angle",
+    "flange_b.w": "absolute_output_speed",
+}
 
 STRAINS = tuple(f"{flange}_friction_strain" for flange in FLANGES)  # strains of friction elements, in Model Exchange
 
@@ -213,11 +222,26 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
         # The speed at the present torque is not the derivative of an angle that also depends on the torque.
         derived = None if end == "b" and not dynamic else f"flange_{end}.phi"
         return [
-            Variable(f"flange_{end}.phi", f"{what} angle, counter-clockwise", causality, unit="rad", display="deg",
-                     nominal=1.0, start=start),
-            Variable(f"flange_{end}.w", f"{what} speed" + ("" if derived else " at the present torque"), causality,
-                     unit="rad/s", display="rev/min", nominal=nominal, derivative_of=derived, start=start),
-        ]  # fmt: skip
+            Variable(
+                f"flange_{end}.phi",
+                f"{what} angle, counter-clockwise",
+                causality,
+                unit="rad",
+                display="deg",
+                nominal=1.0,
+                start=start,
+            ),
+            Variable(
+                f"flange_{end}.w",
+                f"{what} speed" + ("" if derived else " at the present torque"),
+                causality,
+                unit="rad/s",
+                display="rev/min",
+                nominal=nominal,
+                derivative_of=derived,
+                start=start,
+            ),
+        ]
 
     def torque(end: str, text: str, causality: Literal["input", "output"], depends: tuple[str, ...] = ()) -> Variable:
         start, nominal = 0.0 if causality == "input" else None, 10.0 if end == "a" else 100.0
@@ -237,15 +261,46 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     given += [] if inside else [torque("b", tau_b, "output", depends=every)]
     crank = () if moved else ("flange_a.phi",)
     given += [
-        Variable("transmission_error", f"output angle minus {driven} angle/ratio", "output", unit="rad",
-                 display="arcsec", nominal=1e-4, depends=placed),
-        Variable("backlash", f"free rotation of the output with the {driven} locked; 0 if there is none", "output",
-                 unit="rad", display="arcsec", least=0.0, nominal=1e-4, depends=crank),
-        Variable("torsional_stiffness", f"torsional stiffness at the output; {stiffness_text(pair, interface)}",
-                 "output", unit="N.m/rad", display="N.m/arcmin", least=0.0, nominal=1e5, depends=placed),
-        Variable("max_contact_pressure", "largest contact pressure", "output", unit="Pa", display="MPa", least=0.0,
-                 nominal=1e9, depends=placed),
-    ]  # fmt: skip
+        Variable(
+            "transmission_error",
+            f"output angle minus {driven} angle/ratio",
+            "output",
+            unit="rad",
+            display="arcsec",
+            nominal=1e-4,
+            depends=placed,
+        ),
+        Variable(
+            "backlash",
+            f"free rotation of the output with the {driven} locked; 0 if there is none",
+            "output",
+            unit="rad",
+            display="arcsec",
+            least=0.0,
+            nominal=1e-4,
+            depends=crank,
+        ),
+        Variable(
+            "torsional_stiffness",
+            f"torsional stiffness at the output; {stiffness_text(pair, interface)}",
+            "output",
+            unit="N.m/rad",
+            display="N.m/arcmin",
+            least=0.0,
+            nominal=1e5,
+            depends=placed,
+        ),
+        Variable(
+            "max_contact_pressure",
+            "largest contact pressure",
+            "output",
+            unit="Pa",
+            display="MPa",
+            least=0.0,
+            nominal=1e9,
+            depends=placed,
+        ),
+    ]
     return [*taken, *given]
 
 
@@ -257,42 +312,110 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
         text = kind.description
         if wave is not None:
             text += f": {'cosine' if wave[2] == 'cos' else 'sine'} part of order {wave[1]}"
-        found.append(Variable(
-            name, text, "parameter", "tunable", kind.unit, "arcsec" if kind.unit == "rad" else "um", -kind.limit,
-            kind.limit, 1e-4 if kind.unit == "rad" else 1e-6, structured_value(pair, surface, name), baked=True,
-        ))  # fmt: skip
+        found.append(
+            Variable(
+                name,
+                text,
+                "parameter",
+                "tunable",
+                kind.unit,
+                "arcsec" if kind.unit == "rad" else "um",
+                -kind.limit,
+                kind.limit,
+                1e-4 if kind.unit == "rad" else 1e-6,
+                structured_value(pair, surface, name),
+                baked=True,
+            )
+        )
     found += [
-        Variable("friction_torque", "Coulomb friction at the output", "parameter", "tunable", "N.m", least=0.0,
-                 nominal=1.0, start=interface.laws[1].coulomb),
-        Variable("series_compliance", "compliance of the rest of the drivetrain, in series", "parameter", "tunable",
-                 "rad/(N.m)", "arcsec/(N.m)", 0.0, nominal=1e-6, start=interface.series_compliance),
-    ]  # fmt: skip
+        Variable(
+            "friction_torque",
+            "Coulomb friction at the output",
+            "parameter",
+            "tunable",
+            "N.m",
+            least=0.0,
+            nominal=1.0,
+            start=interface.laws[1].coulomb,
+        ),
+        Variable(
+            "series_compliance",
+            "compliance of the rest of the drivetrain, in series",
+            "parameter",
+            "tunable",
+            "rad/(N.m)",
+            "arcsec/(N.m)",
+            0.0,
+            nominal=1e-6,
+            start=interface.series_compliance,
+        ),
+    ]
     if surface.life is not None and (ageing := surface.life.ageing) is not None:
         found += [
-            Variable("age", "running time since new, which determines the wear", "parameter", "tunable", "s", "h",
-                     0.0, ageing.largest_age, ageing.largest_age, ageing.age, baked=True),
-            Variable("wear_factor", "ratio of the wear coefficient to the forecast's median", "parameter", "tunable",
-                     least=ageing.smallest_wear_factor, most=ageing.largest_wear_factor, start=1.0, baked=True),
-        ]  # fmt: skip
+            Variable(
+                "age",
+                "running time since new, which determines the wear",
+                "parameter",
+                "tunable",
+                "s",
+                "h",
+                0.0,
+                ageing.largest_age,
+                ageing.largest_age,
+                ageing.age,
+                baked=True,
+            ),
+            Variable(
+                "wear_factor",
+                "ratio of the wear coefficient to the forecast's median",
+                "parameter",
+                "tunable",
+                least=ageing.smallest_wear_factor,
+                most=ageing.largest_wear_factor,
+                start=1.0,
+                baked=True,
+            ),
+        ]
     elif surface.life is not None:
         turns = float(surface.life.crank_turns[-1])
-        found.append(Variable(
-            "crank_turns_worn", "crank turns since new, which determine the wear", "parameter", "tunable",
-            least=0.0, most=turns, nominal=turns, start=turns, baked=True,
-        ))  # fmt: skip
+        found.append(
+            Variable(
+                "crank_turns_worn",
+                "crank turns since new, which determine the wear",
+                "parameter",
+                "tunable",
+                least=0.0,
+                most=turns,
+                nominal=turns,
+                start=turns,
+                baked=True,
+            )
+        )
     return found
 
 
 def _further(interface: Interface) -> list[Variable]:
     """Variables added after the first version, last so that earlier references do not change."""
-    moving = () if interface.output_inertia > 0.0 else ("flange_a.phi", "flange_a.w", *(
-        ("flange_b.tau",) if interface.kind == "kinematic" else ("flange_b.phi", "flange_b.w")
-    ))  # fmt: skip
+    moving = (
+        ()
+        if interface.output_inertia > 0.0
+        else (
+            "flange_a.phi",
+            "flange_a.w",
+            *(("flange_b.tau",) if interface.kind == "kinematic" else ("flange_b.phi", "flange_b.w")),
+        )
+    )
     found = [
         Variable("power_loss", "dissipated power", "output", unit="W", nominal=10.0, depends=moving, least=0.0),
-        Variable("backlash_on", "whether backlash is included; if false, both flanks touch at zero torque", "parameter",
-                 "tunable", kind="boolean", start=1.0),
-    ]  # fmt: skip
+        Variable(
+            "backlash_on",
+            "whether backlash is included; if false, both flanks touch at zero torque",
+            "parameter",
+            "tunable",
+            kind="boolean",
+            start=1.0,
+        ),
+    ]
     columns = (
         ("speed of flange_a, ascending from 0", "rad/s", "rev/min", 0.0, None),
         ("efficiency while power flows from flange_a to flange_b", "1", "%", 1e-3, 1.0),
@@ -302,53 +425,139 @@ def _further(interface: Interface) -> list[Variable]:
     )
     for i, row in enumerate(interface.losses, start=1):
         for j, (value, (text, unit, display, least, most)) in enumerate(zip(row, columns, strict=True), start=1):
-            found.append(Variable(
-                f"loss_table[{i},{j}]", f"losses, row {i}: {text}", "parameter", "fixed", unit, display, least, most,
-                1.0, value,
-            ))  # fmt: skip
+            found.append(
+                Variable(
+                    f"loss_table[{i},{j}]",
+                    f"losses, row {i}: {text}",
+                    "parameter",
+                    "fixed",
+                    unit,
+                    display,
+                    least,
+                    most,
+                    1.0,
+                    value,
+                )
+            )
     if interface.kind == "compliant":
         still = () if interface.output_inertia > 0.0 else ("flange_a.phi", "flange_b.phi")
         found += [
-            Variable("elastic_energy", "energy stored in contacts, series compliance and friction", "output", unit="J",
-                     least=0.0, nominal=1e-2, depends=still),
-            Variable("dissipated_energy", "energy dissipated since initialisation", "output", unit="J", least=0.0,
-                     nominal=1.0),
-            Variable("mesh_damping", "contact damping at the output, at most the elastic torque; an assumption unless "
-                     "measured: vibration at a resonance of the mesh is inversely proportional to it", "parameter",
-                     "tunable", "N.m.s/rad", least=0.0, nominal=10.0, start=interface.mesh_damping or 0.0),
-            Variable("largest_step", "largest internal step; a longer communication step is divided", "parameter",
-                     "fixed", "s", "ms", 1e-9, nominal=1e-3, start=LARGEST_STEP),
-        ]  # fmt: skip
+            Variable(
+                "elastic_energy",
+                "energy stored in contacts, series compliance and friction",
+                "output",
+                unit="J",
+                least=0.0,
+                nominal=1e-2,
+                depends=still,
+            ),
+            Variable(
+                "dissipated_energy",
+                "energy dissipated since initialisation",
+                "output",
+                unit="J",
+                least=0.0,
+                nominal=1.0,
+            ),
+            Variable(
+                "mesh_damping",
+                "contact damping at the output, at most the elastic torque; an assumption unless "
+                "measured: vibration at a resonance of the mesh is inversely proportional to it",
+                "parameter",
+                "tunable",
+                "N.m.s/rad",
+                least=0.0,
+                nominal=10.0,
+                start=interface.mesh_damping or 0.0,
+            ),
+            Variable(
+                "largest_step",
+                "largest internal step; a longer communication step is divided",
+                "parameter",
+                "fixed",
+                "s",
+                "ms",
+                1e-9,
+                nominal=1e-3,
+                start=LARGEST_STEP,
+            ),
+        ]
         if interface.output_inertia > 0.0:
-            found.append(Variable(
-                "output_inertia", "internal moment of inertia on the output", "parameter", "fixed", "kg.m2", least=1e-9,
-                nominal=interface.output_inertia, start=interface.output_inertia,
-            ))  # fmt: skip
+            found.append(
+                Variable(
+                    "output_inertia",
+                    "internal moment of inertia on the output",
+                    "parameter",
+                    "fixed",
+                    "kg.m2",
+                    least=1e-9,
+                    nominal=interface.output_inertia,
+                    start=interface.output_inertia,
+                )
+            )
         if interface.crank_inertia > 0.0:
             found += [
-                Variable("crank_inertia", f"internal moment of inertia on the {interface.driven}", "parameter", "fixed",
-                         "kg.m2", least=1e-9, nominal=interface.crank_inertia, start=interface.crank_inertia),
-                Variable("crank_angle_start", f"{interface.driven} angle at the start", "parameter", "fixed", "rad",
-                         "deg", nominal=1.0, start=0.0),
-                Variable("crank_speed_start", f"{interface.driven} speed at the start", "parameter", "fixed", "rad/s",
-                         "rev/min", nominal=100.0, start=0.0),
-            ]  # fmt: skip
+                Variable(
+                    "crank_inertia",
+                    f"internal moment of inertia on the {interface.driven}",
+                    "parameter",
+                    "fixed",
+                    "kg.m2",
+                    least=1e-9,
+                    nominal=interface.crank_inertia,
+                    start=interface.crank_inertia,
+                ),
+                Variable(
+                    "crank_angle_start",
+                    f"{interface.driven} angle at the start",
+                    "parameter",
+                    "fixed",
+                    "rad",
+                    "deg",
+                    nominal=1.0,
+                    start=0.0,
+                ),
+                Variable(
+                    "crank_speed_start",
+                    f"{interface.driven} speed at the start",
+                    "parameter",
+                    "fixed",
+                    "rad/s",
+                    "rev/min",
+                    nominal=100.0,
+                    start=0.0,
+                ),
+            ]
     return found
 
 
 def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
     """Information for the surrounding model."""
     found = [
-        Variable("outside_range", "whether a torque exceeds a native FMU's tables; accuracy is not stated there",
-                 "output", "discrete", kind="boolean", depends=placed),
-        Variable("ratio", "flange_a.phi/flange_b.phi of the ideal drive", "local", "constant", "1", start=ratio,
-                 baked=True),
-    ]  # fmt: skip
+        Variable(
+            "outside_range",
+            "whether a torque exceeds a native FMU's tables; accuracy is not stated there",
+            "output",
+            "discrete",
+            kind="boolean",
+            depends=placed,
+        ),
+        Variable(
+            "ratio", "flange_a.phi/flange_b.phi of the ideal drive", "local", "constant", "1", start=ratio, baked=True
+        ),
+    ]
     if pair.rated_torque is not None:
-        found.append(Variable(
-            "rated_torque", "rated torque at the output", "local", "constant", "N.m", start=pair.rated_torque,
-            baked=True,
-        ))  # fmt: skip
+        found.append(
+            Variable(
+                "rated_torque",
+                "rated torque at the output",
+                "local",
+                "constant",
+                "N.m",
+                start=pair.rated_torque,
+                baked=True,
+            )
+        )
     return found
 
 
@@ -371,15 +580,33 @@ def _friction(interface: Interface) -> list[Variable]:
             if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.warms):
                 continue
             unit, least, most, nominal = LIMITS[name]
-            found.append(Variable(
-                f"{flange}_friction.{name}", f"at flange_{'ab'[flange == 'output']}: {text}", "parameter", "tunable",
-                unit, displays.get(name), least, most, nominal, getattr(law, name),
-            ))  # fmt: skip
+            found.append(
+                Variable(
+                    f"{flange}_friction.{name}",
+                    f"at flange_{'ab'[flange == 'output']}: {text}",
+                    "parameter",
+                    "tunable",
+                    unit,
+                    displays.get(name),
+                    least,
+                    most,
+                    nominal,
+                    getattr(law, name),
+                )
+            )
     if interface.warms:
-        found.append(Variable(
-            "temperature", "temperature of the sliding parts", "input", unit="K", least=173.15, most=573.15,
-            nominal=300.0, start=REFERENCE_TEMPERATURE,
-        ))  # fmt: skip
+        found.append(
+            Variable(
+                "temperature",
+                "temperature of the sliding parts",
+                "input",
+                unit="K",
+                least=173.15,
+                most=573.15,
+                nominal=300.0,
+                start=REFERENCE_TEMPERATURE,
+            )
+        )
     return found
 
 
@@ -394,12 +621,27 @@ def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
     text = "torque to hold the housing" + (", mean over the last step" if inside else "")
     return [
         *found,
-        Variable("support.phi", "housing angle, counter-clockwise", "input", unit="rad", display="deg", nominal=1.0,
-                 start=0.0),
-        Variable("support.w", "housing speed", "input", unit="rad/s", display="rev/min", nominal=1.0, start=0.0,
-                 derivative_of="support.phi"),
+        Variable(
+            "support.phi",
+            "housing angle, counter-clockwise",
+            "input",
+            unit="rad",
+            display="deg",
+            nominal=1.0,
+            start=0.0,
+        ),
+        Variable(
+            "support.w",
+            "housing speed",
+            "input",
+            unit="rad/s",
+            display="rev/min",
+            nominal=1.0,
+            start=0.0,
+            derivative_of="support.phi",
+        ),
         Variable("support.tau", text, "output", unit="N.m", nominal=100.0, depends=given),
-    ]  # fmt: skip
+    ]
 
 
 def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[Variable]:
@@ -409,14 +651,37 @@ def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[
         ("pin_force", "force on each pin", "N", None, 100.0),
         ("pin_pressure", "largest contact pressure on each pin", "Pa", "MPa", 1e9),
     ):
-        found.append(Variable(name, f"{text} (discs, pins)", "output", unit=unit, display=display, least=0.0,
-                              nominal=nominal, depends=placed, dimensions=shape))  # fmt: skip
+        found.append(
+            Variable(
+                name,
+                f"{text} (discs, pins)",
+                "output",
+                unit=unit,
+                display=display,
+                least=0.0,
+                nominal=nominal,
+                depends=placed,
+                dimensions=shape,
+            )
+        )
     for kind in KINDS.values():
         if kind.of == "pin":
-            found.append(Variable(
-                kind.name, kind.description, "parameter", "tunable", "m", "um", -kind.limit, kind.limit, 1e-6,
-                tuple(map(float, surface.errors[kind.name])), dimensions=(pair.pins,), baked=True,
-            ))  # fmt: skip
+            found.append(
+                Variable(
+                    kind.name,
+                    kind.description,
+                    "parameter",
+                    "tunable",
+                    "m",
+                    "um",
+                    -kind.limit,
+                    kind.limit,
+                    1e-6,
+                    tuple(map(float, surface.errors[kind.name])),
+                    dimensions=(pair.pins,),
+                    baked=True,
+                )
+            )
     return found
 
 
@@ -446,9 +711,15 @@ def variables(
     flanges = _flanges(pair, interface)
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
     count = Variable(
-        "contact_count", "number of pins that carry more than 1 % of the most loaded pin's force", "output", "discrete",
-        kind="integer", least=0.0, most=float(pair.pins * pair.discs), depends=shape,
-    )  # fmt: skip
+        "contact_count",
+        "number of pins that carry more than 1 % of the most loaded pin's force",
+        "output",
+        "discrete",
+        kind="integer",
+        least=0.0,
+        most=float(pair.pins * pair.discs),
+        depends=shape,
+    )
     found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
     found += [*_told(pair, shape, pair.ratio if ratio is None else ratio), *_friction(interface)]
     if interface.support_flange:
@@ -462,11 +733,19 @@ def variables(
             for v in found
         ]
     if draws > 0:
-        found.append(Variable(
-            "draw", "0: the most likely drive; above 0: a drive drawn from the fit's distribution, whose errors are "
-            "added to those stated", "parameter", "fixed", least=0.0, most=float(draws), start=0.0,
-            kind="integer",
-        ))  # fmt: skip
+        found.append(
+            Variable(
+                "draw",
+                "0: the most likely drive; above 0: a drive drawn from the fit's distribution, whose errors are "
+                "added to those stated",
+                "parameter",
+                "fixed",
+                least=0.0,
+                most=float(draws),
+                start=0.0,
+                kind="integer",
+            )
+        )
     shape = next(v.depends for v in found if v.name == "transmission_error")
     if fmi_version == "3.0":
         found += _arrays(pair, surface, shape)
@@ -476,8 +755,14 @@ def variables(
     lossy = (*shaping, *rubbing, "friction_torque")
     if interface.kind == "compliant":
         lossy = (*lossy, "mesh_damping")
-    initially = {"backlash": (*errors, "backlash_on"), "power_loss": lossy, "flange_a.tau": lossy,
-                 "flange_b.tau": lossy, "support.tau": lossy, "dissipated_energy": ()}  # fmt: skip
+    initially = {
+        "backlash": (*errors, "backlash_on"),
+        "power_loss": lossy,
+        "flange_a.tau": lossy,
+        "flange_b.tau": lossy,
+        "support.tau": lossy,
+        "dissipated_energy": (),
+    }
     return tuple(
         dataclasses.replace(v, initially=initially.get(v.name, shaping)) if v.causality == "output" else v
         for v in found
@@ -521,13 +806,21 @@ def _strains(flange: str, rate: str = "") -> tuple[str, ...]:
 
 
 _INDICATORS = {
-        "kinematic": ("crosses zero when the torque reverses", "unused", "crosses zero when a torque leaves the tables",
-                  "crosses zero when the crank reverses", "unused"),
-    "compliant": ("crosses zero when the flank for positive torque makes contact",
-                  "crosses zero when the flank for negative torque makes contact",
-                  "crosses zero when a torque leaves the tables", "crosses zero when the crank reverses",
-                  "crosses zero when the output reverses"),
-}  # fmt: skip
+    "kinematic": (
+        "crosses zero when the torque reverses",
+        "unused",
+        "crosses zero when a torque leaves the tables",
+        "crosses zero when the crank reverses",
+        "unused",
+    ),
+    "compliant": (
+        "crosses zero when the flank for positive torque makes contact",
+        "crosses zero when the flank for negative torque makes contact",
+        "crosses zero when a torque leaves the tables",
+        "crosses zero when the crank reverses",
+        "crosses zero when the output reverses",
+    ),
+}
 
 
 def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal["2.0", "3.0"]) -> dict[int, Variable]:
@@ -551,15 +844,30 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
     more = []
 
     def add(name: str, text: str, unit: str, of: str | None, nominal: float, depends: tuple[str, ...] = ()) -> None:
-        more.append(Variable(name, text, "local", unit=unit, nominal=nominal, depends=depends, initially=of_start,
-                             derivative_of=of))  # fmt: skip
+        more.append(
+            Variable(
+                name, text, "local", unit=unit, nominal=nominal, depends=depends, initially=of_start, derivative_of=of
+            )
+        )
 
     if interface.crank_inertia > 0.0:
-        add("flange_a.a", f"{interface.driven} acceleration", "rad/s2", "flange_a.w", 1e3,
-            (*moving, *crank, "flange_a.tau"))  # fmt: skip
+        add(
+            "flange_a.a",
+            f"{interface.driven} acceleration",
+            "rad/s2",
+            "flange_a.w",
+            1e3,
+            (*moving, *crank, "flange_a.tau"),
+        )
     if inside:
-        add("transmission_error_rate", f"output speed minus {interface.driven} speed/ratio", "rad/s",
-            "transmission_error", 0.1, ("flange_a.w", "flange_b.w"))  # fmt: skip
+        add(
+            "transmission_error_rate",
+            f"output speed minus {interface.driven} speed/ratio",
+            "rad/s",
+            "transmission_error",
+            0.1,
+            ("flange_a.w", "flange_b.w"),
+        )
         add("flange_b.a", "output acceleration", "rad/s2", "flange_b.w", 100.0, (*moving, *output, "flange_b.tau"))
     for flange, law, end in zip(FLANGES if dynamic else (), interface.laws, "ab", strict=False):
         for name in _strains(flange):
@@ -567,9 +875,11 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
         for name, strain in zip(_strains(flange, "_rate"), _strains(flange), strict=True):
             add(name, f"strain rate of a friction element at flange_{end}", "rad/s", strain, 0.1, (*moving, strain))
     depends = {
-        "flange_a.tau": (*moving, *crank), "power_loss": (*moving, *crank, *output),
-        "elastic_energy": (*contact, *crank, *output), "dissipated_energy": ("dissipated_energy",),
-    }  # fmt: skip
+        "flange_a.tau": (*moving, *crank),
+        "power_loss": (*moving, *crank, *output),
+        "elastic_energy": (*contact, *crank, *output),
+        "dissipated_energy": ("dissipated_energy",),
+    }
     if inside:
         placed = ("torsional_stiffness", "max_contact_pressure", "contact_count", "outside_range", "flange_b.phi")
         depends |= {**dict.fromkeys(placed, contact), "backlash": ("flange_a.phi",)}
@@ -578,12 +888,15 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
         depends["flange_b.tau"] = (*moving, *output)
     changed = {
         reference: dataclasses.replace(
-            v, depends=depends.get(v.name, v.depends) if dynamic else v.depends,
+            v,
+            depends=depends.get(v.name, v.depends) if dynamic else v.depends,
             initially=of_start if inside else tuple(dict.fromkeys((*v.depends, *v.initially))),
             derivative_of="dissipated_energy" if dynamic and v.name == "power_loss" else v.derivative_of,
-        ) if v.causality == "output" else v
+        )
+        if v.causality == "output"
+        else v
         for reference, v in kept.items()
-    }  # fmt: skip
+    }
     if version == "3.0":
         for i, text in enumerate(_INDICATORS[interface.kind], start=1):
             more.append(Variable(f"event_indicator[{i}]", text, "local"))

@@ -240,9 +240,7 @@ class Pair(Config):
     @functools.cached_property
     def places(self) -> dict[str, tuple[int, ...]]:
         """Shape of an error's values by `ErrorKind.of`: {"pin": (40,), …}."""
-        found: dict[str, tuple[int, ...]] = {
-            "drive": (), "pin": (self.pins,), "tooth": (self.discs, self.gear_teeth)
-        }  # fmt: skip
+        found: dict[str, tuple[int, ...]] = {"drive": (), "pin": (self.pins,), "tooth": (self.discs, self.gear_teeth)}
         if self.supports is not None:
             count = self.supports.count
             found |= {"hole": (self.discs, count), "support": (count,)}
@@ -411,8 +409,20 @@ def _contradictions_of_supports(pair: Pair) -> list[tuple[str, str]]:
             sentence = f"turning_arm is rigid, so cranks and holes with an error ({stated[0]}) can't be assembled"
             found.append(("supports", f"{sentence}; state its stiffness or rollers"))
     if not cranks and (supports.output_roller is None or supports.output_roller.stiffness is None):
-        stated = [k for k in ("eccentricity", "crank_throw", "crank_phase", "hole_x", "hole_y", "roller_x", "roller_y",
-                              "hole_radius") if k in errors]  # fmt: skip
+        stated = [
+            k
+            for k in (
+                "eccentricity",
+                "crank_throw",
+                "crank_phase",
+                "hole_x",
+                "hole_y",
+                "roller_x",
+                "roller_y",
+                "hole_radius",
+            )
+            if k in errors
+        ]
         if stated:
             sentence = f"output_roller is rigid, so rollers and holes with an error ({stated[0]}) can't be assembled"
             found.append(("supports", f"{sentence}; state its stiffness"))
@@ -497,8 +507,10 @@ def _table_lines(title: str, table: Config, model: type[Config]) -> list[str]:
 def _text_of(pair: Pair) -> str:
     lines = [f'format = "{FORMAT}"']
     tables: dict[str, Config] = {
-        "modification": pair.modification, "material.gear": pair.material.gear, "material.pin": pair.material.pin,
-    }  # fmt: skip
+        "modification": pair.modification,
+        "material.gear": pair.material.gear,
+        "material.pin": pair.material.pin,
+    }
     for title, table in {"pair": pair, **tables}.items():
         lines += _table_lines(title, table, _Geometry if table is pair else type(table))
     if pair.supports is not None:
@@ -548,9 +560,14 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
     geometry = {name: getattr(file.pair, name) for name in _Geometry.model_fields}
     try:
         return Pair(
-            **geometry, modification=file.modification, material=file.material, supports=file.supports,
-            temperature=file.temperature, expansion=file.expansion, errors=errors,
-        )  # fmt: skip
+            **geometry,
+            modification=file.modification,
+            material=file.material,
+            supports=file.supports,
+            temperature=file.temperature,
+            expansion=file.expansion,
+            errors=errors,
+        )
     except ContradictionError as problem:
         raise edge.InputError(f"{source}: [{problem.table}] {problem}") from None
 

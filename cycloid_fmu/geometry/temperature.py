@@ -30,9 +30,11 @@ BODIES = ("ring", "pins", "discs", "carrier", "crank")
 _AROUND = {
     "cranks": {"turning_arm": ("discs", "crank"), "crank_shaft": ("carrier", "crank"), "main": ("ring", "carrier")},
     "output_rollers": {
-        "turning_arm": ("discs", "crank"), "crank_shaft": ("ring", "crank"), "main": ("ring", "carrier"),
+        "turning_arm": ("discs", "crank"),
+        "crank_shaft": ("ring", "crank"),
+        "main": ("ring", "carrier"),
     },
-}  # fmt: skip
+}
 """Bodies in which the outer and the inner raceway of each bearing are."""
 
 
@@ -219,9 +221,13 @@ def at_temperature(pair: Pair) -> Pair:
         supports = supports.replace(**changes)
     drawn = pair.modification
     return pair.replace(
-        **sizes, isometric=larger * drawn.isometric, offset=larger * drawn.offset, supports=supports, temperature=None,
+        **sizes,
+        isometric=larger * drawn.isometric,
+        offset=larger * drawn.offset,
+        supports=supports,
+        temperature=None,
         errors=Errors(),
-    )  # fmt: skip
+    )
 
 
 def _open(name: str, clearance: float) -> float:

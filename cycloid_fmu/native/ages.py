@@ -107,9 +107,10 @@ def ages_of(pair: Pair, surface: ErrorSurface, tables_at: Callable[[Pair, ErrorS
     ages = Ages(turns, clearance, ageing.crank_turns_per_second, ageing.clearance_per_second * grows, alike, math.nan)
     worst, errors = _errors(ages, pair, surface)
     return dataclasses.replace(
-        ages, largest_error=worst, tables=tuple(dataclasses.replace(one, largest_error=worst, errors=errors)
-                                                for one in alike),
-    )  # fmt: skip
+        ages,
+        largest_error=worst,
+        tables=tuple(dataclasses.replace(one, largest_error=worst, errors=errors) for one in alike),
+    )
 
 
 def drive_at(pair: Pair, surface: ErrorSurface, crank_turns: float, clearance: float) -> tuple[Pair, ErrorSurface]:
@@ -156,14 +157,19 @@ def between(ages: Ages, crank_turns: float, clearance: float) -> Tables:
     def side(of: Callable[[Tables], Side]) -> Side:
         far = of(ages.tables[0]).far[0], mean(lambda one: of(one).far[1]), mean(lambda one: of(one).far[2])
         return dataclasses.replace(
-            of(ages.tables[0]), deviation=mean(lambda one: of(one).deviation), far=far,
-            compliance=mean(lambda one: of(one).compliance), pressure=mean(lambda one: of(one).pressure),
-        )  # fmt: skip
+            of(ages.tables[0]),
+            deviation=mean(lambda one: of(one).deviation),
+            far=far,
+            compliance=mean(lambda one: of(one).compliance),
+            pressure=mean(lambda one: of(one).pressure),
+        )
 
     return dataclasses.replace(
-        ages.tables[0], positive=side(lambda one: one.positive), negative=side(lambda one: one.negative),
+        ages.tables[0],
+        positive=side(lambda one: one.positive),
+        negative=side(lambda one: one.negative),
         rest_torque=mean(lambda one: one.rest_torque),
-    )  # fmt: skip
+    )
 
 
 def on_common_nodes(of: Sequence[Tables]) -> tuple[Tables, ...]:
@@ -180,11 +186,15 @@ def on_common_nodes(of: Sequence[Tables]) -> tuple[Tables, ...]:
     )
     return tuple(
         dataclasses.replace(
-            one, period=period, allowed=max(t.allowed for t in of), positive=positive[i], negative=negative[i],
+            one,
+            period=period,
+            allowed=max(t.allowed for t in of),
+            positive=positive[i],
+            negative=negative[i],
             rest_torque=_refined(np.tile(one.rest_torque, repeats[i]), finest),
         )
         for i, one in enumerate(of)
-    )  # fmt: skip
+    )
 
 
 def _refined(values: Array, angles: int) -> Array:

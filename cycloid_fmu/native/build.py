@@ -45,9 +45,22 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 IDENTIFIER = "CycloidDrive"
 SOURCES = (
-    "fmi2.c", "fmi3.c", "instance.c", "drive.c", "kinematic.c", "reducer.c", "compliant.c", "exchange.c",
-    "derivatives.c", "teeth.c", "friction.c", "losses.c", "table.c", "table_file.c", "uri.c",
-)  # fmt: skip
+    "fmi2.c",
+    "fmi3.c",
+    "instance.c",
+    "drive.c",
+    "kinematic.c",
+    "reducer.c",
+    "compliant.c",
+    "exchange.c",
+    "derivatives.c",
+    "teeth.c",
+    "friction.c",
+    "losses.c",
+    "table.c",
+    "table_file.c",
+    "uri.c",
+)
 SOURCE_FOLDER = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
 MOST_BYTES = 1_000_000_000  # of all tables of an FMU with draws or ages
@@ -151,9 +164,14 @@ def windows_runtime(*more: str) -> list[str]:
     """
     parts = ("stdio", "heap", "string", "private", "math", *more)
     return [
-        "-nostdlib", "-rtlib=compiler-rt", "-isystem", str(windows_headers()), str(_UCRT),
-        *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in parts), "-lkernel32",
-    ]  # fmt: skip
+        "-nostdlib",
+        "-rtlib=compiler-rt",
+        "-isystem",
+        str(windows_headers()),
+        str(_UCRT),
+        *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in parts),
+        "-lkernel32",
+    ]
 
 
 def _source_files() -> dict[str, bytes]:
@@ -207,9 +225,13 @@ def library(name: str, files: Mapping[str, bytes], sources: Sequence[str]) -> by
         for file, data in files.items():
             (place / file).write_bytes(data)
         done = subprocess.run(
-            [*command, "-o", made.name, *sources, *runtime], cwd=place, capture_output=True, text=True, check=False,
+            [*command, "-o", made.name, *sources, *runtime],
+            cwd=place,
+            capture_output=True,
+            text=True,
+            check=False,
             env=_environment(place) if zig else None,
-        )  # fmt: skip
+        )
         if done.returncode != 0:
             raise RuntimeError(f"the compiler for {name} failed: {done.stderr.strip().splitlines()[-1:]}")
         library = made.read_bytes()
@@ -263,25 +285,38 @@ def binaries(
 
 
 def _description(
-    version: Version, token: str, kept: dict[int, Variable], interface: Interface, made: tables.Tables, stiffness: str,
+    version: Version,
+    token: str,
+    kept: dict[int, Variable],
+    interface: Interface,
+    made: tables.Tables,
+    stiffness: str,
     states: int,
-) -> Element:  # fmt: skip
+) -> Element:
     listed = list(kept.values())
     aged = f" at any age, between {states} states of its life" if states else ""
     text = f"Cycloid-pin gear drive{aged}, {interface.kind}, {made.told}; {stiffness}"
     common = {
-        "fmiVersion": version, "modelName": IDENTIFIER, "guid" if version == "2.0" else "instantiationToken": token,
-        "description": text, "author": "cycloid-fmu", "version": __version__, "license": "MIT",
-        "generationTool": f"cycloid-fmu {__version__}", "variableNamingConvention": "structured",
-    }  # fmt: skip
+        "fmiVersion": version,
+        "modelName": IDENTIFIER,
+        "guid" if version == "2.0" else "instantiationToken": token,
+        "description": text,
+        "author": "cycloid-fmu",
+        "version": __version__,
+        "license": "MIT",
+        "generationTool": f"cycloid-fmu {__version__}",
+        "variableNamingConvention": "structured",
+    }
     exchanges = not interface.support_flange
     if version == "2.0" and exchanges:
         common["numberOfEventIndicators"] = str(EVENT_INDICATORS)
     root = Element("fmiModelDescription", common)
     state = "FMUstate" if version == "2.0" else "FMUState"
     both = {
-        "modelIdentifier": IDENTIFIER, f"canGetAndSet{state}": "true", f"canSerialize{state}": "true",
-    }  # fmt: skip
+        "modelIdentifier": IDENTIFIER,
+        f"canGetAndSet{state}": "true",
+        f"canSerialize{state}": "true",
+    }
     if exchanges:
         both["providesDirectionalDerivative" + ("" if version == "2.0" else "s")] = "true"
     if version == "2.0":
@@ -341,9 +376,11 @@ def _erring_as_both(made: tables.Tables, other: tables.Tables) -> tables.Tables:
     errors, others = made.errors, other.errors
     if errors is not None and others is not None:
         errors = tables.Errors(
-            _larger(errors.stiffness, others.stiffness), _larger(errors.pressure, others.pressure),
-            max(errors.speed, others.speed), _larger(errors.crank_torque, others.crank_torque),
-        )  # fmt: skip
+            _larger(errors.stiffness, others.stiffness),
+            _larger(errors.pressure, others.pressure),
+            max(errors.speed, others.speed),
+            _larger(errors.crank_torque, others.crank_torque),
+        )
     return dataclasses.replace(made, largest_error=max(made.largest_error, other.largest_error), errors=errors)
 
 

@@ -128,9 +128,15 @@ def solved_at(
     for first in range(0, order.size, _AT_ONCE):
         some = order[first : first + _AT_ONCE]
         one = solve(
-            pair, surface, direction * at[load[some]][None], angles[angle[some]], slices, with_play=False,
-            workers=workers, progress=progress,
-        )  # fmt: skip
+            pair,
+            surface,
+            direction * at[load[some]][None],
+            angles[angle[some]],
+            slices,
+            with_play=False,
+            workers=workers,
+            progress=progress,
+        )
         found.deviation[some] = direction * one.transmission_error[0]
         found.compliance[some] = 1.0 / one.torsional_stiffness[0]
         found.pressure[some] = np.square(one.max_contact_pressure[0])

@@ -112,7 +112,9 @@ def _read(data: bytes) -> Tables:
             sides.append(Side(**fields, steps=steps, far=far))
         scalars = {name: float(file[name]) for name in _SCALARS}
         errors = Errors(
-            (float(stiffness[0]), float(stiffness[1])), (float(pressure[0]), float(pressure[1])),
-            float(file["errors"][4]), (float(crank[0]), float(crank[1])),
-        )  # fmt: skip
+            (float(stiffness[0]), float(stiffness[1])),
+            (float(pressure[0]), float(pressure[1])),
+            float(file["errors"][4]),
+            (float(crank[0]), float(crank[1])),
+        )
         return Tables(positive=sides[0], negative=sides[1], rest_torque=file["rest_torque"], errors=errors, **scalars)

@@ -32,17 +32,46 @@ _KINDS = ("real", "integer", "boolean")
 _CAUSALITIES = ("input", "output", "parameter", "independent", "local")
 _INTERFACES = ("kinematic", "compliant", "inertia")
 _FIELDS = (
-    "crank_angle", "crank_speed", "crank_torque", "output_angle", "output_speed", "torque", "transmission_error",
-    "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "series_compliance", "temperature",
-    "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
-    "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "support_angle",
-    "support_speed", "support_torque", "time", "draw", "age", "wear_factor", "crank_acceleration",
-    "output_acceleration", "transmission_error_rate",
+    "crank_angle",
+    "crank_speed",
+    "crank_torque",
+    "output_angle",
+    "output_speed",
+    "torque",
+    "transmission_error",
+    "backlash",
+    "torsional_stiffness",
+    "max_contact_pressure",
+    "contact_count",
+    "series_compliance",
+    "temperature",
+    "power_loss",
+    "backlash_on",
+    "elastic_energy",
+    "dissipated_energy",
+    "mesh_damping",
+    "largest_step",
+    "output_inertia",
+    "crank_inertia",
+    "crank_angle_start",
+    "crank_speed_start",
+    "outside_range",
+    "support_angle",
+    "support_speed",
+    "support_torque",
+    "time",
+    "draw",
+    "age",
+    "wear_factor",
+    "crank_acceleration",
+    "output_acceleration",
+    "transmission_error_rate",
     *(f"event_indicator_{i}" for i in range(1, constants.EVENT_INDICATORS + 1)),
     *(f"{name}_{i}" for name in STRAINS for i in range(1, constants.FRICTION_ELEMENTS + 1)),
     *(f"{name}_rate_{i}" for name in STRAINS for i in range(1, constants.FRICTION_ELEMENTS + 1)),
-    *(f"{flange}_friction_{name}" for flange in FLANGES for name in Law._fields), "loss_table",
-)  # fmt: skip
+    *(f"{flange}_friction_{name}" for flange in FLANGES for name in Law._fields),
+    "loss_table",
+)
 
 
 def numbered(number: int) -> str:
@@ -53,8 +82,12 @@ def numbered(number: int) -> str:
 def constants_header() -> bytes:
     """Return `constants.h`."""
     numbers = re.findall(r"^([A-Z]\w*) = (\S+)  # (.+)$", inspect.getsource(constants), re.MULTILINE)
-    enums = {"kind": ("KIND_", _KINDS), "causality": ("CAUSALITY_", _CAUSALITIES),
-             "interface_kind": ("INTERFACE_", _INTERFACES), "field": ("", _FIELDS)}  # fmt: skip
+    enums = {
+        "kind": ("KIND_", _KINDS),
+        "causality": ("CAUSALITY_", _CAUSALITIES),
+        "interface_kind": ("INTERFACE_", _INTERFACES),
+        "field": ("", _FIELDS),
+    }
     lines = [
         "/* Made of cycloid_fmu/fmu/constants.py and cycloid_fmu/native/table_file.py. */",
         "#ifndef CYCLOID_CONSTANTS_H",
@@ -64,12 +97,14 @@ def constants_header() -> bytes:
         f'#define TABLE_FILE "{TABLE}"',
         '#define TABLE_MAGIC "{}"'.format(_MAGIC.replace("\n", "\\n")),
         f"#define TABLE_HEAD {HEAD.size}",
-        *(f"enum {name} {{ {', '.join(f'{start}{v.upper()}' for v in values)} }};"
-          for name, (start, values) in enums.items()),
+        *(
+            f"enum {name} {{ {', '.join(f'{start}{v.upper()}' for v in values)} }};"
+            for name, (start, values) in enums.items()
+        ),
         "",
         "#endif",
         "",
-    ]  # fmt: skip
+    ]
     return "\n".join(lines).encode()
 
 
@@ -106,9 +141,16 @@ def write(
     for v in variables.values():
         limits = (-math.inf if v.least is None else v.least, math.inf if v.most is None else v.most)
         body += _text(v.name) + struct.pack(
-            "<BBBBidddd", _KINDS.index(v.kind), _CAUSALITIES.index(v.causality), v.baked, v.variability == "fixed",
-            _field(v), *limits, v.start or 0.0, v.nominal or 1.0,
-        )  # fmt: skip
+            "<BBBBidddd",
+            _KINDS.index(v.kind),
+            _CAUSALITIES.index(v.causality),
+            v.baked,
+            v.variability == "fixed",
+            _field(v),
+            *limits,
+            v.start or 0.0,
+            v.nominal or 1.0,
+        )
     sides = (tables.positive, tables.negative)
     rest = tables.rest_torque if tables.rest_torque.any() else np.empty(0)
     stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)[:4]

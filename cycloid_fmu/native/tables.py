@@ -218,9 +218,11 @@ def _evenly_held(surface: ErrorSurface) -> bool:
 
 
 def _hermite(
-    share: float | Array, width: float | Array, deviation: Sequence[Array] | Array | Array32,
+    share: float | Array,
+    width: float | Array,
+    deviation: Sequence[Array] | Array | Array32,
     compliance: Sequence[Array] | Array | Array32,
-) -> Array:  # fmt: skip
+) -> Array:
     """Cubic Hermite interpolation between values and slopes at the ends of a cell, at a share (0 to 1) of its width."""
     s, h = share, width
     value = (1.0 + 2.0 * s) * (1.0 - s) ** 2 * deviation[0] + (3.0 - 2.0 * s) * s * s * deviation[1]
@@ -425,7 +427,7 @@ def compute(
         here = Rest._make(channel[step :: 2 * step] for channel in rest)
         one = nodes.solved_at(
             pair, surface, direction, at, angles[step :: 2 * step], load, angle, here, workers, progress
-        )  # fmt: skip
+        )
         found[0][needed], found[1][needed] = one.deviation, one.compliance
         finer = [np.stack(both, axis=-1).reshape(at.size, -1) for both in zip(coarse[:2], found, strict=True)]
         return coarse._replace(deviation=finer[0], compliance=finer[1])
@@ -520,9 +522,16 @@ def _far(
 
 
 def _assembled(
-    pair: Pair, surface: ErrorSurface, period: float, loads: Sequence[Array], exact: Sequence[Solved], rest: Array,
-    allowed: float, far: Sequence[tuple[float, Solved]], workers: int,
-) -> Tables:  # fmt: skip
+    pair: Pair,
+    surface: ErrorSurface,
+    period: float,
+    loads: Sequence[Array],
+    exact: Sequence[Solved],
+    rest: Array,
+    allowed: float,
+    far: Sequence[tuple[float, Solved]],
+    workers: int,
+) -> Tables:
     spread = max(float(np.ptp(one.deviation, axis=1).max()) for one in exact)
     step = max(allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
     with ThreadPoolExecutor(min(workers, len(_DIRECTIONS))) as pool:
@@ -723,7 +732,7 @@ def _places(period: float, largest: float, probes: int, seed: int) -> tuple[Arra
     random = np.random.default_rng(seed)
     size = np.where(
         random.random(probes) < 0.5, random.uniform(0.0, 1.0, probes), 10.0 ** random.uniform(-4.0, 0.0, probes)
-    )  # fmt: skip
+    )
     torque = largest * size * random.choice([-1.0, 1.0], probes)
     return np.sort(random.uniform(0.0, period, probes)), torque
 

@@ -308,8 +308,9 @@ def parts_of(reducer: Reducer) -> tuple[Pair, ErrorSurface, FirstStage]:
 
 def summed(terms: Mapping[str, Array]) -> dict[str, Array]:
     """Return the sums of the terms: the plays of the three stages and their total, rad."""
-    stages = {stage: np.asarray(sum(v for n, v in terms.items() if _STAGE_OF.get(n, "cycloid") == stage))
-              for stage in STAGES}  # fmt: skip
+    stages = {
+        stage: np.asarray(sum(v for n, v in terms.items() if _STAGE_OF.get(n, "cycloid") == stage)) for stage in STAGES
+    }
     return {**stages, "total": np.asarray(sum(stages.values()))}
 
 

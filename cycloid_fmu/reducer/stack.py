@@ -17,7 +17,7 @@ from cycloid_fmu.reducer.lost_motion import (
     outer_stages,
     standard,
     summed,
-)  # fmt: skip
+)
 from cycloid_fmu.surfaces.sampling import error_stream, within_tolerance
 
 Array = NDArray[np.float64]

@@ -64,9 +64,14 @@ class _Stage:
     def solve(self, torque: Array, crank: Array, **options: Any) -> Transmission:
         """Solve the stage at one torque (N·m) per crank angle (rad), with the cranks' torque."""
         found = of_stage.solve(
-            self.pair, self.surface, torque[None], crank, self.slices, workers=self.workers,
+            self.pair,
+            self.surface,
+            torque[None],
+            crank,
+            self.slices,
+            workers=self.workers,
             **{"with_play": False, **options},
-        )  # fmt: skip
+        )
         if self.problem is None:
             return found
         crank_torque = np.empty((1, crank.size))
@@ -202,9 +207,16 @@ def solve(
     """
     if first_stage is None:
         return of_stage.solve(
-            pair, surface, torque, crank_angle, slices, with_play=with_play, with_elements=with_elements,
-            workers=workers, progress=progress,
-        )  # fmt: skip
+            pair,
+            surface,
+            torque,
+            crank_angle,
+            slices,
+            with_play=with_play,
+            with_elements=with_elements,
+            workers=workers,
+            progress=progress,
+        )
     torques, angles = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
@@ -291,12 +303,15 @@ def labelled(
         sun_angle=("crank_angle", -found.crank_angle * first_stage.ratio(pair.gear_teeth) / pair.gear_teeth, sun)
     )
     data["crank_torque"] = (
-        grid, found.crank_torque, {"units": "N*m", "long_name": "total torque of the first stage on the cranks"}
-    )  # fmt: skip
+        grid,
+        found.crank_torque,
+        {"units": "N*m", "long_name": "total torque of the first stage on the cranks"},
+    )
     data["sun_torque"] = (
-        grid, -first_stage.sun_share * found.crank_torque,
+        grid,
+        -first_stage.sun_share * found.crank_torque,
         {"units": "N*m", "long_name": "torque of the environment on the sun"},
-    )  # fmt: skip
+    )
     data["crank_angle"].attrs["long_name"] = "crank angle of ideal gears at the sun's angle"
     for name in ("transmission_error", "backlash", "torsional_stiffness"):
         data[name].attrs["long_name"] += ", sun locked"
@@ -321,9 +336,7 @@ def compliance(
     soft = (s / teeth) ** 2 / first_stage.crank_stiffness
     play = s * (first_stage.crank_play / teeth + first_stage.bearing_play)
     beside = Share("first stage", soft, play + 2.0 * LOST_MOTION_LOAD * pair.rated_torque * soft)
-    return [
-        *(Share(one.part, s * s * one.compliance, s * one.lost_motion) for one in shares), beside
-    ]  # fmt: skip
+    return [*(Share(one.part, s * s * one.compliance, s * one.lost_motion) for one in shares), beside]
 
 
 def analyze(

@@ -276,9 +276,12 @@ def allocate(
         narrower *= 0.99
     scale = narrower * scale
     return Allocation(
-        scale=scale, cost=float((costs / scale).sum()), stated_cost=float(costs.sum()),
-        exact_yield=exact, stated_yield=stated_yield,
-    )  # fmt: skip
+        scale=scale,
+        cost=float((costs / scale).sum()),
+        stated_cost=float(costs.sum()),
+        exact_yield=exact,
+        stated_yield=stated_yield,
+    )
 
 
 def steps() -> int:

@@ -66,8 +66,10 @@ GOALS = tuple(name for name in Limits.model_fields if name != "wear_depth")
 """Figures that can be a goal or a limit of a design; a size can be a goal too and is minimised."""
 
 _SHOWN = {
-    **dict.fromkeys(SIZES, ("mm", 1e3)), **dict.fromkeys((*MODIFICATIONS, *FORMS), ("µm", 1e6)), ROTATION: ("mrad", 1e3)
-}  # fmt: skip
+    **dict.fromkeys(SIZES, ("mm", 1e3)),
+    **dict.fromkeys((*MODIFICATIONS, *FORMS), ("µm", 1e6)),
+    ROTATION: ("mrad", 1e3),
+}
 _ELEMENTS = 50  # elements along the profile of a form, which has low orders only
 _NOTICED = {"m": 1e-6, "rad": 5e-6}  # unit of the margin of a figure whose limit is 0
 _ANGLES = 90  # crank angles of a sampled drive
@@ -273,7 +275,7 @@ def values_over_sweep(
     if "lost_motion" in limits:
         up, down = solve(
             pair, one.surface, None, pair.lost_motion_loads, angles, with_play=False, with_stiffness=False
-        ).transmission_error  # fmt: skip
+        ).transmission_error
         every["lost_motion"] = [up - down + series_lost_motion(pair, series)]
     turning = [(load, int(np.flatnonzero(loads == load.torque)[0])) for load in task.duty if load.output_speed > 0.0]
     speeds = [load.output_speed * abs(pair.ratio) for load, _ in turning]
@@ -401,11 +403,16 @@ class Design:
     def numbers(self) -> dict[str, Any]:
         """Return the design for scripts, SI."""
         return {
-            "values": self.values, "goals": self.goals, "verdicts": [one.numbers() for one in self.verdicts],
-            "binding": [dataclasses.asdict(one) for one in self.binding], "allowance": self.allowance,
-            "yields": self.yields, "required_yield": self.required_yield, "met": self.met,
+            "values": self.values,
+            "goals": self.goals,
+            "verdicts": [one.numbers() for one in self.verdicts],
+            "binding": [dataclasses.asdict(one) for one in self.binding],
+            "allowance": self.allowance,
+            "yields": self.yields,
+            "required_yield": self.required_yield,
+            "met": self.met,
             "evaluations": self.evaluations,
-        }  # fmt: skip
+        }
 
 
 class Search:
@@ -430,8 +437,9 @@ class Search:
     def place_of(self, pair: Pair) -> Array:
         """Return the point of a pair, moved into the ranges."""
         stated = {**{n: getattr(pair, n) for n in SIZES}, **{n: getattr(pair.modification, n) for n in MODIFICATIONS}}
-        found = [(stated.get(n, 0.0) - low) / width
-                 for n, low, width in zip(self.names, self.low, self.width, strict=True)]  # fmt: skip
+        found = [
+            (stated.get(n, 0.0) - low) / width for n, low, width in zip(self.names, self.low, self.width, strict=True)
+        ]
         place: Array = np.clip(np.array(found), 0.0, 1.0)
         return place
 
@@ -507,12 +515,17 @@ class Search:
             return self.margins(found, levels) - _SPARE
 
         end = minimize(
-            fun, start, bounds=[(0.0, 1.0)] * start.size, method="COBYQA",
+            fun,
+            start,
+            bounds=[(0.0, 1.0)] * start.size,
+            method="COBYQA",
             constraints=[NonlinearConstraint(kept, 0.0, np.inf)] if self.limits or levels else [],
             options={
-                "initial_tr_radius": _FIRST_STEP, "final_tr_radius": _LAST_STEP, "maxfev": _EVALUATIONS * start.size
+                "initial_tr_radius": _FIRST_STEP,
+                "final_tr_radius": _LAST_STEP,
+                "maxfev": _EVALUATIONS * start.size,
             },
-        ).x  # fmt: skip
+        ).x
         return start if self.figures(end, _SHARPNESS) is None else np.clip(end, 0.0, 1.0)
 
     def rank(self, place: Array, goal: str, levels: Mapping[str, float]) -> tuple[float, float]:
@@ -815,9 +828,16 @@ def _check(pair: Pair, task: DesignTask) -> None:
 
 
 def _tightened_best(
-    search: Search, task: DesignTask, tolerances: Tolerances | None, places: Sequence[Array], goal: str,
-    levels: Mapping[str, float], seed: int, workers: int, progress: Callable[[str], None],
-) -> Array:  # fmt: skip
+    search: Search,
+    task: DesignTask,
+    tolerances: Tolerances | None,
+    places: Sequence[Array],
+    goal: str,
+    levels: Mapping[str, float],
+    seed: int,
+    workers: int,
+    progress: Callable[[str], None],
+) -> Array:
     """Return the best point; for a yield with limits that are tightened until they converge."""
     best = search.best(places, goal, levels)
     if tolerances is None or not search.limits:
@@ -835,9 +855,15 @@ def _tightened_best(
 
 
 def _designed(
-    search: Search, task: DesignTask, tolerances: Tolerances | None, place: Array, levels: Mapping[str, float], *,
-    seed: int, workers: int,
-) -> Design:  # fmt: skip
+    search: Search,
+    task: DesignTask,
+    tolerances: Tolerances | None,
+    place: Array,
+    levels: Mapping[str, float],
+    *,
+    seed: int,
+    workers: int,
+) -> Design:
     values = search.drawn(place)
     place = (np.array([*values.values()]) - search.low) / search.width
     one = candidate(search.pair, values)
@@ -851,10 +877,17 @@ def _designed(
         limits = search.limits
         seen = shares_kept({n: v >= limits[n] if n in LOWER else v <= limits[n] for n, v in fresh.items()})
     return Design(
-        one.pair, one.surface, values, goals, judged.verdicts,
-        search.binding(place, task.goals[0], levels), dict(search.allowance), seen,
-        task.robust.required_yield if seen and task.robust else None, search.evaluations,
-    )  # fmt: skip
+        one.pair,
+        one.surface,
+        values,
+        goals,
+        judged.verdicts,
+        search.binding(place, task.goals[0], levels),
+        dict(search.allowance),
+        seen,
+        task.robust.required_yield if seen and task.robust else None,
+        search.evaluations,
+    )
 
 
 def shown(name: str, value: float) -> tuple[str, str]:

@@ -78,12 +78,19 @@ class Limits(sampling.Limits):
 LOWER = ("torsional_stiffness", "static_safety", "smallest_curvature_radius", "bearing_life")
 """Limits that are the smallest allowed; the others are the largest."""
 SHOWN = {
-    "angular_transmission_error": ("arcsec", edge.ARCSEC), "backlash": ("arcmin", edge.ARCMIN),
-    "lost_motion": ("arcmin", edge.ARCMIN), "interference": ("µm", 1e6), "max_contact_pressure": ("MPa", 1e-6),
-    "torsional_stiffness": ("N·m/arcmin", 1.0 / edge.ARCMIN), "static_safety": ("", 1.0),
-    "smallest_curvature_radius": ("mm", 1e3), "bearing_life": ("h", 1.0 / 3600.0), "sliding_speed": ("m/s", 1.0),
-    "friction_power_density": ("W/mm²", 1e-6), "wear_depth": ("µm", 1e6),
-}  # fmt: skip
+    "angular_transmission_error": ("arcsec", edge.ARCSEC),
+    "backlash": ("arcmin", edge.ARCMIN),
+    "lost_motion": ("arcmin", edge.ARCMIN),
+    "interference": ("µm", 1e6),
+    "max_contact_pressure": ("MPa", 1e-6),
+    "torsional_stiffness": ("N·m/arcmin", 1.0 / edge.ARCMIN),
+    "static_safety": ("", 1.0),
+    "smallest_curvature_radius": ("mm", 1e3),
+    "bearing_life": ("h", 1.0 / 3600.0),
+    "sliding_speed": ("m/s", 1.0),
+    "friction_power_density": ("W/mm²", 1e-6),
+    "wear_depth": ("µm", 1e6),
+}
 """Unit and factor of each figure in reports."""
 
 
@@ -210,9 +217,16 @@ class Verdict:
     def numbers(self) -> dict[str, Any]:
         """Return the verdict for scripts, SI."""
         return {
-            "figure": self.figure, "unit": self.unit, "value": self.value, self.side: self.limit, "met": self.met,
-            "margin": self.margin, "margin_share": self.share, "where": dict(self.where), "basis": self.basis,
-        }  # fmt: skip
+            "figure": self.figure,
+            "unit": self.unit,
+            "value": self.value,
+            self.side: self.limit,
+            "met": self.met,
+            "margin": self.margin,
+            "margin_share": self.share,
+            "where": dict(self.where),
+            "basis": self.basis,
+        }
 
 
 def verdict(name: str, value: float, limit: float, where: Mapping[str, Any] | None = None, basis: str = "") -> Verdict:
@@ -337,9 +351,12 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any], series: float = 0
     if ranges.size:
         k = int(ranges.argmax())
         add(
-            "angular_transmission_error", ranges[k], torque=float(torque[k]),
-            crank_angle=float(angle[error[k].argmax()]), crank_angle_of_smallest=float(angle[error[k].argmin()]),
-        )  # fmt: skip
+            "angular_transmission_error",
+            ranges[k],
+            torque=float(torque[k]),
+            crank_angle=float(angle[error[k].argmax()]),
+            crank_angle_of_smallest=float(angle[error[k].argmin()]),
+        )
     backlash = np.nan_to_num(np.atleast_2d(np.asarray(data["backlash"])))[0]
     add("backlash", backlash.max(), crank_angle=float(angle[backlash.argmax()]))
     if "lost_motion" in data:
@@ -400,9 +417,12 @@ def judge_sliding(
         if name in figures and figures[name].size:
             row, angle, disc, pin = map(int, np.unravel_index(figures[name].argmax(), figures[name].shape))
             where = {
-                "torque": duty[row].torque, "output_speed": duty[row].output_speed,
-                "crank_angle": float(crank_angle[angle]), "disc": disc, "pin": pin,
-            }  # fmt: skip
+                "torque": duty[row].torque,
+                "output_speed": duty[row].output_speed,
+                "crank_angle": float(crank_angle[angle]),
+                "disc": disc,
+                "pin": pin,
+            }
             found.append(verdict(name, figures[name].max(), limit, where))
     return found
 
@@ -470,10 +490,13 @@ def row_of(one: Verdict) -> list[str]:
     after = f" {unit}" if unit else ""
     share = "" if not math.isfinite(one.share) else f" ({one.share:+.1%})"
     return [
-        one.figure.replace("_", " "), f"{'≤' if one.side == 'max' else '≥'} {one.limit * factor:.5g}{after}",
-        f"{one.value * factor:.5g}{after}", "met" if one.met else "not met",
-        f"{one.margin * factor:+.4g}{after}{share}", place_of(one),
-    ]  # fmt: skip
+        one.figure.replace("_", " "),
+        f"{'≤' if one.side == 'max' else '≥'} {one.limit * factor:.5g}{after}",
+        f"{one.value * factor:.5g}{after}",
+        "met" if one.met else "not met",
+        f"{one.margin * factor:+.4g}{after}{share}",
+        place_of(one),
+    ]
 
 
 def place_of(one: Verdict) -> str:

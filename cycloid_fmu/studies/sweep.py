@@ -153,17 +153,16 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
                 reasons[-1] += ", so no backlash"
         for k, torque in enumerate(sweep.torque):
             try:
-                one = solve(
-                    pair, surface, sweep.first_stage, torque, angle, slices_needed(surface), with_play=False
-                )  # fmt: skip
+                one = solve(pair, surface, sweep.first_stage, torque, angle, slices_needed(surface), with_play=False)
             except edge.InputError as problem:  # of this load only
                 reasons.append(str(problem).rstrip("."))
                 continue
             figures = {
-                **loaded_figures(one), "ripple": one.transmission_error.std(axis=1),
+                **loaded_figures(one),
+                "ripple": one.transmission_error.std(axis=1),
                 "torsional_stiffness": whole_stiffness(one.torsional_stiffness, series).mean(axis=1),
                 "loaded_pins": one.contact_count.mean(axis=1) / (pair.discs * pair.pins),
-            }  # fmt: skip
+            }
             for name, values in figures.items():
                 found[name][k] = values[0]
     except edge.InputError as problem:
@@ -234,9 +233,13 @@ def _dataset(sweep: Sweep, values: Array, reasons: list[str]) -> xr.Dataset:
         data[name] = (dims, figure if name in LOADED else figure[..., 0], {"units": unit, "long_name": text})
     reason = np.array(reasons, dtype=object).reshape(sweep.shape)
     data["reason"] = (names, reason, {"long_name": "reason for missing figures, empty if none are missing"})
-    places: dict[str, Any] = {"torque": ("torque", list(sweep.torque), {
-        "units": "N*m", "long_name": "torque of the environment on the output"
-    })}  # fmt: skip
+    places: dict[str, Any] = {
+        "torque": (
+            "torque",
+            list(sweep.torque),
+            {"units": "N*m", "long_name": "torque of the environment on the output"},
+        )
+    }
     for one in sweep.vary:
         places[one.name] = (one.name, list(one.values), {"units": one.si, "shown_units": one.unit})
     about = {name: value for name, value in sweep.identity().items() if name in ("pair", "surface", "first_stage")}

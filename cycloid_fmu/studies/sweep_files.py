@@ -21,9 +21,12 @@ if TYPE_CHECKING:
 
 ENDINGS = (".csv", ".parquet", ".nc")
 SHOWN = {
-    "rad": ("arcsec", ARCSEC), "N*m/rad": ("N*m/arcmin", 1.0 / ARCMIN), "Pa": ("MPa", 1e-6), "m": ("um", 1e6),
+    "rad": ("arcsec", ARCSEC),
+    "N*m/rad": ("N*m/arcmin", 1.0 / ARCMIN),
+    "Pa": ("MPa", 1e-6),
+    "m": ("um", 1e6),
     "1": ("1", 1.0),
-}  # fmt: skip
+}
 """Units of figures in tables, and how many are one in SI."""
 
 

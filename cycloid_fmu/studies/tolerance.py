@@ -240,9 +240,14 @@ def free_figures(
     to it.
     """
     free = solve(
-        pair, surface, first_stage, pair.lost_motion_loads, angles[::PLAY_STEP], slices_needed(surface),
+        pair,
+        surface,
+        first_stage,
+        pair.lost_motion_loads,
+        angles[::PLAY_STEP],
+        slices_needed(surface),
         with_stiffness=False,
-    )  # fmt: skip
+    )
     backlash = np.where(np.isnan(free.backlash), 0.0, free.backlash)
     found = {"mean_backlash": backlash.mean(), "backlash": backlash.max(), "interference": free.interference.max()}
     if pair.lost_motion_loads:
@@ -621,14 +626,18 @@ def sobol_indices(result: Result) -> dict[str, dict[str, Array]]:
         if np.ptp(values[result.independent]) == 0.0:
             continue
         indices = sobol.analyze(
-            _problem(study), (values - values.mean()) / values.std(), calc_second_order=False,
+            _problem(study),
+            (values - values.mean()) / values.std(),
+            calc_second_order=False,
             seed=np.random.default_rng(study.seed),  # SALib ignores a seed of 0
-        )  # fmt: skip
+        )
         label = name if k is None or len(study.torque) == 1 else f"{name} {study.torque[k]:g} N*m"
         found[label] = {
-            "first_order": np.asarray(indices["S1"]), "first_order_confidence": np.asarray(indices["S1_conf"]),
-            "total": np.asarray(indices["ST"]), "total_confidence": np.asarray(indices["ST_conf"]),
-        }  # fmt: skip
+            "first_order": np.asarray(indices["S1"]),
+            "first_order_confidence": np.asarray(indices["S1_conf"]),
+            "total": np.asarray(indices["ST"]),
+            "total_confidence": np.asarray(indices["ST_conf"]),
+        }
     return found
 
 
@@ -641,8 +650,10 @@ def dataset_of(result: Result) -> xr.Dataset:
     for name in dict.fromkeys(n for n, _ in study.columns):
         data[name] = (("sample", "torque") if name in PER_TORQUE else ("sample",), result.figure(name))
     coordinates = {
-        "sample": result.sample, "factor": np.array(study.factors, dtype=object), "torque": np.array(study.torque),
-    }  # fmt: skip
+        "sample": result.sample,
+        "factor": np.array(study.factors, dtype=object),
+        "torque": np.array(study.torque),
+    }
     dataset = xr.Dataset(data, coordinates)
     for name, (unit, text) in FIGURES.items():
         if name in dataset:

@@ -62,15 +62,18 @@ class Judged:
         """Return everything for scripts, SI; for sliding the largest value of each pin."""
         sliding = [
             {
-                "torque": load.torque, "output_speed": load.output_speed,
+                "torque": load.torque,
+                "output_speed": load.output_speed,
                 **{name: values.max(axis=(0, 1)) for name, values in found._asdict().items() if values.size},
             }
             for load, found in self.sliding
-        ]  # fmt: skip
+        ]
         return {
-            "verdicts": [one.numbers() for one in self.verdicts], "not_judged": list(self.not_judged),
-            "bearing_lives": [dataclasses.asdict(one) for one in self.lives], "sliding": sliding,
-        }  # fmt: skip
+            "verdicts": [one.numbers() for one in self.verdicts],
+            "not_judged": list(self.not_judged),
+            "bearing_lives": [dataclasses.asdict(one) for one in self.lives],
+            "sliding": sliding,
+        }
 
     def labelled(self, data: xr.Dataset) -> xr.Dataset:
         """Return a sweep's dataset with the verdicts as an attribute, and the sliding over `duty`, its rows that turn.
@@ -155,9 +158,16 @@ def judge_sweep(
     if requirements.limits.lost_motion is not None:
         loads, slices = pair.lost_motion_loads, slices_needed(surface)
         up, down = solve(
-            pair, surface, first_stage, loads, found.crank_angle, slices, with_play=False, with_stiffness=False,
+            pair,
+            surface,
+            first_stage,
+            loads,
+            found.crank_angle,
+            slices,
+            with_play=False,
+            with_stiffness=False,
             workers=workers,
-        ).transmission_error  # fmt: skip
+        ).transmission_error
         data["lost_motion"] = up - down
     verdicts = judging.judge(requirements.limits, pair, data, series)
     lives, sliding = list[DutyLife](), list[tuple[DutyLoad, Sliding]]()
@@ -165,15 +175,17 @@ def judge_sweep(
     row = [int(np.flatnonzero(found.torque == load.torque)[0]) for load in duty]
     speed = [load.output_speed * abs(pair.ratio) for load in duty]
     if duty and pair.supports is not None:
-        lives = lives_over_duty(
-            [bearing_loads(pair, found, k) for k in row], speed, [load.share for load in duty]
-        )  # fmt: skip
+        lives = lives_over_duty([bearing_loads(pair, found, k) for k in row], speed, [load.share for load in duty])
         verdicts += judging.judge_lives(requirements.limits, lives)
     for load, k, turning in zip(duty, row, speed, strict=True):
         slides = sliding_of(
-            pair, found.crank_angle, found.pin_force[k], found.pin_pressure[k], turning,
+            pair,
+            found.crank_angle,
+            found.pin_force[k],
+            found.pin_pressure[k],
+            turning,
             requirements.friction_coefficient,
-        )  # fmt: skip
+        )
         sliding.append((load, slides))
     if sliding:
         figures = {
@@ -257,10 +269,12 @@ def sliding_rows(judged: Judged) -> list[list[str]]:
         values = power if power.size else found.sliding_speed
         angle, _, pin = np.unravel_index(values.argmax(), values.shape)
         rows.append(
-            [f"{load.torque:g} N·m, {load.output_speed * 30.0 / math.pi:.4g} rpm",
-             f"{found.sliding_speed.max():.3g} m/s",
-             f"{power.max():.3g} W" if power.size else "",
-             f"{found.friction_power_density.max() * 1e-6:.3g} W/mm²" if power.size else "",
-             f"{pin}, {math.degrees(judged.crank_angle[angle]):.2f}°"]
-        )  # fmt: skip
+            [
+                f"{load.torque:g} N·m, {load.output_speed * 30.0 / math.pi:.4g} rpm",
+                f"{found.sliding_speed.max():.3g} m/s",
+                f"{power.max():.3g} W" if power.size else "",
+                f"{found.friction_power_density.max() * 1e-6:.3g} W/mm²" if power.size else "",
+                f"{pin}, {math.degrees(judged.crank_angle[angle]):.2f}°",
+            ]
+        )
     return rows

@@ -84,9 +84,18 @@ def work_of(unknowns: int, discs: int) -> Work:
     place, residual, step, before, jump = np.zeros((5, unknowns))
     jacobian, matrix = np.zeros((2, unknowns, unknowns))
     return Work(
-        place, residual, step, before, jump, jacobian, matrix, np.zeros((2, 8)), np.zeros(8), np.zeros((discs, 3)),
+        place,
+        residual,
+        step,
+        before,
+        jump,
+        jacobian,
+        matrix,
+        np.zeros((2, 8)),
+        np.zeros(8),
+        np.zeros((discs, 3)),
         np.full(1, np.inf),
-    )  # fmt: skip
+    )
 
 
 @spliced
@@ -308,9 +317,15 @@ def _add_rollers(problem: Problem, assembly: Assembly, theta: float, q: Array, c
 
 @part
 def assemble(
-    problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
+    problem: Problem,
+    assembly: Assembly,
+    theta: float,
+    pull: Load,
+    centring: float,
+    q: Array,
+    contacts: Rows,
     work: Work,
-) -> None:  # fmt: skip
+) -> None:
     """Write the residual of the balance at q, and its derivatives."""
     _place_discs(problem, assembly, theta, q, contacts, work)
     load(problem, contacts)
@@ -437,9 +452,16 @@ def _between(work: Work, share: float, now: float, low: float, high: float) -> f
 
 @spliced
 def balance(
-    problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
-    work: Work, iterations: int,
-) -> int:  # fmt: skip
+    problem: Problem,
+    assembly: Assembly,
+    theta: float,
+    pull: Load,
+    centring: float,
+    q: Array,
+    contacts: Rows,
+    work: Work,
+    iterations: int,
+) -> int:
     """Solve the balance from q, which is overwritten; return the number of steps, 0 if it was not found.
 
     If the work along a step has changed its sign at the end, the step is shortened until the work is at most half as
@@ -488,9 +510,16 @@ def balance(
 
 @spliced
 def settle(
-    problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
-    work: Work, cold: bool,
-) -> int:  # fmt: skip
+    problem: Problem,
+    assembly: Assembly,
+    theta: float,
+    pull: Load,
+    centring: float,
+    q: Array,
+    contacts: Rows,
+    work: Work,
+    cold: bool,
+) -> int:
     """Solve the balance from q or, if `cold` or not found, from the ideal position with ever softer springs (N/m).
 
     Return the number of steps, 0 without a balance.

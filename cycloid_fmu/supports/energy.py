@@ -99,9 +99,21 @@ def _mesh(
 
 @part
 def _joint(
-    drive: Problem, disc: int, force: float, stiffness: float, dx: float, dy: float, r: float, hx: float, hy: float,
-    ax: float, ay: float, vx: float, vy: float, by_angle: Array,
-) -> tuple[float, float, float]:  # fmt: skip
+    drive: Problem,
+    disc: int,
+    force: float,
+    stiffness: float,
+    dx: float,
+    dy: float,
+    r: float,
+    hx: float,
+    hy: float,
+    ax: float,
+    ay: float,
+    vx: float,
+    vy: float,
+    by_angle: Array,
+) -> tuple[float, float, float]:
     """Add a joint of disc and carrier with displacement d, whose derivative by θ beyond their rotation is v.
 
     Return the derivatives of its force and of its energy by θ.
@@ -154,9 +166,17 @@ def _cranks(
 
 @part
 def _carried(
-    by_angle: Array, force: float, dx: float, dy: float, r: float, ax: float, ay: float, gx: float, gy: float,
+    by_angle: Array,
+    force: float,
+    dx: float,
+    dy: float,
+    r: float,
+    ax: float,
+    ay: float,
+    gx: float,
+    gy: float,
     teeth: int,
-) -> None:  # fmt: skip
+) -> None:
     """Add a joint's contribution to the carrier."""
     by_angle[1] -= gx
     by_angle[2] -= gy
@@ -193,9 +213,21 @@ def _rollers(
                 continue
             r, force = math.hypot(wx, wy), assembly.output_roller * beyond
             gx, gy, turned = _joint(
-                drive, disc, force, assembly.output_roller, wx, wy, r, hx, hy, ax, ay, -e * math.sin(crank),
-                e * math.cos(crank), by_angle,
-            )  # fmt: skip
+                drive,
+                disc,
+                force,
+                assembly.output_roller,
+                wx,
+                wy,
+                r,
+                hx,
+                hy,
+                ax,
+                ay,
+                -e * math.sin(crank),
+                e * math.cos(crank),
+                by_angle,
+            )
             _carried(by_angle, force, wx, wy, r, ax, ay, gx, gy, teeth)
             energy += 0.5 * force * beyond
             turning += turned
@@ -207,9 +239,16 @@ def _rollers(
 
 @compiled
 def stand(
-    box: Held, theta: float, torque: float, spring: float, flange: float, centring: float, rows: Rows, cold: bool,
+    box: Held,
+    theta: float,
+    torque: float,
+    spring: float,
+    flange: float,
+    centring: float,
+    rows: Rows,
+    cold: bool,
     out: Array,
-) -> int:  # fmt: skip
+) -> int:
     """Solve the balance at a crank angle from the last solution; return the number of steps, 0 if not found.
 
     Parameters

@@ -63,9 +63,11 @@ def _stages(supports: Supports) -> list[tuple[str, Supports]]:
         rigid["output_roller"] = OutputRoller()
     names = {
         "turning_arm": "turning arms" if supports.kind == "cranks" else "eccentric bearing",
-        "crank_shaft": "crank bearings", "main": "main bearing", "output_roller": "output rollers",
+        "crank_shaft": "crank bearings",
+        "main": "main bearing",
+        "output_roller": "output rollers",
         "pin_seat": "pin seats",
-    }  # fmt: skip
+    }
     stages, now = [], supports.replace(**rigid)
     for part, name in names.items():
         if part in rigid:

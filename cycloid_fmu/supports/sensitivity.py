@@ -95,9 +95,18 @@ def _add_mesh(
 
 @part
 def _displaced(
-    force: float, k: float, curved: float, bend: float, along: float, across: float, turn: float, nx: float, ny: float,
-    vx: float, vy: float,
-) -> float:  # fmt: skip
+    force: float,
+    k: float,
+    curved: float,
+    bend: float,
+    along: float,
+    across: float,
+    turn: float,
+    nx: float,
+    ny: float,
+    vx: float,
+    vy: float,
+) -> float:
     """-λ·∂r for a motion v of a pin's axis."""
     normal, tangent = vx * nx + vy * ny, vy * nx - vx * ny
     pressed = curved * tangent - k * normal
@@ -142,23 +151,43 @@ class _Joint(NamedTuple):
 
 @part
 def _add_places(
-    problem: Problem, theta: float, q: Array, row: Array, out: Array, first: int, count: int, joint: _Joint,
-    by_angle: Array, vx: float, vy: float,
-) -> None:  # fmt: skip
+    problem: Problem,
+    theta: float,
+    q: Array,
+    row: Array,
+    out: Array,
+    first: int,
+    count: int,
+    joint: _Joint,
+    by_angle: Array,
+    vx: float,
+    vy: float,
+) -> None:
     """Subtract λ·∂r/∂p for the positions of a joint's hole in its disc and of the joint in the carrier.
 
     Also for the crank angle; v is the derivative of d by it beyond the carrier's rotation.
     """
     carrier, holes = -theta / problem.teeth, problem.shift_x.size * count
     x, y, r, force, stiffness, lx, ly = (
-        joint.x, joint.y, joint.r, joint.force, joint.stiffness, joint.along_x, joint.along_y
-    )  # fmt: skip
+        joint.x,
+        joint.y,
+        joint.r,
+        joint.force,
+        joint.stiffness,
+        joint.along_x,
+        joint.along_y,
+    )
     fx, fy = (force * x / r, force * y / r) if r > 0.0 else (0.0, 0.0)
     turned, carried = row[FIRST_DISC + 3 * joint.disc + 2], row[0]
     gx, gy = _stiff(
-        force, stiffness, x, y, r, vx + (joint.hole_y - joint.carrier_y) / problem.teeth,
+        force,
+        stiffness,
+        x,
+        y,
+        r,
+        vx + (joint.hole_y - joint.carrier_y) / problem.teeth,
         vy - (joint.hole_x - joint.carrier_x) / problem.teeth,
-    )  # fmt: skip
+    )
     by_angle[0] -= gx * lx + gy * ly
     by_angle[0] -= (
         (fx * joint.hole_x + fy * joint.hole_y) * turned - (fx * joint.carrier_x + fy * joint.carrier_y) * carried
@@ -179,9 +208,16 @@ def _add_places(
 
 @spliced
 def _add_cranks(
-    problem: Problem, assembly: Assembly, theta: float, q: Array, row: Array, out: Array, first: int, laws: Array,
+    problem: Problem,
+    assembly: Assembly,
+    theta: float,
+    q: Array,
+    row: Array,
+    out: Array,
+    first: int,
+    laws: Array,
     by_angle: Array,
-) -> None:  # fmt: skip
+) -> None:
     discs, count, teeth = problem.shift_x.size, assembly.place_x.size, problem.teeth
     throw = first + 2 * (discs + 1) * count
     phase = throw + discs * count
@@ -217,9 +253,16 @@ def _add_cranks(
 
 @spliced
 def _add_rollers(
-    problem: Problem, assembly: Assembly, theta: float, q: Array, row: Array, out: Array, first: int, laws: Array,
+    problem: Problem,
+    assembly: Assembly,
+    theta: float,
+    q: Array,
+    row: Array,
+    out: Array,
+    first: int,
+    laws: Array,
     by_angle: Array,
-) -> None:  # fmt: skip
+) -> None:
     discs, count, teeth = problem.shift_x.size, assembly.place_x.size, problem.teeth
     throw = first + 2 * (discs + 1) * count
     phase = throw + discs
@@ -284,9 +327,17 @@ def _add_seat(
 
 @compiled
 def sweep_supported_sensitivities(
-    problem: Problem, assembly: Assembly, thetas: Array, torques: Array, places: Array, errors: Array, laws: Array,
-    by_angle: Array, by_torque: Array, work: Work,
-) -> bool:  # fmt: skip
+    problem: Problem,
+    assembly: Assembly,
+    thetas: Array,
+    torques: Array,
+    places: Array,
+    errors: Array,
+    laws: Array,
+    by_angle: Array,
+    by_torque: Array,
+    work: Work,
+) -> bool:
     """Write the derivatives of the deviation at given solutions; return False if one is singular.
 
     Parameters

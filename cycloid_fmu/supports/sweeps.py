@@ -81,9 +81,14 @@ def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found:
 
 @compiled
 def sweep_supported(
-    problem: Problem, assembly: Assembly, thetas: Array, torques: Array, found: Found, work: Work,
+    problem: Problem,
+    assembly: Assembly,
+    thetas: Array,
+    torques: Array,
+    found: Found,
+    work: Work,
     lines: contact.ContactLines,
-) -> None:  # fmt: skip
+) -> None:
     """Solve crank angles, each at its torque and starting from its neighbour, and write contact lines on request."""
     contacts = contact.contact_rows(problem)
     q = work.place

@@ -98,9 +98,12 @@ def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
     compliance = 0.0 if seat.stiffness_per_width is None else 1.0 / (seat.stiffness_per_width * mesh.slice_width)
     none = np.zeros(slices)
     return mesh._replace(
-        eccentricity=pair.eccentricity, centre_x=none, centre_y=none.copy(), seat_gap=0.5 * seat.clearance,
+        eccentricity=pair.eccentricity,
+        centre_x=none,
+        centre_y=none.copy(),
+        seat_gap=0.5 * seat.clearance,
         seat_compliance=compliance,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -190,9 +193,16 @@ def solve(
     """
     if pair.supports is None:
         return transmission.solve(
-            pair, surface, torque, crank_angle, slices, with_play=with_play, with_elements=with_elements,
-            workers=workers, progress=progress,
-        )  # fmt: skip
+            pair,
+            surface,
+            torque,
+            crank_angle,
+            slices,
+            with_play=with_play,
+            with_elements=with_elements,
+            workers=workers,
+            progress=progress,
+        )
     torques, angles = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
@@ -217,18 +227,34 @@ def solve(
 
     try:
         _solve(
-            pair, surface, at_angles, angles, slices, found, len(rest), workers,
-            lambda size: progress(size * len(torques)), lines,
-        )  # fmt: skip
+            pair,
+            surface,
+            at_angles,
+            angles,
+            slices,
+            found,
+            len(rest),
+            workers,
+            lambda size: progress(size * len(torques)),
+            lines,
+        )
     except Stopped as stopped:
         raise Interrupted(result(slice(0, stopped.finished))) from None
     return result(slice(None))
 
 
 def _solve(
-    pair: Pair, surface: ErrorSurface, torques: Array, angles: Array, slices: int, found: Found, first: int = 0,
-    workers: int = 1, progress: Callable[[int], None] = lambda angles: None, lines: ContactLines | None = None,
-) -> None:  # fmt: skip
+    pair: Pair,
+    surface: ErrorSurface,
+    torques: Array,
+    angles: Array,
+    slices: int,
+    found: Found,
+    first: int = 0,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
+    lines: ContactLines | None = None,
+) -> None:
     """Find solutions at every torque, shape (torques, angles); contact lines of the torques from `first` on."""
     merging, none = threading.Lock(), transmission.no_lines(1)
     assembly = assembly_of(pair, surface)
@@ -260,9 +286,11 @@ def _lines_of(lines: ContactLines, load: int, angles: slice) -> ContactLines:
     """Return the lines of one torque at some angles, with separate pressures for each thread."""
     one = np.s_[load : load + 1]
     return lines._replace(
-        slice_force=lines.slice_force[one, angles], slice_direction=lines.slice_direction[one, angles],
-        gear_pressure=np.zeros_like(lines.gear_pressure[one]), pin_pressure=np.zeros_like(lines.pin_pressure[one]),
-    )  # fmt: skip
+        slice_force=lines.slice_force[one, angles],
+        slice_direction=lines.slice_direction[one, angles],
+        gear_pressure=np.zeros_like(lines.gear_pressure[one]),
+        pin_pressure=np.zeros_like(lines.pin_pressure[one]),
+    )
 
 
 def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
@@ -293,16 +321,25 @@ def _interference(mesh: Problem, angles: Array, found: Found) -> Array:
     interference = np.zeros(angles.size)
     shift_x, shift_y, turn = (np.zeros_like(mesh.shift_x) for _ in range(3))
     sweep_interference(
-        mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn), angles, np.ascontiguousarray(found.place[0]),
-        found.pin_force[0].max(axis=(-1, -2)), interference,
-    )  # fmt: skip
+        mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn),
+        angles,
+        np.ascontiguousarray(found.place[0]),
+        found.pin_force[0].max(axis=(-1, -2)),
+        interference,
+    )
     return interference
 
 
 def _result(
-    pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found, lines: ContactLines,
+    pair: Pair,
+    torques: Array,
+    angles: Array,
+    at_angles: Array,
+    first: int,
+    found: Found,
+    lines: ContactLines,
     interference: Array,
-) -> OnBearings:  # fmt: skip
+) -> OnBearings:
     """Return the results; if `first` is 3, no torque and the play's two torques precede the others."""
     deviation, stiffness = found.place[..., 0], found.stiffness
     low = high = np.full(angles.size, np.nan)
@@ -319,8 +356,17 @@ def _result(
     kept = _of(found, np.s_[first:])
     discs = pair.discs
     return OnBearings(
-        torques, angles, deviation[first:], stiffness[first:], kept.contact_count, kept.max_contact_pressure,
-        kept.pin_force, kept.pin_pressure, low, high, interference,
+        torques,
+        angles,
+        deviation[first:],
+        stiffness[first:],
+        kept.contact_count,
+        kept.max_contact_pressure,
+        kept.pin_force,
+        kept.pin_pressure,
+        low,
+        high,
+        interference,
         *lines[:4],
         preload=preload,
         preload_count=count,
@@ -332,7 +378,7 @@ def _result(
         main_bearing_force=kept.main_bearing,
         output_roller_force=kept.output_roller,
         crank_torque=kept.crank_torque,
-    )  # fmt: skip
+    )
 
 
 LAWS = tuple(
@@ -385,9 +431,17 @@ def sensitivity(
     each, laws = np.zeros((angles.size, size)), np.zeros((angles.size, len(LAWS)))
     by_angle, by_torque = (np.zeros(angles.size) for _ in range(2))
     if not sweep_supported_sensitivities(
-        problem_of(pair, surface, slices), assembly_of(pair, surface), angles, at_angles[0], found.place[0], each, laws,
-        by_angle, by_torque, work_of(found.place.shape[-1], pair.discs),
-    ):  # fmt: skip
+        problem_of(pair, surface, slices),
+        assembly_of(pair, surface),
+        angles,
+        at_angles[0],
+        found.place[0],
+        each,
+        laws,
+        by_angle,
+        by_torque,
+        work_of(found.place.shape[-1], pair.discs),
+    ):
         raise _unbalanced(float(at_angles[0, 0]), angles[0])
     return Sensitivity(found.place[0, :, 0].copy(), each, laws, by_angle, by_torque)
 

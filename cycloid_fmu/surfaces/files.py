@@ -18,9 +18,15 @@ from cycloid_fmu.surfaces.surface import DEVIATION_TEXTS, DEVIATIONS, Ageing, Er
 FORMAT = "cycloid-surface/1"
 _AGEING = "life_ageing"
 _DIMENSIONS = {
-    "drive": (), "pin": ("pin",), "tooth": ("disc", "tooth"), "hole": ("disc", "support"), "crank": ("support",),
-    "roller": ("support",), "eccentric": ("disc", "crank"), "roller_hole": ("disc", "support"),
-}  # fmt: skip
+    "drive": (),
+    "pin": ("pin",),
+    "tooth": ("disc", "tooth"),
+    "hole": ("disc", "support"),
+    "crank": ("support",),
+    "roller": ("support",),
+    "eccentric": ("disc", "crank"),
+    "roller_hole": ("disc", "support"),
+}
 
 
 def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:

@@ -510,9 +510,15 @@ def fitted_circle(points: Complex, robust: bool) -> tuple[complex, float]:
     fit = np.array([x, y, radius]) / _MICRON
     for scale in (20.0, 2.0) if robust else (1.0,):
         fit = least_squares(
-            residual, fit, slope, loss="soft_l1" if robust else "linear", f_scale=scale, xtol=1e-10, gtol=1e-10,
+            residual,
+            fit,
+            slope,
+            loss="soft_l1" if robust else "linear",
+            f_scale=scale,
+            xtol=1e-10,
+            gtol=1e-10,
             ftol=1e-12,
-        ).x  # fmt: skip
+        ).x
     return middle + _MICRON * complex(fit[0], fit[1]), float(_MICRON * fit[2])
 
 

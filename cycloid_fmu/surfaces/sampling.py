@@ -37,10 +37,21 @@ LARGEST_SEED = 2**63 - 1
 # Axes of a study's points in the first version, in this order, so that a seed's drives stay the same; other kinds
 # follow.
 _FIRST_AXES = (
-    "gear_profile", "pin_profile", "gear_pitch", "pin_pitch", "pin_circle_diameter", "pin_radius", "pin_radius_each",
-    "eccentricity", "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "isometric",
+    "gear_profile",
+    "pin_profile",
+    "gear_pitch",
+    "pin_pitch",
+    "pin_circle_diameter",
+    "pin_radius",
+    "pin_radius_each",
+    "eccentricity",
+    "centre_distance_x",
+    "centre_distance_y",
+    "misalignment_xz",
+    "misalignment_yz",
+    "isometric",
     "offset",
-)  # fmt: skip
+)
 _OTHERS = ("limits", "costs")
 # Share of the permitted pitch deviation that is used, so that rounding in the sums of positions stays within the limit.
 _WITHIN = 1.0 - 1e-9
@@ -334,9 +345,14 @@ def _compiled(function: _Function) -> _Function:
 
 @_compiled
 def _exchange(
-    positions: Array, first: NDArray[np.int64], apart: NDArray[np.int64], chances: Array, single: float,
-    cumulative: float, sigma: float,
-) -> None:  # fmt: skip
+    positions: Array,
+    first: NDArray[np.int64],
+    apart: NDArray[np.int64],
+    chances: Array,
+    single: float,
+    cumulative: float,
+    sigma: float,
+) -> None:
     """Run a Markov chain over the tooth positions of one circle, in place: a pitch gains as another one loses.
 
     Every second move, from the first on, is between neighbours, the others `apart`. Teeth between both pitches move
@@ -413,9 +429,14 @@ def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors
     # In units of the single limit, so that the chain does not depend on the scale.
     positions = np.zeros(teeth)
     _exchange(
-        positions, first, apart, generator.random((moves, 2)), _WITHIN,
-        _WITHIN * errors.cumulative / errors.single, 1.0 / 3.0 if errors.distribution == "normal" else 0.0,
-    )  # fmt: skip
+        positions,
+        first,
+        apart,
+        generator.random((moves, 2)),
+        _WITHIN,
+        _WITHIN * errors.cumulative / errors.single,
+        1.0 / 3.0 if errors.distribution == "normal" else 0.0,
+    )
     return np.asarray((positions - positions.mean()) * errors.single)
 
 

@@ -185,10 +185,12 @@ def dimensions_of(pair: Pair, displaced: Mapping[str, Array]) -> dict[str, Array
 def _nominal_dimensions(pair: Pair) -> dict[str, float]:
     warm = pair.at_temperature
     return {
-        "crank_throw": warm.eccentricity, "generating_pin_radius": warm.generating_pin_radius,
-        "generating_circle_radius": warm.generating_circle_radius, "pin_radial": warm.pin_circle_radius,
+        "crank_throw": warm.eccentricity,
+        "generating_pin_radius": warm.generating_pin_radius,
+        "generating_circle_radius": warm.generating_circle_radius,
+        "pin_radial": warm.pin_circle_radius,
         "pin_radius": warm.pin_radius,
-    }  # fmt: skip
+    }
 
 
 def _check_dimensions(pair: Pair, made: Mapping[str, Any], source: str) -> None:

@@ -28,8 +28,11 @@ Array = NDArray[np.float64]
 ORIGINS = ("nominal", "sampled", "measured", "identified", "worn")
 _FLANKS, _PINS = ("disc", "tooth", "profile", "width"), ("pin", "angle", "width")
 DEVIATIONS = {
-    "gear_deviation": _FLANKS, "pin_deviation": _PINS, "gear_curvature": _FLANKS, "pin_curvature": _PINS,
-}  # fmt: skip
+    "gear_deviation": _FLANKS,
+    "pin_deviation": _PINS,
+    "gear_curvature": _FLANKS,
+    "pin_curvature": _PINS,
+}
 DEVIATION_TEXTS = {
     "gear_deviation": "normal deviation of each element of the flanks, > 0 material added",
     "pin_deviation": "normal deviation of each element of the pins, > 0 material added",
@@ -39,9 +42,12 @@ DEVIATION_TEXTS = {
 LARGEST_ELEMENT = 5e-4
 # Fields of a pair that do not describe the manufactured parts: loads, limits and temperatures.
 _OF_NO_SURFACE: Mapping[str, Any] = {
-    "rated_torque": None, "pressure_limit": None, "contact_law": "capped", "temperature": None,
+    "rated_torque": None,
+    "pressure_limit": None,
+    "contact_law": "capped",
+    "temperature": None,
     "expansion": Expansions(),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -204,8 +210,13 @@ class ErrorSurface:
         self._set("errors", types.MappingProxyType(values))
         for name, array in zip(DEVIATIONS, (gear_deviation, pin_deviation, gear_curvature, pin_curvature), strict=True):
             self._set(name, _checked_deviation(name, array, pair))
-        for name, value in (("life", life), ("origin", origin), ("covariance_of", covariance_of),
-                            ("covariance", covariance), ("attributes", dict(attributes or {}))):  # fmt: skip
+        for name, value in (
+            ("life", life),
+            ("origin", origin),
+            ("covariance_of", covariance_of),
+            ("covariance", covariance),
+            ("attributes", dict(attributes or {})),
+        ):
             self._set(name, value)
         self._check_together()
 

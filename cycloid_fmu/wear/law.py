@@ -109,8 +109,11 @@ def duty_cycle(
     edge.InputError
         If loads are stated twice or not at all, or the turns are missing, negative or not finite.
     """
-    stated = {"a torque": torque is not None, f"the duty cycle {duty_file}": duty_file is not None,
-              "[[wear.duty]]": bool(law.duty)}  # fmt: skip
+    stated = {
+        "a torque": torque is not None,
+        f"the duty cycle {duty_file}": duty_file is not None,
+        "[[wear.duty]]": bool(law.duty),
+    }
     places = [name for name, given in stated.items() if given]
     if len(places) > 1:
         raise edge.InputError(f"{source}: {' and '.join(places)} state the load; keep one of them.")

@@ -369,16 +369,24 @@ def _part_of_rate(model: WearModel, drive: contact.Problem, load: Load, crank_an
     # Elements of a disc's teeth in a row for each slice: a contact at a root is on both of its teeth.
     rows = np.zeros((depth.gear.shape[0] * depth.gear.shape[3], drive.teeth * cells))
     _deposit(
-        rows, contacts.disc * depth.gear.shape[3] + contacts.slice_, place + contacts.tooth * cells,
-        contacts.half_width / model.gear_element, area / model.gear_element, True,
-    )  # fmt: skip
+        rows,
+        contacts.disc * depth.gear.shape[3] + contacts.slice_,
+        place + contacts.tooth * cells,
+        contacts.half_width / model.gear_element,
+        area / model.gear_element,
+        True,
+    )
     gear = rows.reshape(depth.gear.shape[0], depth.gear.shape[3], drive.teeth, cells)
     around = depth.pin.shape[1]
     rows = np.zeros((depth.pin.shape[0] * depth.pin.shape[2], around))
     _deposit(
-        rows, contacts.pin * depth.pin.shape[2] + contacts.slice_, (contacts.pin_direction / np.pi + 0.5) * around,
-        contacts.half_width / model.pin_element, area / model.pin_element, False,
-    )  # fmt: skip
+        rows,
+        contacts.pin * depth.pin.shape[2] + contacts.slice_,
+        (contacts.pin_direction / np.pi + 0.5) * around,
+        contacts.half_width / model.pin_element,
+        area / model.pin_element,
+        False,
+    )
     pin = rows.reshape(depth.pin.shape[0], depth.pin.shape[2], around)
     return WearRate(
         Depth(np.moveaxis(gear, 1, 3), np.moveaxis(pin, 1, 2)),

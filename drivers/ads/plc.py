@@ -83,9 +83,13 @@ class PlcHub:
     def _symbol(self) -> tuple[int, int, int]:
         """Return index group, index offset and size, bytes, of the ring."""
         info = self.connection.read_write(
-            SYMBOL_INFORMATION, 0, self._ads.structs.SAdsSymbolEntry, self.config.ring, self._ads.PLCTYPE_STRING,
+            SYMBOL_INFORMATION,
+            0,
+            self._ads.structs.SAdsSymbolEntry,
+            self.config.ring,
+            self._ads.PLCTYPE_STRING,
             check_length=False,
-        )  # fmt: skip
+        )
         return int(info.iGroup), int(info.iOffs), int(info.size)
 
     def _bytes(self, offset: int, count: int) -> bytes:

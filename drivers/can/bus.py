@@ -10,9 +10,17 @@ from drivers.lines import SERIAL_BUSES, device_of, no_terminal
 
 SYNC_ID = 0x80
 _CLOCKS = {
-    "socketcan": "kernel", "udp_multicast": "kernel", "loopback": "kernel", "pcan": "hardware", "kvaser": "hardware",
-    "vector": "hardware", "ixxat": "hardware", "gs_usb": "hardware", "usb2can": "hardware", "canalystii": "hardware",
-}  # fmt: skip
+    "socketcan": "kernel",
+    "udp_multicast": "kernel",
+    "loopback": "kernel",
+    "pcan": "hardware",
+    "kvaser": "hardware",
+    "vector": "hardware",
+    "ixxat": "hardware",
+    "gs_usb": "hardware",
+    "usb2can": "hardware",
+    "canalystii": "hardware",
+}
 
 
 def frame_key(identifier: int, *, extended: bool = False, fd: bool = False) -> int:

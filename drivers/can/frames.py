@@ -72,8 +72,13 @@ class FrameReader:
         period: float | None = None,
     ) -> None:
         self.hub, self.identifier, self.length, self.sync_step, self.channel, self.period = (
-            hub, identifier, length, sync_step, channel, period,
-        )  # fmt: skip
+            hub,
+            identifier,
+            length,
+            sync_step,
+            channel,
+            period,
+        )
         self._blocks = hub.subscribe(identifier)
         self._events: collections.deque[Event] = collections.deque()
         self._last_seen = -1

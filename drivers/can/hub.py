@@ -62,9 +62,7 @@ def joined_frames(blocks: list[Frames]) -> Frames:
         parts = [getattr(block, name) for block in blocks]
         return None if parts[0] is None else np.concatenate(parts)
 
-    columns = {name: column(name) for name in (
-        "sync", "sync_time", "time", "arrived", "gap", "device", "sync_device"
-    )}  # fmt: skip
+    columns = {name: column(name) for name in ("sync", "sync_time", "time", "arrived", "gap", "device", "sync_device")}
     return Frames(data=[payload for block in blocks for payload in block.data], **columns)
 
 
@@ -344,10 +342,15 @@ class CanHub:
             if not len(mine):
                 continue
             frames = Frames(
-                sync[mine], times[state[mine]], host[mine], [block[i].data for i in mine.tolist()],
-                np.full(len(mine), arrived), counted[state[mine]],
-                stamps[mine] if arrivals else None, devices[state[mine]] if arrivals else None,
-            )  # fmt: skip
+                sync[mine],
+                times[state[mine]],
+                host[mine],
+                [block[i].data for i in mine.tolist()],
+                np.full(len(mine), arrived),
+                counted[state[mine]],
+                stamps[mine] if arrivals else None,
+                devices[state[mine]] if arrivals else None,
+            )
             for blocks in queues:
                 blocks.put(frames, len(mine))
         self.handed_on = self.sync

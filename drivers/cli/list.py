@@ -14,6 +14,8 @@ def list_() -> None:
     """
     found = drivers.list_connections()
     for title, names in (
-        ("protocols", found.protocols), ("serial ports", found.serial_ports), ("CAN buses", found.can_buses)
-    ):  # fmt: skip
+        ("protocols", found.protocols),
+        ("serial ports", found.serial_ports),
+        ("CAN buses", found.can_buses),
+    ):
         typer.echo(f"{title}: {', '.join(names) or 'none'}")

@@ -23,10 +23,11 @@ if TYPE_CHECKING:
 Allowed = Annotated[
     list[str] | None,
     typer.Option(
-        "--allow", metavar="KIND",
+        "--allow",
+        metavar="KIND",
         help="Further connection that the bench file may open besides devices, socket:// and CAN, such as rfc2217.",
     ),
-]  # fmt: skip
+]
 
 
 def live_text(live: Live) -> str:

@@ -68,10 +68,23 @@ def simulate(
             "interface", "other processes cannot reach this bus; add -o RUN.arrows or use loopback", interface
         )
     bench = drivers.simulate_bench(
-        drive, torque=torque, ratio=ratio, turns=turns, samples_per_turn=samples_per_turn, direction=direction,
-        speed=speed, noise=noise, seed=seed, hysteresis=hysteresis, interface=interface, channel=channel,
-        serial=serial, plc=plc, faults=faults, speed_factor=speed_factor,
-    )  # fmt: skip
+        drive,
+        torque=torque,
+        ratio=ratio,
+        turns=turns,
+        samples_per_turn=samples_per_turn,
+        direction=direction,
+        speed=speed,
+        noise=noise,
+        seed=seed,
+        hysteresis=hysteresis,
+        interface=interface,
+        channel=channel,
+        serial=serial,
+        plc=plc,
+        faults=faults,
+        speed_factor=speed_factor,
+    )
     with recording(), bench:
         if output is not None:
             with LiveLine() as progress:

@@ -240,8 +240,10 @@ class AsciiCounter(SerialEncoder):
         wrong = there & ~right
         late = right & np.array([line.late and "time" not in self._names for line in lines])
         for which, what in (
-            (~there, "not as described"), (wrong, "wrong checksum"), (late, "delayed, so its time is unknown")
-        ):  # fmt: skip
+            (~there, "not as described"),
+            (wrong, "wrong checksum"),
+            (late, "delayed, so its time is unknown"),
+        ):
             if which.any():
                 first = int(np.flatnonzero(which)[0])
                 shown = lines[first].text[:40].decode("ascii", "backslashreplace")
@@ -363,9 +365,11 @@ class AsciiCounter(SerialEncoder):
             if status[low] & RESET:
                 self._newest = None
             judged, missing, self._newest = judge_sequence(
-                numbers[low:high], self.config.sequence_modulus, self._newest,
+                numbers[low:high],
+                self.config.sequence_modulus,
+                self._newest,
                 None if expected is None else expected[low:high],
-            )  # fmt: skip
+            )
             status[low:high] |= judged
             # A line out of order was counted as missing before.
             self._lost += int(missing.sum()) - int(np.count_nonzero(judged & OUT_OF_ORDER))

@@ -42,15 +42,21 @@ _MISSED_HEARTBEATS = 3
 _NO_SUCH_OBJECT = (0x06020000, 0x06090011, 0x060A0023)
 # CiA 406: data of the encoder besides counts and turns: index, subindex, whether signed.
 _IDENTITY = {
-    (0x6504, 0, False): "supported alarms 0x{:04X}", (0x6506, 0, False): "supported warnings 0x{:04X}",
-    (0x6507, 0, False): "profile and software 0x{:08X}", (0x6509, 0, True): "offset {}",
-    (0x650A, 1, True): "manufacturer offset {}", (0x650A, 2, True): "smallest position {}",
-    (0x650A, 3, True): "largest position {}", (0x650B, 0, False): "encoder serial {}",
-}  # fmt: skip
+    (0x6504, 0, False): "supported alarms 0x{:04X}",
+    (0x6506, 0, False): "supported warnings 0x{:04X}",
+    (0x6507, 0, False): "profile and software 0x{:08X}",
+    (0x6509, 0, True): "offset {}",
+    (0x650A, 1, True): "manufacturer offset {}",
+    (0x650A, 2, True): "smallest position {}",
+    (0x650A, 3, True): "largest position {}",
+    (0x650B, 0, False): "encoder serial {}",
+}
 _STATE = {
-    (0x6500, 0, False): "operating status 0x{:04X}", (0x6503, 0, False): "alarms 0x{:04X}",
-    (0x6505, 0, False): "warnings 0x{:04X}", (0x6508, 0, False): "operating time {}",
-}  # fmt: skip
+    (0x6500, 0, False): "operating status 0x{:04X}",
+    (0x6503, 0, False): "alarms 0x{:04X}",
+    (0x6505, 0, False): "warnings 0x{:04X}",
+    (0x6508, 0, False): "operating time {}",
+}
 
 
 class CanopenConfig(AngleConfig):
@@ -302,9 +308,13 @@ class CanopenEncoder(CanEncoder):
         self._previous = int(counts[-1])
         value = counts_to_value(counts, self._counts_per_turn, self.config.direction, self.config.zero)
         return Samples.checked(
-            self.name, block.time_host, value, time_device=block.time_device, counts=counts,
+            self.name,
+            block.time_host,
+            value,
+            time_device=block.time_device,
+            counts=counts,
             status=np.bitwise_or(block.status, rolled * ROLLOVER),
-        )  # fmt: skip
+        )
 
     def _check_alive(self, now: float) -> None:
         """Report a missing heartbeat; raise `EncoderTimeout` if frames are missing too."""

@@ -121,9 +121,9 @@ class DbcSensor(CanEncoder):
         """Smallest and largest value of the signal stated in the file, SI units; None if not stated."""
         if self._signal.minimum is None or self._signal.maximum is None:
             return None
-        low, high = sorted(self.config.direction * self._si * float(v) for v in (
-            self._signal.minimum, self._signal.maximum
-        ))  # fmt: skip
+        low, high = sorted(
+            self.config.direction * self._si * float(v) for v in (self._signal.minimum, self._signal.maximum)
+        )
         return (low, high) if low < high else None
 
     def read(self, timeout: float) -> Samples | None:
@@ -140,9 +140,12 @@ class DbcSensor(CanEncoder):
         value = self.config.direction * self._si * decoded[there]
         device = block.time_device
         return Samples.checked(
-            self.name, block.time_host[there], value, status=status[there],
+            self.name,
+            block.time_host[there],
+            value,
+            status=status[there],
             time_device=None if device is None else device[there],
-        )  # fmt: skip
+        )
 
     @property
     def lost(self) -> int:

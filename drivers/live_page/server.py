@@ -95,17 +95,25 @@ class Watcher:
         rate = {n: (c - counted[n]) / max(now - then, 1e-3) for n, c in self._counts.items()}
         channels = [
             {
-                "name": c.name, "unit": c.unit, "samples": self._counts[c.name], "rate": rate[c.name],
+                "name": c.name,
+                "unit": c.unit,
+                "samples": self._counts[c.name],
+                "rate": rate[c.name],
                 "value": math.nan if (held := self._held[c.name]) is None else float(held.value[-1]),
                 "marks": {m: n for m, n in self._marks[c.name].items() if n},
             }
             for c in self.reader.header.channels
-        ]  # fmt: skip
+        ]
         header = self.reader.header
         return {
-            "source": self.reader.source, "pair": header.pair, "ratio": header.ratio, "start": header.start,
-            "channels": channels, "events": list(self._events), **self._errors(),
-        }  # fmt: skip
+            "source": self.reader.source,
+            "pair": header.pair,
+            "ratio": header.ratio,
+            "start": header.start,
+            "channels": channels,
+            "events": list(self._events),
+            **self._errors(),
+        }
 
     def _errors(self) -> dict[str, Any]:
         """Return the TE over the crank angle and its spectrum."""

@@ -293,9 +293,11 @@ def _driven(sequence: BenchSequence, step: Step, claims: Claims) -> Iterator[sub
         return
     text = drive.hysteresis if step.is_hysteresis else drive.run
     filled = (text or "").format(
-        torque=f"{step.torque:.9g} N*m", speed=f"{step.speed:.9g} rad/s", direction=step.direction,
+        torque=f"{step.torque:.9g} N*m",
+        speed=f"{step.speed:.9g} rad/s",
+        direction=step.direction,
         turns=f"{step.turns:g}",
-    )  # fmt: skip
+    )
     wiring = sequence.folder / sequence.file.bench
     if wiring.exists():
         bench = read_bench(wiring, allow=sequence.allow)
@@ -345,9 +347,15 @@ def _run_step(
         with stack:
             claims.claim(bench.wiring)
             record_encoders(
-                encoders, path, ratio=bench.ratio, pair=bench.pair, conditions={**bench.conditions, **step.conditions},
-                progress=look, stop=lambda: end.reached, idle=None if process is None else 3.0,
-            )  # fmt: skip
+                encoders,
+                path,
+                ratio=bench.ratio,
+                pair=bench.pair,
+                conditions={**bench.conditions, **step.conditions},
+                progress=look,
+                stop=lambda: end.reached,
+                idle=None if process is None else 3.0,
+            )
     recording = read_recording(path)
     samples = {c.role: recording.samples[c.name] for c in recording.header.channels}
     said = shortfalls(step, samples, sequence.file)

@@ -482,6 +482,14 @@ def record(
         claims.claim(wired.wiring)  # two recordings would stop each other's nodes
         with open_encoders(wired) as encoders:
             return record_encoders(
-                encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, duration=duration,
-                samples=samples, idle=idle, stop=stop, progress=progress,
-            )  # fmt: skip
+                encoders,
+                path,
+                ratio=wired.ratio,
+                pair=wired.pair,
+                conditions=wired.conditions,
+                duration=duration,
+                samples=samples,
+                idle=idle,
+                stop=stop,
+                progress=progress,
+            )

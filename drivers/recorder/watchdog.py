@@ -72,9 +72,11 @@ def watched(
         "quiet": quiet,
     }
     process = subprocess.Popen(
-        [sys.executable, "-m", "drivers.recorder.watchdog"], stdin=subprocess.PIPE, start_new_session=True,
+        [sys.executable, "-m", "drivers.recorder.watchdog"],
+        stdin=subprocess.PIPE,
+        start_new_session=True,
         pass_fds=tuple(held) if os.name == "posix" else (),
-    )  # fmt: skip
+    )
     assert process.stdin is not None
     try:
         with contextlib.suppress(BrokenPipeError):
@@ -117,9 +119,11 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda number, frame: None)  # meant for the command, which has the same group
     try:
         command = subprocess.Popen(
-            told["command"], cwd=told["folder"], stdin=subprocess.DEVNULL,
+            told["command"],
+            cwd=told["folder"],
+            stdin=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL if told["quiet"] else None,
-        )  # fmt: skip
+        )
     except OSError as problem:
         sys.exit(f"{told['command'][0]}: {problem.strerror}.")
     left = threading.Event()
@@ -156,9 +160,14 @@ def _stop(command: list[str] | None, folder: str | None) -> None:
     if command is not None:
         with contextlib.suppress(OSError, subprocess.TimeoutExpired):
             subprocess.run(
-                command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                timeout=STOP_SECONDS, check=False,
-            )  # fmt: skip
+                command,
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                timeout=STOP_SECONDS,
+                check=False,
+            )
 
 
 def _rest(wiring: str, allow: list[str]) -> None:

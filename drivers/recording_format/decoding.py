@@ -136,9 +136,14 @@ class Layouts:
             checked.append((checked.pop()[0] if joins else first, last))
         self._heads[whole[:8]] = crc32[0], body
         self._layouts[whole[8 : crc32[0]], whole[body : body + 2]] = _Layout(
-            self._names[number], len(whole), crc32, sequence,
-            [(first, whole[first:last]) for first, last in (*head, *(span for span, _ in equal))], columns, checked,
-        )  # fmt: skip
+            self._names[number],
+            len(whole),
+            crc32,
+            sequence,
+            [(first, whole[first:last]) for first, last in (*head, *(span for span, _ in equal))],
+            columns,
+            checked,
+        )
 
     def known(self, data: bytes, at: int) -> _Layout | None:
         """Return the layout of the batch that begins here; None if it is not known or not all of the batch is here."""

@@ -162,11 +162,13 @@ def _mdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
                 units = {"value": channel.unit, "time_device": "s"}
                 signals = [
                     Signal(
-                        getattr(block, n), block.time_host, units.get(n, ""),
+                        getattr(block, n),
+                        block.time_host,
+                        units.get(n, ""),
                         block.channel if n == "value" else f"{block.channel}.{n}",
                     )
                     for n in names
-                ]  # fmt: skip
+                ]
                 groups[block.channel] = (file.append(signals, comment=json.dumps(dataclasses.asdict(channel))), names)
             else:
                 index, names = groups[block.channel]
@@ -267,5 +269,8 @@ def _paired(
 
 
 WRITERS: dict[str, Callable[[RecordingReader, Path, Progress], int]] = {
-    ".csv": _csv, ".nc": _netcdf, ".parquet": _parquet, ".mf4": _mdf,
-}  # fmt: skip
+    ".csv": _csv,
+    ".nc": _netcdf,
+    ".parquet": _parquet,
+    ".mf4": _mdf,
+}

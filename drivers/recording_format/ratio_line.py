@@ -253,9 +253,14 @@ class Line:
         return run
 
     def _sudden(
-        self, turned: FloatArray, driven: FloatArray, lasts: FloatArray, speed: FloatArray, given: _Stretch,
+        self,
+        turned: FloatArray,
+        driven: FloatArray,
+        lasts: FloatArray,
+        speed: FloatArray,
+        given: _Stretch,
         before: _Last | None,
-    ) -> tuple[Mask, npt.NDArray[np.int64], tuple[float, float]]:  # fmt: skip
+    ) -> tuple[Mask, npt.NDArray[np.int64], tuple[float, float]]:
         """Return the mask of jumps of the deviation that the motion before does not explain, and whose each jump is.
 
         0 is the input, 1 the output. The third result is the rates of both before the next sample, rad/s of the output.
@@ -360,8 +365,10 @@ class Line:
         self._seen += line.size
         if self._held:
             return
-        ends = [(np.minimum.accumulate(np.minimum(v, lo)), np.maximum.accumulate(np.maximum(v, hi)))
-                for v, (lo, hi) in zip((line, off), self._ranges, strict=True)]  # fmt: skip
+        ends = [
+            (np.minimum.accumulate(np.minimum(v, lo)), np.maximum.accumulate(np.maximum(v, hi)))
+            for v, (lo, hi) in zip((line, off), self._ranges, strict=True)
+        ]
         slack = self._stamps * np.maximum.accumulate(speed)
         far = np.flatnonzero(ends[0][1] - ends[0][0] >= _ESTABLISHED * (self._wide + 2.0 * slack))
         self._ranges = [(float(lo[-1]), float(hi[-1])) for lo, hi in ends]

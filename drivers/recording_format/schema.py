@@ -31,9 +31,14 @@ FORMAT = "cycloid-recording/1"
 GAP, CHECKSUM, RESET, DUPLICATE, OUT_OF_ORDER, ROLLOVER = 1, 2, 4, 8, 16, 32
 IMPLAUSIBLE = 128
 MARKS = {
-    "gaps": GAP, "checksum": CHECKSUM, "resets": RESET, "duplicates": DUPLICATE, "out of order": OUT_OF_ORDER,
-    "rollovers": ROLLOVER, "implausible": IMPLAUSIBLE,
-}  # fmt: skip
+    "gaps": GAP,
+    "checksum": CHECKSUM,
+    "resets": RESET,
+    "duplicates": DUPLICATE,
+    "out of order": OUT_OF_ORDER,
+    "rollovers": ROLLOVER,
+    "implausible": IMPLAUSIBLE,
+}
 ANGLES = ("input_angle", "output_angle")
 ROLES = (*ANGLES, "torque", "other")
 

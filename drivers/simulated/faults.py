@@ -14,10 +14,23 @@ from cycloid_fmu import edge
 FORMAT = "cycloid-faults/1"
 
 Kind: TypeAlias = Literal[
-    "drop", "duplicate", "swap", "short", "garbage", "clock_jump", "reset",
-    "emergency", "reboot", "silence", "bus_off",
-    "mute", "half", "corrupt", "wrong_baud", "pull",
-]  # fmt: skip
+    "drop",
+    "duplicate",
+    "swap",
+    "short",
+    "garbage",
+    "clock_jump",
+    "reset",
+    "emergency",
+    "reboot",
+    "silence",
+    "bus_off",
+    "mute",
+    "half",
+    "corrupt",
+    "wrong_baud",
+    "pull",
+]
 _FRAME_FAULTS = ("drop", "duplicate", "swap", "short", "garbage")
 NODE_FAULTS = ("emergency", "reboot", "silence", "bus_off")
 ADS_FAULTS = ("pull", "reset", "corrupt")

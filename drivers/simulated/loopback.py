@@ -93,9 +93,12 @@ class LoopbackBus(can.BusABC):  # type: ignore[misc]
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame to all processes on this bus."""
         flags = (
-            msg.is_extended_id * _EXTENDED | msg.is_remote_frame * _REMOTE | msg.is_error_frame * _ERROR
-            | msg.is_fd * _FD | msg.bitrate_switch * _BIT_RATE_SWITCH
-        )  # fmt: skip
+            msg.is_extended_id * _EXTENDED
+            | msg.is_remote_frame * _REMOTE
+            | msg.is_error_frame * _ERROR
+            | msg.is_fd * _FD
+            | msg.bitrate_switch * _BIT_RATE_SWITCH
+        )
         try:
             stamp = msg.timestamp if self._preserve else 0.0
             self._sender.sendto(_HEAD.pack(stamp, msg.arbitration_id, flags, msg.dlc) + bytes(msg.data), self._group)

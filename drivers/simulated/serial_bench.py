@@ -352,5 +352,7 @@ class SimulatedAsciiBench(_PtyBench):
 
 
 SERIAL_BENCHES: Mapping[str, type[SimulatedAmt21Bench] | type[SimulatedModbusBench] | type[SimulatedAsciiBench]] = {
-    "amt21": SimulatedAmt21Bench, "modbus": SimulatedModbusBench, "ascii": SimulatedAsciiBench,
-}  # fmt: skip
+    "amt21": SimulatedAmt21Bench,
+    "modbus": SimulatedModbusBench,
+    "ascii": SimulatedAsciiBench,
+}

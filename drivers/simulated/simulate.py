@@ -148,9 +148,14 @@ def simulate_bench(
     elif serial is None:
         group = "239.74.163.2" if interface == "loopback" else "bench"
         bench = SimulatedCanBench(
-            motion, interface=interface, channel=channel or group, trigger=trigger, speed_factor=speed_factor,
-            clock_drift=clock_drift or None, faults=script,
-        )  # fmt: skip
+            motion,
+            interface=interface,
+            channel=channel or group,
+            trigger=trigger,
+            speed_factor=speed_factor,
+            clock_drift=clock_drift or None,
+            faults=script,
+        )
     else:
         options: dict[str, Any] = {"clock_drift": clock_drift} if serial == "ascii" else {}
         bench = SERIAL_BENCHES[serial](motion, speed_factor=speed_factor or 1.0, faults=script, **options)

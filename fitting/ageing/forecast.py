@@ -235,9 +235,15 @@ def forecast(
         if worn is not None:
             most["clearance"] = growth * worn.factor**_BEYOND * end * per_second
         life = life_figures(
-            drive, law, loads, **most, growth=max(reach, default=_ROOM / edge.ARCSEC),
-            bearing=None if worn is None else worn.name, workers=workers, progress=lambda share: progress(0.9 * share),
-        )  # fmt: skip
+            drive,
+            law,
+            loads,
+            **most,
+            growth=max(reach, default=_ROOM / edge.ARCSEC),
+            bearing=None if worn is None else worn.name,
+            workers=workers,
+            progress=lambda share: progress(0.9 * share),
+        )
     left_open = _left_open(drive, max((load.torque for load in loads), key=abs), workers)
     offset = {
         name: math.hypot(
@@ -246,9 +252,14 @@ def forecast(
         for name in FIGURES
     }
     prior = Prior(
-        median, history.coefficient_factor, growth, 10.0 if worn is None else worn.factor, offset,
-        history.load_scatter, history.load_period * per_second,
-    )  # fmt: skip
+        median,
+        history.coefficient_factor,
+        growth,
+        10.0 if worn is None else worn.factor,
+        offset,
+        history.load_scatter,
+        history.load_period * per_second,
+    )
     after = posterior(life, prior, measured)
     progress(0.95)
     ages = np.linspace(0.0, end, _AGES)
@@ -265,9 +276,18 @@ def forecast(
     placed = scores(life, prior, measured)
     progress(1.0)
     return Forecast(
-        after, per_second, now, ages, bands, remaining, placed, _alarm(measured, placed, per_second),
-        _notes(after, ages[-1] * per_second), drive, "" if worn is None else worn.name,
-    )  # fmt: skip
+        after,
+        per_second,
+        now,
+        ages,
+        bands,
+        remaining,
+        placed,
+        _alarm(measured, placed, per_second),
+        _notes(after, ages[-1] * per_second),
+        drive,
+        "" if worn is None else worn.name,
+    )
 
 
 def _left_open(drive: Drive, torque: float, workers: int | None) -> dict[str, float]:
@@ -372,7 +392,8 @@ def as_json(found: Forecast) -> dict[str, Any]:
         "bands": {name: {p: band[k] for p, k in levels.items()} for name, band in found.bands.items()},
         "limits": {
             name: {
-                "limit": one.limit, "probability_beyond": one.probability,
+                "limit": one.limit,
+                "probability_beyond": one.probability,
                 "age": {f"{p:g}": age if math.isfinite(age) else None for p, age in one.ages.items()},
             }
             for name, one in found.remaining.items()
@@ -382,4 +403,4 @@ def as_json(found: Forecast) -> dict[str, Any]:
             for m, z in zip(after.measured, found.scores, strict=True)
         ],
         "notes": list(found.notes),
-    }  # fmt: skip
+    }

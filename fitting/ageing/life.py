@@ -229,9 +229,15 @@ def life_figures(
 
 
 def _on_bearings(
-    pair: Pair, surfaces: Sequence[ErrorSurface], rigid: Mapping[str, Array], bearing: str | None, nodes: Array,
-    torque: float, workers: int, progress: Callable[[float], None],
-) -> tuple[dict[str, Array], dict[str, Array], list[int]]:  # fmt: skip
+    pair: Pair,
+    surfaces: Sequence[ErrorSurface],
+    rigid: Mapping[str, Array],
+    bearing: str | None,
+    nodes: Array,
+    torque: float,
+    workers: int,
+    progress: Callable[[float], None],
+) -> tuple[dict[str, Array], dict[str, Array], list[int]]:
     """Return the curves when new, the effect of bearings in some states and clearances, and these states."""
     chosen = np.unique(np.linspace(0, len(surfaces) - 1, _MOVED).round().astype(int)).tolist()
     first: dict[str, Array] = {}
@@ -272,6 +278,4 @@ def _of_pair(surface: ErrorSurface, pair: Pair) -> ErrorSurface:
     """Return the surface as one of a pair with other supports."""
     possible = kinds_of(pair)
     kept = {name: values for name, values in surface.errors.items() if name in possible}
-    return ErrorSurface(
-        pair.nominal, kept, **{n: getattr(surface, n) for n in DEVIATIONS}, origin=surface.origin
-    )  # fmt: skip
+    return ErrorSurface(pair.nominal, kept, **{n: getattr(surface, n) for n in DEVIATIONS}, origin=surface.origin)

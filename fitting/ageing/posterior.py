@@ -244,7 +244,7 @@ def _shared(prior: Prior, first: _Foretold, second: _Foretold) -> Array:
 
 def _residuals(
     life: LifeFigures, prior: Prior, logs: Array, measured: Sequence[Measured]
-) -> tuple[Array, _Foretold, Array]:  # fmt: skip
+) -> tuple[Array, _Foretold, Array]:
     """Measured minus predicted (nodes, n), the prediction, and the covariance (nodes, n, n) at every node."""
     figures, turns = [m.figure for m in measured], np.array([m.crank_turns for m in measured])
     there = _model(life, prior, logs, figures, turns)

@@ -56,7 +56,10 @@ def aged_surface(
     states = {n: np.stack([getattr(life.surfaces[k], n) for k in chosen]) for n in DEVIATIONS}
     ageing = Ageing(crank_turns_per_second, now, largest, low, high, growth, bearing)
     whole = surface.replace(
-        **{name: values[-1] for name, values in states.items()}, origin="worn", covariance=None, covariance_of=(),
+        **{name: values[-1] for name, values in states.items()},
+        origin="worn",
+        covariance=None,
+        covariance_of=(),
         life=Life(turns[chosen], *states.values(), ageing=ageing),
-    )  # fmt: skip
+    )
     return surface_after(whole, now * crank_turns_per_second)

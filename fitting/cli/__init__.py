@@ -5,12 +5,25 @@ from typing import NoReturn
 from cycloid_fmu.edge import commands
 
 app = commands.command_line(
-    "cycloid-fit", "Measured transmission errors: curves, figures, and the errors of the drive behind them.", __name__,
+    "cycloid-fit",
+    "Measured transmission errors: curves, figures, and the errors of the drive behind them.",
+    __name__,
     (
-        "curve", "inspect", "metrics", "friction", "maps", "report", "compare", "identify", "plan", "ensemble",
-        "compensate", "forecast", "recalibrate",
+        "curve",
+        "inspect",
+        "metrics",
+        "friction",
+        "maps",
+        "report",
+        "compare",
+        "identify",
+        "plan",
+        "ensemble",
+        "compensate",
+        "forecast",
+        "recalibrate",
     ),
-)  # fmt: skip
+)
 
 
 def main() -> NoReturn:

@@ -118,17 +118,26 @@ def compensate(
         )
     with commands.Bar("crank angles", None) as bar:
         made = drive.compensator(
-            friction=friction, stiffness=stiffness, series_compliance=compliance,
-            temperatures=None if between is None else (between[0], between[1]), torque_accuracy=torque_accuracy,
-            residual=residual, sensor=sensor, tolerances=tolerances_file,
-            total=lambda count: bar.update(completed=0, total=count), progress=bar.advance,
-        )  # fmt: skip
+            friction=friction,
+            stiffness=stiffness,
+            series_compliance=compliance,
+            temperatures=None if between is None else (between[0], between[1]),
+            torque_accuracy=torque_accuracy,
+            residual=residual,
+            sensor=sensor,
+            tolerances=tolerances_file,
+            total=lambda count: bar.update(completed=0, total=count),
+            progress=bar.advance,
+        )
         if names:
             bar.update(completed=0, total=len(names), description="compiling")
         files = write_compensator(
-            made, output, fmi_version=fmi_version,  # type: ignore[arg-type]
-            platforms=names, compiled=lambda name: bar.advance(),
-        )  # fmt: skip
+            made,
+            output,
+            fmi_version=fmi_version,  # type: ignore[arg-type]
+            platforms=names,
+            compiled=lambda name: bar.advance(),
+        )
     rated = drive.pair.rated_torque or float(made.inverse.torque[-1]) / LARGEST_LOAD
     warm = 0.5 * float(made.inverse.temperature[0] + made.inverse.temperature[-1])
     bands = [step(made, Memory(0.0, one), 0.0, 0.0, rated, warm).band * ARCSEC for one in (1.0, 0.0)]

@@ -46,9 +46,16 @@ def curve(
     for one in curves:
         error = one.transmission_error * ARCSEC
         rows.append(
-            [Path(one.source).name, label_of(one), str(one.input_angle.size), f"{one.sample_count.mean():.1f}",
-             f"{error.mean():.3f}", f"{np.ptp(error):.3f}", f"{noise_of(one) * ARCSEC:.3f}"]
-        )  # fmt: skip
+            [
+                Path(one.source).name,
+                label_of(one),
+                str(one.input_angle.size),
+                f"{one.sample_count.mean():.1f}",
+                f"{error.mean():.3f}",
+                f"{np.ptp(error):.3f}",
+                f"{noise_of(one) * ARCSEC:.3f}",
+            ]
+        )
     columns = ["recording", "load", "points", "turns", "mean", "peak-peak", "noise"]
     commands.print_table("Transmission error [arcsec]", columns, rows)
     options.print_notes(note for one in curves for note in one.notes)

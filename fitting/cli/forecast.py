@@ -62,14 +62,17 @@ def forecast(
 
     history, law, made = read_history(history_file), read_wear_law(wear_file), read_drive(drive, surface)
     with commands.status() as step:
-        figures = measured(
-            history, made, history_file.parent, mapping=mapping, source=str(history_file), progress=step
-        )  # fmt: skip
+        figures = measured(history, made, history_file.parent, mapping=mapping, source=str(history_file), progress=step)
     with commands.Bar("forecast, percent", 100.0) as bar:
         found = foretell(
-            made, law, history, figures, until=until, source=str(history_file),
+            made,
+            law,
+            history,
+            figures,
+            until=until,
+            source=str(history_file),
             progress=lambda share: bar.update(completed=round(100.0 * share)),
-        )  # fmt: skip
+        )
     if output is not None:
         found.write(output)
     if plot is not None:

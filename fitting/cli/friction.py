@@ -59,9 +59,12 @@ def friction(
     nominal = ratio if drive is None else read_drive(drive).ratio
     with commands.status() as progress:
         found = fitting.friction(
-            fitting.read_recordings(files, mapping), ratio=nominal, loop=loop, progress=progress,
+            fitting.read_recordings(files, mapping),
+            ratio=nominal,
+            loop=loop,
+            progress=progress,
             speeds=options.separated(speeds),
-        )  # fmt: skip
+        )
     if plot is not None:
         fitting.plot(found, plot)
     if output is not None:

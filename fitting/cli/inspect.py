@@ -42,10 +42,15 @@ def inspect(
             roles[run.output_angle.channel.name] = "output_angle"
             roles[run.transmission_error.channel.name] = f"transmission_error, {run.name}"
     rows = [
-        [o.channel.name, o.channel.unit, str(o.values.size), *(f"{value:.6g}" for value in o.extremes),
-         roles.get(o.channel.name, "")]
+        [
+            o.channel.name,
+            o.channel.unit,
+            str(o.values.size),
+            *(f"{value:.6g}" for value in o.extremes),
+            roles.get(o.channel.name, ""),
+        ]
         for o in found.looks
-    ]  # fmt: skip
+    ]
     rows += [[name, "", "", "", "", "(text)"] for name in found.file.texts]
     commands.print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
     if max(one.values.size for one in found.looks) >= LOOKED_AT:

@@ -34,9 +34,14 @@ def metrics(
     recordings = fitting.read_recordings(files, mapping)
     with commands.status() as progress:
         found = fitting.metrics(
-            recordings, nominal, ratio=ratio, rated_torque=rated_torque, instruments=instruments, progress=progress,
+            recordings,
+            nominal,
+            ratio=ratio,
+            rated_torque=rated_torque,
+            instruments=instruments,
+            progress=progress,
             stiffness_limits=options.separated(stiffness_limits),
-        )  # fmt: skip
+        )
     if plot is not None:
         fitting.plot(found, plot)
     if output is not None:

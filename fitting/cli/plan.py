@@ -56,9 +56,15 @@ def plan(
 
     nominal = read_drive(drive)
     plans = fitting.plan(
-        nominal, torque or nominal.pair.rated_load(str(drive)), turns=turns, samples=samples, noise=noise,
-        scatter=scatter, form=form, loop=loop,
-    )  # fmt: skip
+        nominal,
+        torque or nominal.pair.rated_load(str(drive)),
+        turns=turns,
+        samples=samples,
+        noise=noise,
+        scatter=scatter,
+        form=form,
+        loop=loop,
+    )
     if plot is not None:
         fitting.plot(plans, plot)
     if as_json:

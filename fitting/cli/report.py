@@ -40,8 +40,13 @@ def report(
     recordings = fitting.read_recordings(files, mapping)
     with commands.status() as progress:
         found = fitting.metrics(
-            recordings, nominal, ratio=ratio, rated_torque=rated_torque, instruments=instruments, progress=progress,
+            recordings,
+            nominal,
+            ratio=ratio,
+            rated_torque=rated_torque,
+            instruments=instruments,
+            progress=progress,
             stiffness_limits=options.separated(stiffness_limits),
-        )  # fmt: skip
+        )
     fitting.report(found, output, certificate=certificate)
     options.finish(found, as_json=as_json)

@@ -97,8 +97,9 @@ def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
 def allowing(one: Parameter, form: float, before: float) -> Parameter:
     """Return a parameter whose interval allows for the effect of a form of the flanks."""
     reach = NORMAL * form
-    low, high = (one.value + way * math.hypot(end - one.value, reach)
-                 for way, end in zip((-1.0, 1.0), one.interval, strict=True))  # fmt: skip
+    low, high = (
+        one.value + way * math.hypot(end - one.value, reach) for way, end in zip((-1.0, 1.0), one.interval, strict=True)
+    )
     sigma = math.hypot(one.standard_error, form)
     share = max(1.0 - (sigma / before) ** 2, 0.0)
     return dataclasses.replace(one, standard_error=sigma, interval=(low, high), data_share=share, form=form)
@@ -128,8 +129,11 @@ def bearings_found(
         is_share = name.endswith("_stiffness")
         scale = value if is_share else 1.0
         reach = NORMAL * sigma
-        interval = (value * math.exp(-reach), value * math.exp(reach)) if is_share else (
-            max(value - reach, 0.0), value + reach)  # fmt: skip
+        interval = (
+            (value * math.exp(-reach), value * math.exp(reach))
+            if is_share
+            else (max(value - reach, 0.0), value + reach)
+        )
         share = max(1.0 - (sigma / before) ** 2, 0.0)
         why = None if share > _TOLD else "these curves do not separate it from the errors"
         found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))

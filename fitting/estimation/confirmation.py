@@ -63,11 +63,12 @@ def with_covariance(parameters: Mapping[str, Confirmed], covariance: Array) -> d
     correlation = (covariance / np.outer(deviation, deviation)).tolist()
     return {
         name: dataclasses.replace(
-            parameters[name], stderr=float(deviation[at]),
+            parameters[name],
+            stderr=float(deviation[at]),
             correl={n: c for n, c in zip(names, correlation[at], strict=True) if n != name},
         )
         for at, name in enumerate(names)
-    }  # fmt: skip
+    }
 
 
 def lmfit_states(parameters: Mapping[str, Confirmed]) -> dict[str, Any]:
@@ -136,10 +137,12 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
     precision = problem.precision(estimate.scatter)
     lowest = dict(zip(observed.bearing_names, observed.bearing_lowest, strict=True))
     # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
-    low, high = np.transpose([
-        possible(pair, name) if name in estimate.chosen else (lowest.get(name, -np.inf), np.inf)
-        for name in problem.names
-    ])  # fmt: skip
+    low, high = np.transpose(
+        [
+            possible(pair, name) if name in estimate.chosen else (lowest.get(name, -np.inf), np.inf)
+            for name in problem.names
+        ]
+    )
 
     def evaluated(values: Array, linear: Linear | None = None) -> _Evaluated:
         state = problem.state(values / problem.scale)
@@ -170,8 +173,11 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
         if name not in estimate.chosen:
             parameters[name] = Confirmed(structured_value(pair, problem.prior, name), *possible(pair, name), vary=False)
     found = dataclasses.replace(
-        estimate, state=best.state, linear=best.linear, misfit=best.misfit,
+        estimate,
+        state=best.state,
+        linear=best.linear,
+        misfit=best.misfit,
         evaluations=estimate.evaluations + int(taken) + (not inside),
         unlikelihood=estimate.unlikelihood + best.misfit - first.misfit,
-    )  # fmt: skip
+    )
     return found, parameters, covariance

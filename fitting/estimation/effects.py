@@ -72,8 +72,10 @@ def effects_of(
     """
     found = []
     for kind, order, disc, error, phase, contribution in (
-        *_of_the_drive(observed, linear, parameters), *_of_the_ring(linear, ring), *_of_supports(pair, linear, state),
-    ):  # fmt: skip
+        *_of_the_drive(observed, linear, parameters),
+        *_of_the_ring(linear, ring),
+        *_of_supports(pair, linear, state),
+    ):
         parts = np.split(np.nan_to_num(contribution), observed.ends)
         ranges = [float(np.ptp(parts[i])) for i in observed.running]
         largest = int(np.argmax(ranges))

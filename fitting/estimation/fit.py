@@ -152,15 +152,26 @@ class Problem:
         known, rubs = np.isfinite(observed.bench_prior), np.isfinite(observed.friction_priors)
         crank = [_CRANK_SCALE] if observed.fit_crank else []
         scattered = spread_of(pair, {}).size
-        self.scale = np.concatenate([
-            tolerances_of(chosen, observed.profile), np.where(known, observed.bench_prior, 1e-4),
-            np.where(rubs, observed.friction_priors, observed.friction_prior), crank, observed.bearing_prior,
-            spread_of(pair, {n: _SCATTER_SCALE[unit_of(n)] for n in scatter_parts(pair)}),
-        ])  # fmt: skip
-        flat = np.concatenate([
-            [n not in observed.profile for n in chosen], ~known, ~rubs, np.ones(len(crank), bool),
-            np.zeros(observed.bearing_prior.size, bool), np.ones(scattered, bool),
-        ])  # fmt: skip
+        self.scale = np.concatenate(
+            [
+                tolerances_of(chosen, observed.profile),
+                np.where(known, observed.bench_prior, 1e-4),
+                np.where(rubs, observed.friction_priors, observed.friction_prior),
+                crank,
+                observed.bearing_prior,
+                spread_of(pair, {n: _SCATTER_SCALE[unit_of(n)] for n in scatter_parts(pair)}),
+            ]
+        )
+        flat = np.concatenate(
+            [
+                [n not in observed.profile for n in chosen],
+                ~known,
+                ~rubs,
+                np.ones(len(crank), bool),
+                np.zeros(observed.bearing_prior.size, bool),
+                np.ones(scattered, bool),
+            ]
+        )
         self.known = np.where(flat, UNKNOWN, 1.0)
         self.first_scatter = self.scale.size - scattered
         self.parts = {
@@ -177,8 +188,14 @@ class Problem:
         self.lowest[self.bearings] = observed.bearing_lowest / self.scale[self.bearings]
         self.fit_crank, self.with_loops = observed.fit_crank, observed.with_loops
         crank_name = ["crank_angle_offset"] if observed.fit_crank else []
-        self.names = [*chosen, *observed.bench_names, *observed.friction_names, *crank_name,
-                      *observed.bearing_names, *scatter_names(pair)]  # fmt: skip
+        self.names = [
+            *chosen,
+            *observed.bench_names,
+            *observed.friction_names,
+            *crank_name,
+            *observed.bearing_names,
+            *scatter_names(pair),
+        ]
 
     def unknowns(self, state: State) -> Array:
         """Return the vector of a state."""
@@ -244,8 +261,14 @@ class Problem:
             scale, count = 1.4826 * np.median(np.abs(left[one.weight > 0.0])), np.count_nonzero(inside)
             columns = self.columns(one, linear)
             columns[~inside], left[~inside] = 0.0, 0.0
-            return linear, (columns.T @ columns, columns.T @ left, left @ left, count, scale,
-                            np.count_nonzero(one.weight) - count)  # fmt: skip
+            return linear, (
+                columns.T @ columns,
+                columns.T @ left,
+                left @ left,
+                count,
+                scale,
+                np.count_nonzero(one.weight) - count,
+            )
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
@@ -393,9 +416,12 @@ def _at_noise(observed: Observations, normal: _Normal, variance: Array) -> tuple
     factor = np.sqrt(np.maximum(variance, 1e-12))
     weight = observed.weight / _each_point(observed, factor)
     return dataclasses.replace(observed, weight=weight), dataclasses.replace(
-        normal, gram=normal.gram / factor[:, None, None] ** 2, moment=normal.moment / factor[:, None] ** 2,
-        square=normal.square / factor**2, scale=normal.scale / factor,
-    )  # fmt: skip
+        normal,
+        gram=normal.gram / factor[:, None, None] ** 2,
+        moment=normal.moment / factor[:, None] ** 2,
+        square=normal.square / factor**2,
+        scale=normal.scale / factor,
+    )
 
 
 def _variances(
@@ -500,8 +526,10 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
         Shape (errors,), > 0, infinite for errors not affected by scatter.
     """
     count, size = len(estimate.chosen), spread_of(pair, {}).size
-    parts = {n: slice(p.start + len(covariance) - size, p.stop + len(covariance) - size)
-             for n, p in scatter_parts(pair).items()}  # fmt: skip
+    parts = {
+        n: slice(p.start + len(covariance) - size, p.stop + len(covariance) - size)
+        for n, p in scatter_parts(pair).items()
+    }
     parts |= {n: slice(count + p.start, count + p.stop) for n, p in estimate.observed.estimated.items()}
     variance = np.diag(covariance)[:count]
     blur = np.zeros(count)
@@ -542,8 +570,16 @@ def profile_interval(
     """
 
     def refitted(state: State, pinned: Mapping[str, float]) -> Estimate:
-        return fit(pair, estimate.observed, estimate.chosen, state, estimate.scatter, gain=_PROFILE_GAIN * rise,
-                   estimated=False, pinned=pinned)  # fmt: skip
+        return fit(
+            pair,
+            estimate.observed,
+            estimate.chosen,
+            state,
+            estimate.scatter,
+            gain=_PROFILE_GAIN * rise,
+            estimated=False,
+            pinned=pinned,
+        )
 
     best = refitted(estimate.state, {})
     centre = structured_value(pair, with_scatter(pair, best.state.surface, -best.state.scatter), name)

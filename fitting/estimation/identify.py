@@ -186,8 +186,18 @@ def identify(
             found, others = _described_otherwise(pair, found, explained.known, progress)
             verdict = dataclasses.replace(verdict, descriptions=1 + len(others), disagreeing=found.disagreeing)
             result = result_of(
-                pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, GAIN, others, shape, progress,
-            )  # fmt: skip
+                pair,
+                found,
+                verdict,
+                predicted,
+                prior.scatter,
+                profiled,
+                bootstrap,
+                GAIN,
+                others,
+                shape,
+                progress,
+            )
     except np.linalg.LinAlgError:
         raise edge.InputError(
             "the equations of the fit are singular, as for curves without noise; add some to simulated ones."

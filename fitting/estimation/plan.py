@@ -115,10 +115,19 @@ def planned_curve(ratio: float, torque: float, direction: int, turns: float, sam
     points = round(samples * abs(ratio) * min(turns, 1.0))
     angle = np.arange(points) * 2.0 * np.pi / samples
     return Curve(
-        input_angle=angle, transmission_error=np.zeros(points), standard_error=np.full(points, np.nan),
-        sample_count=np.full(points, max(1, int(turns)), dtype=np.int64), torque=torque, torque_deviation=0.0,
-        direction=direction, ratio=ratio, common_zero=True, known_index=True, source="plan", checksum="",
-    )  # fmt: skip
+        input_angle=angle,
+        transmission_error=np.zeros(points),
+        standard_error=np.full(points, np.nan),
+        sample_count=np.full(points, max(1, int(turns)), dtype=np.int64),
+        torque=torque,
+        torque_deviation=0.0,
+        direction=direction,
+        ratio=ratio,
+        common_zero=True,
+        known_index=True,
+        source="plan",
+        checksum="",
+    )
 
 
 def plan(
@@ -206,9 +215,16 @@ class _Foretold:
     """The model's derivatives in every run of a plan and every possible next run, evaluated once each."""
 
     def __init__(
-        self, drive: Drive, torques: Sequence[float], loop: float | None, turns: float, samples: int, noise: float,
-        scatter: float, form: float,
-    ) -> None:  # fmt: skip
+        self,
+        drive: Drive,
+        torques: Sequence[float],
+        loop: float | None,
+        turns: float,
+        samples: int,
+        noise: float,
+        scatter: float,
+        form: float,
+    ) -> None:
         pair = drive.pair
         self.pair, self.names = pair, errors_of(pair)
         self.spread = spread_of(
@@ -221,8 +237,10 @@ class _Foretold:
         winding = planned_branches(pair, self.peak, 0.0, 0)
         # The next run may repeat one of these: the same derivatives, but a drift and a zero of its own.
         # Runs begin anywhere between two samples.
-        running = [dataclasses.replace(c, input_angle=c.input_angle + np.mod(i * _GOLDEN, 1.0) * 2.0 * np.pi / samples)
-                   for i, c in enumerate(running)]  # fmt: skip
+        running = [
+            dataclasses.replace(c, input_angle=c.input_angle + np.mod(i * _GOLDEN, 1.0) * 2.0 * np.pi / samples)
+            for i, c in enumerate(running)
+        ]
         curves = [*running, *winding, *running, *planned_branches(pair, self.peak, 0.0, 1)]
         self.second = len(running) + len(winding)
         self.observed = observations(
@@ -238,8 +256,9 @@ class _Foretold:
         if form > 0.0:
             columns = form_columns(pair, self.observed.some(range(self.second)), state, once, form)
             whole = whole.with_form(np.vstack([columns, columns]), form)
-        self.told = [information_of_points(*self._some(whole, [n]), self.names, self.spread)
-                     for n in range(2 * self.second)]  # fmt: skip
+        self.told = [
+            information_of_points(*self._some(whole, [n]), self.names, self.spread) for n in range(2 * self.second)
+        ]
         self.before = known_before(*self._some(whole, [0]), self.names, self.spread)
 
     def plan(self, words: str, runs: Sequence[tuple[float, int]], with_loop: bool) -> Plan:
@@ -264,9 +283,12 @@ class _Foretold:
             nexts.append(NextRun(run, self._of_elements(chosen, known)))
         nexts.sort(key=lambda one: self._mean_square(one.realised))
         return Plan(
-            words, dict(zip(chosen, error.tolist(), strict=True)), reasons, self._of_elements(chosen, covariance),
+            words,
+            dict(zip(chosen, error.tolist(), strict=True)),
+            reasons,
+            self._of_elements(chosen, covariance),
             tuple(nexts),
-        )  # fmt: skip
+        )
 
     def _some(self, observed: Observations, numbers: Sequence[int]) -> tuple[Observations, Linear]:
         places = np.split(np.arange(self.observed.measured.size), self.observed.ends)

@@ -235,8 +235,11 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
     own = _own_information(covariance, spread)
     # A radius is known no better than the size of its scatter, which is known from the radii that the curves resolve.
     size = estimated_parts(pair)[PIN_RADIUS]
-    told = pair.pins - float(np.trace(covariance[-spread.size :, -spread.size :][size, size])) / max(
-        float(spread[size.start]), NO_SCATTER) ** 2  # fmt: skip
+    told = (
+        pair.pins
+        - float(np.trace(covariance[-spread.size :, -spread.size :][size, size]))
+        / max(float(spread[size.start]), NO_SCATTER) ** 2
+    )
     of_radius = float(stdtrit(max(told, 2.0), 0.5 + 0.5 * CONFIDENCE))
     elements = []
     for at, name in enumerate(scatter_names(pair)[: values.size]):

@@ -426,13 +426,17 @@ def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array
             play = s * (play + stage.bearing_play + stage.crank_play / pair.gear_teeth)
             by_error, each = s * by_error, s * each
         slope = np.concatenate([by_error, scatter_columns(pair, each)])
-        found.append(LoopFit(
-            source, crank,
-            {observed.curves[i].branch: observed.curves[i].torque_at_points for i in own},
-            {observed.curves[i].branch: observed.curves[i].transmission_error for i in own},
-            {observed.curves[i].branch: fitted[i] for i in own},
-            play, float(np.sqrt(max(slope @ covariance @ slope, 0.0))),
-        ))  # fmt: skip
+        found.append(
+            LoopFit(
+                source,
+                crank,
+                {observed.curves[i].branch: observed.curves[i].torque_at_points for i in own},
+                {observed.curves[i].branch: observed.curves[i].transmission_error for i in own},
+                {observed.curves[i].branch: fitted[i] for i in own},
+                play,
+                float(np.sqrt(max(slope @ covariance @ slope, 0.0))),
+            )
+        )
     return tuple(found)
 
 
@@ -452,8 +456,11 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
             f"others' {np.median(noises) * ARCSEC:.2f}″; if the bench has equal noise there, the fit has "
             "missed the best optimum and the intervals are too narrow."
         )
-    unknown = sum(p.stop - p.start for n, p in scatter_parts(pair).items()
-                  if n in ("pin_radial", "pin_tangential") and fit.scatter[n] > NO_SCATTER)  # fmt: skip
+    unknown = sum(
+        p.stop - p.start
+        for n, p in scatter_parts(pair).items()
+        if n in ("pin_radial", "pin_tangential") and fit.scatter[n] > NO_SCATTER
+    )
     seen = sum(np.unique(np.rint(c.input_angle / (2.0 * np.pi) * _ANGLES) % _ANGLES).size for c in curves)
     if seen < _TOLD * unknown:
         notes.append(

@@ -93,10 +93,12 @@ def _run_out(shaft: str, order: int, names: list[tuple[str, int, float]], found:
         size[part, at] = amplitude
     known = [found[name] for name, _, _ in names]
     errors = np.array([one.stderr or 0.0 for one in known])
-    correlation = np.array([
-        [1.0 if i == j else (one.correl or {}).get(other, 0.0) for j, (other, _, _) in enumerate(names)]
-        for i, one in enumerate(known)
-    ])  # fmt: skip
+    correlation = np.array(
+        [
+            [1.0 if i == j else (one.correl or {}).get(other, 0.0) for j, (other, _, _) in enumerate(names)]
+            for i, one in enumerate(known)
+        ]
+    )
     wave = size @ [one.value for one in known]
     amplitude = float(np.hypot(*wave))
     along = wave / amplitude if amplitude > 0.0 else np.array([1.0, 0.0])

@@ -118,8 +118,18 @@ def starting_estimate(
         try:
             state, linear = zeroed(part, state, around)
             chosen = _chosen(part, linear, pair)
-            one = fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, linear=linear,
-                      evaluations=_START_EVALUATIONS, known=same_radius)  # fmt: skip
+            one = fit(
+                pair,
+                part,
+                chosen,
+                state,
+                scatter,
+                gain=_START_GAIN,
+                around=around,
+                linear=linear,
+                evaluations=_START_EVALUATIONS,
+                known=same_radius,
+            )
             return dataclasses.replace(one, scatter={**one.scatter, **dict.fromkeys(same_radius, NO_SCATTER)})
         except edge.InputError:
             # To first order a fit may end where no contacts balance the load.
@@ -356,8 +366,9 @@ def _carried_over(
     values = {n: structured_value(pair, plain, n) + d for n, d in zip(chosen, size * share[: size.size], strict=True)}
     values |= {n: structured_value(pair, prior, n) for n in dropped}
     plain = with_structured(pair, plain, values)
-    return dataclasses.replace(state, surface=with_scatter(pair, plain, state.scatter),
-                               bench=state.bench + share[size.size :])  # fmt: skip
+    return dataclasses.replace(
+        state, surface=with_scatter(pair, plain, state.scatter), bench=state.bench + share[size.size :]
+    )
 
 
 def _chosen(observed: Observations, linear: Linear, pair: Pair) -> list[str]:

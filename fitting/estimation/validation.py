@@ -222,9 +222,12 @@ class Residual:
         _, part = self.score(columns)
         size = (own**2).sum(axis=0)
         cross = self.columns.T @ own
-        self.information = np.block([
-            [self.information, cross], [cross.T, own.T @ own + np.diag(_SEEN * size)],
-        ])  # fmt: skip
+        self.information = np.block(
+            [
+                [self.information, cross],
+                [cross.T, own.T @ own + np.diag(_SEEN * size)],
+            ]
+        )
         self.columns = np.hstack([self.columns, own])
         self._factor = linalg.cho_factor(self.information)
         self.left = self.left - part
@@ -257,10 +260,15 @@ def _creeps_with_load(estimate: Estimate) -> dict[str, tuple[float, float]]:
     part = estimate.observed.estimated.get(CREEP)
     if part is None or part.stop - part.start < 5:
         return {}
-    zero, torque = estimate.state.bench[part], np.array([
-        np.mean(np.concatenate([c.torque_at_points for c in estimate.observed.curves])[column > 0.0])
-        for column in estimate.observed.bench[:, part].T
-    ])  # fmt: skip
+    zero, torque = (
+        estimate.state.bench[part],
+        np.array(
+            [
+                np.mean(np.concatenate([c.torque_at_points for c in estimate.observed.curves])[column > 0.0])
+                for column in estimate.observed.bench[:, part].T
+            ]
+        ),
+    )
     line = np.column_stack([np.ones_like(torque), torque, np.sign(torque)])
     left = float(np.sum((zero - line @ np.linalg.lstsq(line, zero, rcond=None)[0]) ** 2))
     every, free = float(np.sum((zero - zero.mean()) ** 2)), zero.size - 3
@@ -325,8 +333,10 @@ def peak(observed: Observations, left: Array) -> float | None:
     # Between the orders that the turns resolve.
     near = (int(np.argmin(best)) + 1 + np.linspace(-1.0, 1.0, 41)) / turns
     parts = np.split(np.arange(left.size), observed.ends)
-    power = sum(np.abs(np.exp(-2j * np.pi * np.outer(near, way(observed.curves[i]))) @ left[parts[i]]) ** 2
-                for i in observed.running)  # fmt: skip
+    power = sum(
+        np.abs(np.exp(-2j * np.pi * np.outer(near, way(observed.curves[i]))) @ left[parts[i]]) ** 2
+        for i in observed.running
+    )
     order = float(near[int(np.argmax(power))])
     return float(round(order)) if abs(order - round(order)) * turns < _WHOLE and round(order) else order
 
@@ -341,8 +351,10 @@ def groups_of(observed: Observations) -> dict[str, list[int]]:
     found = {f"{sizes[one].mean():.4g} N·m": [running[i] for i in one] for one in loads}
     if len(found) < 2:
         found = {}
-    ways = {name: [running[i] for i in np.flatnonzero(np.sign(torque) == sign)]
-            for name, sign in (("the positive torques", 1.0), ("the negative torques", -1.0))}  # fmt: skip
+    ways = {
+        name: [running[i] for i in np.flatnonzero(np.sign(torque) == sign)]
+        for name, sign in (("the positive torques", 1.0), ("the negative torques", -1.0))
+    }
     return {**found, **({} if min(map(len, ways.values())) == 0 else ways)}
 
 
@@ -427,8 +439,9 @@ def causes_of(
         told = [n for n in told if n != FORM]
         if not told:
             break
-        gains = {n: max(float(residual.left @ scores[n][1]) - rest[n].shape[1], pulls.get(n, (1.0, 0.0))[1])
-                 for n in told}  # fmt: skip
+        gains = {
+            n: max(float(residual.left @ scores[n][1]) - rest[n].shape[1], pulls.get(n, (1.0, 0.0))[1]) for n in told
+        }
         best = max(told, key=lambda n: gains[n])
         alike[best] = tuple(n for n in told if n != best and gains[n] > _ALIKE * gains[best])
         found[best] = rest.pop(best)

@@ -25,9 +25,12 @@ from fitting.figures.survey import Surveyed
 Array = NDArray[np.float64]
 # Root of the sum of the squared weights of the readings that make up a figure.
 _READINGS = {
-    "hysteresis_loss": math.sqrt(2.0), "backlash": math.sqrt(3.0), "lost_motion": 1.0,
-    "angular_transmission_error": math.sqrt(2.0), "angular_transmission_error_without_rig": math.sqrt(2.0),
-}  # fmt: skip
+    "hysteresis_loss": math.sqrt(2.0),
+    "backlash": math.sqrt(3.0),
+    "lost_motion": 1.0,
+    "angular_transmission_error": math.sqrt(2.0),
+    "angular_transmission_error_without_rig": math.sqrt(2.0),
+}
 COVERAGE = 0.95
 _TORQUE_STEP = 0.005  # of the rated torque
 _SAMPLES = 20000  # most samples of a loop for sensitivities
@@ -131,12 +134,21 @@ def _waves(encoder: Encoder | None, name: str) -> list[_Wave]:
     if encoder is None:
         return []
     found = [
-        _Wave(f"{name}, accuracy", encoder.distribution,
-              standard_uncertainty(encoder.accuracy, encoder.distribution), 1, True),
+        _Wave(
+            f"{name}, accuracy",
+            encoder.distribution,
+            standard_uncertainty(encoder.accuracy, encoder.distribution),
+            1,
+            True,
+        ),
         _Wave(f"{name}, run-out", "arcsine", standard_uncertainty(encoder.run_out, "arcsine"), 1),
-        _Wave(f"{name}, subdivision", "arcsine", standard_uncertainty(encoder.subdivision, "arcsine"),
-              encoder.periods_per_turn or 1),
-    ]  # fmt: skip
+        _Wave(
+            f"{name}, subdivision",
+            "arcsine",
+            standard_uncertainty(encoder.subdivision, "arcsine"),
+            encoder.periods_per_turn or 1,
+        ),
+    ]
     return [one for one in found if one.standard > 0.0]
 
 
@@ -154,9 +166,14 @@ def _thinned(data: LoopData, step: int) -> LoopData:
 
     lobes = tuple(Lobe(lobe.sign, part(lobe.loading), part(lobe.unloading)) for lobe in data.lobes)
     return dataclasses.replace(
-        data, time=data.time[::step], torque=data.torque[::step], windup=data.windup[::step], lobes=lobes,
-        loops=tuple(find_loops(lobes)), late=None if data.late is None else data.late[::step],
-    )  # fmt: skip
+        data,
+        time=data.time[::step],
+        torque=data.torque[::step],
+        windup=data.windup[::step],
+        lobes=lobes,
+        loops=tuple(find_loops(lobes)),
+        late=None if data.late is None else data.late[::step],
+    )
 
 
 def _of_loops(
@@ -271,9 +288,10 @@ def _of_orders(
         if encoder is not None and encoder.resolution > 0.0:
             step_size = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
             found.append(
-                Contribution(f"{shaft} encoder, resolution", "B", "rectangular", step_size, "rad",
-                             scale * _READINGS[name])
-            )  # fmt: skip
+                Contribution(
+                    f"{shaft} encoder, resolution", "B", "rectangular", step_size, "rad", scale * _READINGS[name]
+                )
+            )
     return found
 
 
@@ -285,10 +303,16 @@ def _of_start(name: str, figure: Figure, sensor: TorqueSensor | None) -> list[Co
     share = standard_uncertainty(0.01 * sensor.accuracy_class * sensor.range, "rectangular")
     zero = standard_uncertainty(sensor.zero, "rectangular")
     rows = [
-        Contribution(f"{where}, class {sensor.accuracy_class:g}", "B", "rectangular", share, "N*m",
-                     min(1.0, abs(figure.value) / sensor.range)),
+        Contribution(
+            f"{where}, class {sensor.accuracy_class:g}",
+            "B",
+            "rectangular",
+            share,
+            "N*m",
+            min(1.0, abs(figure.value) / sensor.range),
+        ),
         Contribution(f"{where}, zero", "B", "rectangular", zero, "N*m", 1.0),
-    ]  # fmt: skip
+    ]
     return [row for row in rows if row.standard_uncertainty > 0.0]
 
 
@@ -326,9 +350,16 @@ def budgets_of(
             continue
         repeated = figure.uncertainty / student(figure.degrees)
         rows = [
-            Contribution(f"repeatability, {figure.count:.4g} {figure.counted}", "A", "t" if figure.degrees < 1e6
-                         else "normal", repeated, figure.unit, 1.0, figure.degrees)
-        ]  # fmt: skip
+            Contribution(
+                f"repeatability, {figure.count:.4g} {figure.counted}",
+                "A",
+                "t" if figure.degrees < 1e6 else "normal",
+                repeated,
+                figure.unit,
+                1.0,
+                figure.degrees,
+            )
+        ]
         rows += loops.get(name, [])
         if figure.runs:
             rows += _of_orders(name, figure, surveyed, spectra, instruments)
@@ -339,9 +370,15 @@ def budgets_of(
         warm = instruments.thermometer
         if warm is not None and warm.coefficient(name) and warm.limit > 0.0:
             rows.append(
-                Contribution("temperature", "B", "rectangular", standard_uncertainty(warm.limit, "rectangular"), "K",
-                             warm.coefficient(name))
-            )  # fmt: skip
+                Contribution(
+                    "temperature",
+                    "B",
+                    "rectangular",
+                    standard_uncertainty(warm.limit, "rectangular"),
+                    "K",
+                    warm.coefficient(name),
+                )
+            )
         found[name] = Budget(name, figure.value, figure.unit, tuple(rows))
     return found
 
@@ -359,21 +396,28 @@ def budget_json(budget: Budget) -> dict[str, Any]:
         "expanded_uncertainty": budget.expanded,
         "contributions": [
             {
-                "source": one.source, "type": one.kind, "distribution": one.distribution,
-                "standard_uncertainty": one.standard_uncertainty, "unit": one.unit, "sensitivity": one.sensitivity,
-                "contribution": one.contribution, "degrees_of_freedom": finite(one.degrees),
+                "source": one.source,
+                "type": one.kind,
+                "distribution": one.distribution,
+                "standard_uncertainty": one.standard_uncertainty,
+                "unit": one.unit,
+                "sensitivity": one.sensitivity,
+                "contribution": one.contribution,
+                "degrees_of_freedom": finite(one.degrees),
             }
             for one in budget.contributions
         ],
-    }  # fmt: skip
+    }
 
 
 def field_factor(unit: str) -> tuple[float, str]:
     """Return the factor from SI to the field unit of a budget, and that unit."""
     return {
-        "rad": (edge.ARCSEC, "arcsec"), "N*m": (1.0, "N·m"), "K": (1.0, "K"),
+        "rad": (edge.ARCSEC, "arcsec"),
+        "N*m": (1.0, "N·m"),
+        "K": (1.0, "K"),
         "N*m/rad": (1.0 / edge.ARCMIN, "N·m/arcmin"),
-    }[unit]  # fmt: skip
+    }[unit]
 
 
 def budget_rows(budget: Budget) -> list[list[str]]:
@@ -390,15 +434,30 @@ def budget_rows(budget: Budget) -> list[list[str]]:
     for one in sorted(budget.contributions, key=lambda c: -c.contribution):
         own, of = field_factor(one.unit)
         rows.append(
-            [one.source, one.kind, one.distribution, f"{one.standard_uncertainty * own:.3g} {of}",
-             shown(one, one.sensitivity * factor / own), f"{shown(one, one.contribution * factor)} {unit}",
-             degrees(one.degrees)]
-        )  # fmt: skip
+            [
+                one.source,
+                one.kind,
+                one.distribution,
+                f"{one.standard_uncertainty * own:.3g} {of}",
+                shown(one, one.sensitivity * factor / own),
+                f"{shown(one, one.contribution * factor)} {unit}",
+                degrees(one.degrees),
+            ]
+        )
     rows.append(
         ["combined", "", "", "", "", f"{budget.standard_uncertainty * factor:.3g} {unit}", degrees(budget.degrees)]
     )
-    rows.append([f"expanded, k = {budget.coverage_factor:.2f} (95 %)", "", "", "", "",
-                 f"{budget.expanded * factor:.3g} {unit}", ""])  # fmt: skip
+    rows.append(
+        [
+            f"expanded, k = {budget.coverage_factor:.2f} (95 %)",
+            "",
+            "",
+            "",
+            "",
+            f"{budget.expanded * factor:.3g} {unit}",
+            "",
+        ]
+    )
     return rows
 
 

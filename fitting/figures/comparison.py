@@ -158,13 +158,17 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
     return {
         **{
             c.name: {
-                "before": c.before.value, "after": c.after.value, "difference": c.difference,
-                "uncertainty": c.uncertainty, "unit": c.before.unit, "moved": c.moved,
+                "before": c.before.value,
+                "after": c.after.value,
+                "difference": c.difference,
+                "uncertainty": c.uncertainty,
+                "unit": c.before.unit,
+                "moved": c.moved,
             }
             for c in found.changes
         },
         "notes": list(found.notes),
-    }  # fmt: skip
+    }
 
 
 def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:

@@ -33,10 +33,16 @@ DEFINITIONS = {
     "own part in these orders is removed too",
 }
 UNITS = {
-    "hysteresis_loss": "rad", "backlash": "rad", "lost_motion": "rad", "torsional_stiffness": "N*m/rad",
-    "loading_stiffness": "N*m/rad", "starting_torque": "N*m", "back_driving_torque": "N*m",
-    "angular_transmission_error": "rad", "angular_transmission_error_without_rig": "rad",
-}  # fmt: skip
+    "hysteresis_loss": "rad",
+    "backlash": "rad",
+    "lost_motion": "rad",
+    "torsional_stiffness": "N*m/rad",
+    "loading_stiffness": "N*m/rad",
+    "starting_torque": "N*m",
+    "back_driving_torque": "N*m",
+    "angular_transmission_error": "rad",
+    "angular_transmission_error_without_rig": "rad",
+}
 
 
 @dataclass(frozen=True)
@@ -119,15 +125,29 @@ def pooled(figures: Sequence[Figure]) -> Figure:
         for name, interval in {n: one.interval for f in figures for n, one in f.segments.items()}.items()
     }
     return Figure(
-        value, uncertainty, first.unit, first.definition, first.interval, first.interval_unit,
-        sum(f.count for f in figures), first.counted, parts, segments=segments, degrees=degrees,
-    )  # fmt: skip
+        value,
+        uncertainty,
+        first.unit,
+        first.definition,
+        first.interval,
+        first.interval_unit,
+        sum(f.count for f in figures),
+        first.counted,
+        parts,
+        segments=segments,
+        degrees=degrees,
+    )
 
 
 _FIELD_UNITS = {
-    "rad": (10800.0 / math.pi, "arcmin"), "N*m/rad": (math.pi / 10800.0, "N·m/arcmin"), "N*m": (1.0, "N·m"),
-    "1": (1.0, ""), "N*m*s/rad": (1.0, "N·m·s/rad"), "rad/s": (1.0, "rad/s"), "kg*m^2": (1.0, "kg·m²"),
-}  # fmt: skip
+    "rad": (10800.0 / math.pi, "arcmin"),
+    "N*m/rad": (math.pi / 10800.0, "N·m/arcmin"),
+    "N*m": (1.0, "N·m"),
+    "1": (1.0, ""),
+    "N*m*s/rad": (1.0, "N·m·s/rad"),
+    "rad/s": (1.0, "rad/s"),
+    "kg*m^2": (1.0, "kg·m²"),
+}
 
 
 def in_field_units(figure: Figure, like: Figure | None = None) -> tuple[str, str, str]:

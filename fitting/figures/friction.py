@@ -55,13 +55,23 @@ DEFINITIONS = {
     "inertia": "torque over acceleration, referred to the output",
 }
 UNITS = {
-    "coulomb": "N*m", "coulomb_forward": "N*m", "coulomb_backward": "N*m", "viscous": "N*m*s/rad", "stribeck": "N*m",
-    "stribeck_speed": "rad/s", "friction_per_load": "1", "offset": "N*m", "inertia": "kg*m^2",
-}  # fmt: skip
+    "coulomb": "N*m",
+    "coulomb_forward": "N*m",
+    "coulomb_backward": "N*m",
+    "viscous": "N*m*s/rad",
+    "stribeck": "N*m",
+    "stribeck_speed": "rad/s",
+    "friction_per_load": "1",
+    "offset": "N*m",
+    "inertia": "kg*m^2",
+}
 FILE_NAMES = {
-    "coulomb": "coulomb", "friction_per_load": "load_share", "stribeck": "stribeck", "stribeck_speed": "stribeck_speed",
+    "coulomb": "coulomb",
+    "friction_per_load": "load_share",
+    "stribeck": "stribeck",
+    "stribeck_speed": "stribeck_speed",
     "viscous": "viscous",
-}  # fmt: skip
+}
 """{figure: its name in a friction file}."""
 WITHOUT_LOAD = ("coulomb", "stribeck", "viscous")
 """Figures that are those without load, and 1 - `load_share` times as large in a friction file."""
@@ -165,9 +175,15 @@ def stretches_of(time: Array, angle: Array, torque: Array, load: Array, number: 
     count = int(np.count_nonzero(keep))
     zeros = np.zeros(count, np.intp)
     return Stretches(
-        t.mean(axis=1)[keep], speed[keep], np.zeros(count), driving.mean(axis=1)[keep], loads.mean(axis=1)[keep],
-        np.full(count, number, np.intp), zeros, zeros,
-    )  # fmt: skip
+        t.mean(axis=1)[keep],
+        speed[keep],
+        np.zeros(count),
+        driving.mean(axis=1)[keep],
+        loads.mean(axis=1)[keep],
+        np.full(count, number, np.intp),
+        zeros,
+        zeros,
+    )
 
 
 def joined(parts: Sequence[Stretches]) -> Stretches:
@@ -205,9 +221,11 @@ def in_passes(stretches: Stretches, speeds: tuple[float, float]) -> Stretches:
     if not kept:
         return stretches.chosen(within[:0])
     return dataclasses.replace(
-        stretches.chosen(np.concatenate(kept)), run=np.concatenate(runs), block=np.concatenate(blocks),
+        stretches.chosen(np.concatenate(kept)),
+        run=np.concatenate(runs),
+        block=np.concatenate(blocks),
         acceleration=np.concatenate(accelerations),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -638,9 +656,17 @@ def fit_friction(
         if spread.get(name, 0.0) > uncertainty:
             uncertainty, degrees = spread[name], float(len(both) - 1)
         figures[name] = Figure(
-            value, uncertainty, UNITS[name], DEFINITIONS[name], speeds, "rad/s", fit.blocks, "blocks",
-            degrees=degrees, remark="; ".join(remarks) if name.startswith("coulomb") else "",
-        )  # fmt: skip
+            value,
+            uncertainty,
+            UNITS[name],
+            DEFINITIONS[name],
+            speeds,
+            "rad/s",
+            fit.blocks,
+            "blocks",
+            degrees=degrees,
+            remark="; ".join(remarks) if name.startswith("coulomb") else "",
+        )
     first = next(iter(figures))
     if not figures[first].value > 0.0:
         raise edge.NoDataError(
@@ -681,9 +707,12 @@ def _sums(fit: Fit, two_ways: bool, sign: Array, apart: bool, measured: bool) ->
 
 
 def _of_recordings(
-    stretches: Stretches, names: Sequence[str], sums: Mapping[str, Mapping[str, float]], loaded: bool,
+    stretches: Stretches,
+    names: Sequence[str],
+    sums: Mapping[str, Mapping[str, float]],
+    loaded: bool,
     both: Sequence[int],
-) -> dict[str, float]:  # fmt: skip
+) -> dict[str, float]:
     """Return half widths of 95 % intervals from the scatter of three or more recordings that show all terms alone."""
     if loaded or len(both) < 3 or "stribeck" in names:
         return {}
@@ -725,10 +754,15 @@ def _growth_of(loop: str | os.PathLike[str]) -> Figure:
     if isinstance(locked, dict) and set(locked.values()) == {"output"}:
         value, half = value / (1.0 + value), half / (1.0 + value) ** 2
     return Figure(
-        float(value), half, "1",
-        str(found.get("definition", DEFINITIONS["friction_per_load"])), None, "", float(found.get("passes", 1)),
+        float(value),
+        half,
+        "1",
+        str(found.get("definition", DEFINITIONS["friction_per_load"])),
+        None,
+        "",
+        float(found.get("passes", 1)),
         "passes",
-    )  # fmt: skip
+    )
 
 
 def _range_of(speeds: Sequence[float | str] | None) -> tuple[float, float] | None:

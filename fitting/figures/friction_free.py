@@ -53,9 +53,13 @@ DEFINITIONS = {
     "self-locking",
 }
 UNITS = {
-    "play": "rad", "torsional_stiffness": "N*m/rad", "friction_torque": "N*m", "friction_per_load": "1",
-    "efficiency_driving": "1", "efficiency_back_driving": "1",
-}  # fmt: skip
+    "play": "rad",
+    "torsional_stiffness": "N*m/rad",
+    "friction_torque": "N*m",
+    "friction_per_load": "1",
+    "efficiency_driving": "1",
+    "efficiency_back_driving": "1",
+}
 
 
 @dataclass(frozen=True)
@@ -232,15 +236,22 @@ def values_of(curve: MidCurve, largest: float, at_torque: float) -> _Values | No
     return values | {
         "play": values["end+1"] - values["end-1"],
         "torsional_stiffness": 0.5 * (values["slope+1"] + values["slope-1"]),
-        "friction_torque": line.at(0.0)[0], "friction_per_load": line.slope,
-        "efficiency_driving": at_torque / (at_torque + friction), "efficiency_back_driving": 1.0 - friction / at_torque,
-    }  # fmt: skip
+        "friction_torque": line.at(0.0)[0],
+        "friction_per_load": line.slope,
+        "efficiency_driving": at_torque / (at_torque + friction),
+        "efficiency_back_driving": 1.0 - friction / at_torque,
+    }
 
 
 def residual_variances(
-    passes: Sequence[Pass], drift: float, middle: float, curve: MidCurve, largest: float, values: _Values,
+    passes: Sequence[Pass],
+    drift: float,
+    middle: float,
+    curve: MidCurve,
+    largest: float,
+    values: _Values,
     at_torque: float,
-) -> _Values:  # fmt: skip
+) -> _Values:
     """Return the variances of `values_of` that the residuals of lines through the passes' own points cause.
 
     A line through the points of each side and direction, T = a + b θ, has the slope (1 ± mu) K: spring torque and
@@ -265,11 +276,13 @@ def residual_variances(
         loaded = 0.25 * sum(line.at(end + sign * at_torque / slope)[1] for line in lines)
         slopes = [line.slope_variance for line in lines]
         found = {
-            "play": at_zero / slope**2, "torsional_stiffness": 0.25 * sum(slopes), "friction_torque": at_zero,
+            "play": at_zero / slope**2,
+            "torsional_stiffness": 0.25 * sum(slopes),
+            "friction_torque": at_zero,
             "friction_per_load": ((1.0 - growth) ** 2 * slopes[0] + (1.0 + growth) ** 2 * slopes[1]) / (2 * slope) ** 2,
             "efficiency_driving": loaded * (values["efficiency_driving"] ** 2 / at_torque) ** 2,
             "efficiency_back_driving": loaded / at_torque**2,
-        }  # fmt: skip
+        }
         for name, variance in found.items():
             variances.setdefault(name, []).append(variance)
     return {name: sum(v) if name == "play" else 0.25 * sum(v) for name, v in variances.items()}
@@ -297,10 +310,12 @@ def _scatter(passes: Sequence[Pass], of: Callable[[Sequence[Pass]], _Values | No
         if any(values is None for values in left):
             return {}
         names = set.intersection(*(set(values or ()) for values in left))
-        each.append({
-            name: ((count - 1) ** 2 / count * float(np.var([v[name] for v in left if v], ddof=1)), count)
-            for name in names
-        })  # fmt: skip
+        each.append(
+            {
+                name: ((count - 1) ** 2 / count * float(np.var([v[name] for v in left if v], ddof=1)), count)
+                for name in names
+            }
+        )
     found = {}
     for name in set(each[0]) | set(each[1]):
         parts = [(variance, count - 1.0) for variance, count in (one[name] for one in each if name in one)]
@@ -366,10 +381,13 @@ def friction_free(data: LoopData) -> FrictionFree | None:
     residual = residual_variances(passes, drift, middle, curve, largest, values, at_torque)
     # A windup is left at some torque between two stretches of time.
     stiff, friction = values["torsional_stiffness"], float(np.mean([one.step for one in passes])) ** 2 / 12.0
-    resolved = {"play": 2.0 * friction / stiff**2, "friction_torque": friction,
-                "friction_per_load": friction / (FRICTION * largest) ** 2,
-                "efficiency_back_driving": friction / at_torque**2,
-                "efficiency_driving": friction * (values["efficiency_driving"] ** 2 / at_torque) ** 2}  # fmt: skip
+    resolved = {
+        "play": 2.0 * friction / stiff**2,
+        "friction_torque": friction,
+        "friction_per_load": friction / (FRICTION * largest) ** 2,
+        "efficiency_back_driving": friction / at_torque**2,
+        "efficiency_driving": friction * (values["efficiency_driving"] ** 2 / at_torque) ** 2,
+    }
 
     def figure(of: str, value: float, interval: tuple[float, float], keys: Sequence[str]) -> Figure:
         known = [combined(scatter.get(key), residual.get(of if key != of else key)) for key in keys]
@@ -385,10 +403,13 @@ def friction_free(data: LoopData) -> FrictionFree | None:
 
     lines = (LINE[0] * largest, LINE[1] * largest)
     intervals = {
-        "play": lines, "torsional_stiffness": lines, "friction_torque": (0.0, FRICTION * largest),
-        "friction_per_load": (0.0, FRICTION * largest), "efficiency_driving": (at_torque, at_torque),
+        "play": lines,
+        "torsional_stiffness": lines,
+        "friction_torque": (0.0, FRICTION * largest),
+        "friction_per_load": (0.0, FRICTION * largest),
+        "efficiency_driving": (at_torque, at_torque),
         "efficiency_back_driving": (at_torque, at_torque),
-    }  # fmt: skip
+    }
     figures = {name: figure(name, max(values[name], 0.0), intervals[name], [name]) for name in DEFINITIONS}
     segments = {}
     for number, share in enumerate(itertools.pairwise(SEGMENTS), 1):

@@ -467,9 +467,13 @@ def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
         for side, sign in SIDES
     }
     values = {
-        "hysteresis_loss": [one.hysteresis_loss for one in found], "backlash": [one.backlash for one in found],
-        "lost_motion": lost, "width": [one.width for one in found], "wider": [one.wider for one in steady], **stiffness,
-    }  # fmt: skip
+        "hysteresis_loss": [one.hysteresis_loss for one in found],
+        "backlash": [one.backlash for one in found],
+        "lost_motion": lost,
+        "width": [one.width for one in found],
+        "wider": [one.wider for one in steady],
+        **stiffness,
+    }
     return {name: [v for v in these if v is not None] for name, these in values.items()}
 
 
@@ -535,9 +539,16 @@ def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[flo
             if values:
                 value, uncertainty, degrees = mean_of_loops(values, _moved(values, drifted))
                 parts[side] = Figure(
-                    value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values), "loops",
+                    value,
+                    uncertainty,
+                    UNITS[name],
+                    DEFINITIONS[name],
+                    (low, high),
+                    "N*m",
+                    len(values),
+                    "loops",
                     degrees=degrees,
-                )  # fmt: skip
+                )
         if parts:
             found[f"K{number}"] = _of_sides(parts)
     return found
@@ -588,15 +599,24 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
     notes += _loop_notes(data, freed, drift, values, band, friction)
 
     for name, interval in (
-        ("hysteresis_loss", UNLOADING), ("backlash", UNLOADING), ("lost_motion", (-LOST_MOTION_LOAD, LOST_MOTION_LOAD)),
-    ):  # fmt: skip
+        ("hysteresis_loss", UNLOADING),
+        ("backlash", UNLOADING),
+        ("lost_motion", (-LOST_MOTION_LOAD, LOST_MOTION_LOAD)),
+    ):
         if values[name]:
             value, uncertainty, degrees = mean_of_loops(values[name], _moved(values[name], drifted[name]))
             uncertainty = math.hypot(uncertainty, data.runaway, _moved(values[name], later[name]))
             figures[name] = Figure(
-                value, uncertainty, UNITS[name], DEFINITIONS[name], (interval[0] * rated, interval[1] * rated), "N*m",
-                len(values[name]), "loops", degrees=degrees,
-            )  # fmt: skip
+                value,
+                uncertainty,
+                UNITS[name],
+                DEFINITIONS[name],
+                (interval[0] * rated, interval[1] * rated),
+                "N*m",
+                len(values[name]),
+                "loops",
+                degrees=degrees,
+            )
         elif data.loops:
             notes.append(
                 f"{data.source}: {name} could not be determined: a branch has fewer than three samples in its interval."
@@ -626,9 +646,16 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
         for side in sides_of:
             value, uncertainty, degrees = mean_of_loops(values[side], _moved(values[side], drifted[side]))
             parts[side] = Figure(
-                value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values[side]), "loops",
+                value,
+                uncertainty,
+                UNITS[name],
+                DEFINITIONS[name],
+                (low, high),
+                "N*m",
+                len(values[side]),
+                "loops",
                 degrees=degrees,
-            )  # fmt: skip
+            )
         segments = stiffness_segments(data, drift, limits or [share * rated for share in SEGMENTS])
         figures[name] = dataclasses.replace(_of_sides(parts), segments=segments)
     return figures, notes
@@ -658,9 +685,14 @@ def _loop_notes(
         length = data.time[ends[1].unloading.stop - 1] - data.time[ends[0].loading.start]
         moved, uncertain = drift.rate * length * edge.ARCSEC, 1.96 * drift.uncertainty * length * edge.ARCSEC
         if abs(moved) > 1.5 * uncertain and abs(moved) > 0.02 * loss * edge.ARCSEC:
-            by = "repeated branches" if drift.repeated else (
-                "loading and unloading branch of the two sides, whose friction is assumed equal except for a constant"
-            )  # fmt: skip
+            by = (
+                "repeated branches"
+                if drift.repeated
+                else (
+                    "loading and unloading branch of the two sides, whose friction is assumed equal except for a "
+                    "constant"
+                )
+            )
             notes.append(
                 f"{data.source}: the windup drifts by {moved:.3g} ± {uncertain:.2g}″ per loop, as {by} show; the drift "
                 "is subtracted as linear in time, and its uncertainty is included in those of the figures."

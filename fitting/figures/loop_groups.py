@@ -167,10 +167,16 @@ def loop_groups(recording: Recording, ratio: float | None) -> list[LoopData]:
         if loops:
             found.append(
                 LoopData(
-                    recording.time[here], quiet, windup[here] - windup[here].mean(), loops, tuple(own),
-                    float(np.abs(quiet).max()), recording.source, group=number,
+                    recording.time[here],
+                    quiet,
+                    windup[here] - windup[here].mean(),
+                    loops,
+                    tuple(own),
+                    float(np.abs(quiet).max()),
+                    recording.source,
+                    group=number,
                 )
-            )  # fmt: skip
+            )
     return sorted(found, key=lambda one: -one.rated_torque)
 
 
@@ -217,9 +223,16 @@ def loading_stiffness(data: LoopData) -> Figure | None:
     if len(slopes) < 3:
         uncertainty = math.nan
     return Figure(
-        1.0 / soft, uncertainty / soft**2, UNITS["torsional_stiffness"], DEFINITIONS["loading_stiffness"], (low, high),
-        "N*m", len(slopes), "branches", degrees=degrees,
-    )  # fmt: skip
+        1.0 / soft,
+        uncertainty / soft**2,
+        UNITS["torsional_stiffness"],
+        DEFINITIONS["loading_stiffness"],
+        (low, high),
+        "N*m",
+        len(slopes),
+        "branches",
+        degrees=degrees,
+    )
 
 
 def group_of(data: LoopData) -> LoopGroup:
@@ -230,9 +243,15 @@ def group_of(data: LoopData) -> LoopGroup:
         figures["loading_stiffness"] = stiffness
     used = int(figures["hysteresis_loss"].count) if "hysteresis_loss" in figures else 0
     return LoopGroup(
-        data.source, data.rated_torque, data.group, len(data.loops), used, figures, friction_free(data),
+        data.source,
+        data.rated_torque,
+        data.group,
+        len(data.loops),
+        used,
+        figures,
+        friction_free(data),
         tuple(note for note in notes if "drift" not in note),
-    )  # fmt: skip
+    )
 
 
 def play_range(groups: Sequence[LoopGroup]) -> tuple[Figure, Figure] | None:

@@ -157,9 +157,13 @@ def _point(curve: Curve, table: str) -> _Point:
     speed, temperature = (np.nan if v is None else v for v in (curve.running_speed, curve.temperature))
     orders = spectrum(curve)
     return _Point(
-        (curve.torque, speed, temperature), curve.direction, table, float(orders.coefficient[0].real), orders,
+        (curve.torque, speed, temperature),
+        curve.direction,
+        table,
+        float(orders.coefficient[0].real),
+        orders,
         curve.common_zero,
-    )  # fmt: skip
+    )
 
 
 def _gathered(values: Array, apart: float) -> tuple[Array, NDArray[np.int64]]:
@@ -230,10 +234,12 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
         {
             "angular_transmission_error": (grid, mean(np.array([range_of_orders(p.orders) for p in points]))),
             "angular_transmission_error_without_rig": (
-                grid, mean(np.array([range_of_orders(without_orders(p.orders, RIG_ORDERS)) for p in points])),
+                grid,
+                mean(np.array([range_of_orders(without_orders(p.orders, RIG_ORDERS)) for p in points])),
             ),
             "order_amplitude": (
-                ("order", *grid), np.array([mean(np.array([p.orders.amplitude[k] for p in points])) for k in orders]),
+                ("order", *grid),
+                np.array([mean(np.array([p.orders.amplitude[k] for p in points])) for k in orders]),
             ),
             "mean_transmission_error": (grid, mean(level)),
             "gap": (AXES, gap),
@@ -246,17 +252,25 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
             "order": ("order", orders),
             "order_name": ("order", np.array([order_name(k, ratio, pair) for k in orders], dtype=object)),
         },
-    )  # fmt: skip
+    )
     for name, unit in (("torque", "N*m"), ("speed", "rad/s"), ("temperature", "K"), ("torsional_stiffness", "N*m/rad")):
         data[name].attrs["units"] = unit
-    for name in ("angular_transmission_error", "angular_transmission_error_without_rig", "order_amplitude",
-                 "mean_transmission_error", "gap"):  # fmt: skip
+    for name in (
+        "angular_transmission_error",
+        "angular_transmission_error_without_rig",
+        "order_amplitude",
+        "mean_transmission_error",
+        "gap",
+    ):
         data[name].attrs["units"] = "rad"
     said = _told_once(notes)
     data.attrs.update(
-        format=FORMAT, ratio=ratio, torque_is=("size" if with_motion else "signed"), curves=len(points),
+        format=FORMAT,
+        ratio=ratio,
+        torque_is=("size" if with_motion else "signed"),
+        curves=len(points),
         notes="\n".join(said),
-    )  # fmt: skip
+    )
     return data
 
 

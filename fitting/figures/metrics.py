@@ -213,11 +213,18 @@ def figures_of(
                 )
     figures |= start_figures(started)
     return Figures(
-        figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)),
-        friction_free=without, mid_curves=tuple(mid_curves),
-        loop_groups=tuple(sorted(groups, key=lambda one: -one.largest_torque)), orders=tuple(of_runs),
+        figures,
+        tuple(surveyed),
+        tuple(spectra),
+        rated_torque,
+        ratio,
+        tuple(dict.fromkeys(notes)),
+        friction_free=without,
+        mid_curves=tuple(mid_curves),
+        loop_groups=tuple(sorted(groups, key=lambda one: -one.largest_torque)),
+        orders=tuple(of_runs),
         pair=pair,
-    )  # fmt: skip
+    )
 
 
 def _stated_bases(recording: Recording, ratio: float) -> dict[str, float]:

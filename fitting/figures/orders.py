@@ -387,13 +387,18 @@ def _with_tied(found: list[Order], span: float) -> list[Order]:
     free = [one for one in found if one.order_uncertainty > 0.0]
     return [
         next(
-            (dataclasses.replace(one, order_uncertainty=round(one.order / base.order) * base.order_uncertainty)
-             for base in free if not one.source and not one.order_uncertainty and base.order < one.order
-             and _multiple(one.order, base.order, 0.5 / span)),
+            (
+                dataclasses.replace(one, order_uncertainty=round(one.order / base.order) * base.order_uncertainty)
+                for base in free
+                if not one.source
+                and not one.order_uncertainty
+                and base.order < one.order
+                and _multiple(one.order, base.order, 0.5 / span)
+            ),
             one,
         )
         for one in found
-    ]  # fmt: skip
+    ]
 
 
 def orders_of_run(
@@ -456,9 +461,15 @@ def orders_of_run(
         source = order_name(int(k), curve.ratio, pair)
         near = [n for n, base in bases.items() if _multiple(float(k), base, apart) and n != source]
         others.append(
-            Order(float(k), amplitude, half, float(np.angle(coefficient[k])), min(half / amplitude, math.pi),
-                  " or ".join(filter(None, (source, *near))))
-        )  # fmt: skip
+            Order(
+                float(k),
+                amplitude,
+                half,
+                float(np.angle(coefficient[k])),
+                min(half / amplitude, math.pi),
+                " or ".join(filter(None, (source, *near))),
+            )
+        )
     others.sort(key=lambda one: -one.amplitude)
     return RunOrders(run, curve.direction, curve.turns, tuple(others), searched, averaging)
 
@@ -539,10 +550,13 @@ def _turn_averaging(turns: _Turns, waves: _Waves) -> TurnAveraging | None:
     ranges = np.maximum.reduceat(values[order], begins) - np.minimum.reduceat(values[order], begins)
     complete = sizes >= 0.95 * np.count_nonzero(filled)
     return TurnAveraging(
-        within / whole if whole else 0.0, min(other / whole, 1.0) if whole else 0.0, float(np.ptp(values)),
+        within / whole if whole else 0.0,
+        min(other / whole, 1.0) if whole else 0.0,
+        float(np.ptp(values)),
         float(ranges[complete].mean()) if complete.any() else math.nan,
-        float(np.ptp(mean[turns.count >= 0.5 * turns.count.max()])), turns.each,
-    )  # fmt: skip
+        float(np.ptp(mean[turns.count >= 0.5 * turns.count.max()])),
+        turns.each,
+    )
 
 
 def averaging_note(found: RunOrders) -> list[str]:
@@ -605,11 +619,16 @@ def orders_json(found: RunOrders) -> dict[str, Any]:
         "searched": found.searched,
         "orders": [
             {
-                "order": int(one.order) if one.whole else one.order, "order_uncertainty": one.order_uncertainty,
-                "amplitude": one.amplitude, "uncertainty": one.uncertainty, "unit": "rad", "phase": one.phase,
-                "phase_uncertainty": one.phase_uncertainty, "source": one.source,
+                "order": int(one.order) if one.whole else one.order,
+                "order_uncertainty": one.order_uncertainty,
+                "amplitude": one.amplitude,
+                "uncertainty": one.uncertainty,
+                "unit": "rad",
+                "phase": one.phase,
+                "phase_uncertainty": one.phase_uncertainty,
+                "source": one.source,
             }
             for one in found.orders
         ],
         "turn_averaging": None if averaging is None else vars(averaging) | {"unit": "rad"},
-    }  # fmt: skip
+    }

@@ -260,9 +260,15 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
     uncertainty = math.hypot(1.96 * float(drawn.std(ddof=1)), runaway / max(curve.turns, 1.0))
     name = "angular_transmission_error"
     return Figure(
-        max(found - bias, 0.0), uncertainty, UNITS[name], DEFINITIONS[name], (0.0, 2.0 * math.pi), "rad",
-        curve.turns, "turns",
-    )  # fmt: skip
+        max(found - bias, 0.0),
+        uncertainty,
+        UNITS[name],
+        DEFINITIONS[name],
+        (0.0, 2.0 * math.pi),
+        "rad",
+        curve.turns,
+        "turns",
+    )
 
 
 def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:

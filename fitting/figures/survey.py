@@ -260,10 +260,19 @@ def survey(
     duration = float(shortened.time[-1] - shortened.time[0]) if stream.timed else np.nan
     speed = float(np.abs(np.diff(shortened.output_angle)).sum()) / duration if duration > 0.0 else 0.0
     return Surveyed(
-        stream.source, shortened.checksum, overview.samples, duration, shortened, overview.averaged, tuple(curves),
-        loops, tuple(notes), 2.0 * stream.alignment * speed, blocks.count,
+        stream.source,
+        shortened.checksum,
+        overview.samples,
+        duration,
+        shortened,
+        overview.averaged,
+        tuple(curves),
+        loops,
+        tuple(notes),
+        2.0 * stream.alignment * speed,
+        blocks.count,
         tuple(loop_groups(shortened, ratio)) if loops is not None else (),
-    )  # fmt: skip
+    )
 
 
 def at_positions(surveyed: Surveyed, ratio: float | None, rated_torque: float | None) -> list[Surveyed]:
@@ -291,10 +300,15 @@ def at_positions(surveyed: Surveyed, ratio: float | None, rated_torque: float | 
         loops, notes = loops_of(here, ratio, rated)
         found.append(
             dataclasses.replace(
-                surveyed, source=here.source, overview=here, loops=loops, loop_groups=(group, *smaller),
-                notes=(*surveyed.notes, *notes), samples=here.time.size,
+                surveyed,
+                source=here.source,
+                overview=here,
+                loops=loops,
+                loop_groups=(group, *smaller),
+                notes=(*surveyed.notes, *notes),
+                samples=here.time.size,
             )
-        )  # fmt: skip
+        )
         smaller = []
     return found
 

@@ -214,11 +214,13 @@ def waves(observed: Observations, order: float) -> Array:
     torque = np.concatenate([c.torque_at_points for c in observed.curves])
     phase = order * np.concatenate([c.input_angle / abs(c.ratio) for c in observed.curves])
     running = (~observed.of_loops).astype(float)
-    return np.column_stack([
-        _unit(wave * of * running)
-        for wave in (np.cos(phase), np.sin(phase))
-        for of in (np.ones_like(torque), np.sign(torque), torque)
-    ])  # fmt: skip
+    return np.column_stack(
+        [
+            _unit(wave * of * running)
+            for wave in (np.cos(phase), np.sin(phase))
+            for of in (np.ones_like(torque), np.sign(torque), torque)
+        ]
+    )
 
 
 def _unit(column: Array) -> Array:

@@ -31,12 +31,15 @@ def of_cranks(curve: Curve, drive: Drive) -> Curve:
     start = 0.0 if curve.branch else 2.0 * np.pi * abs(drive.pair.ratio)
     crank = curve.input_angle * share
     return dataclasses.replace(
-        curve, input_angle=np.mod(crank, start) if start else crank, ratio=drive.pair.ratio,
-        direction=sign * curve.direction, grid=(curve.grid[0], curve.grid[1] * share),
+        curve,
+        input_angle=np.mod(crank, start) if start else crank,
+        ratio=drive.pair.ratio,
+        direction=sign * curve.direction,
+        grid=(curve.grid[0], curve.grid[1] * share),
         angle_variance=None if curve.angle_variance is None else curve.angle_variance * share**2,
         speed=None if curve.speed is None else curve.speed * share,
         travel=None if curve.travel is None else curve.travel * abs(share),
-    )  # fmt: skip
+    )
 
 
 def share_of(first_stage: FirstStage | None, pair: Pair) -> float:

@@ -16,12 +16,19 @@ Array = NDArray[np.float64]
 # Of each set of errors with the same effect on the transmission error the first is fitted (docs/theory/errors.md);
 # errors that are not listed come last.
 PREFERENCE = (
-    "centre_distance_x", "centre_distance_y", "pin_radius", "pin_circle_radius", "eccentricity",
+    "centre_distance_x",
+    "centre_distance_y",
+    "pin_radius",
+    "pin_circle_radius",
+    "eccentricity",
     *(f"{p}_{k}_{w}" for k in (2, 3) for p in ("pin_radial", "pin_tangential") for w in ("cos", "sin")),
     *(f"tooth_cumulative_pitch_{k}_{w}" for k in ORDERS for w in ("cos", "sin")),
     *(f"{p}_1_{w}" for p in ("pin_tangential", "pin_radial") for w in ("cos", "sin")),
-    "isometric", "offset", "misalignment_xz", "misalignment_yz",
-)  # fmt: skip
+    "isometric",
+    "offset",
+    "misalignment_xz",
+    "misalignment_yz",
+)
 UNKNOWN = 1e-6  # precision of unknowns without a prior, so that those without effect on these curves stay unchanged
 _STOOD_FOR = 2e-3  # relative remainder of an effect below which the other errors reproduce it completely
 KNOWN = 0.2  # an error is known if its uncertainty is below this share of its tolerance
@@ -102,9 +109,13 @@ def information_of_points(observed: Observations, linear: Linear, names: Sequenc
     nuisances, priors = nuisance_columns(observed, linear)
     columns = np.column_stack([linear.structured, linear.scatter, nuisances])
     columns *= observed.weight[:, None]
-    columns *= np.concatenate([
-        tolerances_of(names, observed.profile), spread, np.where(np.isfinite(priors), priors, 1e-4),
-    ])  # fmt: skip
+    columns *= np.concatenate(
+        [
+            tolerances_of(names, observed.profile),
+            spread,
+            np.where(np.isfinite(priors), priors, 1e-4),
+        ]
+    )
     information: Array = columns.T @ columns
     return information
 

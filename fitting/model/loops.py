@@ -208,12 +208,23 @@ def _branch(
     motion = side if loading else -side
     recording = surveyed.overview
     return Curve(
-        input_angle=mean(crank), transmission_error=windup, standard_error=scatter / np.sqrt(count),
-        sample_count=count.astype(np.int64), torque=float(at.mean()), torque_deviation=float(at.std()),
-        direction=motion * (1 if ratio > 0.0 else -1), ratio=ratio, common_zero=recording.common_zero,
-        known_index=recording.known_index, source=surveyed.source, checksum=surveyed.checksum, torque_each=at,
-        branch=name, implausible=surveyed.implausible, notes=surveyed.notes,
-    )  # fmt: skip
+        input_angle=mean(crank),
+        transmission_error=windup,
+        standard_error=scatter / np.sqrt(count),
+        sample_count=count.astype(np.int64),
+        torque=float(at.mean()),
+        torque_deviation=float(at.std()),
+        direction=motion * (1 if ratio > 0.0 else -1),
+        ratio=ratio,
+        common_zero=recording.common_zero,
+        known_index=recording.known_index,
+        source=surveyed.source,
+        checksum=surveyed.checksum,
+        torque_each=at,
+        branch=name,
+        implausible=surveyed.implausible,
+        notes=surveyed.notes,
+    )
 
 
 def on_the_curves_zero(branches: Sequence[Curve], curves: Sequence[Curve]) -> list[Curve]:
@@ -230,10 +241,13 @@ def on_the_curves_zero(branches: Sequence[Curve], curves: Sequence[Curve]) -> li
         if one.common_zero and absolute:
             passed = round((float(np.mean(one.transmission_error)) - float(np.mean(absolute))) / turn)
         crank = one.input_angle + 2.0 * np.pi * passed
-        found.append(dataclasses.replace(
-            one, input_angle=np.mod(crank, 2.0 * np.pi * abs(one.ratio)),
-            transmission_error=one.transmission_error - passed * turn,
-        ))  # fmt: skip
+        found.append(
+            dataclasses.replace(
+                one,
+                input_angle=np.mod(crank, 2.0 * np.pi * abs(one.ratio)),
+                transmission_error=one.transmission_error - passed * turn,
+            )
+        )
     return found
 
 
@@ -268,15 +282,28 @@ def play_of(pair: Pair, surface: ErrorSurface, crank_angle: float, names: Sequen
 def planned_branches(pair: Pair, torque: float, crank_angle: float, number: int) -> list[Curve]:
     """Return the branches of a loop to a torque (N·m) with the input locked at a crank angle (rad), all errors zero."""
     size = torque * np.linspace(LOST_MOTION_LOAD, _REACH, BINS)
-    motions = {"positive loading": (1, 1), "positive unloading": (1, -1), "negative loading": (-1, -1),
-               "negative unloading": (-1, 1)}  # fmt: skip
+    motions = {
+        "positive loading": (1, 1),
+        "positive unloading": (1, -1),
+        "negative loading": (-1, -1),
+        "negative unloading": (-1, 1),
+    }
     return [
         Curve(
-            input_angle=np.full(BINS, crank_angle), transmission_error=np.zeros(BINS),
-            standard_error=np.full(BINS, np.nan), sample_count=np.ones(BINS, dtype=np.int64),
-            torque=float(side * size.mean()), torque_deviation=0.0, direction=motion * (1 if pair.ratio > 0.0 else -1),
-            ratio=pair.ratio, common_zero=False, known_index=True, source=f"planned loop {number}", checksum="",
-            torque_each=side * size, branch=name,
+            input_angle=np.full(BINS, crank_angle),
+            transmission_error=np.zeros(BINS),
+            standard_error=np.full(BINS, np.nan),
+            sample_count=np.ones(BINS, dtype=np.int64),
+            torque=float(side * size.mean()),
+            torque_deviation=0.0,
+            direction=motion * (1 if pair.ratio > 0.0 else -1),
+            ratio=pair.ratio,
+            common_zero=False,
+            known_index=True,
+            source=f"planned loop {number}",
+            checksum="",
+            torque_each=side * size,
+            branch=name,
         )
         for name, (side, motion) in motions.items()
-    ]  # fmt: skip
+    ]

@@ -61,9 +61,17 @@ LOOP_FRICTION_PER_LOAD = 0.5  # growth of a loop's friction with load: measured 
 _SELF_LOCKING = 0.95  # largest growth in the model: from 1 on a drive does not unload
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance; a softer chain is a cause of misfit, whose size is found
 KNOWN_SIZES = {
-    DISC_PHASE: 10e-6, "hole_x": 5e-6, "hole_y": 5e-6, "crank_x": 5e-6, "crank_y": 5e-6, "roller_x": 5e-6,
-    "roller_y": 5e-6, "crank_throw": 3e-6, "crank_phase": 3e-4, "hole_radius": 3e-6,
-}  # fmt: skip
+    DISC_PHASE: 10e-6,
+    "hole_x": 5e-6,
+    "hole_y": 5e-6,
+    "crank_x": 5e-6,
+    "crank_y": 5e-6,
+    "roller_x": 5e-6,
+    "roller_y": 5e-6,
+    "crank_throw": 3e-6,
+    "crank_phase": 3e-4,
+    "hole_radius": 3e-6,
+}
 """Prior standard deviation of elements of which a drive has too few to estimate it, m or rad."""
 
 
@@ -220,18 +228,24 @@ class Observations:
         if misfit.ripple is not None:
             bench[:, self.bench_names.index(CHAIN)] *= 1.0 + misfit.ripple
         return dataclasses.replace(
-            self, bench_names=(*self.bench_names, *names), bench=np.hstack([bench, *misfit.columns.values()]),
-            bench_prior=np.concatenate([self.bench_prior, np.full(len(names), NO_CREEP)]), give=misfit.give,
-            ripple=misfit.ripple, measured=self.measured + misfit.taken,
-        )  # fmt: skip
+            self,
+            bench_names=(*self.bench_names, *names),
+            bench=np.hstack([bench, *misfit.columns.values()]),
+            bench_prior=np.concatenate([self.bench_prior, np.full(len(names), NO_CREEP)]),
+            give=misfit.give,
+            ripple=misfit.ripple,
+            measured=self.measured + misfit.taken,
+        )
 
     def with_form(self, columns: Array, form: float) -> Observations:
         """The same with the orders of a form that all flanks share (`form_columns`) as nuisances of this size, m."""
         names = [f"form_{i}" for i in range(columns.shape[1])]
         return dataclasses.replace(
-            self, bench_names=(*self.bench_names, *names), bench=np.hstack([self.bench, columns]),
+            self,
+            bench_names=(*self.bench_names, *names),
+            bench=np.hstack([self.bench, columns]),
             bench_prior=np.concatenate([self.bench_prior, np.full(len(names), form)]),
-        )  # fmt: skip
+        )
 
     @property
     def ends(self) -> NDArray[np.int64]:
@@ -246,20 +260,27 @@ class Observations:
         curves = tuple(c.points(one) for c, one in zip(self.curves, chosen, strict=True))
         every = np.concatenate(chosen)
         return dataclasses.replace(
-            self, curves=curves, measured=self.measured[every], weight=self.weight[every], bench=self.bench[every],
+            self,
+            curves=curves,
+            measured=self.measured[every],
+            weight=self.weight[every],
+            bench=self.bench[every],
             ripple=None if self.ripple is None else self.ripple[every],
-        )  # fmt: skip
+        )
 
     def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Observations:
         """A subset of the curves."""
         places = np.split(np.arange(self.measured.size), self.ends)
         part = np.concatenate([places[n] for n in numbers])
         return dataclasses.replace(
-            self, curves=tuple(self.curves[n] for n in numbers), measured=self.measured[part],
-            weight=self.weight[part], bench=self.bench[part],
+            self,
+            curves=tuple(self.curves[n] for n in numbers),
+            measured=self.measured[part],
+            weight=self.weight[part],
+            bench=self.bench[part],
             give=None if self.give is None else self.give[list(numbers)],
             ripple=None if self.ripple is None else self.ripple[part],
-        )  # fmt: skip
+        )
 
 
 def observations(
@@ -289,8 +310,10 @@ def observations(
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
     floor = max(float(np.median(shown)), 1e-9)
-    weight = [np.sqrt(c.sample_count / np.median(c.sample_count)) / max(n, 0.1 * floor, 1e-9)
-              for c, n in zip(curves, shown, strict=True)]  # fmt: skip
+    weight = [
+        np.sqrt(c.sample_count / np.median(c.sample_count)) / max(n, 0.1 * floor, 1e-9)
+        for c, n in zip(curves, shown, strict=True)
+    ]
     sizes = [c.input_angle.size for c in curves]
     crank = np.concatenate([c.input_angle for c in curves])
     torque = np.concatenate([c.torque_at_points for c in curves])
@@ -315,8 +338,10 @@ def observations(
         priors.append(NO_CREEP)
     ratio = abs(curves[0].ratio)
     whole = ratio if first_stage is None else first_stage.ratio(pair.gear_teeth)
-    shafts = (("output", crank / ratio, 1.0, OUTPUT_ENCODER),
-              ("input", crank * whole / ratio, 1.0 / whole, INPUT_ENCODER))  # fmt: skip
+    shafts = (
+        ("output", crank / ratio, 1.0, OUTPUT_ENCODER),
+        ("input", crank * whole / ratio, 1.0 / whole, INPUT_ENCODER),
+    )
     for shaft, angle, lever, prior in shafts:
         for part, wave in (("cos", np.cos(angle)), ("sin", np.sin(angle))):
             names.append(f"{shaft}_encoder_eccentricity_{part}")
@@ -328,8 +353,9 @@ def observations(
         names.append(f"output_angle_drift_{number}")
         # What creeps does so with time, over all turns, whose points lie between one another.
         place = (curve.input_angle if curve.travel is None else curve.travel) / (2.0 * np.pi * ratio)
-        columns.append(np.concatenate([np.zeros(sum(sizes[:number])), place - place.mean(),
-                                       np.zeros(sum(sizes[number + 1 :]))]))  # fmt: skip
+        columns.append(
+            np.concatenate([np.zeros(sum(sizes[:number])), place - place.mean(), np.zeros(sum(sizes[number + 1 :]))])
+        )
         priors.append(DRIFT)
     turning = [i for group in absolute for i in group if not curves[i].branch]
     if turning:
@@ -460,8 +486,9 @@ def spread_of(pair: Pair, deviations: Mapping[str, float]) -> Array:
 def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurface:
     """Return a surface with every single displacement of a scatter vector added."""
     parts = scatter_parts(pair)
-    values = {n: surface.errors[n] + scatter[p].reshape(surface.errors[n].shape)
-              for n, p in parts.items() if n in KINDS}  # fmt: skip
+    values = {
+        n: surface.errors[n] + scatter[p].reshape(surface.errors[n].shape) for n, p in parts.items() if n in KINDS
+    }
     if DISC_PHASE in parts:
         pitch = np.array(values["tooth_cumulative_pitch"])
         pitch[1:] += scatter[parts[DISC_PHASE], None]
@@ -486,8 +513,12 @@ def scatter_columns(pair: Pair, each: Array) -> Array:
     """Return derivatives by a scatter vector, last axis, from those by every error as in `contact.sensitivities`."""
     layout = displacement_layout(pair)
     by_tooth = each[..., layout["tooth_turn"]] / pair.pin_circle_radius
-    columns = [each[..., layout["pin_radial"]], each[..., layout["pin_tangential"]], by_tooth,
-               each[..., layout["pin_radius"]]]  # fmt: skip
+    columns = [
+        each[..., layout["pin_radial"]],
+        each[..., layout["pin_tangential"]],
+        by_tooth,
+        each[..., layout["pin_radius"]],
+    ]
     if pair.discs > 1:
         by_disc = by_tooth.reshape(*each.shape[:-1], pair.discs, pair.gear_teeth).sum(axis=-1)
         columns.append(by_disc[..., 1:])
@@ -537,8 +568,11 @@ def linearised_curve(
     if pair.supports is not None:
         found = sensitivity(pair_with(pair, bearings), surface, s * torque, at + w)
         model, each, by_crank, by_torque = (
-            found.transmission_error, found.by_displacement, found.by_crank_angle, found.by_torque
-        )  # fmt: skip
+            found.transmission_error,
+            found.by_displacement,
+            found.by_crank_angle,
+            found.by_torque,
+        )
         jacobian = each @ displacement_columns(pair, observed.errors)
         by_bearing = found.by_bearing[:, [LAWS.index(n) for n in observed.bearing_names if n in LAWS]]
     elif around is None:
@@ -557,8 +591,15 @@ def linearised_curve(
     # The cranks turn with the output's deviation, to first order.
     share = s / (1.0 - s * observed.first_stage.crank_share * by_crank)
     of = share[:, None]
-    return Linear(share * (model + beside), of * jacobian, of * scatter, of * by_bearing,
-                  share * by_crank, share * s * by_friction, share * s * by_growth)  # fmt: skip
+    return Linear(
+        share * (model + beside),
+        of * jacobian,
+        of * scatter,
+        of * by_bearing,
+        share * by_crank,
+        share * s * by_friction,
+        share * s * by_growth,
+    )
 
 
 def form_columns(pair: Pair, observed: Observations, state: State, linear: Linear, size: float) -> Array:

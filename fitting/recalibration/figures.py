@@ -80,11 +80,22 @@ def _turn(drive: Drive) -> list[Curve]:
     pair = drive.pair
     assert pair.rated_torque is not None
     angle = np.arange(_EACH * pair.gear_teeth) * 2.0 * np.pi / _EACH
-    return [Curve(
-        input_angle=angle, transmission_error=np.zeros(angle.size), standard_error=np.full(angle.size, np.nan),
-        sample_count=np.ones(angle.size, dtype=np.int64), torque=pair.rated_torque, torque_deviation=0.0, direction=1,
-        ratio=pair.ratio, common_zero=True, known_index=True, source="figures", checksum="",
-    )]  # fmt: skip
+    return [
+        Curve(
+            input_angle=angle,
+            transmission_error=np.zeros(angle.size),
+            standard_error=np.full(angle.size, np.nan),
+            sample_count=np.ones(angle.size, dtype=np.int64),
+            torque=pair.rated_torque,
+            torque_deviation=0.0,
+            direction=1,
+            ratio=pair.ratio,
+            common_zero=True,
+            known_index=True,
+            source="figures",
+            checksum="",
+        )
+    ]
 
 
 def figures_of(drive: Drive, known: Known, gradient: Gradient | None = None) -> dict[str, FigureOfDrive]:

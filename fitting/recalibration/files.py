@@ -97,14 +97,17 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
             Dated(
                 float(one["crank_turns"]),
                 {
-                    str(n): FigureOfDrive(float(f["value"]), (float(f["interval"][0]), float(f["interval"][1])),
-                                          float(f["standard_error"]))
+                    str(n): FigureOfDrive(
+                        float(f["value"]),
+                        (float(f["interval"][0]), float(f["interval"][1])),
+                        float(f["standard_error"]),
+                    )
                     for n, f in one["figures"].items()
                 },
                 str(one["alarm"]),
             )
             for one in data["history"]
-        )  # fmt: skip
+        )
         found = Recalibration(
             drive=drive,
             alarm=str(data["alarm"]),

@@ -88,11 +88,18 @@ def averaged(curve: Curve, each: int) -> Curve:
         return None if values is None else mean(values)
 
     return dataclasses.replace(
-        curve, input_angle=mean(curve.input_angle), transmission_error=mean(curve.transmission_error),
-        standard_error=np.full(count.size, np.nan), sample_count=np.rint(count).astype(np.int64),
-        torque_each=mean_of(curve.torque_each), travel=mean_of(curve.travel), speed=mean_of(curve.speed),
-        angle_variance=None, each_turn=None, grid=(0, 0.0),
-    )  # fmt: skip
+        curve,
+        input_angle=mean(curve.input_angle),
+        transmission_error=mean(curve.transmission_error),
+        standard_error=np.full(count.size, np.nan),
+        sample_count=np.rint(count).astype(np.int64),
+        torque_each=mean_of(curve.torque_each),
+        travel=mean_of(curve.travel),
+        speed=mean_of(curve.speed),
+        angle_variance=None,
+        each_turn=None,
+        grid=(0, 0.0),
+    )
 
 
 def _is_dense(curve: Curve, each: int) -> bool:
@@ -172,12 +179,21 @@ def sides(pair: Pair, torque: float, crank_angle: float | None, number: int, rat
     angle = every if crank_angle is None else np.array([crank_angle])
     count = angle.size
     return Curve(
-        input_angle=np.tile(angle, 2), transmission_error=np.zeros(2 * count),
-        standard_error=np.full(2 * count, np.nan), sample_count=np.ones(2 * count, dtype=np.int64), torque=0.0,
-        torque_deviation=0.0, direction=1, ratio=ratio, common_zero=False, known_index=True,
-        source=f"lost motion {number + 1}", checksum="", torque_each=np.repeat([torque, -torque], count),
+        input_angle=np.tile(angle, 2),
+        transmission_error=np.zeros(2 * count),
+        standard_error=np.full(2 * count, np.nan),
+        sample_count=np.ones(2 * count, dtype=np.int64),
+        torque=0.0,
+        torque_deviation=0.0,
+        direction=1,
+        ratio=ratio,
+        common_zero=False,
+        known_index=True,
+        source=f"lost motion {number + 1}",
+        checksum="",
+        torque_each=np.repeat([torque, -torque], count),
         branch="lost motion",
-    )  # fmt: skip
+    )
 
 
 def linearised(pair: Pair, observed: Observations, state: State, form: Array | None = None) -> tuple[Linear, Array]:
@@ -266,6 +282,10 @@ def _in_place(observed: Observations, running: int, torque_share: float, frictio
     prior = np.concatenate([observed.bench_prior, np.full(len(names), _REFERENCE)])
     prior[at_chain] *= np.hypot(COMPLIANCE_SHARE, torque_share) / COMPLIANCE_SHARE
     return dataclasses.replace(
-        observed, weight=weight, bench=bench, bench_prior=prior, bench_names=(*observed.bench_names, *names),
+        observed,
+        weight=weight,
+        bench=bench,
+        bench_prior=prior,
+        bench_names=(*observed.bench_names, *names),
         friction_prior=max(observed.friction_prior, friction),
-    )  # fmt: skip
+    )

@@ -177,8 +177,9 @@ def recalibrate(
         chance, sentences = left_over(field, found)
         alarm = alarm_of(found, sentences)
         surface = drive.surface.replace(
-            covariance=known.of_surface(), covariance_of=_names(found.drive),
-        )  # fmt: skip
+            covariance=known.of_surface(),
+            covariance_of=_names(found.drive),
+        )
         kept = (Drive(drive.pair, surface, drive.first_stage), known) if alarm else (found.drive, found.known)
         figures = figures_of(*kept)
     return Recalibration(

@@ -350,9 +350,11 @@ def _result(
     if stage is not None:
         stage = with_play(stage, float(state.bearings[-1]))
     surface = state.surface.replace(
-        pair=pair.nominal, origin="identified", covariance_of=(*known.errors, *scatter_names(drive.pair)),
+        pair=pair.nominal,
+        origin="identified",
+        covariance_of=(*known.errors, *scatter_names(drive.pair)),
         covariance=found.of_surface(),
-    )  # fmt: skip
+    )
     # Before the measurement the covariance of z is the unit matrix minus the posterior covariance.
     went = np.eye(lasting) - after
     values, vectors = np.linalg.eigh(0.5 * (went + went.T))
@@ -371,8 +373,15 @@ def _result(
     of_lost_motions = columns[rows.field.running :] @ rows.factor
     variance = 1.0 - np.einsum("ij,jk,ik->i", of_lost_motions, inverse, of_lost_motions)
     return Updated(
-        Drive(pair, surface, stage), found, moved, told, drift,
-        float(special.chdtrc(max(np.count_nonzero(tested), 1), drift)), left,
-        np.concatenate([np.ones(rows.field.running), np.maximum(variance, 1e-9)]), int(np.count_nonzero(~keep)), done,
+        Drive(pair, surface, stage),
+        found,
+        moved,
+        told,
+        drift,
+        float(special.chdtrc(max(np.count_nonzero(tested), 1), drift)),
+        left,
+        np.concatenate([np.ones(rows.field.running), np.maximum(variance, 1e-9)]),
+        int(np.count_nonzero(~keep)),
+        done,
         end,
-    )  # fmt: skip
+    )

@@ -22,9 +22,7 @@ class CanLog(BenchFile):
         if dbc is None:
             raise edge.InputError(f"{source}: a CAN log needs the DBC of its frames; name it as dbc in the mapping.")
         self._database = read_dbc(dbc)
-        channels = [
-            RawChannel(f"{m.name}.{s.name}", s.unit or "") for m in self._database.messages for s in m.signals
-        ]  # fmt: skip
+        channels = [RawChannel(f"{m.name}.{s.name}", s.unit or "") for m in self._database.messages for s in m.signals]
         super().__init__(source, tuple(channels), timed=True)
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:

@@ -127,9 +127,14 @@ class Cleaning:
     """
 
     def __init__(
-        self, rollover: Mapping[str, float | None], source: str, ratio: float | None = None, *,
-        pulley: float = 1.0, timed: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        rollover: Mapping[str, float | None],
+        source: str,
+        ratio: float | None = None,
+        *,
+        pulley: float = 1.0,
+        timed: bool = True,
+    ) -> None:
         self._ratio, self._pulley, self._timed = ratio, pulley, timed
         self._angles = {name: _Angle(period, name, source) for name, period in rollover.items()}
         self._usual = np.nan

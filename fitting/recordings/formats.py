@@ -340,11 +340,29 @@ def in_order(streams: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
 
 
 _SPELLINGS = {
-    "°": "deg", "º": "deg", "°c": "degC", "′": "arcmin", "'": "arcmin", "’": "arcmin", "″": "arcsec",
-    '"': "arcsec", "”": "arcsec", "''": "arcsec", "′′": "arcsec", "arc sec": "arcsec", "arc min": "arcmin",
-    "r/min": "rpm", "1/min": "rpm", "umdr": "rev", "umdr.": "rev",
-    "min-1": "rpm", "bogensekunden": "arcsec", "bogenminuten": "arcmin", "u/min": "rpm", "sec": "s",
-}  # fmt: skip
+    "°": "deg",
+    "º": "deg",
+    "°c": "degC",
+    "′": "arcmin",
+    "'": "arcmin",
+    "’": "arcmin",
+    "″": "arcsec",
+    '"': "arcsec",
+    "”": "arcsec",
+    "''": "arcsec",
+    "′′": "arcsec",
+    "arc sec": "arcsec",
+    "arc min": "arcmin",
+    "r/min": "rpm",
+    "1/min": "rpm",
+    "umdr": "rev",
+    "umdr.": "rev",
+    "min-1": "rpm",
+    "bogensekunden": "arcsec",
+    "bogenminuten": "arcmin",
+    "u/min": "rpm",
+    "sec": "s",
+}
 
 
 def measures(unit: str, si: str) -> bool:

@@ -208,21 +208,29 @@ def inspection_json(found: Inspection) -> dict[str, Any]:
     """Return the content of a file as JSON data for scripts."""
     channels = {
         o.channel.name: {
-            "unit": o.channel.unit, "samples": o.values.size, "min": o.extremes[0], "max": o.extremes[1],
+            "unit": o.channel.unit,
+            "samples": o.values.size,
+            "min": o.extremes[0],
+            "max": o.extremes[1],
         }
         for o in found.looks
-    }  # fmt: skip
+    }
     roles = {role: one.channel.name for role, one in found.roles.items()}
     runs = {
         run.name: {
-            "output_angle": run.output_angle.channel.name, "transmission_error": run.transmission_error.channel.name
+            "output_angle": run.output_angle.channel.name,
+            "transmission_error": run.transmission_error.channel.name,
         }
         for run in found.runs
-    }  # fmt: skip
+    }
     return {
-        "channels": channels, "text": list(found.file.texts), "proposed": roles, "ratio": found.ratio, "runs": runs,
+        "channels": channels,
+        "text": list(found.file.texts),
+        "proposed": roles,
+        "ratio": found.ratio,
+        "runs": runs,
         "problems": found.file.problems,
-    }  # fmt: skip
+    }
 
 
 def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
@@ -317,9 +325,13 @@ def _ratio_line(ratio: float | None, stated: bool) -> str:
 
 
 def _mapping_text(
-    roles: dict[str, Look], runs: Sequence[ErrorRun], file: BenchFile, ratio: float | None, looks: Sequence[Look],
+    roles: dict[str, Look],
+    runs: Sequence[ErrorRun],
+    file: BenchFile,
+    ratio: float | None,
+    looks: Sequence[Look],
     dbc: str | None,
-) -> str:  # fmt: skip
+) -> str:
     named = {role: found for role, found in name_patterns(file.source).items() if role not in roles}
     lines = [f'format = "{FORMAT}"']
     lines.append(_ratio_line(ratio, file.ratio is not None))

@@ -59,9 +59,9 @@ class PlausibleBlocks:
         for block in (piece for whole in self._stream.blocks() for piece in _pieces(whole)):
             if judge is None:
                 judge = Plausibility(self._ratio, _with_resolution(self._stream.limits, block))
-            marks, found = judge.add({
-                role: Samples(role, block.time, None, None, getattr(block, role), block.status) for role in ANGLES
-            })  # fmt: skip
+            marks, found = judge.add(
+                {role: Samples(role, block.time, None, None, getattr(block, role), block.status) for role in ANGLES}
+            )
             implausible = marks["input_angle"] | marks["output_angle"]
             already = block.status & IMPLAUSIBLE != 0
             self._marked += int(np.count_nonzero(already & ~implausible))

@@ -72,12 +72,13 @@ def error_runs(looks: Sequence[Look]) -> list[ErrorRun]:
     angles = [
         one
         for one in free
-        if one not in errors and one.travel > 0.0
+        if one not in errors
+        and one.travel > 0.0
         and (
             measures(stated_unit(one), "rad")
             or (not one.channel.unit and re.search(_ANGLE, one.channel.name, re.IGNORECASE))
         )
-    ]  # fmt: skip
+    ]
     if not errors or not angles or len(angles) > len(errors):
         return []
     runs: list[ErrorRun] = []

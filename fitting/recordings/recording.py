@@ -236,9 +236,10 @@ class RecordingStream:
         }
         limits = dataclasses.replace(self._file.limits, **shown)
         return dataclasses.replace(
-            limits, output_resolution=limits.output_resolution / abs(self._pulley),
+            limits,
+            output_resolution=limits.output_resolution / abs(self._pulley),
             output_speed=None if limits.output_speed is None else limits.output_speed / abs(self._pulley),
-        )  # fmt: skip
+        )
 
     @property
     def checksum(self) -> str:
@@ -345,12 +346,23 @@ class RecordingStream:
     def recording(self, columns: Mapping[str, NDArray[Any]]) -> Recording:
         """Return columns of a block as a recording from this file; call it when all blocks have been read."""
         return Recording(
-            **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
-            common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
-            alignment=self.alignment, torque_alignment=self.torque_alignment, limits=self.limits,
-            speed=self.speed, timed=self.timed, has_input_angle=self.has_input_angle, locked=self.locked,
+            **columns,
+            source=self.source,
+            checksum=self.checksum,
+            ratio=self.ratio,
+            pair=self.pair,
+            common_zero=self.common_zero,
+            known_index=self.known_index,
+            notes=tuple(self.notes),
+            alignment=self.alignment,
+            torque_alignment=self.torque_alignment,
+            limits=self.limits,
+            speed=self.speed,
+            timed=self.timed,
+            has_input_angle=self.has_input_angle,
+            locked=self.locked,
             pulley=self.pulley,
-        )  # fmt: skip
+        )
 
     def _clock_notes(self) -> list[str]:
         """Return notes on channels converted to the host's clock; set `alignment` and `torque_alignment`."""

@@ -116,11 +116,16 @@ class Run:
         if block.time.size < 2:
             raise edge.InputError(f"{self.name}: it has {block.time.size} samples; a curve needs more.")
         return Recording(
-            **vars(block), source=self.name, checksum=digest, common_zero=self.common_zero,
-            known_index=self.known_index, speed=self.speed,
-            timed=self.time is not None, locked="" if np.ndim(self.input_angle) else "input",
+            **vars(block),
+            source=self.name,
+            checksum=digest,
+            common_zero=self.common_zero,
+            known_index=self.known_index,
+            speed=self.speed,
+            timed=self.time is not None,
+            locked="" if np.ndim(self.input_angle) else "input",
             notes=tuple(f"{self.name}: {note}" for note in cleaning.notes()),
-        )  # fmt: skip
+        )
 
 
 Source = RecordingFile | Run | Recording | RecordingStream
@@ -191,8 +196,10 @@ def read_recordings(
     mappings = _mappings(mapping)
     return [
         RecordingFile(path, one, read_head, run)
-        for pattern in given for path in _files(pattern) for run, one in _runs(path, mappings)
-    ]  # fmt: skip
+        for pattern in given
+        for path in _files(pattern)
+        for run, one in _runs(path, mappings)
+    ]
 
 
 def _mappings(mapping: Mappings | None) -> dict[str, FileMapping]:

@@ -342,14 +342,17 @@ class CsvFile(BenchFile):
         plain = d.encoding in ("utf-8", "utf-8-sig")
         options = {
             "read_options": arrow_csv.ReadOptions(
-                column_names=list(self._kinds), skip_rows=d.skip, block_size=1 << 23,
+                column_names=list(self._kinds),
+                skip_rows=d.skip,
+                block_size=1 << 23,
                 encoding="utf8" if plain else d.encoding,
             ),
             "parse_options": arrow_csv.ParseOptions(delimiter=d.delimiter, invalid_row_handler=refuse),
             "convert_options": arrow_csv.ConvertOptions(
-                column_types={n: pa.string() for n in names}, include_columns=list(names),
+                column_types={n: pa.string() for n in names},
+                include_columns=list(names),
             ),
-        }  # fmt: skip
+        }
         cells, line = Cells(self.source, d.decimal), d.skip + 1
         try:
             with arrow_csv.open_csv(self.source, **options) as reader:

@@ -57,16 +57,30 @@ def write_certificate(found: Figures, certificate: Certificate, path: str | os.P
     if certificate.number or certificate.issued_by:
         tables.insert(0, ("Certificate", [("Number", certificate.number), ("Issued by", certificate.issued_by)]))
     instruments = [
-        [name.replace("_", " "), one.name or "not stated", one.serial_number or "not stated",
-         "not stated" if one.calibrated is None else one.calibrated.isoformat()]
+        [
+            name.replace("_", " "),
+            one.name or "not stated",
+            one.serial_number or "not stated",
+            "not stated" if one.calibrated is None else one.calibrated.isoformat(),
+        ]
         for name, one in found.instruments.stated.items()
-    ]  # fmt: skip
+    ]
     page = html_page(
-        "Certificate of measurement", made_now(), _PAGE, _limit_panels(decisions), BUDGETS + SOURCES,
-        verdict=verdict_of(decisions), tables=[(t, [(n, v) for n, v in rows if v]) for t, rows in tables],
-        instruments=instruments, results=_results(found, decisions), rule=RULES[certificate.decision_rule],
-        budgets=budget_tables(found), budget_head=BUDGET_HEAD, notes=found.notes, sources=sources_of(found),
-    )  # fmt: skip
+        "Certificate of measurement",
+        made_now(),
+        _PAGE,
+        _limit_panels(decisions),
+        BUDGETS + SOURCES,
+        verdict=verdict_of(decisions),
+        tables=[(t, [(n, v) for n, v in rows if v]) for t, rows in tables],
+        instruments=instruments,
+        results=_results(found, decisions),
+        rule=RULES[certificate.decision_rule],
+        budgets=budget_tables(found),
+        budget_head=BUDGET_HEAD,
+        notes=found.notes,
+        sources=sources_of(found),
+    )
     with edge.written_whole(target) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
@@ -74,8 +88,10 @@ def write_certificate(found: Figures, certificate: Certificate, path: str | os.P
 def _loads(found: Figures) -> list[tuple[str, str]]:
     """Return the conditions of the recordings as rows (name, text)."""
     warm = [t for one in found.surveyed if (t := one.overview.temperature) is not None]
-    rows = [("Ratio", "" if found.ratio is None else f"{found.ratio:g}"),
-            ("Rated torque", "" if found.rated_torque is None else f"{found.rated_torque:.5g} N·m")]  # fmt: skip
+    rows = [
+        ("Ratio", "" if found.ratio is None else f"{found.ratio:g}"),
+        ("Rated torque", "" if found.rated_torque is None else f"{found.rated_torque:.5g} N·m"),
+    ]
     if warm:
         low, high = min(np.nanmin(t) for t in warm) - 273.15, max(np.nanmax(t) for t in warm) - 273.15
         rows.append(("Temperature as recorded", f"{low:.1f} … {high:.1f} °C"))
@@ -99,19 +115,34 @@ def _results(found: Figures, decisions: list[Decision]) -> list[list[str]]:
         factor, unit = field_factor(one.unit)
         expanded = one.expanded * factor
         rows.append(
-            [title_of(one.figure), _shown(one.value * factor, expanded),
-             "unknown" if math.isnan(expanded) else _shown(expanded, expanded),
-             "" if math.isnan(expanded) else f"{one.coverage_factor:.2f}", unit,
-             "" if math.isinf(one.low) else f"{one.low * factor:.6g}",
-             "" if math.isinf(one.high) else f"{one.high * factor:.6g}", one.verdict]
-        )  # fmt: skip
+            [
+                title_of(one.figure),
+                _shown(one.value * factor, expanded),
+                "unknown" if math.isnan(expanded) else _shown(expanded, expanded),
+                "" if math.isnan(expanded) else f"{one.coverage_factor:.2f}",
+                unit,
+                "" if math.isinf(one.low) else f"{one.low * factor:.6g}",
+                "" if math.isinf(one.high) else f"{one.high * factor:.6g}",
+                one.verdict,
+            ]
+        )
     limited = {one.figure for one in decisions}
     for name, budget in found.budgets.items():
         if name not in limited:
             factor, unit = field_factor(budget.unit)
             expanded = budget.expanded * factor
-            rows.append([title_of(name), _shown(budget.value * factor, expanded), _shown(expanded, expanded),
-                         f"{budget.coverage_factor:.2f}", unit, "", "", ""])  # fmt: skip
+            rows.append(
+                [
+                    title_of(name),
+                    _shown(budget.value * factor, expanded),
+                    _shown(expanded, expanded),
+                    f"{budget.coverage_factor:.2f}",
+                    unit,
+                    "",
+                    "",
+                    "",
+                ]
+            )
     return rows
 
 

@@ -60,9 +60,15 @@ def _row(name: str, figure: Figure, *, definition: str = "", part: str = "") -> 
         else:
             interval = f"{low:.4g} … {high:.4g} N·m"
     return {
-        "name": name, "value": value, "uncertainty": uncertainty, "unit": unit, "interval": interval,
-        "of": f"{figure.count:.4g} {figure.counted}", "definition": definition, "part": part,
-    }  # fmt: skip
+        "name": name,
+        "value": value,
+        "uncertainty": uncertainty,
+        "unit": unit,
+        "interval": interval,
+        "of": f"{figure.count:.4g} {figure.counted}",
+        "definition": definition,
+        "part": part,
+    }
 
 
 def sources_of(found: Figures) -> list[dict[str, str]]:
@@ -73,10 +79,15 @@ def sources_of(found: Figures) -> list[dict[str, str]]:
         warm = "" if temperature is None else f"{np.nanmean(temperature) - 273.15:.1f} °C"
         kind = "loops" if one.loops is not None else "run"
         rows.append(
-            {"name": Path(one.source).name, "kind": kind, "samples": f"{one.samples:,}",
-             "time": f"{one.duration:.4g} s" if one.overview.timed else "unknown", "temperature": warm,
-             "checksum": one.checksum}
-        )  # fmt: skip
+            {
+                "name": Path(one.source).name,
+                "kind": kind,
+                "samples": f"{one.samples:,}",
+                "time": f"{one.duration:.4g} s" if one.overview.timed else "unknown",
+                "temperature": warm,
+                "checksum": one.checksum,
+            }
+        )
     return rows
 
 
@@ -176,8 +187,10 @@ def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
 def _text_pages(found: Figures) -> list[Any]:
     """Return pages of text lines with the table of figures, the budgets, the notes and the recordings."""
     lines: list[tuple[str, dict[str, Any]]] = [
-        ("Test bench report", {"fontsize": 16, "weight": "bold"}), (_facts(found), {"color": "#555555"}), ("", {}),
-    ]  # fmt: skip
+        ("Test bench report", {"fontsize": 16, "weight": "bold"}),
+        (_facts(found), {"color": "#555555"}),
+        ("", {}),
+    ]
     mono = {"family": "DejaVu Sans Mono", "fontsize": 8}
     heading = {"weight": "bold", "fontsize": 11}
     lines.append(("Figures", heading))
@@ -204,8 +217,12 @@ def _text_pages(found: Figures) -> list[Any]:
         lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]
     lines += [("", {}), ("Recordings", heading)]
     for s in sources_of(found):
-        lines.append((", ".join(filter(None, (s["name"], s["kind"], f"{s['samples']} samples", s["time"],
-                                              s["temperature"]))), {}))  # fmt: skip
+        lines.append(
+            (
+                ", ".join(filter(None, (s["name"], s["kind"], f"{s['samples']} samples", s["time"], s["temperature"]))),
+                {},
+            )
+        )
         lines.append((f"    SHA-256 {s['checksum']}", {**mono, "fontsize": 6.5, "color": "#777777"}))
     pages = []
     for begin in range(0, len(lines), _LINES):

@@ -45,12 +45,22 @@ def fit_panels(result: Identification) -> list[Panel]:
         left.append(Trace(label_of(curve), turns, residual / _ARC, "thin", number))
         rest.append(dataclasses.replace(curve, transmission_error=residual))
     panels = [
-        Panel("Measured and fitted", "crank turns", "transmission error [arcsec]", tuple(fitted),
-              "Points are measured; lines are the fit, including the bench's errors. First crank turns only."),
-        Panel("Residual", "crank turns", "measured minus fitted [arcsec]", tuple(left),
-              f"{result.residual / _ARC:.3f}″ rms residual; the noise of a point is {result.noise / _ARC:.3f}″. "
-              "Click a curve's name to hide it; double-click it to hide all others."),
-    ]  # fmt: skip
+        Panel(
+            "Measured and fitted",
+            "crank turns",
+            "transmission error [arcsec]",
+            tuple(fitted),
+            "Points are measured; lines are the fit, including the bench's errors. First crank turns only.",
+        ),
+        Panel(
+            "Residual",
+            "crank turns",
+            "measured minus fitted [arcsec]",
+            tuple(left),
+            f"{result.residual / _ARC:.3f}″ rms residual; the noise of a point is {result.noise / _ARC:.3f}″. "
+            "Click a curve's name to hide it; double-click it to hide all others.",
+        ),
+    ]
     orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of the residual")
     loops = [panel for one in result.loops for panel in _loop_panels(one)]
     ring = ring_panel(result.realised)
@@ -68,25 +78,37 @@ def _loop_panels(loop: LoopFit) -> list[Panel]:
         both.append(Trace(branch, at, (fitted - middle) * ARCMIN, "thin", number))
         left.append(Trace(branch, at, (measured - fitted) / _ARC, "thin", number))
     return [
-        Panel(name, torque, "windup [arcmin]", tuple(both),
-              f"Input locked at a crank angle of {np.degrees(loop.crank_angle):.1f}°. Points are means over the "
-              "torque; lines are the fit, outside play and friction."),
+        Panel(
+            name,
+            torque,
+            "windup [arcmin]",
+            tuple(both),
+            f"Input locked at a crank angle of {np.degrees(loop.crank_angle):.1f}°. Points are means over the "
+            "torque; lines are the fit, outside play and friction.",
+        ),
         Panel(f"{name}: residual", torque, "measured minus fitted [arcsec]", tuple(left), "Each branch separately."),
-    ]  # fmt: skip
+    ]
 
 
 def _intervals(parameters: Sequence[Parameter]) -> Panel:
     shown = [p for p in parameters if p.held is None and p.unit == "m"]
-    lines = [Trace("95 % interval" if i == 0 else "", np.array(p.interval) * 1e6, np.array([-i, -i], float), "thick", 0)
-             for i, p in enumerate(shown)]  # fmt: skip
+    lines = [
+        Trace("95 % interval" if i == 0 else "", np.array(p.interval) * 1e6, np.array([-i, -i], float), "thick", 0)
+        for i, p in enumerate(shown)
+    ]
     at, place = np.array([p.value * 1e6 for p in shown]), -np.arange(float(len(shown)))
     ends = np.array([at, *zip(*(t.x for t in lines), strict=True)]) if lines else np.zeros((1, 1))
     beside = np.full(at.size, np.nanmax(ends) + 0.15 * max(np.nanmax(ends) - np.nanmin(ends), 1e-3))
     # In a separate column: next to the points they would overlap.
     values = Trace("", beside, place, "words", -1, tuple(f"{value:.2f}" for value in at))
-    return Panel("Identified errors", "error [µm]", "", (*lines, Trace("", at, place, "dots", 1), values),
-                 "Errors with their 95 % intervals; values in the column on the right.",
-                 y_names=tuple(p.name for p in shown))  # fmt: skip
+    return Panel(
+        "Identified errors",
+        "error [µm]",
+        "",
+        (*lines, Trace("", at, place, "dots", 1), values),
+        "Errors with their 95 % intervals; values in the column on the right.",
+        y_names=tuple(p.name for p in shown),
+    )
 
 
 _ARC = 1.0 / ARCSEC
@@ -146,8 +168,13 @@ def _row(one: Parameter) -> dict[str, str]:
     factor, unit = _FIELD_UNITS[one.unit]
     low, high = (v * factor for v in one.interval)
     interval = "withheld" if math.isnan(low) else f"{low:.3f} … {high:.3f}"
-    return {"name": one.name, "value": f"{one.value * factor:.3f}", "interval": interval,
-            "unit": unit, "share": f"{100.0 * one.data_share:.1f} %"}  # fmt: skip
+    return {
+        "name": one.name,
+        "value": f"{one.value * factor:.3f}",
+        "interval": interval,
+        "unit": unit,
+        "share": f"{100.0 * one.data_share:.1f} %",
+    }
 
 
 def _effect_row(one: Effect, tolerances: Tolerances | None) -> dict[str, str]:
@@ -165,11 +192,13 @@ def _effect_row(one: Effect, tolerances: Tolerances | None) -> dict[str, str]:
     if math.isnan(low):
         stated = "" if math.isnan(one.error.standard_error) else "withheld"
     return {
-        "name": words_of(one), "effect": f"{one.peak_to_peak * ARCSEC:.2f}",
+        "name": words_of(one),
+        "effect": f"{one.peak_to_peak * ARCSEC:.2f}",
         "value": f"{one.error.value * factor:.{digits}f} {unit}",
-        "interval": stated, "at": at,
+        "interval": stated,
+        "at": at,
         "tolerance": "" if tolerances is None else _allowed(one.kind, tolerances),
-    }  # fmt: skip
+    }
 
 
 def _allowed(name: str, tolerances: Tolerances) -> str:
@@ -202,8 +231,10 @@ def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
     """Return the tables of every pin and tooth and of this ring's orders, with one column per circle."""
     circles = [ring.elements[part] for part in ring.circles.values()]
     columns = [name.replace("_", " ") for name in ring.circles]
-    elements = [[i, *(_with_interval(one[i]) if i < len(one) else "" for one in circles)]
-                for i in range(max(len(one) for one in circles))]  # fmt: skip
+    elements = [
+        [i, *(_with_interval(one[i]) if i < len(one) else "" for one in circles)]
+        for i in range(max(len(one) for one in circles))
+    ]
     stated = {one.name: one for one in ring.orders}
     orders = []
     for order in range(ORDERS_STATED + 1):
@@ -213,21 +244,33 @@ def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
             row.append(" at ".join(_with_interval(one) for one in found if one is not None) or "–")
         orders.append([order, *row])
     return [
-        {"id": "realised-orders", "of": "Order", "columns": columns, "rows": orders,
-         "caption": "Amplitudes of this ring's own orders, µm, at their phases (order times angle), with half the "
-         "95 % intervals. The table of fitted errors has the mean orders of rings with the same scatter, which are "
-         "known less accurately."},
-        {"id": "realised", "of": "Pin or tooth", "columns": columns, "rows": elements,
-         "caption": "In µm, with half widths of the 95 % intervals; in brackets if a pin or tooth carries almost no "
-         "load in these curves and is constrained only by its neighbours."},
-    ]  # fmt: skip
+        {
+            "id": "realised-orders",
+            "of": "Order",
+            "columns": columns,
+            "rows": orders,
+            "caption": "Amplitudes of this ring's own orders, µm, at their phases (order times angle), with half the "
+            "95 % intervals. The table of fitted errors has the mean orders of rings with the same scatter, which are "
+            "known less accurately.",
+        },
+        {
+            "id": "realised",
+            "of": "Pin or tooth",
+            "columns": columns,
+            "rows": elements,
+            "caption": "In µm, with half widths of the 95 % intervals; in brackets if a pin or tooth carries almost no "
+            "load in these curves and is constrained only by its neighbours.",
+        },
+    ]
 
 
 def _correlation(result: Identification) -> list[dict[str, Any]]:
     rows = []
     for number, (name, values) in enumerate(zip(result.fitted, result.correlation, strict=True), start=1):
-        cells = [{"text": f"{round(100.0 * v):d}", "colour": f"{'214,39,40' if v > 0 else '31,119,180'},{abs(v):.2f}"}
-                 for v in values]  # fmt: skip
+        cells = [
+            {"text": f"{round(100.0 * v):d}", "colour": f"{'214,39,40' if v > 0 else '31,119,180'},{abs(v):.2f}"}
+            for v in values
+        ]
         rows.append({"number": number, "name": name, "cells": cells})
     return rows
 
@@ -265,26 +308,37 @@ def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> No
     left = len(result.effects) - len(shown)
     rest = f"{left} more errors have an effect below {100.0 * _SHOWN:g} % of the largest. " if left else ""
     text = html_page(
-        "Identified drive", f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",
-        _ABOVE, fit_panels(result), _BELOW, verdict=result.verdict.sentence,
-        has_index=all(c.known_index for c in result.curves), drawing=result.tolerances is not None, rest=rest,
+        "Identified drive",
+        f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",
+        _ABOVE,
+        fit_panels(result),
+        _BELOW,
+        verdict=result.verdict.sentence,
+        has_index=all(c.known_index for c in result.curves),
+        drawing=result.tolerances is not None,
+        rest=rest,
         effects=[_effect_row(one, result.tolerances) for one in shown],
         known=[_row(p) for p in (*result.parameters, *result.bearings) if p.held is None],
-        trust=_trust(result), correlation=_correlation(result), weak=result.weak_combinations,
+        trust=_trust(result),
+        correlation=_correlation(result),
+        weak=result.weak_combinations,
         held=[p for p in (*result.parameters, *result.bearings) if p.held is not None],
         gauge=(*GAUGE, f"radius_lever is {result.realised.radius_lever:.2f}."),
         ring=_ring_tables(result.realised),
-        bench=_bench_rows(result), notes=result.notes,
+        bench=_bench_rows(result),
+        notes=result.notes,
         sources=[(Path(n).name, c) for n, c in result.checksums.items()],
-    )  # fmt: skip
+    )
     with edge.written_whole(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def _bench_rows(result: Identification) -> list[tuple[str, str]]:
     """Return the bench's unknowns as rows: run-out by orders, causes of misfit by their size, the others by name."""
-    rows = [(f"run-out, order {one.order} of the {one.shaft}", one.text.partition(f"{one.shaft} ")[2])
-            for one in result.run_out]  # fmt: skip
+    rows = [
+        (f"run-out, order {one.order} of the {one.shaft}", one.text.partition(f"{one.shaft} ")[2])
+        for one in result.run_out
+    ]
     rows += [
         (f"{SENTENCES.get(one.cause, one.cause)}, rms", f"{one.size * ARCSEC:.3g}″")
         for one in result.verdict.misfits

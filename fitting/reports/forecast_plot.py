@@ -64,9 +64,15 @@ def _band(axis: Axes, found: Forecast, name: str) -> None:
     if mine:
         at = [m.crank_turns / found.crank_turns_per_second / _HOUR for m in mine]
         axis.errorbar(
-            at, [m.value * factor for m in mine], [_NORMAL * m.standard_error * factor for m in mine], fmt="ko", ms=3.5,
-            lw=1, capsize=2, label="recorded, ± 95 %",
-        )  # fmt: skip
+            at,
+            [m.value * factor for m in mine],
+            [_NORMAL * m.standard_error * factor for m in mine],
+            fmt="ko",
+            ms=3.5,
+            lw=1,
+            capsize=2,
+            label="recorded, ± 95 %",
+        )
     axis.axvline(found.now / _HOUR, color="0.4", lw=0.8, ls=":")
     top = band[-1].max() * factor
     if name in found.remaining:
@@ -75,8 +81,15 @@ def _band(axis: Axes, found: Forecast, name: str) -> None:
         known = [age for age in one.ages.values() if np.isfinite(age)]
         if known:
             left = ", ".join(f"{p:.0%}" for p, age in one.ages.items() if np.isfinite(age))
-            axis.plot(np.array(known) / _HOUR, [one.limit * factor] * len(known), "|", color="tab:red", ms=12, mew=2,
-                      label=f"exceeded with {left}")  # fmt: skip
+            axis.plot(
+                np.array(known) / _HOUR,
+                [one.limit * factor] * len(known),
+                "|",
+                color="tab:red",
+                ms=12,
+                mew=2,
+                label=f"exceeded with {left}",
+            )
         # A wide band must not hide the limit.
         top = min(top, 2.5 * one.limit * factor)
     least = min([band[0].min() * factor, *(m.value * factor for m in mine)])

@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LABELS = {
-    "backlash": "backlash [arcsec]", "lost_motion": "lost motion [arcsec]",
+    "backlash": "backlash [arcsec]",
+    "lost_motion": "lost motion [arcsec]",
     "transmission_error": "transmission error,\npeak to peak [arcsec]",
-}  # fmt: skip
+}
 _MOST = 14  # most errors shown
 
 
@@ -59,9 +60,11 @@ def plot_visits(visits: Sequence[PlannedVisit]) -> Figure:
     for one in visits:
         axis.plot([*one.half_width], np.array([*one.half_width.values()]) * ARCSEC, "o-", ms=4, lw=1.0, label=one.runs)
     axis.set(
-        xscale="log", yscale="log", xlabel="output turns of each run, or passages of the mark in each direction",
+        xscale="log",
+        yscale="log",
+        xlabel="output turns of each run, or passages of the mark in each direction",
         ylabel="half width of the backlash's\n95 % interval [arcsec]",
-    )  # fmt: skip
+    )
     turns = [*visits[0].half_width]
     axis.set_xticks(turns, [str(t) for t in turns])
     axis.minorticks_off()

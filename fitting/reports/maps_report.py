@@ -38,11 +38,16 @@ def map_panels(found: xr.Dataset) -> list[Panel]:
     two = [("forward", "forward"), ("backward", "backward")]
     shown = [
         ("angular_transmission_error", "Angular transmission error", "arcsec", ARCSEC, two),
-        ("angular_transmission_error_without_rig", "Angular transmission error without the rig's orders", "arcsec",
-         ARCSEC, two),
+        (
+            "angular_transmission_error_without_rig",
+            "Angular transmission error without the rig's orders",
+            "arcsec",
+            ARCSEC,
+            two,
+        ),
         ("gap", "Gap between directions", "arcsec", ARCSEC, [("", "")]),
         ("torsional_stiffness", "Torsional stiffness", "N·m/arcmin", 1.0 / ARCMIN, two),
-    ]  # fmt: skip
+    ]
     panels = []
     for name, title, unit, factor, ways in shown:
         for way, said in ways:
@@ -83,9 +88,10 @@ def _bars(found: xr.Dataset) -> Panel:
     texts = tuple(f"{value:.3g}" for value in lengths)
     traces.append(Trace("", beside, -np.arange(float(lengths.size)), "words", -1, texts))
     stated = (
-        ("torque", float(found.torque[0]), "N·m"), ("speed", float(found.speed[0]) * _RPM, "rpm"),
+        ("torque", float(found.torque[0]), "N·m"),
+        ("speed", float(found.speed[0]) * _RPM, "rpm"),
         ("temperature", float(found.temperature[0]) - 273.15, "°C"),
-    )  # fmt: skip
+    )
     condition = ", ".join(f"{name} {value:.4g} {unit}" for name, value, unit in stated if np.isfinite(value))
     caption = "Largest minus smallest transmission error, and amplitudes of orders of the output turn."
     names = tuple(name for name, *_ in bars)
@@ -96,14 +102,13 @@ def _panel(title: str, unit: str, found: xr.Dataset, values: xr.DataArray) -> li
     """Return a panel with one map per temperature; lines over the only axis with several values; [] if empty."""
     if not np.isfinite(values).any():
         return []
-    names = tuple(
-        "" if not np.isfinite(t) else f"{t - 273.15:.4g} °C" for t in found.temperature.values
-    )  # fmt: skip
+    names = tuple("" if not np.isfinite(t) else f"{t - 273.15:.4g} °C" for t in found.temperature.values)
     labels = {"torque": "torque [N·m]", "speed": "speed [rpm]", "temperature": "temperature [°C]"}
     axes = {
-        "torque": found.torque.values, "speed": found.speed.values * _RPM,
+        "torque": found.torque.values,
+        "speed": found.speed.values * _RPM,
         "temperature": found.temperature.values - 273.15,
-    }  # fmt: skip
+    }
     several = [name for name in ("torque", "speed") if axes[name].size > 1]
     if len(several) < 2:
         across = several[0] if several else "temperature"
@@ -121,11 +126,13 @@ def _panel(title: str, unit: str, found: xr.Dataset, values: xr.DataArray) -> li
         return [Panel(title, labels[across], f"[{unit}]", tuple(traces), caption, from_zero=True)]
     maps = tuple(
         HeatMap(
-            name, found.torque.values, found.speed.values * _RPM,
+            name,
+            found.torque.values,
+            found.speed.values * _RPM,
             values.isel(temperature=i).transpose("speed", "torque").values,
         )
         for i, name in enumerate(names)
-    )  # fmt: skip
+    )
     return [Panel(f"{title} [{unit}]", labels["torque"], labels["speed"], (), "", heat=maps)]
 
 
@@ -138,8 +145,14 @@ def write_maps_report(found: xr.Dataset, path: str | os.PathLike[str]) -> None:
     }
     axis = f"{signs[found.attrs['torque_is']]} Forward: the crank angle increases. The gap is forward minus backward."
     text = html_page(
-        "Maps of a drive", f"ratio {found.attrs['ratio']:g}, {made_now()}", _ABOVE, map_panels(found), _BELOW,
-        curves=found.attrs["curves"], axis=axis, notes=[n for n in found.attrs["notes"].split("\n") if n],
-    )  # fmt: skip
+        "Maps of a drive",
+        f"ratio {found.attrs['ratio']:g}, {made_now()}",
+        _ABOVE,
+        map_panels(found),
+        _BELOW,
+        curves=found.attrs["curves"],
+        axis=axis,
+        notes=[n for n in found.attrs["notes"].split("\n") if n],
+    )
     with edge.written_whole(target) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -108,8 +108,11 @@ def _packed(values: Any) -> dict[str, str]:
 
 
 _PLOTLY_LINES: dict[str, dict[str, Any]] = {
-    "line": {"width": 1.5}, "thin": {"width": 1.0}, "dashed": {"width": 1.2, "dash": "dash"}, "thick": {"width": 3.5},
-}  # fmt: skip
+    "line": {"width": 1.5},
+    "thin": {"width": 1.0},
+    "dashed": {"width": 1.2, "dash": "dash"},
+    "thick": {"width": 3.5},
+}
 
 
 def _colour(trace: Trace) -> str:
@@ -126,14 +129,25 @@ def _heat(panel: Panel) -> dict[str, Any]:
         key = "" if number == 0 else str(number + 1)
         x, y = ([f"{v:.4g}" if np.isfinite(v) else "" for v in axis] for axis in (one.x, one.y))
         z = [[None if np.isnan(v) else float(f"{v:.6g}") for v in row] for row in one.z]
-        data.append({"type": "heatmap", "x": x, "y": y, "z": z, "name": one.name, "coloraxis": "coloraxis",
-                     "xaxis": f"x{key}", "yaxis": f"y{key}"})  # fmt: skip
+        data.append(
+            {
+                "type": "heatmap",
+                "x": x,
+                "y": y,
+                "z": z,
+                "name": one.name,
+                "coloraxis": "coloraxis",
+                "xaxis": f"x{key}",
+                "yaxis": f"y{key}",
+            }
+        )
         begin = number * room
         domain = [begin, begin + room * (0.92 if len(panel.heat) > 1 else 1.0)]
         layout[f"xaxis{key}"] = {"type": "category", "domain": domain, "anchor": f"y{key}", "tickfont": {"size": 10}}
         layout[f"yaxis{key}"] = {"type": "category", "anchor": f"x{key}", "showticklabels": number == 0}
-        notes.append({"text": one.name, "x": sum(domain) / 2, "y": 1.06, "xref": "paper", "yref": "paper",
-                      "showarrow": False})  # fmt: skip
+        notes.append(
+            {"text": one.name, "x": sum(domain) / 2, "y": 1.06, "xref": "paper", "yref": "paper", "showarrow": False}
+        )
     layout["xaxis"]["title"], layout["yaxis"]["title"] = {"text": panel.x_label}, {"text": panel.y_label}
     return {"data": data, "layout": {**layout, "annotations": notes}}
 
@@ -144,14 +158,23 @@ def _plotly(panel: Panel) -> dict[str, Any]:
     data = []
     for t in panel.traces:
         one: dict[str, Any] = {
-            "type": "scatter", "x": _packed(t.x), "y": _packed(t.y), "name": t.label, "showlegend": bool(t.label),
+            "type": "scatter",
+            "x": _packed(t.x),
+            "y": _packed(t.y),
+            "name": t.label,
+            "showlegend": bool(t.label),
             "mode": "lines",
-        }  # fmt: skip
+        }
         if t.colour >= 0:
             one["legendgroup"] = str(t.colour)  # a click on the name hides lines and points of one colour
         if t.style == "points":
-            named = {"mode": "markers+text", "text": list(t.texts), "textposition": "top center",
-                     "textfont": {"size": 11}, "cliponaxis": False}  # fmt: skip
+            named = {
+                "mode": "markers+text",
+                "text": list(t.texts),
+                "textposition": "top center",
+                "textfont": {"size": 11},
+                "cliponaxis": False,
+            }
             one |= {"mode": "markers", "marker": {"color": "#222" if t.texts else GREY, "size": 5 if t.texts else 2}}
             one |= named if t.texts and not panel.log_x else {}
         elif t.style == "dots":
@@ -169,12 +192,15 @@ def _plotly(panel: Panel) -> dict[str, Any]:
         data.append(one)
     axis = {"gridcolor": "#e5e5e5", "zeroline": False, "ticks": "outside", "automargin": True}
     layout: dict[str, Any] = {
-        "margin": {"l": 60, "r": 20, "t": 30, "b": 45}, "paper_bgcolor": "white", "plot_bgcolor": "white",
+        "margin": {"l": 60, "r": 20, "t": 30, "b": 45},
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "white",
         "xaxis": {**axis, "title": {"text": panel.x_label}},
         "yaxis": {**axis, "title": {"text": panel.y_label}, "type": "log" if panel.log_y else "linear"},
-        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "modebar": {"orientation": "v"},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"},
+        "modebar": {"orientation": "v"},
         "hovermode": "closest",
-    }  # fmt: skip
+    }
     if panel.from_zero:
         layout["yaxis"]["rangemode"] = "tozero"
     if panel.y_names:
@@ -199,8 +225,19 @@ def _name_above(panel: Panel, layout: dict[str, Any]) -> None:
     layout["xaxis"] |= {"type": "log", "range": [low, high]}
     layout["yaxis"] |= {"range": [lowest, top]}
     layout["annotations"] = [
-        {"text": text, "x": math.log10(x), "y": math.log10(y), "ax": low + place * (high - low),
-         "ay": highest + 0.3 * (highest - lowest), "axref": "x", "ayref": "y", "textangle": -90, "font": {"size": 11},
-         "arrowhead": 0, "arrowwidth": 0.6, "arrowcolor": GREY}
+        {
+            "text": text,
+            "x": math.log10(x),
+            "y": math.log10(y),
+            "ax": low + place * (high - low),
+            "ay": highest + 0.3 * (highest - lowest),
+            "axref": "x",
+            "ayref": "y",
+            "textangle": -90,
+            "font": {"size": 11},
+            "arrowhead": 0,
+            "arrowwidth": 0.6,
+            "arrowcolor": GREY,
+        }
         for x, y, place, text in names_above(panel)
-    ]  # fmt: skip
+    ]

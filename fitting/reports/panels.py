@@ -169,10 +169,13 @@ def _curves_panel(curves: list[Curve]) -> Panel:
         turn = np.degrees(curve.input_angle / abs(curve.ratio))
         traces.append(Trace(label_of(curve), turn, error, "thin", number))
     return Panel(
-        "Transmission error over one output turn", "output turn [°]", "transmission error [arcsec]", tuple(traces),
+        "Transmission error over one output turn",
+        "output turn [°]",
+        "transmission error [arcsec]",
+        tuple(traces),
         "Mean of all turns at each angle, one curve per load and direction; the mean of each curve is subtracted. "
         "Curves that agree cover each other; on an HTML page, click a curve's name to hide it.",
-    )  # fmt: skip
+    )
 
 
 def spectra_panel(
@@ -211,13 +214,17 @@ def spectra_panel(
     traces.append(Trace("", leading.astype(float), largest[leading], "points", -1, names))
     traces += _broken_orders(orders)
     return Panel(
-        title, "order of the output turn", "amplitude [arcsec]", tuple(traces),
+        title,
+        "order of the output turn",
+        "amplitude [arcsec]",
+        tuple(traces),
         "Pin: errors of pins and ring; tooth: errors of the gear's teeth; mesh: both; rig: coaxiality and couplings "
         "(large errors of pins and teeth also beat at order 1). Orders above the noise have a line, others are grey "
         "points. Dashed: noise floor. The 95 % interval of an amplitude is ± 1.4 times the dashed line. Orders that "
         "are no whole number, which averaging over turns removes, are points with their intervals.",
-        log_y=True, log_x=True,
-    )  # fmt: skip
+        log_y=True,
+        log_x=True,
+    )
 
 
 def _broken_orders(runs: Sequence[RunOrders]) -> list[Trace]:
@@ -251,9 +258,11 @@ def _well_spaced(amplitude: Array) -> list[int]:
 
 
 _MARKS = {
-    "hysteresis_loss": "hysteresis loss", "backlash": "backlash", "lost_motion": "lost motion",
+    "hysteresis_loss": "hysteresis loss",
+    "backlash": "backlash",
+    "lost_motion": "lost motion",
     "torsional_stiffness": "torsional stiffness",
-}  # fmt: skip
+}
 
 
 def _loop_panels(loop: LoopData) -> list[Panel]:
@@ -330,11 +339,17 @@ def _stiffness_panel(found: Figures) -> list[Panel]:
             assert one.interval is not None
             at = sign * np.array(one.interval)
             traces.append(Trace(label, at, np.full(2, one.value / ARCMIN), "thick", number))
-            traces += [Trace("", at, np.full(2, end / ARCMIN), "dashed", number)
-                       for end in (one.value - one.uncertainty, one.value + one.uncertainty)]  # fmt: skip
+            traces += [
+                Trace("", at, np.full(2, end / ARCMIN), "dashed", number)
+                for end in (one.value - one.uncertainty, one.value + one.uncertainty)
+            ]
             label = ""
-    middles = [(sign * 0.5 * sum(one.interval or ()), one.parts[side].value / ARCMIN, name)
-               for name, one in figure.segments.items() for side, sign in SIDES if side in one.parts]  # fmt: skip
+    middles = [
+        (sign * 0.5 * sum(one.interval or ()), one.parts[side].value / ARCMIN, name)
+        for name, one in figure.segments.items()
+        for side, sign in SIDES
+        if side in one.parts
+    ]
     x, y, names = zip(*middles, strict=True)
     traces.append(Trace("", np.array(x), np.array(y), "points", -1, names))
     caption = "Slope of the loading branches in each torque range, mean of the loops; dashed: 95 % interval."
@@ -364,8 +379,9 @@ def _start_panels(found: Figures) -> list[Panel]:
             quantity = name.replace("_", " ")
             caption = f"The {quantity} is the mean of the marked values, the largest before the crank has turned 1°."
             axes = (
-                "time since standstill [s]" if timed else "samples since standstill", f"torque on the {shaft} [N·m]"
-            )  # fmt: skip
+                "time since standstill [s]" if timed else "samples since standstill",
+                f"torque on the {shaft} [N·m]",
+            )
             panels.append(Panel(f"Starts driven by the {shaft}", *axes, tuple(traces), caption))
     return panels
 

@@ -77,11 +77,15 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
         (Figures, lambda found: plot_panels(panels_of(found))),
         (FrictionFit, lambda found: plot_panels(friction_panels(found))),
         (Comparison, lambda found: plot_changes(found.changes)),
-        (Identification, plot_identification), (Realised, plot_ring),
+        (Identification, plot_identification),
+        (Realised, plot_ring),
         (Inspection, lambda found: plot_channels(found.looks, found.roles)),
-        (Curve, plot_curves), (Plan, plot_plans), (Forecast, plot_forecast), (Recalibration, plot_recalibration),
+        (Curve, plot_curves),
+        (Plan, plot_plans),
+        (Forecast, plot_forecast),
+        (Recalibration, plot_recalibration),
         (PlannedVisit, plot_visits),
-    ]  # fmt: skip
+    ]
     one = result[0] if isinstance(result, list | tuple) and result else result
     draw = next((draw for kind, draw in pictures if isinstance(one, kind)), None)
     if getattr(one, "attrs", {}).get("format") == MAPS:
@@ -140,9 +144,16 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     if panel.log_x:
         for x, y, place, text in names_above(panel):
             axis.annotate(
-                text, (x, y), (place, 0.99), textcoords="axes fraction", rotation=90, fontsize=7, ha="center", va="top",
+                text,
+                (x, y),
+                (place, 0.99),
+                textcoords="axes fraction",
+                rotation=90,
+                fontsize=7,
+                ha="center",
+                va="top",
                 arrowprops={"arrowstyle": "-", "lw": 0.4, "color": "0.5", "shrinkA": 1.0, "shrinkB": 1.0},
-            )  # fmt: skip
+            )
 
 
 def plot_panels(panels: Sequence[Panel]) -> Figure:

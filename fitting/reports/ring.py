@@ -61,8 +61,11 @@ def ring_panel(ring: Realised) -> Panel:
         title = _TITLES[kind] + (f", disc {disc}" if disc else "")
         traces.append(Trace("", np.array([middle]), np.array([-1.0 - 1.9 * _DEPTH]), "words", 0, (title,)))
     return Panel(
-        f"Every pin and tooth: grey circles are {step:g} µm apart", "", "", tuple(traces),
+        f"Every pin and tooth: grey circles are {step:g} µm apart",
+        "",
+        "",
+        tuple(traces),
         "Positive values are drawn outwards from the dashed circle. Positive is radially outwards, or for tangential "
         "positions and teeth counter-clockwise. The part removed from the values is stated above the table.",
         round=True,
-    )  # fmt: skip
+    )

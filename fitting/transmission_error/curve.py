@@ -117,8 +117,17 @@ class Curve:
 
     def points(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Curve:
         """Return the curve with some of its points, without the grid and the turns before averaging."""
-        each = ("input_angle", "transmission_error", "standard_error", "sample_count", "angle_variance", "torque_each",
-                "speed", "travel", "each_turn")  # fmt: skip
+        each = (
+            "input_angle",
+            "transmission_error",
+            "standard_error",
+            "sample_count",
+            "angle_variance",
+            "torque_each",
+            "speed",
+            "travel",
+            "each_turn",
+        )
         there = {name: values for name in each if (values := getattr(self, name)) is not None}
         return dataclasses.replace(
             self, grid=(0, 0.0), unaveraged=None, **{n: values[..., chosen] for n, values in there.items()}
@@ -146,8 +155,10 @@ def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:
     points = max(c.input_angle.size for c in curves)
 
     def padded(name: str, fill: float) -> Array:
-        rows = [np.pad(getattr(c, name).astype(float), (0, points - c.input_angle.size), constant_values=fill)
-                for c in curves]  # fmt: skip
+        rows = [
+            np.pad(getattr(c, name).astype(float), (0, points - c.input_angle.size), constant_values=fill)
+            for c in curves
+        ]
         return np.array(rows)
 
     grid = ("run", "point")
@@ -165,8 +176,13 @@ def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:
         },
         {"input_angle": (grid, padded("input_angle", np.nan))},
     )
-    for name, unit in (("transmission_error", "rad"), ("standard_error", "rad"), ("input_angle", "rad"),
-                       ("torque", "N*m"), ("torque_deviation", "N*m")):  # fmt: skip
+    for name, unit in (
+        ("transmission_error", "rad"),
+        ("standard_error", "rad"),
+        ("input_angle", "rad"),
+        ("torque", "N*m"),
+        ("torque_deviation", "N*m"),
+    ):
         data[name].attrs["units"] = unit
     data.attrs.update(format=FORMAT, ratio=curves[0].ratio)
     return data

@@ -164,8 +164,12 @@ class _Fold:
         x = middle - self._origin
         xx, xy = (count * x + 2.0 * places) * x + squares, x * errors
         self._line += (
-            angle.size, (count * x + places).sum(), errors.sum(), xx.sum(), xy.sum() + (inside * error).sum()
-        )  # fmt: skip
+            angle.size,
+            (count * x + places).sum(),
+            errors.sum(),
+            xx.sum(),
+            xy.sum() + (inside * error).sum(),
+        )
         self._open.append((point[begins], [count, errors, places, squares, torques, speeds, travels]))
         self._open_points += begins.size
         if last or self._open_points > _FIRST:
@@ -239,9 +243,15 @@ class _Fold:
             self._open_turn = 0
 
     def curve(
-        self, *, common_zero: bool, known_index: bool, source: str, checksum: str, notes: tuple[str, ...],
+        self,
+        *,
+        common_zero: bool,
+        known_index: bool,
+        source: str,
+        checksum: str,
+        notes: tuple[str, ...],
         implausible: int,
-    ) -> Curve:  # fmt: skip
+    ) -> Curve:
         """Return the folded curve."""
         filled = np.flatnonzero(self.repeats)
         n, sums = self.repeats[filled], self._sums[:, filled]
@@ -478,11 +488,15 @@ class Folding:
         total, count = self._warmth
         found = [
             f.curve(
-                common_zero=stream.common_zero, known_index=stream.known_index, source=self.source, checksum=checksum,
-                notes=tuple(notes), implausible=blocks.count,
+                common_zero=stream.common_zero,
+                known_index=stream.known_index,
+                source=self.source,
+                checksum=checksum,
+                notes=tuple(notes),
+                implausible=blocks.count,
             )
             for f in kept
-        ]  # fmt: skip
+        ]
         warm = float(total / count) if count else None
         return [dataclasses.replace(one, temperature=warm, running_speed=_speed_of(one, stream)) for one in found]
 

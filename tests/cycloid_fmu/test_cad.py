@@ -25,10 +25,13 @@ from cycloid_fmu.surfaces.surface import nominal_surface
 MODIFIED = parse_pair(PAIR + '[modification]\noffset = "-40 um"\nisometric = "-15 um"\n', "modified.toml")
 CRANKS = EXAMPLES / "drive-39-40-bearings.toml"
 ROLLERS = {
-    "kind": "output_rollers", "count": 6, "circle_radius": "36 mm", "first_angle": "10 deg",
+    "kind": "output_rollers",
+    "count": 6,
+    "circle_radius": "36 mm",
+    "first_angle": "10 deg",
     "turning_arm": {"stiffness": "500 N/um", "raceway_diameter": "30 mm"},
     "output_roller": {"stiffness": "100 N/um", "radius": "4 mm", "clearance": "20 um"},
-}  # fmt: skip
+}
 
 
 def formula(pair, alpha):
@@ -66,9 +69,13 @@ class Arcs:
         self.flat = np.abs(self.bulge) < 1e-9
         read = [
             (*p, 0.0, 0.0, 1.0) if flat else (*(found := bulge_to_arc(p, q, b))[0], *found[1:])
-            for p, q, b, flat in zip(*(np.column_stack([z.real, z.imag]).tolist() for z in (self.start, self.end)),
-                                     self.bulge.tolist(), self.flat, strict=True)
-        ]  # fmt: skip
+            for p, q, b, flat in zip(
+                *(np.column_stack([z.real, z.imag]).tolist() for z in (self.start, self.end)),
+                self.bulge.tolist(),
+                self.flat,
+                strict=True,
+            )
+        ]
         x, y, first, last, self.radius = np.array(read).T
         self.centre, self.angle = x + 1j * y, (last - first) % (2.0 * np.pi)
 
@@ -106,17 +113,23 @@ def analytic_area(pair):
 
 @settings(max_examples=8)
 @given(
-    st.sampled_from([6, 11, 39, 87]), st.floats(0.3, 0.95), st.floats(0.1, 0.9), st.floats(-8.0, -5.0),
-    st.floats(-5e-5, 5e-5), st.floats(-5e-5, 5e-5),
-)  # fmt: skip
+    st.sampled_from([6, 11, 39, 87]),
+    st.floats(0.3, 0.95),
+    st.floats(0.1, 0.9),
+    st.floats(-8.0, -5.0),
+    st.floats(-5e-5, 5e-5),
+    st.floats(-5e-5, 5e-5),
+)
 @example(39, 0.8125, 0.75, -7.0, -15e-6, -40e-6)
 def test_arcs_stay_within_the_chord_error_of_the_formula(teeth, k, thick, limit, isometric, offset):
     limit = 10.0**limit
     try:
         pair = make_pair(
-            gear_teeth=teeth, pins=teeth + 1, eccentricity=f"{k * 64 / (teeth + 1)} mm",
+            gear_teeth=teeth,
+            pins=teeth + 1,
+            eccentricity=f"{k * 64 / (teeth + 1)} mm",
             pin_radius=f"{thick * 64 * math.sin(math.pi / (teeth + 1))} mm",
-        ).replace(isometric=isometric, offset=offset)  # fmt: skip
+        ).replace(isometric=isometric, offset=offset)
     except edge.InputError:
         assume(False)
     profile = profile_of(pair, nominal_surface(pair), 0, limit)

@@ -84,14 +84,31 @@ def test_a_measured_loop_gives_stiffness_and_friction(tmp_path):
     torque = rated * np.where(share == 0.0, 1e-12 * side, share)
     angle = 0.5 * play * side + (torque - side * loading * friction) / stiffness
     n = torque.size
-    made = Recording(np.arange(n) * 1e-2, np.zeros(n), angle, torque, np.zeros(n, np.uint8), common_zero=True,
-                     known_index=True, ratio=-39.0, source="loop.csv", checksum="0")  # fmt: skip
+    made = Recording(
+        np.arange(n) * 1e-2,
+        np.zeros(n),
+        angle,
+        torque,
+        np.zeros(n, np.uint8),
+        common_zero=True,
+        known_index=True,
+        ratio=-39.0,
+        source="loop.csv",
+        checksum="0",
+    )
     figures_of([survey(made, -39.0, rated)], -39.0, rated).write(tmp_path / "figures.json")
     assert read_loop(tmp_path / "figures.json") == pytest.approx((stiffness, friction), rel=1e-5)
     done = CliRunner().invoke(
-        app, ["build", str(EXAMPLES / "drive-39-40.toml"), "-o", str(tmp_path / "drive.fmu"), "--loop",
-              str(tmp_path / "figures.json")],
-    )  # fmt: skip
+        app,
+        [
+            "build",
+            str(EXAMPLES / "drive-39-40.toml"),
+            "-o",
+            str(tmp_path / "drive.fmu"),
+            "--loop",
+            str(tmp_path / "figures.json"),
+        ],
+    )
     assert done.exit_code == 0, done.output
     start = {v.name: v.start for v in fmpy.read_model_description(str(tmp_path / "drive.fmu")).modelVariables}
     assert float(start["friction_torque"]) == pytest.approx(friction, rel=1e-5)
@@ -101,8 +118,11 @@ def test_a_measured_loop_gives_stiffness_and_friction(tmp_path):
 
 def test_where_friction_grows_with_load_the_figures_without_it_are_taken(tmp_path):
     """The loading branches have 1.4 times the spring's stiffness, and their distance is no friction."""
-    standard = {"torsional_stiffness": {"value": 420.0, "remark": "contains friction that grows with load"},
-                "hysteresis_loss": {"value": 0.04}, "backlash": {"value": 0.015}}  # fmt: skip
+    standard = {
+        "torsional_stiffness": {"value": 420.0, "remark": "contains friction that grows with load"},
+        "hysteresis_loss": {"value": 0.04},
+        "backlash": {"value": 0.015},
+    }
     free = {"torsional_stiffness": {"value": 300.0}, "friction_torque": {"value": 2.5}}
     (tmp_path / "f.json").write_text(json.dumps({"format": "cycloid-figures/1", **standard, "friction_free": free}))
     assert read_loop(tmp_path / "f.json") == (300.0, 2.5)

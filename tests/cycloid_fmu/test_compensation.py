@@ -27,9 +27,13 @@ FRICTION = cy.Friction(coulomb=1.0, load_share=0.02, stribeck=0.5, viscous=0.1, 
 
 def small(**errors):
     pair = cy.Pair(
-        gear_teeth=11, pin_circle_radius="30 mm", pin_radius="2.5 mm", eccentricity="1 mm", face_width="8 mm",
+        gear_teeth=11,
+        pin_circle_radius="30 mm",
+        pin_radius="2.5 mm",
+        eccentricity="1 mm",
+        face_width="8 mm",
         rated_torque=RATED,
-    ).replace(offset="-15 um")  # fmt: skip
+    ).replace(offset="-15 um")
     return cy.Drive(pair).replace(
         errors=errors or {"eccentricity": "4 um", "pin_radial": {1: ("3 um", "40 deg"), 3: ("2 um", "-20 deg")}}
     )
@@ -103,9 +107,10 @@ def test_weights_are_the_mean_over_a_normal_distribution():
 
 
 @given(
-    way=st.lists(st.floats(-1e-4, 1e-4), min_size=1, max_size=40), load=st.floats(-90.0, 90.0),
+    way=st.lists(st.floats(-1e-4, 1e-4), min_size=1, max_size=40),
+    load=st.floats(-90.0, 90.0),
     temperature=st.floats(270.0, 340.0),
-)  # fmt: skip
+)
 @settings(max_examples=60, deadline=None)
 def test_friction_is_that_of_the_fmu(compensator_with_friction, way, load, temperature):
     made, memory = compensator_with_friction, Memory()
@@ -222,9 +227,10 @@ def test_the_band_is_what_an_index_of_this_probability_leaves(drive, compensator
 def test_the_band_of_a_kind_is_the_spread_of_its_drives():
     """Drives that the tolerances allow, none of which the compensator knows."""
     tolerances = cy.Tolerances(
-        eccentricity={"tolerance": "6 um"}, pin_radius={"tolerance": "4 um"},
+        eccentricity={"tolerance": "6 um"},
+        pin_radius={"tolerance": "4 um"},
         pin_pitch={"single": "4 um", "cumulative": "12 um"},
-    )  # fmt: skip
+    )
     nominal = small(eccentricity="0 um")
     made = nominal.compensator(residual="4 arcsec", torque_accuracy=0.2, tolerances=tolerances)
     every = [left_of(made, nominal.sample(tolerances, seed), math.nan, 1.0) for seed in range(1000, 1012)]

@@ -325,9 +325,11 @@ def test_an_inertia_inside_crosses_the_play_and_bounces_without_gaining():
         model.advance(1e-3)
         sides.add(model.torsional_stiffness > 0.0)
         energies.append(
-            0.5 * inertia * model.output_speed**2 + model.elastic_energy - load * model.output_angle
+            0.5 * inertia * model.output_speed**2
+            + model.elastic_energy
+            - load * model.output_angle
             + model.dissipated_energy
-        )  # fmt: skip
+        )
     assert sides == {True, False}
     assert np.ptp(energies) < 1e-6 * load * HALF
     assert model.dissipated_energy > 0.1 * load * HALF

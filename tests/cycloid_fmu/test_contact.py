@@ -29,9 +29,13 @@ STEEL = (1 - 0.3**2) / 206e9
 
 
 @given(
-    force=st.floats(1e-3, 2e4), curvature=st.floats(-330.0, 500.0), radius=st.floats(1e-3, 2e-2),
-    width=st.floats(1e-3, 5e-2), ratio=st.floats(0.3, 3.0), guess=st.sampled_from([0.0, 1.0, 1e4]),
-)  # fmt: skip
+    force=st.floats(1e-3, 2e4),
+    curvature=st.floats(-330.0, 500.0),
+    radius=st.floats(1e-3, 2e-2),
+    width=st.floats(1e-3, 5e-2),
+    ratio=st.floats(0.3, 3.0),
+    guess=st.sampled_from([0.0, 1.0, 1e4]),
+)
 def test_force_and_approach_are_inverse(force, curvature, radius, width, ratio, guess):
     """The papers' δ(F), written out here, and the kernel's F(δ)."""
     if 1 / radius + curvature < 1.0 or abs(curvature) < 1e-3:
@@ -143,18 +147,24 @@ def test_forces_balance_the_torque_and_the_crank_gets_the_power(case, output):
 
 @settings(max_examples=25, deadline=None)
 @given(
-    seed=st.integers(0, 10**6), size=st.floats(0.0, 5e-6), clearance=st.floats(2e-5, 1e-4),
-    torque=st.floats(1.0, 500.0), sign=st.sampled_from([-1.0, 1.0]), teeth=st.integers(6, 120),
-)  # fmt: skip
+    seed=st.integers(0, 10**6),
+    size=st.floats(0.0, 5e-6),
+    clearance=st.floats(2e-5, 1e-4),
+    torque=st.floats(1.0, 500.0),
+    sign=st.sampled_from([-1.0, 1.0]),
+    teeth=st.integers(6, 120),
+)
 def test_any_pair_balances_from_any_start(seed, size, clearance, torque, sign, teeth):
     """Warm or cold, forwards or backwards through the crank angles: the same equilibrium.
 
     Only where pins clear the roots: a pin forced into a root between two displaced teeth has several solutions.
     """
     pair = make_pair(
-        gear_teeth=teeth, pins=teeth + 1, eccentricity=f"{0.7 * 64 / (teeth + 1):.6f} mm",
+        gear_teeth=teeth,
+        pins=teeth + 1,
+        eccentricity=f"{0.7 * 64 / (teeth + 1):.6f} mm",
         pin_radius=f"{0.4 * 64 / (teeth + 1):.6f} mm",
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(seed)
     surface = dataclasses.replace(
         nominal_surface(pair),
@@ -180,30 +190,43 @@ def test_any_pair_balances_from_any_start(seed, size, clearance, torque, sign, t
 
 @settings(max_examples=60, deadline=None, derandomize=True)  # one draw in some 200 is as the two drives below
 @given(
-    seed=st.integers(0, 10**6), teeth=st.integers(6, 120), k=st.floats(0.3, 0.92), size=st.floats(1e-6, 1e-4),
-    step=st.floats(1e-3, 0.3), sign=st.sampled_from([-1.0, 1.0]), output=st.sampled_from(["gear", "ring"]),
-)  # fmt: skip
+    seed=st.integers(0, 10**6),
+    teeth=st.integers(6, 120),
+    k=st.floats(0.3, 0.92),
+    size=st.floats(1e-6, 1e-4),
+    step=st.floats(1e-3, 0.3),
+    sign=st.sampled_from([-1.0, 1.0]),
+    output=st.sampled_from(["gear", "ring"]),
+)
 def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, output):
     """From crank angle to crank angle: every pin that was not solved again has a gap above the bound, solved afresh."""
     _assert_left_pins_clear(seed, teeth, k, size, step, sign, output)
 
 
-@pytest.mark.xfail(strict=True, reason="with errors of 60 µm and more a pin may overlap the edge of two teeth; which "
-                                       "of them it is solved on then depends on the start")  # fmt: skip
+@pytest.mark.xfail(
+    strict=True,
+    reason="with errors of 60 µm and more a pin may overlap the edge of two teeth; which "
+    "of them it is solved on then depends on the start",
+)
 @pytest.mark.parametrize(
     "drawn",
-    [(24126, 29, 0.90625, 6.0321692817514744e-05, 0.15625, -1.0, "gear"),
-     (0, 106, 0.875, 8.367794352741115e-05, 0.25, -1.0, "ring")],
-)  # fmt: skip
+    [
+        (24126, 29, 0.90625, 6.0321692817514744e-05, 0.15625, -1.0, "gear"),
+        (0, 106, 0.875, 8.367794352741115e-05, 0.25, -1.0, "ring"),
+    ],
+)
 def test_a_pin_that_overlaps_the_edge_of_two_teeth_has_one_gap(drawn):
     _assert_left_pins_clear(*drawn)
 
 
 def _assert_left_pins_clear(seed, teeth, k, size, step, sign, output):
     pair = make_pair(
-        gear_teeth=teeth, pins=teeth + 1, eccentricity=f"{k * 64 / (teeth + 1):.6f} mm", output=output,
+        gear_teeth=teeth,
+        pins=teeth + 1,
+        eccentricity=f"{k * 64 / (teeth + 1):.6f} mm",
+        output=output,
         pin_radius=f"{0.4 * 64 / (teeth + 1):.6f} mm",
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(seed)
     scalars = ("centre_distance_x", "eccentricity", "pin_circle_radius", "pin_radius", "offset", "isometric")
     surface = dataclasses.replace(
@@ -276,9 +299,12 @@ def test_curvature_between_two_elements_is_linear():
     curvature = np.random.default_rng(0).normal(0.0, 1.0, (1, 39, 8, 1))
     flat, round_pins = np.zeros_like(curvature), np.zeros((40, 12, 1))
     surface = dataclasses.replace(
-        nominal_surface(pair), gear_deviation=flat, gear_curvature=curvature, pin_deviation=round_pins,
+        nominal_surface(pair),
+        gear_deviation=flat,
+        gear_curvature=curvature,
+        pin_deviation=round_pins,
         pin_curvature=round_pins,
-    )  # fmt: skip
+    )
     deviations = drive_of(pair, surface).deviations
     for i in range(1, 8):
         alpha = 0.3 * deviations.flank_alpha[i] + 0.7 * deviations.flank_alpha[i + 1]
@@ -289,10 +315,13 @@ def test_curvature_between_two_elements_is_linear():
 FLANGES = pytest.mark.parametrize(
     ("case", "output"),
     [
-        ("errors-39-40", "gear"), ("errors-39-40", "ring"), ("two-discs-39-40", "gear"), ("interference-21-22", "ring"),
+        ("errors-39-40", "gear"),
+        ("errors-39-40", "ring"),
+        ("two-discs-39-40", "gear"),
+        ("interference-21-22", "ring"),
         ("pins that are too small", "gear"),
     ],
-)  # fmt: skip
+)
 SMALL_PINS = PAIR + '[errors]\npin_radius = "-8 um"\n'
 
 
@@ -464,10 +493,15 @@ def test_a_form_of_all_teeth_moves_the_deviation_as_its_derivative_says(output):
     angles, step = np.array([0.37, 1.93, 3.1]), 2e-8
     jacobian = error_sensitivity(pair, nominal_surface(pair), 150.0, angles, ["profile_deviation_2"])[1][:, 0]
     low, high = (
-        solve(pair, with_structured(pair, nominal_surface(pair), {"profile_deviation_2": d}), 150.0, angles,
-              with_play=False).transmission_error[0]
+        solve(
+            pair,
+            with_structured(pair, nominal_surface(pair), {"profile_deviation_2": d}),
+            150.0,
+            angles,
+            with_play=False,
+        ).transmission_error[0]
         for d in (-step, step)
-    )  # fmt: skip
+    )
     assert jacobian == pytest.approx((high - low) / (2.0 * step), rel=2e-3)
 
 

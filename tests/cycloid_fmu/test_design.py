@@ -57,9 +57,12 @@ def test_the_least_play_for_an_isometric_modification_is_that_of_the_closed_form
 
 
 SMALL_PAIR = {
-    "gear_teeth": 15, "pin_circle_radius": "25.5 mm", "pin_radius": "2.5 mm", "eccentricity": "0.9 mm",
+    "gear_teeth": 15,
+    "pin_circle_radius": "25.5 mm",
+    "pin_radius": "2.5 mm",
+    "eccentricity": "0.9 mm",
     "face_width": "4.5 mm",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("goal", ["max_contact_pressure", "angular_transmission_error"])
@@ -183,8 +186,17 @@ def test_the_command_writes_drives_that_are_ready(tmp_path):
     )
     (tmp_path / "drive.toml").write_text((EXAMPLES / "drive-39-40.toml").read_text())
     (tmp_path / "design.toml").write_text(text.format("0.1 um"))
-    command = ["design", str(tmp_path / "design.toml"), "--starts", "0", "-o", str(tmp_path / "found"), "--json",
-               "--plot", str(tmp_path / "found.png")]  # fmt: skip
+    command = [
+        "design",
+        str(tmp_path / "design.toml"),
+        "--starts",
+        "0",
+        "-o",
+        str(tmp_path / "found"),
+        "--json",
+        "--plot",
+        str(tmp_path / "found.png"),
+    ]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     (numbers,) = json.loads(done.stdout)

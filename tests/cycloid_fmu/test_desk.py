@@ -197,12 +197,17 @@ def test_who_may_ask(server):
 @pytest.mark.parametrize(
     ("head", "body", "status"),
     [
-        ("Content-Length: 65537", b"", 413), ("Content-Length: " + "9" * 400, b"", 413), ("X: y", b"", 411),
-        ("Content-Length: -1", b"", 411), ("Content-Length: 2", b"{}", 400), ("Content-Length: 4", b"\xff\xfe[]", 400),
-        ("Content-Length: 16", b'{"values": "12"}', 400), ("Content-Length: 20", b'{"values": {"a": 1}}', 400),
+        ("Content-Length: 65537", b"", 413),
+        ("Content-Length: " + "9" * 400, b"", 413),
+        ("X: y", b"", 411),
+        ("Content-Length: -1", b"", 411),
+        ("Content-Length: 2", b"{}", 400),
+        ("Content-Length: 4", b"\xff\xfe[]", 400),
+        ("Content-Length: 16", b'{"values": "12"}', 400),
+        ("Content-Length: 20", b'{"values": {"a": 1}}', 400),
         ("Content-Length: 60000", b"[" * 60000, 400),
     ],
-)  # fmt: skip
+)
 def test_a_body_that_is_too_large_or_odd_is_refused(server, capfd, head, body, status):
     request = f"POST /look?token={server.token} HTTP/1.1\r\nHost: localhost\r\n{head}\r\n\r\n".encode() + body
     with socket.create_connection(server.server_address, timeout=5) as client:

@@ -41,9 +41,11 @@ def of_draw(built, tmp_path_factory):
 
     def one(number, **errors):
         fmu = fmpy.fmi2.FMU2Slave(
-            guid=description.guid, unzipDirectory=folder, instanceName="drive",
+            guid=description.guid,
+            unzipDirectory=folder,
+            instanceName="drive",
             modelIdentifier=description.coSimulation.modelIdentifier,
-        )  # fmt: skip
+        )
         fmu.instantiate()
         fmu.setupExperiment()
         fmu.setInteger([references["draw"]], [number])
@@ -155,8 +157,17 @@ def test_without_a_covariance_and_beyond_the_most_it_is_refused(command, tmp_pat
 def test_the_command_draws_as_python_does(command, identified, tmp_path):
     identified.write(tmp_path / "identified.nc")
     identified.build_fmu(tmp_path / "python.fmu", draws=150)
-    run = command("cycloid-fmu", "build", EXAMPLES / "drive-39-40.toml", "--surface", "identified.nc", "--draws", "150",
-                  "-o", "drive.fmu")  # fmt: skip
+    run = command(
+        "cycloid-fmu",
+        "build",
+        EXAMPLES / "drive-39-40.toml",
+        "--surface",
+        "identified.nc",
+        "--draws",
+        "150",
+        "-o",
+        "drive.fmu",
+    )
     assert run.returncode == 0, run.stderr
     found = []
     for number, path in enumerate((tmp_path / "drive.fmu", tmp_path / "python.fmu")):

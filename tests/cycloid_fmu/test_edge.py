@@ -31,9 +31,30 @@ def test_the_usual_units_are_what_pint_makes_of_them():
 
 @pytest.mark.parametrize(
     "text",
-    ["1,5 mm", "0.3", "nan mm", "inf mm", "2*3 mm", "3 mm 4", "mm", "", "1e400 mm", " 3 mm", "3 kg", "3 2*mm",
-     "0x3 mm", "1_0 mm", "3 Nm", "3 Nmm", 3, 3.0, None, True, ["3 mm"]],
-)  # fmt: skip
+    [
+        "1,5 mm",
+        "0.3",
+        "nan mm",
+        "inf mm",
+        "2*3 mm",
+        "3 mm 4",
+        "mm",
+        "",
+        "1e400 mm",
+        " 3 mm",
+        "3 kg",
+        "3 2*mm",
+        "0x3 mm",
+        "1_0 mm",
+        "3 Nm",
+        "3 Nmm",
+        3,
+        3.0,
+        None,
+        True,
+        ["3 mm"],
+    ],
+)
 def test_anything_but_one_number_and_a_unit_is_refused_with_an_example(text):
     with pytest.raises(ValueError, match="such as"):
         edge.parse_quantity(text, "m")

@@ -32,9 +32,7 @@ TILTED = parse_pair(
 def flanks(surface, profile, width, heights):
     """A surface with the given heights on every tooth, shape (profile, width)."""
     discs, teeth = surface.tooth_cumulative_pitch.shape
-    return dataclasses.replace(
-        surface, gear_deviation=np.broadcast_to(heights, (discs, teeth, profile, width)).copy()
-    )  # fmt: skip
+    return dataclasses.replace(surface, gear_deviation=np.broadcast_to(heights, (discs, teeth, profile, width)).copy())
 
 
 @pytest.mark.parametrize("case", ["errors-39-40", "two-discs-39-40", "nearly-conformal-13-14"])
@@ -165,9 +163,10 @@ def test_the_number_of_workers_changes_no_bit():
 def test_a_surface_goes_through_its_file_bit_for_bit(tmp_path):
     rng = np.random.default_rng(0)
     surface = dataclasses.replace(
-        surface_of_pair(ERRORS), gear_deviation=rng.normal(0, 1e-6, (1, 39, 60, 4)),
+        surface_of_pair(ERRORS),
+        gear_deviation=rng.normal(0, 1e-6, (1, 39, 60, 4)),
         pin_deviation=rng.normal(0, 1e-6, (40, 50, 4)),
-    )  # fmt: skip
+    )
     write_surface(surface, tmp_path / "s.nc")
     again = read_surface(tmp_path / "s.nc")
     first, second = (solve(ERRORS, s, -120.0, ANGLES, 4).transmission_error for s in (surface, again))

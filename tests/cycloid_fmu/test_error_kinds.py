@@ -97,9 +97,12 @@ def test_it_is_a_tunable_parameter_of_the_fmu(new_kind, tmp_path):
     (variable,) = (v for v in description.modelVariables if v.name == new_kind)
     assert (variable.causality, variable.variability, variable.unit) == ("parameter", "tunable", "m")
     result = fmpy.simulate_fmu(
-        str(tmp_path / "d.fmu"), stop_time=0.01, step_size=0.01, output=["transmission_error"],
+        str(tmp_path / "d.fmu"),
+        stop_time=0.01,
+        step_size=0.01,
+        output=["transmission_error"],
         start_values={new_kind: 3e-6, "flange_a.phi": 0.4, "flange_b.tau": 150.0},
-    )  # fmt: skip
+    )
     wanted = solve(pair, ErrorSurface(pair, ring_distortion=3e-6), 150.0, 0.4).transmission_error[0, 0]
     assert result["transmission_error"][-1] == pytest.approx(wanted, abs=1e-12)
     without = solve(pair, ErrorSurface(pair), 150.0, 0.4).transmission_error[0, 0]

@@ -42,9 +42,14 @@ def both(pair, surfaces, torque, slices=1):
     first = (*drives.loaded(0, some), drives.play(1, some)[0])
     exact = [solve(pair, s, torque, ANGLES, slices) for s in surfaces]
     return zip(
-        first, ([e.transmission_error[0] for e in exact], [e.max_contact_pressure[0] for e in exact],
-                [e.backlash for e in exact]), strict=True,
-    )  # fmt: skip
+        first,
+        (
+            [e.transmission_error[0] for e in exact],
+            [e.max_contact_pressure[0] for e in exact],
+            [e.backlash for e in exact],
+        ),
+        strict=True,
+    )
 
 
 @pytest.mark.parametrize("torque", [181.0, -30.0])

@@ -41,9 +41,11 @@ def instance(path, name="one"):
     description = fmpy.read_model_description(str(path), validate=False)
     folder = fmpy.extract(str(path))
     slave = FMU2Slave(
-        guid=description.guid, unzipDirectory=folder, modelIdentifier=description.coSimulation.modelIdentifier,
+        guid=description.guid,
+        unzipDirectory=folder,
+        modelIdentifier=description.coSimulation.modelIdentifier,
         instanceName=name,
-    )  # fmt: skip
+    )
     references = {v.name: v.valueReference for v in description.modelVariables}
     slave.instantiate()
     slave.setupExperiment(startTime=0.0)
@@ -70,11 +72,25 @@ def test_every_variable_is_described_with_its_unit(fmu):
     variables = {v.name: v for v in description.modelVariables}
     for name in ("flange_a.phi", "flange_a.w", "flange_b.tau"):
         assert variables[name].causality == "input"
-    for name in ("flange_b.phi", "flange_b.w", "flange_a.tau", "transmission_error", "backlash", "torsional_stiffness",
-                 "contact_count", "max_contact_pressure"):  # fmt: skip
+    for name in (
+        "flange_b.phi",
+        "flange_b.w",
+        "flange_a.tau",
+        "transmission_error",
+        "backlash",
+        "torsional_stiffness",
+        "contact_count",
+        "max_contact_pressure",
+    ):
         assert variables[name].causality == "output"
-    for name in ("centre_distance_x", "eccentricity", "pin_radial_1_cos", "tooth_cumulative_pitch_3_sin",
-                 "friction_torque", "series_compliance"):  # fmt: skip
+    for name in (
+        "centre_distance_x",
+        "eccentricity",
+        "pin_radial_1_cos",
+        "tooth_cumulative_pitch_3_sin",
+        "friction_torque",
+        "series_compliance",
+    ):
         assert (variables[name].causality, variables[name].variability) == ("parameter", "tunable")
     assert all(v.description for v in description.modelVariables)
     assert [v.name for v in description.modelVariables if v.type == "Real" and not v.unit] == []
@@ -180,8 +196,10 @@ gc.collect()
 """
     run = subprocess.run(
         [sys.executable, "-X", "faulthandler", "-c", code, str(fmu), str(Path(__file__).parent)],
-        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)},
+    )
     assert run.returncode == 0, run.stderr
     assert "refused" in run.stdout
 
@@ -195,9 +213,11 @@ def test_why_something_is_refused_is_in_the_log_whether_logging_is_on_or_not(tmp
     def opened():
         new = version == "3.0"
         slave = (FMU3Slave if new else FMU2Slave)(
-            guid=description.guid or description.instantiationToken, unzipDirectory=str(folder),
-            modelIdentifier="CycloidDrive", instanceName="one",
-        )  # fmt: skip
+            guid=description.guid or description.instantiationToken,
+            unzipDirectory=str(folder),
+            modelIdentifier="CycloidDrive",
+            instanceName="one",
+        )
         logger = fmi2.fmi2CallbackLoggerTYPE(listen)
         kept.append(logger)
         callbacks = fmi2.fmi2CallbackFunctions(

@@ -57,9 +57,11 @@ def loaded(path, name="one", logger=None, folder=None):
     description = fmpy.read_model_description(str(path), validate=False)
     new = description.fmiVersion.startswith("3")
     slave = (FMU3Slave if new else FMU2Slave)(
-        guid=description.guid, unzipDirectory=fmpy.extract(str(path), unzipdir=folder), instanceName=name,
+        guid=description.guid,
+        unzipDirectory=fmpy.extract(str(path), unzipdir=folder),
+        instanceName=name,
         modelIdentifier=description.coSimulation.modelIdentifier,
-    )  # fmt: skip
+    )
     if new and logger is not None:
         slave.instantiate(logMessage=logger, loggingOn=True)
     else:
@@ -145,8 +147,10 @@ def test_what_lies_inside(fmus):
 def test_both_versions_run_the_same_model(fmus):
     time = np.arange(0.0, 0.05, 1e-3)
     inputs = {
-        "flange_a.phi": 20.0 * time, "flange_a.w": np.full(time.size, 20.0), "flange_b.tau": 80.0 * np.cos(60.0 * time),
-    }  # fmt: skip
+        "flange_a.phi": 20.0 * time,
+        "flange_a.w": np.full(time.size, 20.0),
+        "flange_b.tau": 80.0 * np.cos(60.0 * time),
+    }
     outputs = ("flange_b.phi", "flange_a.tau", "backlash", "power_loss", "max_contact_pressure")
     old, new = (simulate(fmus("kinematic", v), inputs, outputs, time) for v in ("2.0", "3.0"))
     for name in outputs:
@@ -211,8 +215,12 @@ def test_a_refused_value_or_step_is_an_error_status_with_a_message_and_nothing_b
     slave.exitInitializationMode()
     slave.doStep(0.0, 1e-3)
     before = get([v["flange_b.phi"], v["flange_a.tau"], v["elastic_energy"]])
-    for name, value in (("flange_b.tau", float("nan")), ("flange_a.phi", float("inf")), ("friction_torque", -1.0),
-                        ("pin_radius", 0.5)):  # fmt: skip
+    for name, value in (
+        ("flange_b.tau", float("nan")),
+        ("flange_a.phi", float("inf")),
+        ("friction_torque", -1.0),
+        ("pin_radius", 0.5),
+    ):
         put([v[name]], [value])
         with pytest.raises(FMICallException) as refused:
             slave.doStep(1e-3, 1e-3)
@@ -274,8 +282,9 @@ with open_fmu(sys.argv[1]) as fmu:
     )
     run = subprocess.run(
         [sys.executable, "-c", code, str(fmus("inertia", "3.0")), str(tmp_path / "state")],
-        capture_output=True, text=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+    )
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout) == first
 
@@ -430,9 +439,13 @@ def test_the_library_itself_tells_a_pair_a_drive_and_a_reducer_apart(tmp_path):
 
 @pytest.mark.parametrize(
     ("interface", "argument"),
-    [("stiff", "interface"), (Interface("kinematic", 1.0), "output_inertia"), (Interface("compliant", -1.0), "output_"),
-     (Interface(losses=((1.0, 1.0, 1.0, 0.0, 0.0),)), r"loss_table\[1,1\]")],
-)  # fmt: skip
+    [
+        ("stiff", "interface"),
+        (Interface("kinematic", 1.0), "output_inertia"),
+        (Interface("compliant", -1.0), "output_"),
+        (Interface(losses=((1.0, 1.0, 1.0, 0.0, 0.0),)), r"loss_table\[1,1\]"),
+    ],
+)
 def test_errors_name_the_argument_and_leave_no_file(tmp_path, interface, argument):
     with pytest.raises(cy.InputError, match=f"^{argument}"):
         cy.Drive(ERRORS).build_fmu(tmp_path / "d.fmu", interface)

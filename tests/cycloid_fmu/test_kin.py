@@ -24,16 +24,21 @@ def a_pair(generator, teeth, size=1.0, shortening=None, **more):
     tooth = min(1.0, 40.0 / pins)
     um = 1e-6 * tooth * size
     return Pair(
-        gear_teeth=teeth, pin_circle_radius=RADIUS * size, pin_radius=generator.uniform(0.3, 0.9) * largest * size,
-        eccentricity=eccentricity * size, face_width=0.01 * size,
+        gear_teeth=teeth,
+        pin_circle_radius=RADIUS * size,
+        pin_radius=generator.uniform(0.3, 0.9) * largest * size,
+        eccentricity=eccentricity * size,
+        face_width=0.01 * size,
         modification={"isometric": generator.uniform(-10.0, 10.0) * um, "offset": generator.uniform(-50.0, -20.0) * um},
         errors={
             "pin_radial": (2.0 * um * generator.normal(size=pins)).tolist(),
             "pin_tangential": (2.0 * um * generator.normal(size=pins)).tolist(),
             "tooth_cumulative_pitch": (2.0 * um * generator.normal(size=teeth)).tolist(),
-            "centre_distance_x": 2.0 * um, "eccentricity": um,
-        }, **more,
-    )  # fmt: skip
+            "centre_distance_x": 2.0 * um,
+            "eccentricity": um,
+        },
+        **more,
+    )
 
 
 def as_tables(pair):
@@ -77,11 +82,14 @@ def test_any_teeth_and_size_against_the_second_solver(teeth, size, record_proper
 def held(kind, size):
     """Bearings whose stiffness goes with the size, and forces then with its square: springs and rollers."""
     supports = {
-        "kind": kind, "count": 3, "circle_radius": 0.036 * size,
+        "kind": kind,
+        "count": 3,
+        "circle_radius": 0.036 * size,
         "turning_arm": {"stiffness": 4e8 * size, "clearance": 8e-6 * size},
         "crank_shaft": {"rollers": 20, "roller_length": 8e-3 * size, "clearance": 4e-6 * size},
-        "main": {"stiffness": 1.2e9 * size}, "pin_seat": {"stiffness_per_width": 3e10},
-    }  # fmt: skip
+        "main": {"stiffness": 1.2e9 * size},
+        "pin_seat": {"stiffness_per_width": 3e10},
+    }
     if kind == "output_rollers":
         supports["output_roller"] = {"stiffness": 3e8 * size}
     return supports

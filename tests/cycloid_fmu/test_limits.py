@@ -57,9 +57,13 @@ def test_the_worst_angle_load_and_pin_are_those_of_a_plain_search():
     drive = cy.Drive(make_pair(discs=2)).replace({"pin_radial": {1: ("4 um", "40 deg")}}, isometric="5 um")
     data = drive.analyze([120.0, -60.0], angles=30)
     every = asked.Limits(
-        angular_transmission_error=1.0, backlash=1.0, interference=1.0, max_contact_pressure=1.0, static_safety=1.0,
+        angular_transmission_error=1.0,
+        backlash=1.0,
+        interference=1.0,
+        max_contact_pressure=1.0,
+        static_safety=1.0,
         torsional_stiffness=1.0,
-    )  # fmt: skip
+    )
     found = {one.figure: one for one in asked.judge(every, drive.pair, data)}
     assert set(found) == set(every.stated())
     largest, where = -1.0, None
@@ -202,10 +206,11 @@ share = 1.0
 @pytest.mark.parametrize(
     ("allowed", "depth", "status"),
     [
-        pytest.param("3000 MPa", "", 0, marks=pytest.mark.slow(3)), ("500 MPa", 'wear_depth = "1 um"', edge.NOT_MET),
+        pytest.param("3000 MPa", "", 0, marks=pytest.mark.slow(3)),
+        ("500 MPa", 'wear_depth = "1 um"', edge.NOT_MET),
         pytest.param("3000 MPa", 'wear_depth = "1 um"', edge.NOT_MET, marks=pytest.mark.slow(3)),
     ],
-)  # fmt: skip
+)
 def test_the_status_says_whether_limits_are_met_and_everything_is_written(command, tmp_path, allowed, depth, status):
     (tmp_path / "r.toml").write_text(HEAD + REQUIRED.format(allowed, depth))
     words = ("cycloid-fmu", "analyze", EXAMPLES / "drive-39-40.toml", "--limits", "r.toml", "--angles", "20")
@@ -233,9 +238,14 @@ def test_the_status_says_whether_limits_are_met_and_everything_is_written(comman
 def test_one_requirements_file_judges_drives_with_and_without_bearings(command):
     """Without a bearing's capacity its life is listed as not judged, with the reason."""
     shown = command(
-        "cycloid-fmu", "analyze", EXAMPLES / "drive-39-40.toml", "--limits", EXAMPLES / "requirements.toml",
-        "--angles", "20",
-    )  # fmt: skip
+        "cycloid-fmu",
+        "analyze",
+        EXAMPLES / "drive-39-40.toml",
+        "--limits",
+        EXAMPLES / "requirements.toml",
+        "--angles",
+        "20",
+    )
     assert shown.returncode == edge.NOT_MET, shown.stderr
     assert "Not judged by this command, and so not met: bearing life, wear depth." in shown.stdout
     assert "Bearing life needs a bearing of [supports] with its dynamic_capacity." in shown.stdout
@@ -253,7 +263,7 @@ def test_one_requirements_file_judges_drives_with_and_without_bearings(command):
         ),
         (["budget", "rv-20e.toml", "--limits", "rv-20e.toml"], "(cycloid-requirements/1) is needed here"),
     ],
-)  # fmt: skip
+)
 def test_limits_that_a_command_can_t_judge_are_refused_in_a_sentence(command, tmp_path, words, sentence):
     for name in ("drive-39-40", "wear-39-40", "tolerances", "rv-20e", "requirements"):
         (tmp_path / f"{name}.toml").write_text((EXAMPLES / f"{name}.toml").read_text())
@@ -267,16 +277,22 @@ def test_limits_that_a_command_can_t_judge_are_refused_in_a_sentence(command, tm
 
 def test_a_study_s_verdict_is_on_its_worst_drive_at_its_angle_and_pin(tmp_path):
     study = Study(
-        cy.read_drive(EXAMPLES / "drive-39-40.toml").pair, cy.Tolerances(eccentricity={"tolerance": "4 um"}),
-        samples=6, seed=3, torque=(100.0, -100.0), angles=24,
-    )  # fmt: skip
+        cy.read_drive(EXAMPLES / "drive-39-40.toml").pair,
+        cy.Tolerances(eccentricity={"tolerance": "4 um"}),
+        samples=6,
+        seed=3,
+        torque=(100.0, -100.0),
+        angles=24,
+    )
     wanted = asked.Limits(max_contact_pressure="9 GPa", backlash="9 arcmin", lost_motion="1 arcsec", static_safety=9.0)
     judged = with_limits(study, wanted, "r.toml", "t.toml")
     result = conduct(judged).result
     found = {one.figure: one for one in judged_of(result)}
     assert {name: one.met for name, one in found.items()} == {
-        "max_contact_pressure": True, "backlash": True, "lost_motion": False,
-    }  # fmt: skip
+        "max_contact_pressure": True,
+        "backlash": True,
+        "lost_motion": False,
+    }
     for name, one in found.items():
         assert one.value == result.figure(name).max()
     worst = found["max_contact_pressure"]
@@ -328,8 +344,10 @@ def first_stage_compliance(drive):
 def test_a_stiffness_says_which_bodies_are_rigid():
     limits = asked.Requirements(limits={"torsional_stiffness": "1 N*m/arcmin", "lost_motion": "9 arcmin"})
     bearings = cy.Drive(cy.read_drive(EXAMPLES / "drive-39-40-bearings.toml").pair.nominal)
-    for drive, text in ((bearings, "contacts and bearings alone"),
-                        (cy.Drive(bearings.pair.replace(supports=None)), "mesh alone")):  # fmt: skip
+    for drive, text in (
+        (bearings, "contacts and bearings alone"),
+        (cy.Drive(bearings.pair.replace(supports=None)), "mesh alone"),
+    ):
         for one in drive.judge(limits, angles=10, torque="181 N*m").verdicts:
             assert asked.row_of(one)[-1].endswith(text)
 
@@ -383,14 +401,24 @@ def test_a_limit_that_is_not_judged_is_not_met(tmp_path, command):
 def test_a_jammed_drive_on_bearings_is_not_free(tmp_path, command):
     """All its pins are pressed without a torque, so no verdict says that it runs free."""
     supports = {
-        "kind": "output_rollers", "count": 6, "circle_radius": "20 mm", "turning_arm": {"stiffness": "200 N/um"},
-        "crank_shaft": {"stiffness": "200 N/um"}, "main": {"stiffness": "200 N/um"},
+        "kind": "output_rollers",
+        "count": 6,
+        "circle_radius": "20 mm",
+        "turning_arm": {"stiffness": "200 N/um"},
+        "crank_shaft": {"stiffness": "200 N/um"},
+        "main": {"stiffness": "200 N/um"},
         "output_roller": {"stiffness": "100 N/um", "clearance": "20 um"},
-    }  # fmt: skip
+    }
     pair = cy.Pair(
-        gear_teeth=15, pin_circle_radius="35 mm", pin_radius="3 mm", eccentricity="1.2 mm", face_width="8 mm", discs=2,
-        rated_torque="20 N*m", supports=supports,
-    ).replace(offset="40 um")  # fmt: skip
+        gear_teeth=15,
+        pin_circle_radius="35 mm",
+        pin_radius="3 mm",
+        eccentricity="1.2 mm",
+        face_width="8 mm",
+        discs=2,
+        rated_torque="20 N*m",
+        supports=supports,
+    ).replace(offset="40 um")
     cy.Drive(pair).write(tmp_path / "jam.toml")
     (tmp_path / "r.toml").write_text(HEAD + '[limits]\ninterference = "0 um"\n')
     done = command("cycloid-fmu", "analyze", "jam.toml", "--torque", "20 N*m", "--limits", "r.toml", "--angles", "20")

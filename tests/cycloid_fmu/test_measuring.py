@@ -258,11 +258,14 @@ def few(body, number, left):
         ([*ROWS, ("gear", 2, 0, 0.04, 0.0, 0.0)], {}, (f"line {len(ROWS) + 2}: disc 2", "the pair has 2")),
         ([*ROWS, ("gear", 0, 12, 0.04, 0.0, 0.0)], {}, ("tooth 12 does not exist", "0 to 11")),
         ([(*r[:2], -r[2] % 12 if r[0] == "gear" else r[2], *r[3:]) for r in ROWS], {}, ("counter-clockwise",)),
-        ([(*r[:2], {3: 4, 4: 3}.get(r[2], r[2]) if r[0] == "gear" else r[2], *r[3:]) for r in ROWS], {},
-         ("of disc 0", "from its position: check its number")),
+        (
+            [(*r[:2], {3: 4, 4: 3}.get(r[2], r[2]) if r[0] == "gear" else r[2], *r[3:]) for r in ROWS],
+            {},
+            ("of disc 0", "from its position: check its number"),
+        ),
         ([(*r[:2], -r[2] % 13 if r[0] == "pin" else r[2], *r[3:]) for r in ROWS], {}, ("counter-clockwise",)),
     ],
-)  # fmt: skip
+)
 def test_points_that_cannot_be_are_one_sentence(tmp_path, rows, unit, said):
     with pytest.raises(edge.InputError) as caught:
         measured_surface(SMALL, points_of(tmp_path, rows, **unit))

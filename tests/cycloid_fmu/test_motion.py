@@ -18,10 +18,14 @@ CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 SIZES = dict(gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm")
 MODIFIED = cy.Pair(**SIZES, modification={"isometric": "-15 um", "offset": "-40 um"})
 ERRORS = {
-    "centre_distance_x": "4 um", "centre_distance_y": "-3 um", "eccentricity": "2 um", "pin_radius": "-1 um",
-    "pin_radial": {2: ("2.5 um", "40 deg")}, "pin_tangential": {3: ("1.5 um", "-70 deg")},
+    "centre_distance_x": "4 um",
+    "centre_distance_y": "-3 um",
+    "eccentricity": "2 um",
+    "pin_radius": "-1 um",
+    "pin_radial": {2: ("2.5 um", "40 deg")},
+    "pin_tangential": {3: ("1.5 um", "-70 deg")},
     "tooth_cumulative_pitch": {1: ("3 um", "120 deg")},
-}  # fmt: skip
+}
 PAIRS = {
     "one disc": MODIFIED,
     "errors": MODIFIED.replace(errors=ERRORS),

@@ -15,7 +15,8 @@ BAD = {
     "metres": ('"64 mm"', '"64 m"', r'pin_circle_radius = "64 m": it must be between 1 mm and 5 m'),
     "micrometres": ('"10 mm"', '"10 um"', r'face_width = "10 um": it must be between 0.1 mm and 2 m'),
     "supports' metres": (
-        "[pair]", '[supports]\nkind = "cranks"\ncount = 3\ncircle_radius = "36 m"\n[pair]',
+        "[pair]",
+        '[supports]\nkind = "cranks"\ncount = 3\ncircle_radius = "36 m"\n[pair]',
         r'\[supports\] circle_radius = "36 m": it must be between 1 mm and 5 m',
     ),
     "roller's metres": (
@@ -27,7 +28,9 @@ BAD = {
     "pins": ("pins = 40", "pins = 42", "41|40"),
     "fractional teeth": ("gear_teeth = 39", "gear_teeth = 39.5", "gear_teeth"),
     "too many teeth": (
-        "gear_teeth = 39\npins = 40", "gear_teeth = 301\npins = 302", "gear_teeth = 301: it must be at most 300"
+        "gear_teeth = 39\npins = 40",
+        "gear_teeth = 301\npins = 302",
+        "gear_teeth = 301: it must be at most 300",
     ),
     "one tooth": ("gear_teeth = 39\npins = 40", "gear_teeth = 1\npins = 2", "no pin has a lever arm"),
     "two pins more": ("pins = 40", "pins = 41", "one pin more, 40; with more pins, flanks of neighbouring teeth cross"),
@@ -47,8 +50,8 @@ BAD = {
     "bad order": ("[pair]", '[errors]\npin_radial = { order_0 = ["1 um", "0 deg"] }\n[pair]', "order_0"),
     "order without phase": ("[pair]", '[errors]\npin_radial = { order_1 = "1 um" }\n[pair]', "amplitude and a phase"),
     "value in a list": ("[pair]", '[errors]\npin_radial = ["1,5 um"]\n[pair]', "1,5 um"),
-    "material": ("[pair]", '[material.pin]\npoissons_ratio = 0.6\n[pair]', "poissons_ratio"),
-}  # fmt: skip
+    "material": ("[pair]", "[material.pin]\npoissons_ratio = 0.6\n[pair]", "poissons_ratio"),
+}
 
 
 @pytest.mark.parametrize("name", BAD)

@@ -122,9 +122,11 @@ def test_a_front_has_no_design_that_another_is_better_than():
 
 def test_a_margin_of_nearly_nothing_looks_like_it():
     one = types.SimpleNamespace(
-        goals={"backlash": 1e-4}, met=True, values={"offset": -3e-5},
+        goals={"backlash": 1e-4},
+        met=True,
+        values={"offset": -3e-5},
         verdicts=[types.SimpleNamespace(figure="interference", share=2e-4)],
-    )  # fmt: skip
+    )
     task = task_for("backlash")
     axis = plot_designs([one], task, "margins").axes[0]
     assert axis.patches[0].get_width() < 1e-3 * np.ptp(axis.get_xlim())

@@ -15,9 +15,12 @@ MODIFIED = parse_pair(PAIR + '[modification]\noffset = "-50 um"\nisometric = "-3
 @pytest.mark.parametrize("output", ["gear", "ring"])
 def test_unmodified_every_gap_is_zero_at_every_crank_angle(teeth, output):
     pair = make_pair(
-        gear_teeth=teeth, pins=teeth + 1, output=output, eccentricity=f"{0.6 * 64 / (teeth + 1)} mm",
+        gear_teeth=teeth,
+        pins=teeth + 1,
+        output=output,
+        eccentricity=f"{0.6 * 64 / (teeth + 1)} mm",
         pin_radius=f"{0.4 * 64 / (teeth + 1)} mm",
-    )  # fmt: skip
+    )
     drive = drive_of(pair, nominal_surface(pair))
     contacts = contact.contact_rows(drive)
     for theta in np.random.default_rng(teeth).uniform(-500.0, 500.0, 200 if teeth != 39 else 1000):

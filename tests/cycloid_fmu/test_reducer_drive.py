@@ -76,8 +76,10 @@ def test_the_first_stage_s_wind_up_and_play_reach_the_output_by_the_ratio():
     first_stage = dataclasses.replace(first_stage, bearing_play=0.0)
     tight = dataclasses.replace(first_stage, sun_play=0.0)
     wound = dataclasses.replace(tight, crank_stiffness=3e4)
-    error = [solve(pair, surface, one, 120.0, ANGLES, with_play=False).transmission_error[0]
-             for one in (tight, wound, first_stage)]  # fmt: skip
+    error = [
+        solve(pair, surface, one, 120.0, ANGLES, with_play=False).transmission_error[0]
+        for one in (tight, wound, first_stage)
+    ]
     cranks = 39.0 + 1.0 + 12 / 42
     assert error[1] - error[0] == pytest.approx(120.0 / cranks**2 / 3e4, rel=1e-3)
     assert error[2] - error[0] == pytest.approx(0.5 * first_stage.sun_play / 141.0, rel=1e-3)
@@ -217,9 +219,20 @@ def test_a_reducer_from_the_command_line(command, tmp_path):
     assert np.mean(content["sun_torque"]) == pytest.approx(-167.0 / 141.0, rel=0.01)
     (tmp_path / "t.toml").write_text('format = "cycloid-tolerances/1"\n[pin_radius]\ntolerance = "2 um"\n')
     run = command(
-        "cycloid-fmu", "tolerance", "rv.toml", "--tolerances", "t.toml", "--samples", 3, "--angles", 20, "--workers", 1,
-        "-o", "study.nc",
-    )  # fmt: skip
+        "cycloid-fmu",
+        "tolerance",
+        "rv.toml",
+        "--tolerances",
+        "t.toml",
+        "--samples",
+        3,
+        "--angles",
+        20,
+        "--workers",
+        1,
+        "-o",
+        "study.nc",
+    )
     assert run.returncode == 0, run.stderr
     study = xr.load_dataset(tmp_path / "study.nc")
     assert study.attrs["format"] == "cycloid-tolerance-study/1"

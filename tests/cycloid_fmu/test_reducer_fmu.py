@@ -157,9 +157,12 @@ def fmu(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reducer")
     name = str(Path(sys.executable).with_name("cycloid-fmu"))
     built = subprocess.run(
-        [name, "build", str(EXAMPLES / "rv-20e.toml"), "-o", "rv.fmu"], cwd=folder, capture_output=True, text=True,
+        [name, "build", str(EXAMPLES / "rv-20e.toml"), "-o", "rv.fmu"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
         check=True,
-    )  # fmt: skip
+    )
     assert built.stderr.count("rv-20e.toml: ") == 3
     return folder / "rv.fmu"
 
@@ -194,9 +197,12 @@ def test_a_reducer_on_bearings_swings_with_inertias_inside(tmp_path):
     still = ReducerModel(reducer.stage, *rv.parts_of(reducer)[1:])
     at(still, 0.0, -80.0)
     found = fmpy.simulate_fmu(
-        str(tmp_path / "rv.fmu"), stop_time=0.02, step_size=1e-3, output=["flange_b.phi", "flange_a.w"],
+        str(tmp_path / "rv.fmu"),
+        stop_time=0.02,
+        step_size=1e-3,
+        output=["flange_b.phi", "flange_a.w"],
         start_values={"flange_b.tau": -80.0, "flange_a.tau": still.crank_torque},
-    )  # fmt: skip
+    )
     assert np.ptp(found["flange_b.phi"]) < 1e-5
     assert np.abs(found["flange_a.w"]).max() < 0.5
 

@@ -127,9 +127,13 @@ def test_wear_pair_loaded(torque, te, pressure, counts):
 
 @pytest.mark.parametrize(
     ("name", "order", "amplitude"),
-    [("pin_radial_1_cos", 39, 24.3), ("pin_tangential_1_cos", 39, 32.5), ("tooth_cumulative_pitch_1_cos", 40, 31.7),
-     ("centre_distance_x", 39, 40.7)],
-)  # fmt: skip
+    [
+        ("pin_radial_1_cos", 39, 24.3),
+        ("pin_tangential_1_cos", 39, 32.5),
+        ("tooth_cumulative_pitch_1_cos", 40, 31.7),
+        ("centre_distance_x", 39, 40.7),
+    ],
+)
 def test_order_and_amplitude_of_ten_micrometres(name, order, amplitude):
     """Leading orders of 10 µm each: pin errors give orders 39k of the output, tooth errors 40k."""
     pair = parse_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', "modified.toml")

@@ -136,9 +136,7 @@ def test_form_is_correlated_as_stated_and_the_same_on_finer_elements():
     apart = np.arange(33) / 33
     assert part == pytest.approx(np.exp(-0.5 * (apart / 0.2) ** 2), abs=0.08)
     assert np.corrcoef(fine[:, 5, 0], fine[:, 5, 1])[0, 1] == pytest.approx(np.exp(-0.5 / (3 * 0.4) ** 2), abs=0.05)
-    white = sample_profile(
-        np.random.default_rng(1), 4000, 11, 3, ProfileErrors(tolerance="6 um", correlation="none")
-    )  # fmt: skip
+    white = sample_profile(np.random.default_rng(1), 4000, 11, 3, ProfileErrors(tolerance="6 um", correlation="none"))
     assert np.abs(np.corrcoef(white[:, :, 1].T) - np.eye(11)).max() < 0.08
 
 

@@ -23,11 +23,21 @@ def both(pair, seed, form=()):
     """A drive with errors of everything, as the second solver and as the product have it."""
     draw = np.random.default_rng(seed).normal
     values = {name: draw(0.0, 2e-6) for name in errors_of(pair) if not name.startswith("misalignment")}
-    scatter = {"pin_radial": draw(0.0, 2e-6, pair.pins), "pin_tangential": draw(0.0, 2e-6, pair.pins),
-               "tooth_cumulative_pitch": draw(0.0, 2e-6, (pair.discs, pair.gear_teeth))}  # fmt: skip
+    scatter = {
+        "pin_radial": draw(0.0, 2e-6, pair.pins),
+        "pin_tangential": draw(0.0, 2e-6, pair.pins),
+        "tooth_cumulative_pitch": draw(0.0, 2e-6, (pair.discs, pair.gear_teeth)),
+    }
     m = pair.modification
-    second = second_drive.body(second_drive.sizes_of(pair), values, scatter, isometric=m.isometric, offset=m.offset,
-                               discs=pair.discs, form=form)  # fmt: skip
+    second = second_drive.body(
+        second_drive.sizes_of(pair),
+        values,
+        scatter,
+        isometric=m.isometric,
+        offset=m.offset,
+        discs=pair.discs,
+        form=form,
+    )
     surface = with_structured(pair, surface_of_pair(pair), values)
     surface = surface.replace(**{name: surface.errors[name] + each for name, each in scatter.items()})
     if form:
@@ -55,8 +65,9 @@ def test_form_that_all_flanks_share():
     pair = read_pair(EXAMPLES / "drive-39-40.toml").replace(**SMALL)
     form = (1e-6, -0.7e-6, 0.5e-6, 0.3e-6)
     second, surface = both(pair, 1, form)
-    found, plain = (solve(pair, s, 200.0, ANGLES, with_play=False).transmission_error[0]
-                    for s in (surface, both(pair, 1)[1]))  # fmt: skip
+    found, plain = (
+        solve(pair, s, 200.0, ANGLES, with_play=False).transmission_error[0] for s in (surface, both(pair, 1)[1])
+    )
     wanted = second_drive.transmission_error(second, ANGLES, 200.0)
     assert np.abs(found - wanted).max() < 0.1 * ARCSEC
     assert np.abs(found - plain).max() > 1.0 * ARCSEC

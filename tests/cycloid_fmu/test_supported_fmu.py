@@ -192,9 +192,12 @@ def test_a_built_fmu_is_what_analyze_says(tmp_path):
         [(t, 20.0 * t, 120.0) for t in time], [("time", float), ("flange_a.phi", float), ("flange_b.tau", float)]
     )
     found = fmpy.simulate_fmu(
-        str(tmp_path / "drive.fmu"), stop_time=time[-1], step_size=0.01, input=motion,
+        str(tmp_path / "drive.fmu"),
+        stop_time=time[-1],
+        step_size=0.01,
+        input=motion,
         output=["flange_a.phi", "transmission_error", "flange_a.tau"],
-    )  # fmt: skip
+    )
     angles = found["flange_a.phi"] if "flange_a.phi" in found.dtype.names else 20.0 * found["time"]
     wanted = cy.Drive(pair).analyze("120 N*m", crank_angle=angles)
     away = found["transmission_error"] - wanted.transmission_error.values[0]

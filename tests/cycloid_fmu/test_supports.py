@@ -26,14 +26,17 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 
 CASES = DATA / "supports-cases"
 SIZES = {
-    "gear_teeth": 39, "pin_circle_radius": 64e-3, "pin_radius": 3e-3, "eccentricity": 1.3e-3, "face_width": 0.01,
-    "rated_torque": 181.0, "modification": {"isometric": -15e-6, "offset": -40e-6},
-}  # fmt: skip
+    "gear_teeth": 39,
+    "pin_circle_radius": 64e-3,
+    "pin_radius": 3e-3,
+    "eccentricity": 1.3e-3,
+    "face_width": 0.01,
+    "rated_torque": 181.0,
+    "modification": {"isometric": -15e-6, "offset": -40e-6},
+}
 CRANKS = {"kind": "cranks", "count": 3, "circle_radius": 0.036, "first_angle": 0.3}
 ROLLERS = {"kind": "output_rollers", "count": 6, "circle_radius": 0.032, "first_angle": 0.1}
-SOFT = {
-    "turning_arm": {"stiffness": 4e8}, "crank_shaft": {"stiffness": 3e8}, "main": {"stiffness": 1.2e9}
-}  # fmt: skip
+SOFT = {"turning_arm": {"stiffness": 4e8}, "crank_shaft": {"stiffness": 3e8}, "main": {"stiffness": 1.2e9}}
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
 
 
@@ -128,8 +131,11 @@ def test_interference_is_that_of_a_rigid_drive_where_the_disc_then_stands(kind):
 
 def test_a_drive_with_play_presses_nothing_without_a_torque():
     """Its discs stand free in clearances that the centring springs of the solution alone decide."""
-    pair = cy.Pair(**SIZES, discs=2, supports={**CRANKS, **SOFT, "turning_arm": {"rollers": 15, "roller_length": 9e-3,
-                   "clearance": 8e-6}})  # fmt: skip
+    pair = cy.Pair(
+        **SIZES,
+        discs=2,
+        supports={**CRANKS, **SOFT, "turning_arm": {"rollers": 15, "roller_length": 9e-3, "clearance": 8e-6}},
+    )
     found = solved(pair, [0.0, 181.0])
     assert found.interference.max() == found.preload.max() == found.preload_count.max() == 0.0
     assert found.pin_force[0].max() == found.max_contact_pressure[0].max() == 0.0
@@ -175,9 +181,10 @@ def made(kind, seed, discs=2):
     supports = dict(CRANKS if kind == "cranks" else ROLLERS)
     supports |= {
         "turning_arm": {"rollers": 15, "roller_length": 9e-3, "clearance": 6e-6},
-        "crank_shaft": {"stiffness": 3e8, "clearance": 2e-6}, "main": {"stiffness": 1.2e9},
+        "crank_shaft": {"stiffness": 3e8, "clearance": 2e-6},
+        "main": {"stiffness": 1.2e9},
         "pin_seat": {"stiffness_per_width": "30 GPa"},
-    }  # fmt: skip
+    }
     if kind == "output_rollers":
         supports["output_roller"] = {"stiffness": 2e8, "clearance": 6e-6}
     pair = cy.Pair(**SIZES, discs=discs, supports=supports)
@@ -292,9 +299,13 @@ def test_turning_the_whole_drive_by_a_pin_changes_nothing():
 def test_seats_and_clearances_only_soften():
     """With each further compliance the drive gives way more, by the order of the contract's table."""
     base = {**CRANKS}
-    steps = [{}, {"turning_arm": {"rollers": 15, "roller_length": 9e-3}}, {"crank_shaft": {"stiffness": 3e8}},
-             {"pin_seat": {"stiffness_per_width": "30 GPa"}},
-             {"turning_arm": {"rollers": 15, "roller_length": 9e-3, "clearance": 10e-6}}]  # fmt: skip
+    steps = [
+        {},
+        {"turning_arm": {"rollers": 15, "roller_length": 9e-3}},
+        {"crank_shaft": {"stiffness": 3e8}},
+        {"pin_seat": {"stiffness_per_width": "30 GPa"}},
+        {"turning_arm": {"rollers": 15, "roller_length": 9e-3, "clearance": 10e-6}},
+    ]
     last = math.inf
     for step in steps:
         base |= step
@@ -338,8 +349,10 @@ def test_contact_lines_lie_where_the_discs_then_stand():
     assert rigid.gear_element_pressure == pytest.approx(known.gear_element_pressure, rel=1e-3, abs=2e6)
     assert rigid.pin_element_pressure == pytest.approx(known.pin_element_pressure, rel=1e-3, abs=2e6)
     soft = made("cranks", 2)
-    found = [solve(soft, surface_of_pair(soft), [150.0, -20.0], angles, 3, with_elements=True, workers=workers)
-             for workers in (1, 2)]  # fmt: skip
+    found = [
+        solve(soft, surface_of_pair(soft), [150.0, -20.0], angles, 3, with_elements=True, workers=workers)
+        for workers in (1, 2)
+    ]
     assert found[0].slice_force.sum(axis=-1) == pytest.approx(found[0].pin_force, rel=1e-5)
     for load in range(2):
         largest = found[0].max_contact_pressure[load].max()
@@ -411,8 +424,10 @@ def test_what_is_left_out_is_rigid_and_the_text_comes_back():
     for one in (pair, made("cranks", 1), made("output_rollers", 2)):
         assert parse_pair(one.text, "again") == one
         assert parse_pair(one.text, "again").text == one.text
-        assert cy.Drive(one).hash != cy.Drive(one.replace(supports=None, errors={k: 0.0 for k in ()})
-                                              if not one.errors else one.nominal).hash  # fmt: skip
+        assert (
+            cy.Drive(one).hash
+            != cy.Drive(one.replace(supports=None, errors={k: 0.0 for k in ()}) if not one.errors else one.nominal).hash
+        )
 
 
 @pytest.mark.parametrize(
@@ -431,7 +446,7 @@ def test_what_is_left_out_is_rigid_and_the_text_comes_back():
         ("[supports.output_roller]\nstiffness = '4 N/um'", 'output_roller belongs to kind = "output_rollers"'),
         ("[errors]\nmisalignment_xz = '1 mrad'", "a drive with supports is plane"),
     ],
-)  # fmt: skip
+)
 def test_contradictory_supports_are_refused_in_a_sentence(more, sentence):
     with pytest.raises(edge.InputError, match=sentence) as problem:
         parse_pair(SUPPORTED + more, "p.toml")
@@ -474,9 +489,14 @@ def test_sensitivities_are_differences(kind):
         found = _empty(pair, 1, at.size)
         here = type(found)(*(array[0] for array in found))
         sweep_supported(
-            problem, assembly, at, np.full(at.size, torque), here, work_of(here.place.shape[-1], 2),
+            problem,
+            assembly,
+            at,
+            np.full(at.size, torque),
+            here,
+            work_of(here.place.shape[-1], 2),
             on_rigid.no_lines(1),
-        )  # fmt: skip
+        )
         return here.place[:, 0]
 
     def check(by, plus, minus, scale=step):
@@ -486,9 +506,14 @@ def test_sensitivities_are_differences(kind):
     layout = displacement_layout(pair)
     assert found.transmission_error == pytest.approx(te(problem, assembly))
     for name, field in (
-        ("hole_x", "hole_x"), ("hole_y", "hole_y"), ("carrier_x", "crank_x"), ("carrier_y", "crank_y"),
-        ("eccentric_throw", "throw"), ("eccentric_phase", "phase"), ("hole_play", "hole_play"),
-    ):  # fmt: skip
+        ("hole_x", "hole_x"),
+        ("hole_y", "hole_y"),
+        ("carrier_x", "crank_x"),
+        ("carrier_y", "crank_y"),
+        ("eccentric_throw", "throw"),
+        ("eccentric_phase", "phase"),
+        ("hole_play", "hole_play"),
+    ):
         if name not in layout:
             continue
         values = getattr(assembly, field)
@@ -541,8 +566,10 @@ def test_sensitivities_are_differences(kind):
             ends = [te(problem, assembly._replace(output_roller=law * math.exp(d))) for d in (1e-3, -1e-3)]
             wider = [te(problem, assembly._replace(hole_play=assembly.hole_play + 0.5 * d)) for d in (step, -step)]
         else:
-            ends = [te(problem, assembly._replace(**{field: law._replace(stiffness=law.stiffness * math.exp(d))}))
-                    for d in (1e-3, -1e-3)]  # fmt: skip
+            ends = [
+                te(problem, assembly._replace(**{field: law._replace(stiffness=law.stiffness * math.exp(d))}))
+                for d in (1e-3, -1e-3)
+            ]
             moved = [law._replace(half_clearance=law.half_clearance + 0.5 * d) for d in (step, -step)]
             wider = [te(problem, assembly._replace(**{field: one})) for one in moved]
         check(found.by_bearing[:, 2 * at], *ends, 1e-3)

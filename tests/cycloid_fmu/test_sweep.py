@@ -63,8 +63,12 @@ def test_figures_are_those_of_the_drive_with_the_value(name, text, changed):
     assert found.loaded_pins.values == pytest.approx(share)
     assert float(found.backlash) == pytest.approx(data.backlash.values[0, ::10].max(), rel=1e-9)
     assert float(found.mean_backlash) == pytest.approx(data.backlash.values[0, ::10].mean(), rel=1e-9)
-    up, down = solve(DRIVE.pair.replace(**changed), surface_of_pair(DRIVE.pair.replace(**changed)), [5.43, -5.43],
-                     data.crank_angle.values[::10]).transmission_error  # fmt: skip
+    up, down = solve(
+        DRIVE.pair.replace(**changed),
+        surface_of_pair(DRIVE.pair.replace(**changed)),
+        [5.43, -5.43],
+        data.crank_angle.values[::10],
+    ).transmission_error
     assert float(found.lost_motion) == pytest.approx((up - down).max(), rel=1e-9)
     assert found.reason.item() == ""
 
@@ -149,18 +153,37 @@ def test_every_number_of_a_pair_file_can_be_varied():
     drive = cy.read_drive(EXAMPLES / "drive-39-40-bearings.toml")
     rollers = {"kind": "output_rollers", "count": 6, "circle_radius": "36 mm", "output_roller": {"stiffness": 1e8}}
     on_rollers = cy.Drive(make_pair().replace(supports=rollers))
-    examples = {"m": "2 um", "rad": "1 mrad", "1": "6", "K": "30 degC", "1/K": "2e-5 1/K", "N": "5 kN",
-                "N/m": "90 N/um", "N*m": "90 N*m", "Pa": "3 GPa", "N*m/rad": "5 N*m/arcmin"}  # fmt: skip
-    large = {"pin_circle_radius": "66 mm", "pin_radius": "2.8 mm", "eccentricity": "1.2 mm", "face_width": "11 mm",
-             "supports.circle_radius": "30 mm", "discs": "3", "gear_teeth": "38",
-             "material.gear.poissons_ratio": "0.25", "material.pin.poissons_ratio": "0.25"}  # fmt: skip
+    examples = {
+        "m": "2 um",
+        "rad": "1 mrad",
+        "1": "6",
+        "K": "30 degC",
+        "1/K": "2e-5 1/K",
+        "N": "5 kN",
+        "N/m": "90 N/um",
+        "N*m": "90 N*m",
+        "Pa": "3 GPa",
+        "N*m/rad": "5 N*m/arcmin",
+    }
+    large = {
+        "pin_circle_radius": "66 mm",
+        "pin_radius": "2.8 mm",
+        "eccentricity": "1.2 mm",
+        "face_width": "11 mm",
+        "supports.circle_radius": "30 mm",
+        "discs": "3",
+        "gear_teeth": "38",
+        "material.gear.poissons_ratio": "0.25",
+        "material.pin.poissons_ratio": "0.25",
+    }
     set_ = []
     refused = {}
     for name, (si, _) in known_names().items():
         if name == "temperature":
             continue
-        text = large.get(name) or ("20 mm" if name.endswith(("diameter", "length", "radius")) and "supports" in name
-                                   else examples[si])  # fmt: skip
+        text = large.get(name) or (
+            "20 mm" if name.endswith(("diameter", "length", "radius")) and "supports" in name else examples[si]
+        )
         base = on_rollers if "output_roller" in name else drive
         try:
             pair, _ = drive_with(base.pair.nominal, base.surface, {name: text})
@@ -189,12 +212,18 @@ def test_every_number_of_a_pair_file_can_be_varied():
         ("pin_radius=3,3 mm", '--vary = "pin_radius=3 mm, 3 mm": the values must be different.'),
         ("gear_teeth=20:30:4", '--vary = "gear_teeth=20:30:4": this takes whole numbers.'),
         ("gear_teeth=20,30 mm", '--vary = "gear_teeth=20,30 mm": this is a number without a unit.'),
-        ("eccentricity=1.7,1.8 mm", '--vary = "eccentricity 1.7 mm … 1.8 mm": none of these values is a valid drive; '
-         'the first one: [pair] eccentricity = "1.7 mm"'),
-        ("supports.count=3,4", '--vary = "supports.count 3 … 4": none of these values is a valid drive; the first one: '
-         "[supports] kind is missing."),
+        (
+            "eccentricity=1.7,1.8 mm",
+            '--vary = "eccentricity 1.7 mm … 1.8 mm": none of these values is a valid drive; '
+            'the first one: [pair] eccentricity = "1.7 mm"',
+        ),
+        (
+            "supports.count=3,4",
+            '--vary = "supports.count 3 … 4": none of these values is a valid drive; the first one: '
+            "[supports] kind is missing.",
+        ),
     ],
-)  # fmt: skip
+)
 def test_bad_values_are_one_sentence(command, vary, said):
     done = command("cycloid-fmu", "sweep", PAIR, "--vary", vary)
     assert (done.returncode, done.stdout) == (2, "")
@@ -237,8 +266,11 @@ def test_tables_say_what_the_dataset_says(tmp_path):
         elif ending == "csv":
             read = list(csv.DictReader((tmp_path / "t.csv").open(encoding="utf-8")))
             assert len(read) == 16
-            head = edge.unit_columns(list(read[0]), {"eccentricity": "m", "backlash": "rad", "torque": "N*m",
-                                                     "max_contact_pressure": "Pa"}, "t.csv")  # fmt: skip
+            head = edge.unit_columns(
+                list(read[0]),
+                {"eccentricity": "m", "backlash": "rad", "torque": "N*m", "max_contact_pressure": "Pa"},
+                "t.csv",
+            )
             column = {name: [list(row.values())[place] for row in read] for name, (place, _) in head.items()}
             assert [float(t) for t in column["torque"]] == [100.0, -20.0] * 8
             assert [float(e) for e in column["eccentricity"]] == [1.3] * 8 + [1.7] * 8

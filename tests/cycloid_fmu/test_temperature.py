@@ -19,19 +19,31 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 ALUMINIUM = 23.1e-6
 WARM = dict.fromkeys(("ring", "discs", "carrier", "crank"), "50 degC")
 SIZES = {
-    "gear_teeth": 39, "pin_circle_radius": 64e-3, "pin_radius": 3e-3, "eccentricity": 1.3e-3, "face_width": 0.01,
-    "rated_torque": 181.0, "modification": {"isometric": -15e-6, "offset": -40e-6},
-}  # fmt: skip
+    "gear_teeth": 39,
+    "pin_circle_radius": 64e-3,
+    "pin_radius": 3e-3,
+    "eccentricity": 1.3e-3,
+    "face_width": 0.01,
+    "rated_torque": 181.0,
+    "modification": {"isometric": -15e-6, "offset": -40e-6},
+}
 CRANKS = {
-    "kind": "cranks", "count": 3, "circle_radius": 0.036, "first_angle": 0.3,
+    "kind": "cranks",
+    "count": 3,
+    "circle_radius": 0.036,
+    "first_angle": 0.3,
     "turning_arm": {"rollers": 15, "roller_length": 9e-3, "clearance": 8e-6, "raceway_diameter": 22e-3},
-    "crank_shaft": {"stiffness": 3e8, "clearance": 2e-6, "raceway_diameter": 30e-3}, "main": {"stiffness": 1.2e9},
+    "crank_shaft": {"stiffness": 3e8, "clearance": 2e-6, "raceway_diameter": 30e-3},
+    "main": {"stiffness": 1.2e9},
     "pin_seat": {"stiffness_per_width": 30e9, "clearance": 3e-6},
-}  # fmt: skip
+}
 ROLLERS = {
-    "kind": "output_rollers", "count": 6, "circle_radius": 0.032, "turning_arm": {"stiffness": 4e8},
+    "kind": "output_rollers",
+    "count": 6,
+    "circle_radius": 0.032,
+    "turning_arm": {"stiffness": 4e8},
     "output_roller": {"stiffness": 2e8, "clearance": 6e-6, "radius": 5e-3},
-}  # fmt: skip
+}
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 37, endpoint=False)
 
 
@@ -137,9 +149,12 @@ def test_a_warm_carrier_squeezes_the_cranks():
     """Cranks farther out than the holes: the same radial force at each, a δ/(1/k_a + n_d/k_s)."""
     stiff, soft = 4e8, 3e8
     supports = {
-        "kind": "cranks", "count": 3, "circle_radius": 0.036, "turning_arm": {"stiffness": stiff},
+        "kind": "cranks",
+        "count": 3,
+        "circle_radius": 0.036,
+        "turning_arm": {"stiffness": stiff},
         "crank_shaft": {"stiffness": soft},
-    }  # fmt: skip
+    }
     pair = cy.Pair(**SIZES, discs=2, supports=supports, temperature={"carrier": "40 degC"})
     found = solved(pair, [0.1])
     force = 0.036 * STEEL * 20.0 / (1.0 / stiff + 2.0 / soft)
@@ -214,7 +229,7 @@ def test_a_warm_drive_is_another_drive_of_the_same_parts():
     ("tables", "sentence"),
     [
         ("[temperature]\nring = 50", "one number with a decimal point, a space and a unit"),
-        ("[temperature]\nring = '50'", "one number with a decimal point, a space and a unit, such as \"20 degC\""),
+        ("[temperature]\nring = '50'", 'one number with a decimal point, a space and a unit, such as "20 degC"'),
         ("[temperature]\nring = '50 mm'", "measures something else"),
         ("[temperature]\nring = '50 degF'", "has an offset"),
         ("[temperature]\nring = '-300 degC'", "a temperature must be between -60 degC and 200 degC"),
@@ -223,11 +238,13 @@ def test_a_warm_drive_is_another_drive_of_the_same_parts():
         ("[expansion]\nring = '0 1/K'", "an expansion coefficient must be above 0"),
         ("[expansion]\nring = '-23e-6 1/K'", "an expansion coefficient must be above 0"),
         ("[expansion]\nring = '23.1 1/K'", "at most 0.0003 1/K"),
-        ("[supports.turning_arm]\nraceway_diameter='22 mm'\nstiffness='400 N/um'\n[temperature]\ncrank='60 degC'",
-         "the clearance of turning_arm falls to -10.1 um; the model has no preload"),
+        (
+            "[supports.turning_arm]\nraceway_diameter='22 mm'\nstiffness='400 N/um'\n[temperature]\ncrank='60 degC'",
+            "the clearance of turning_arm falls to -10.1 um; the model has no preload",
+        ),
         ("[temperature]\ncarrier='60 degC'", "turning_arm is rigid, but carrier and discs expand differently"),
     ],
-)  # fmt: skip
+)
 def test_temperatures_that_can_not_be_are_refused_in_a_sentence(tables, sentence):
     text = cy.Pair(**SIZES, supports={"kind": "cranks", "count": 3, "circle_radius": 0.036}).text
     with pytest.raises(edge.InputError) as problem:

@@ -156,10 +156,11 @@ def test_yield_of_a_linear_figure_is_its_distribution_s():
     assert stats.kstest(3e6 * drawn, stats.truncnorm(-3, 3).cdf).statistic < 0.02
     limit = float(np.median(result.figure("backlash")))
     judged = dataclasses.replace(
-        study, tolerances=parse_tolerances(
+        study,
+        tolerances=parse_tolerances(
             f'{HEAD}[pin_radius]\ntolerance = "1 um"\n[limits]\nbacklash = "{limit!r} rad"\n', "t.toml"
-        )
-    )  # fmt: skip
+        ),
+    )
     found = tolerance.yields(dataclasses.replace(result, study=judged))
     assert found["all"]["share"] == pytest.approx(0.5, abs=0.01)
     assert found["all"]["low"] < 0.5 < found["all"]["high"]
@@ -279,9 +280,12 @@ def test_tasks_are_long_enough_for_their_cost_and_cover_each_drive_once(workers,
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [({"seed": 3}, "its seed differs: 1 there, 3 here"), ({"angles": 80}, "its angles differs: 40 there, 80 here"),
-     ({"design": "latin-hypercube"}, "its design differs: sobol there")],
-)  # fmt: skip
+    [
+        ({"seed": 3}, "its seed differs: 1 there, 3 here"),
+        ({"angles": 80}, "its angles differs: 40 there, 80 here"),
+        ({"design": "latin-hypercube"}, "its design differs: sobol there"),
+    ],
+)
 def test_a_checkpoint_of_another_study_is_refused(tmp_path, change, said):
     study = make_study()
     Checkpoint(tmp_path / "c", study)
@@ -390,9 +394,11 @@ def test_a_scheduler_that_does_not_answer(command, files, tmp_path):
 
 def _started(words, **environment):
     return subprocess.Popen(
-        [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]], stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL, env={**os.environ, **environment},
-    )  # fmt: skip
+        [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, **environment},
+    )
 
 
 @pytest.fixture

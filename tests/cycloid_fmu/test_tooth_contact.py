@@ -35,11 +35,15 @@ def with_errors(pair, size=1e-7):
     rng, g = np.random.default_rng(3), pair
     return dataclasses.replace(
         nominal_surface(pair),
-        pin_radial=rng.normal(size=g.pins) * size, pin_tangential=rng.normal(size=g.pins) * size,
+        pin_radial=rng.normal(size=g.pins) * size,
+        pin_tangential=rng.normal(size=g.pins) * size,
         pin_radius_deviation=rng.normal(size=g.pins) * size,
         tooth_cumulative_pitch=rng.normal(size=(g.discs, g.gear_teeth)) * size,
-        centre_distance_x=2 * size, eccentricity=-size, offset=size, isometric=size,
-    )  # fmt: skip
+        centre_distance_x=2 * size,
+        eccentricity=-size,
+        offset=size,
+        isometric=size,
+    )
 
 
 @pytest.mark.parametrize("keys", [{}, {"output": "ring"}, {"discs": 2}], ids=["gear", "ring", "two discs"])
@@ -147,9 +151,10 @@ def test_rough_flanks_and_pins_touch_where_their_play_ends(keys):
     pair = wear_pair(**keys)
     rng, theta = np.random.default_rng(2), np.linspace(0.0, 2 * np.pi, 25)
     rough = dataclasses.replace(
-        with_errors(pair), gear_deviation=rng.normal(size=(pair.discs, 39, 200, 1)) * 2e-7,
+        with_errors(pair),
+        gear_deviation=rng.normal(size=(pair.discs, 39, 200, 1)) * 2e-7,
         pin_deviation=rng.normal(size=(40, 100, 1)) * 2e-7,
-    )  # fmt: skip
+    )
     play = solve(pair, rough, 0.0, theta)
     assert np.isfinite(play.backlash).all()
     for side, end in ((-1, play.play_low), (1, play.play_high)):

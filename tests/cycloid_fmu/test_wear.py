@@ -215,9 +215,11 @@ def test_discs_with_the_same_teeth_wear_a_pin_alike():
     for discs, torque in ((1, -400.0), (2, -800.0)):
         pair = make_pair(PAIR, discs=discs)
         one = model(
-            pair, surface=dataclasses.replace(nominal_surface(pair), pin_radial=radial), loads=(load(torque),),
+            pair,
+            surface=dataclasses.replace(nominal_surface(pair), pin_radial=radial),
+            loads=(load(torque),),
             elements=(200, 100),
-        )  # fmt: skip
+        )
         rates.append(wear_rate(one, one.surface).depth)
     for body in ("gear", "pin"):
         alone, both = (getattr(r, body)[0] for r in rates)
@@ -307,8 +309,9 @@ def test_few_crank_angles_stand_for_all_where_nothing_is_alike(monkeypatch, teet
     pair = make_pair(PAIR, gear_teeth=teeth, pins=teeth + 1, eccentricity=eccentricity)
     rng = np.random.default_rng(5)
     errors = {
-        "pin_radial": rng.normal(size=teeth + 1) * 1e-6, "tooth_cumulative_pitch": rng.normal(size=(1, teeth)) * 1e-6,
-    }  # fmt: skip
+        "pin_radial": rng.normal(size=teeth + 1) * 1e-6,
+        "tooth_cumulative_pitch": rng.normal(size=(1, teeth)) * 1e-6,
+    }
     for names in (["pin_radial"], list(errors)):
         surface = dataclasses.replace(nominal_surface(pair), **{name: errors[name] for name in names})
         few = model(pair, surface=surface)
@@ -458,9 +461,11 @@ def test_the_fmu_asks_how_far_it_is_worn(run, tmp_path):
     assert (parameter.causality, parameter.variability) == ("parameter", "tunable")
     assert float(parameter.start) == float(parameter.max) == 4e5
     fmu = FMU2Slave(
-        guid=description.guid, unzipDirectory=fmpy.extract(str(path), str(tmp_path / "fmu")), instanceName="worn",
+        guid=description.guid,
+        unzipDirectory=fmpy.extract(str(path), str(tmp_path / "fmu")),
+        instanceName="worn",
         modelIdentifier=description.coSimulation.modelIdentifier,
-    )  # fmt: skip
+    )
     reference = {n: [variables[n].valueReference] for n in variables}
     fmu.instantiate()
     fmu.setupExperiment(startTime=0.0)
@@ -479,7 +484,7 @@ def test_the_fmu_asks_how_far_it_is_worn(run, tmp_path):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (("pressure_viscosity = \"2.73e-8 1/Pa\"\n", ""), "[wear.regression] pressure_viscosity is missing."),
+        (('pressure_viscosity = "2.73e-8 1/Pa"\n', ""), "[wear.regression] pressure_viscosity is missing."),
         (('roughness_pin = "0.4 um"\n', ""), "[wear.regression] roughness_pin is missing."),
         (('"2.73e-8 1/Pa"', '"2.73e-8"'), "write one number with a decimal point, a space and a unit"),
         (('"2.73e-8 1/Pa"', '"-2.73e-8 1/Pa"'), "greater than 0"),
@@ -489,7 +494,7 @@ def test_the_fmu_asks_how_far_it_is_worn(run, tmp_path):
         (('"fixed"', '"fixed"\nlargest_step = "0 um"'), "above zero"),
         (("cycloid-wear/1", "cycloid-wear/2"), "cycloid-wear/1"),
     ],
-)  # fmt: skip
+)
 def test_bad_wear_files_get_a_sentence(change, sentence):
     with pytest.raises(edge.InputError) as said:
         parse_wear_law(LAW.replace(*change), "w.toml")

@@ -24,9 +24,7 @@ from drivers.simulated.motion import SimulatedRun, fmu_output_angle, simulate_mo
 
 ROOT = Path(__file__).parents[2]
 QUICK = Path(__file__).parent / "quick"
-ENVIRONMENT = {
-    **os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(QUICK), os.environ.get("PYTHONPATH", "")])
-}  # fmt: skip
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(QUICK), os.environ.get("PYTHONPATH", "")])}
 # One per process: benches of two workers must not receive each other's frames.
 GROUP = f"239.74.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
 
@@ -84,9 +82,23 @@ needs_multicast = pytest.mark.skipif(not multicast_works(), reason="this machine
 
 def test_simulate_record_export(tmp_path, command):
     simulated = command(
-        "cycloid-bench", "simulate", "--bus", "virtual", "--ratio", "-39", "--torque", "-20 N*m", "--turns", 2,
-        "--direction", "backward", "--noise", "0.3 arcsec", "-o", "run.arrows",
-    )  # fmt: skip
+        "cycloid-bench",
+        "simulate",
+        "--bus",
+        "virtual",
+        "--ratio",
+        "-39",
+        "--torque",
+        "-20 N*m",
+        "--turns",
+        2,
+        "--direction",
+        "backward",
+        "--noise",
+        "0.3 arcsec",
+        "-o",
+        "run.arrows",
+    )
     assert simulated.returncode == 0, simulated.stderr
     assert "192 input_angle, 192 output_angle, 192 torque; 0 events" in simulated.stdout
     exported = command("cycloid-bench", "export", "run.arrows", "-o", "run.csv")
@@ -102,9 +114,7 @@ def test_simulate_record_export(tmp_path, command):
 
 @needs_multicast
 def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
-    simulation = start(
-        tmp_path, "simulate", "--ratio", "-39", "--torque", "20 N*m", "--turns", 20, "--channel", GROUP
-    )  # fmt: skip
+    simulation = start(tmp_path, "simulate", "--ratio", "-39", "--torque", "20 N*m", "--turns", 20, "--channel", GROUP)
     assert "BENCH.toml" in line_of(simulation.stderr, 60)
     code, out, err = run(tmp_path, "record", "BENCH.toml", "-o", "run.arrows", "--idle", "3 s")
     simulation.communicate(timeout=60)
@@ -211,7 +221,7 @@ def wiring(tmp_path, bus_name):
         ("[bus.can0]", "[bus.can0]\nbitrate = -1", r"\[bus.can0\] bitrate = -1: it should be greater than 0"),
         ("[bus.can0]", "[bus.can0", "this is not TOML"),
     ],
-)  # fmt: skip
+)
 def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, old, new, said):
     text = wiring.read_text()
     assert old in text
@@ -238,7 +248,7 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
         (["export", "BENCH.toml", "-o", "run.csv"], "cycloid-bench record; a recording is needed here."),
         (["export", "run.arrows", "-o", "run.xls"], "--output = run.xls: the name must end in .csv"),
     ],
-)  # fmt: skip
+)
 def test_bad_input_exits_2_with_one_sentence(command, wiring, arguments, said):
     before = wiring.read_text()
     done = command("cycloid-bench", *arguments)

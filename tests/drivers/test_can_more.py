@@ -287,11 +287,12 @@ def test_frames_of_can_fd_and_signals_across_their_bytes(tmp_path, bus_name):
         ' SG_ torque : 301|24@1- (0.01,0) [-1000|1000] "Nm" a\n SG_ count : 0|8@1+ (1,0) [0|255] "" a\n'
     )
     toml = wiring(
-        tmp_path, bus_name,
+        tmp_path,
+        bus_name,
         '[channel.torque]\nprotocol = "dbc"\nbus = "a"\nfile = "a.dbc"\nmessage = "long"\nsignal = "torque"\n'
         'counter = "count"\n',
-        'fd = true',
-    )  # fmt: skip
+        "fd = true",
+    )
     with (
         can.Bus(interface="virtual", channel=bus_name, protocol=can.CanProtocol.CAN_FD) as bus,
         open_encoders(toml) as encoders,

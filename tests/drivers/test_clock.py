@@ -89,9 +89,12 @@ def test_the_lower_hull_is_that_of_qhull(points):
 
 
 @given(
-    at=st.lists(st.integers(1, 99), max_size=3, unique=True), again=st.floats(-5.0, 0.4), cut=st.integers(0, 100),
-    stall=st.integers(0, 99), held=st.floats(0.0, 30.0),
-)  # fmt: skip
+    at=st.lists(st.integers(1, 99), max_size=3, unique=True),
+    again=st.floats(-5.0, 0.4),
+    cut=st.integers(0, 100),
+    stall=st.integers(0, 99),
+    held=st.floats(0.0, 30.0),
+)
 def test_a_restarted_clock_is_distinguished_from_delayed_arrivals(at, again, cut, stall, held):
     """A device restarts at any sample, with or without a mark; a stalled line delivers many samples at once."""
     taken = 50.0 + np.arange(100) * 0.02
@@ -111,8 +114,10 @@ def test_a_restarted_clock_is_distinguished_from_delayed_arrivals(at, again, cut
     starts = [0, *sorted(at)]
     clocks = {i: Clock(device[begin], taken[begin], 0.0, 0.0) for i, begin in enumerate(starts)}
     alignment = Alignment(clocks)
-    parts = [Samples.checked("x", host[p], taken[p], time_device=device[p], status=status[p])
-             for p in (slice(0, cut), slice(cut, None))]  # fmt: skip
+    parts = [
+        Samples.checked("x", host[p], taken[p], time_device=device[p], status=status[p])
+        for p in (slice(0, cut), slice(cut, None))
+    ]
     np.testing.assert_allclose(np.concatenate([alignment.time(p) for p in parts]), taken, atol=1e-9)
 
 

@@ -151,8 +151,10 @@ def test_repair_reports_the_content_of_a_truncated_file(tmp_path):
 @pytest.mark.parametrize("where", ["length", "flatbuffer", "marker"])
 def test_reading_continues_after_damage(tmp_path, where):
     path = write(tmp_path / "run.arrows", [block("torque", 10 * i, 10) for i in range(5)])
-    ends = [len(write(tmp_path / f"{n}.arrows", [block("torque", 10 * i, 10) for i in range(n)]).read_bytes()) - 8
-            for n in (2, 3)]  # fmt: skip
+    ends = [
+        len(write(tmp_path / f"{n}.arrows", [block("torque", 10 * i, 10) for i in range(n)]).read_bytes()) - 8
+        for n in (2, 3)
+    ]
     data = bytearray(path.read_bytes())
     at = {"marker": 0, "length": 4, "flatbuffer": 40}[where]
     data[ends[0] + at : ends[0] + at + 4] = b"\x13\x57\x9b\x7f"

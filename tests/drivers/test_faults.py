@@ -176,9 +176,12 @@ def test_counter_reset(tmp_path):
 
 def test_a_restarted_node_is_set_operational_again(tmp_path, bus_name):
     recording, done, _ = can_recording(
-        tmp_path, bus_name, [Fault("reboot", 30, target=OUTPUT), Fault("reset", 30, target=OUTPUT)],
-        speed_factor=1.0, idle=1.0,
-    )  # fmt: skip
+        tmp_path,
+        bus_name,
+        [Fault("reboot", 30, target=OUTPUT), Fault("reset", 30, target=OUTPUT)],
+        speed_factor=1.0,
+        idle=1.0,
+    )
     output = recording.samples["output_angle"]
     assert any("restarted" in t for t in texts(recording, "output_angle"))
     assert done.marks["output_angle"]["resets"] == 1

@@ -207,9 +207,11 @@ def test_socketcan_frames_are_read_with_the_drops_before_them(monkeypatch):
             sender.sendto(data, receiver.getsockname())
         came = [bus._recv_internal(1.0)[0] for _ in kinds]
         assert [(m.arbitration_id, m.is_extended_id, m.is_fd, m.is_error_frame, bytes(m.data)) for m in came] == [
-            (0x181, False, False, False, b"\1\2\3\4"), (0x18DA0102, True, False, False, b"abcdefgh"),
-            (0x182, False, True, False, b"abcdefghijkl"), (0x04, False, False, True, b"\0\1\0\0\0\0\0\0"),
-        ]  # fmt: skip
+            (0x181, False, False, False, b"\1\2\3\4"),
+            (0x18DA0102, True, False, False, b"abcdefgh"),
+            (0x182, False, True, False, b"abcdefghijkl"),
+            (0x04, False, False, True, b"\0\1\0\0\0\0\0\0"),
+        ]
         assert came[2].bitrate_switch
         assert all(abs(m.timestamp - time.time()) < 5 for m in came)
         for number in range(100):
@@ -309,10 +311,16 @@ def test_an_answer_that_took_too_long_has_no_time():
     encoder = Amt21Encoder("input_angle", Amt21Config(protocol="amt21", port="p"), PortConfig(url="loop://"))
     answers = [word.tobytes() for word in check_bits(np.arange(5))]
     note = "no reading for 3.000 s: the recorder was delayed"
-    encoder._answers.put([
-        Exchange(0.0, answers[0]), Exchange(1.5, answers[1], late=True), Exchange(3.0, answers[2]),
-        Exchange(6.0, answers[3], note), Exchange(6.1, answers[4]),
-    ], 5)  # fmt: skip
+    encoder._answers.put(
+        [
+            Exchange(0.0, answers[0]),
+            Exchange(1.5, answers[1], late=True),
+            Exchange(3.0, answers[2]),
+            Exchange(6.0, answers[3], note),
+            Exchange(6.1, answers[4]),
+        ],
+        5,
+    )
     samples = encoder.read(0.0)
     assert samples.time_host.tolist() == [0.0, 3.0, 6.0, 6.1]
     assert samples.status.tolist() == [0, rf.GAP, rf.GAP, 0]
@@ -404,9 +412,14 @@ def test_a_closed_terminal_leaves_a_complete_recording(tmp_path):
     with SimulatedCanBench(motion, interface="loopback", channel=group, speed_factor=5) as bench:
         bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         recorder = subprocess.Popen(
-            [sys.executable, "-m", "drivers.cli", "record", "BENCH.toml", "-o", "run.arrows"], cwd=tmp_path,
-            env=ENVIRONMENT, stdin=theirs, stdout=theirs, stderr=theirs, preexec_fn=become_the_terminal_s,
-        )  # fmt: skip
+            [sys.executable, "-m", "drivers.cli", "record", "BENCH.toml", "-o", "run.arrows"],
+            cwd=tmp_path,
+            env=ENVIRONMENT,
+            stdin=theirs,
+            stdout=theirs,
+            stderr=theirs,
+            preexec_fn=become_the_terminal_s,
+        )
         os.close(theirs)
         filled(tmp_path / "run.arrows", 20, 60)
         os.close(ours)

@@ -123,11 +123,13 @@ def test_frames(count):
         numbers = sync + np.cumsum(random.integers(0, 3, 1000))
         sync = int(numbers[-1])
         frames = Frames(
-            np.where(random.random(1000) < 0.99, numbers, -1), numbers * 0.01,
+            np.where(random.random(1000) < 0.99, numbers, -1),
+            numbers * 0.01,
             numbers * 0.01 + random.normal(0, 1, 1000),
             [bytearray(mutated(random, i.to_bytes(4, "little"))) for i in range(1000)],
-            np.zeros(1000), np.zeros(1000, int),
-        )  # fmt: skip
+            np.zeros(1000),
+            np.zeros(1000, int),
+        )
         reader._blocks.put(frames, 1000)
         with hostile.within(20.0, 1 << 30):
             judged = reader.read(0.0)

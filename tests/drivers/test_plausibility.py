@@ -70,8 +70,10 @@ def runs(draw, reversals=True):
     deviation = 0.5 * play * np.sign(way) + windup * load + draw(st.floats(0.0, 1.0)) * ARCMIN * np.sin(angle)
     output = draw(st.floats(-10.0, 10.0)) + angle / ratio + deviation + random.normal(0.0, 1e-6, size)
     counts = [1 << draw(st.integers(low, 25)) for low in (10, 14)]
-    angles = [np.round((v + random.normal(0.0, 1e-6, size)) * n / (2 * math.pi)) * 2 * math.pi / n
-              for v, n in zip((angle, output), counts, strict=True)]  # fmt: skip
+    angles = [
+        np.round((v + random.normal(0.0, 1e-6, size)) * n / (2 * math.pi)) * 2 * math.pi / n
+        for v, n in zip((angle, output), counts, strict=True)
+    ]
     status = np.zeros(size, np.uint8)
     keep = np.ones(size, bool)
     for at in draw(st.lists(st.floats(0.1, 0.9), max_size=2)) if reversals else ():
@@ -81,8 +83,9 @@ def runs(draw, reversals=True):
     stated = draw(st.booleans())
     limits = Limits(
         input_speed=1.2 * crank + 0.01 * rate if stated else None,
-        input_resolution=2 * math.pi / counts[0], output_resolution=2 * math.pi / counts[1],
-    )  # fmt: skip
+        input_resolution=2 * math.pi / counts[0],
+        output_resolution=2 * math.pi / counts[1],
+    )
     return Run(ratio, time[keep], angles[0][keep], angles[1][keep], status[keep], limits, crank / abs(ratio))
 
 
@@ -253,9 +256,17 @@ def test_a_stuck_encoder_is_marked_during_recording(tmp_path, bus_name, trigger)
 def test_a_clean_simulated_run_has_no_mark(tmp_path, bus_name, trigger, hysteresis):
     with drivers.simulate_bench(
         lambda angle, torque: angle / -39.0 + 2e-4 * np.sin(angle) + 3e-5 * torque,
-        torque=100.0, ratio=-39.0, turns=2, samples_per_turn=200, speed=4 * math.pi, noise=1e-6, hysteresis=hysteresis,
-        interface="virtual", channel=bus_name, trigger=trigger,
-    ) as bench:  # fmt: skip
+        torque=100.0,
+        ratio=-39.0,
+        turns=2,
+        samples_per_turn=200,
+        speed=4 * math.pi,
+        noise=1e-6,
+        hysteresis=hysteresis,
+        interface="virtual",
+        channel=bus_name,
+        trigger=trigger,
+    ) as bench:
         done = bench.record(tmp_path / "run.arrows")
     assert all("implausible" not in marks for marks in done.marks.values())
 

@@ -71,8 +71,10 @@ def exhausted(*encoders):
 
 def test_samples_are_written_and_counted(tmp_path):
     marked = [rf.GAP, rf.GAP | rf.CHECKSUM, 0, rf.ROLLOVER]
-    one = Scripted("input_angle", [([0.1, 0.2], [5.0, 4.0]), "paused", ([0.3, 0.4, 0.5, 0.6], [3.0, 3.5, 2.5, 3.2],
-                                                                        {"status": marked})])  # fmt: skip
+    one = Scripted(
+        "input_angle",
+        [([0.1, 0.2], [5.0, 4.0]), "paused", ([0.3, 0.4, 0.5, 0.6], [3.0, 3.5, 2.5, 3.2], {"status": marked})],
+    )
     other = Scripted("torque", [([0.1], [30.0])], unit="N*m")
     seen = []
 
@@ -80,8 +82,15 @@ def test_samples_are_written_and_counted(tmp_path):
         seen.append({n: (s.samples, s.waiting, s.value, s.lowest, s.highest) for n, s in live.channels.items()})
 
     held = []
-    found = record_encoders([one, other], tmp_path / "run.arrows", ratio=-39.0, pair="p", conditions={"load": 5.0},
-                   stop=exhausted(one, other), progress=lambda live: (held.append(live), progress(live)))  # fmt: skip
+    found = record_encoders(
+        [one, other],
+        tmp_path / "run.arrows",
+        ratio=-39.0,
+        pair="p",
+        conditions={"load": 5.0},
+        stop=exhausted(one, other),
+        progress=lambda live: (held.append(live), progress(live)),
+    )
     assert found.samples == {"input_angle": 6, "torque": 1}
     assert found.marks == {"input_angle": {"gaps": 2, "checksum": 1, "rollovers": 1}, "torque": {}}
     assert (found.events, found.failures, found.path) == (1, (), tmp_path / "run.arrows")
@@ -112,12 +121,21 @@ def test_the_newest_transmission_error_is_at_the_newest_common_time(tmp_path):
     one, other = Scripted("input_angle", [crank, None, None]), Scripted("output_angle", given)
     other.start_time = one.start_time
     seen = []
-    record_encoders([one, other], tmp_path / "a.arrows", ratio=-39.0, stop=exhausted(one, other),
-           progress=lambda live: seen.append(live.transmission_error))  # fmt: skip
+    record_encoders(
+        [one, other],
+        tmp_path / "a.arrows",
+        ratio=-39.0,
+        stop=exhausted(one, other),
+        progress=lambda live: seen.append(live.transmission_error),
+    )
     assert seen == [None, 0.0, pytest.approx(1.5e-3, abs=1e-9)]
     one, other = Scripted("input_angle", [crank]), Scripted("output_angle", given[:2])
-    record_encoders([one, other], tmp_path / "b.arrows", stop=exhausted(one, other),
-           progress=lambda live: seen.append(live.transmission_error))  # fmt: skip
+    record_encoders(
+        [one, other],
+        tmp_path / "b.arrows",
+        stop=exhausted(one, other),
+        progress=lambda live: seen.append(live.transmission_error),
+    )
     assert seen[-1] is None, "without a ratio there is none"
 
 
@@ -265,8 +283,12 @@ def test_the_report_of_a_full_disk_agrees_with_the_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "write", full)
     with pytest.raises(session.RecordingError) as problem:
-        record_encoders([one], tmp_path / "a.arrows", stop=exhausted(one), progress=lambda live: counted.append(
-            live.samples["input_angle"]))  # fmt: skip
+        record_encoders(
+            [one],
+            tmp_path / "a.arrows",
+            stop=exhausted(one),
+            progress=lambda live: counted.append(live.samples["input_angle"]),
+        )
     held = len(read_recording(tmp_path / "a.arrows").samples["input_angle"])
     assert 0 < held < 18
     assert str(problem.value).endswith(f"all data written before are kept: {held} input_angle.")
@@ -300,9 +322,11 @@ def test_a_bench_file_states_drive_conditions_and_wiring(tmp_path):
     bench = read_bench(path)
     assert (bench.ratio, bench.pair) == (-39.0, "p")
     assert bench.conditions == {
-        "load": pytest.approx(2000.0), "speed": pytest.approx(2.0 * math.pi), "temperature": pytest.approx(298.15),
+        "load": pytest.approx(2000.0),
+        "speed": pytest.approx(2.0 * math.pi),
+        "temperature": pytest.approx(298.15),
         "direction": "backward",
-    }  # fmt: skip
+    }
     assert [e.name for e in bench.encoders()] == ["input_angle"]
     path.write_text(BENCH.format(""))
     assert (read_bench(path).ratio, read_bench(path).pair, dict(read_bench(path).conditions)) == (None, "", {})

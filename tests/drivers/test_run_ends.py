@@ -236,14 +236,20 @@ def test_without_a_folder_for_locks_a_recording_says_that_nothing_is_reserved(tm
 def test_a_killed_run_leaves_nothing_moving_and_the_next_one_records(tmp_path, monkeypatch, end):
     monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
     group = f"239.75.{os.getpid() % 250}.{next(numbers)}"
-    (tmp_path / "sequence.toml").write_text(SEQUENCE.replace("turns = 3", "turns = 8") + drive(group).replace(
-        "--turns 4", "--turns 40"))  # fmt: skip
+    (tmp_path / "sequence.toml").write_text(
+        SEQUENCE.replace("turns = 3", "turns = 8") + drive(group).replace("--turns 4", "--turns 40")
+    )
     command = [sys.executable, "-m", "drivers.cli", "run", "sequence.toml"]
     main, terminal = pty.openpty()
     process = subprocess.Popen(
-        command, cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True,
+        command,
+        cwd=tmp_path,
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        start_new_session=True,
         preexec_fn=lambda: __import__("fcntl").ioctl(0, __import__("termios").TIOCSCTTY, 0),
-    )  # fmt: skip
+    )
     os.close(terminal)
     until(lambda: any(path.stat().st_size > 20_000 for path in tmp_path.glob("*.arrows")))
     drives = processes(group)

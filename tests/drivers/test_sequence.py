@@ -101,11 +101,12 @@ def test_a_prompted_sequence_repeats_a_step_that_fell_short_and_writes_the_repor
     )
     person = Person(
         bus_name,
-        moved(torque=15.0, turns=41), "y",
+        moved(torque=15.0, turns=41),
+        "y",
         moved(torque=20.0, turns=41),
         moved(torque=-20.0, turns=41, direction="backward"),
         moved(torque=100.0, turns=1, samples_per_turn=4000, hysteresis=True),
-    )  # fmt: skip
+    )
     with person.benches:
         run = command("cycloid-bench", "run", "sequence.toml", input=person)
     assert run.returncode == 0, run.stderr
@@ -131,8 +132,9 @@ def test_an_abandoned_step_is_kept_and_reported_and_recorded_steps_are_skipped(c
     assert run.returncode == 1, run.stdout + run.stderr
     assert "the crank turns forward, not backward" in run.stderr
     assert {p.name for p in tmp_path.glob("*.arrows")} == {
-        "300rpm-20Nm-forward.arrows", "300rpm-20Nm-backward.trial-1.arrows",
-    }  # fmt: skip
+        "300rpm-20Nm-forward.arrows",
+        "300rpm-20Nm-backward.trial-1.arrows",
+    }
     # Run again, it continues with the missing step, under the next free name.
     person = Person(bus_name, moved(torque=-20.0, turns=4, direction="backward"))
     with person.benches:

@@ -261,9 +261,7 @@ def test_turns_and_position_from_two_requests_make_one_angle(steps, start):
     encoder = Amt21Encoder("input_angle", config, PortConfig(url="loop://"))
     true = start + np.cumsum(steps)
     late = true + np.array([s // 40 for s in steps])  # the turns are requested slightly later
-    counts, _missed = encoder._with_turns(
-        _counted(true % 4096), true % 4096, (late // 4096) % (1 << 14)
-    )  # fmt: skip
+    counts, _missed = encoder._with_turns(_counted(true % 4096), true % 4096, (late // 4096) % (1 << 14))
     off = (counts - true) // 4096
     sure = (true % 4096 >= 1024) & (true % 4096 < 3072)
     assert np.all((counts - true) % 4096 == 0)

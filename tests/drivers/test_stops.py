@@ -74,9 +74,13 @@ def recorded_over_stops(folder, bench, stops, seed, told="told"):
     """Record a bench with a recorder stopped this often; return the recording, reported losses and the start time."""
     random = np.random.default_rng(seed)
     process = subprocess.Popen(
-        [sys.executable, "-c", RECORDER, str(CAN_BUFFER), told], cwd=folder, env=ENVIRONMENT,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [sys.executable, "-c", RECORDER, str(CAN_BUFFER), told],
+        cwd=folder,
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
         filled(folder / "run.arrows", 20, 60)
         for _ in range(stops):
@@ -222,8 +226,9 @@ def test_random_stops_with_polled_devices(tmp_path, kind, record_property):
         bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         recording, told, start = recorded_over_stops(tmp_path, bench, STOPS, 7)
     total = 0
-    for address, name, angle in zip(bench.answered, ("input_angle", "output_angle"),
-                                    (sent.input_angle, sent.output_angle), strict=True):  # fmt: skip
+    for address, name, angle in zip(
+        bench.answered, ("input_angle", "output_angle"), (sent.input_angle, sent.output_angle), strict=True
+    ):
         samples = recording.samples[name]
         begun = bench.answered_at[address][0] - sent.time[bench.answered[address][0]]
         clean = samples.status & ~np.uint8(rf.ROLLOVER) == 0

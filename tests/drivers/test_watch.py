@@ -29,9 +29,12 @@ def channel(name, unit):
 
 
 HEADER = Header(
-    (channel("input_angle", "rad"), channel("output_angle", "rad"), channel("torque", "N*m")), {}, -39.0, "pair-39-40",
+    (channel("input_angle", "rad"), channel("output_angle", "rad"), channel("torque", "N*m")),
+    {},
+    -39.0,
+    "pair-39-40",
     "2025-01-01T00:00:00Z",
-)  # fmt: skip
+)
 
 
 def write_turns(writer, first, count, amplitude=30 * ARCSEC, order=2):
@@ -184,10 +187,19 @@ def test_nan_values_are_null_and_left_out_of_the_transmission_error(tmp_path):
 
 @pytest.mark.parametrize(
     "line",
-    ["GET http://[::1 HTTP/1.0", "GET //[ HTTP/1.0", "GET /?" + "a&" * 99 + "token=x HTTP/1.0", "GET", "\0",
-     "GET / HTTP/9.9", "BREW / HTTP/1.1", "GET /\xff HTTP/1.0", "GET " + "/" * 70000,
-     "GET /?token=%00%ff HTTP/1.1\r\nHost: \xff"],
-)  # fmt: skip
+    [
+        "GET http://[::1 HTTP/1.0",
+        "GET //[ HTTP/1.0",
+        "GET /?" + "a&" * 99 + "token=x HTTP/1.0",
+        "GET",
+        "\0",
+        "GET / HTTP/9.9",
+        "BREW / HTTP/1.1",
+        "GET /\xff HTTP/1.0",
+        "GET " + "/" * 70000,
+        "GET /?token=%00%ff HTTP/1.1\r\nHost: \xff",
+    ],
+)
 @pytest.mark.parametrize("token", [None, "s3cret"])
 def test_an_invalid_request_is_refused_and_nothing_is_printed(tmp_path, serve, capfd, line, token):
     with RecordingWriter(tmp_path / "run.arrows", HEADER):

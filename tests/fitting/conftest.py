@@ -37,9 +37,21 @@ def measured(made):
                 clean[key] = solve(made, surface, load, angle + crank, with_play=False).transmission_error[0]
             error = clean[key] + zero + rng.normal(0.0, 0.5 * ARCSEC, angle.size)
             found.append(
-                Curve(angle, error, np.full(angle.size, np.nan), np.ones(angle.size, int), load, 0.0,
-                      1 if load > 0 else -1, -39.0, common_zero, known_index, f"{load:g} N·m", "0")
-            )  # fmt: skip
+                Curve(
+                    angle,
+                    error,
+                    np.full(angle.size, np.nan),
+                    np.ones(angle.size, int),
+                    load,
+                    0.0,
+                    1 if load > 0 else -1,
+                    -39.0,
+                    common_zero,
+                    known_index,
+                    f"{load:g} N·m",
+                    "0",
+                )
+            )
         return found
 
     return curves

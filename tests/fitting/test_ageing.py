@@ -79,9 +79,7 @@ def test_a_growing_clearance_adds_the_closed_form_of_a_crank_bearing():
     """Lost motion of a clearance is the clearance over the cranks' circle (RV paper, equation 20), nearly."""
     made = cy.read_drive(EXAMPLES / "drive-39-40-bearings.toml").pair
     pair = made.nominal.replace(discs=1)
-    life = life_figures(
-        cy.Drive(pair), LAW, LOADS, 5e-12, bearing="turning_arm", clearance=12e-6, workers=1
-    )  # fmt: skip
+    life = life_figures(cy.Drive(pair), LAW, LOADS, 5e-12, bearing="turning_arm", clearance=12e-6, workers=1)
     up, down = cy.Drive(pair).analyze([0.03 * 181.0, -0.03 * 181.0], angles=48).transmission_error
     assert life.at("lost_motion", 0.0) == pytest.approx(float((up - down).mean()), rel=1e-3)
     lost = life.at("lost_motion", 0.0, [0.0, 12e-6])
@@ -216,7 +214,7 @@ def foretold(history, life=None, until=4000.0):
     drive = cy.Drive(pair_of(11))
     return forecast(
         drive, LAW, history, measured(history, drive), until=until * HOUR, life=life or straight(), workers=1
-    )  # fmt: skip
+    )
 
 
 def test_wear_that_runs_away_raises_an_alarm_and_even_wear_none():
@@ -288,9 +286,11 @@ def test_more_recordings_narrow_the_forecast():
 
 def test_dates_are_ages_in_running_hours():
     history = History(
-        crank_turns_per_hour=1e5, in_service=datetime.date(2026, 1, 1), hours_per_day=16.0,
+        crank_turns_per_hour=1e5,
+        in_service=datetime.date(2026, 1, 1),
+        hours_per_day=16.0,
         recorded=[{"date": datetime.date(2026, 1, 11), "backlash": [1e-4, 1e-6]}],
-    )  # fmt: skip
+    )
     (one,) = measured(history, cy.Drive(pair_of(11)))
     assert one.crank_turns == 10 * 16 * 1e5
     assert one.standard_error == pytest.approx(1e-6 / 1.959964)
@@ -316,12 +316,15 @@ def test_figures_of_a_file_are_those_that_were_written(tmp_path):
         ('crank_turns_per_hour = 1e4\n[[recorded]]\nlost_motion = ["1 arcmin", "1 arcsec"]', "either age"),
         ('crank_turns_per_hour = 1e4\n[[recorded]]\nage = "1 h"', "state one of figures"),
         ('crank_turns_per_hour = 1e4\n[[recorded]]\ndate = 2026-01-01\nfigures = "a.json"', "need in_service and"),
-        ('crank_turns_per_hour = 1e4\nhours_per_day = 8\nin_service = 2026-02-01\n'
-         '[[recorded]]\ndate = 2026-01-01\nfigures = "a.json"', "is before in_service"),
+        (
+            "crank_turns_per_hour = 1e4\nhours_per_day = 8\nin_service = 2026-02-01\n"
+            '[[recorded]]\ndate = 2026-01-01\nfigures = "a.json"',
+            "is before in_service",
+        ),
         ('crank_turns_per_hour = 1e4\n[limit]\nlost_motion = "1 arcmin"', "limits"),
         ('crank_turns_per_hour = 1e4\n[bearing]\nname = "arm"\nclearance_growth = "1 um"\nwithin = "1 h"', "_arm"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_history_is_refused_in_a_sentence(text, said, tmp_path):
     (tmp_path / "history.toml").write_text(f'format = "cycloid-history/1"\n{text}\n')
     with pytest.raises(edge.InputError, match=said):
@@ -335,10 +338,12 @@ def twin():
     drive = cy.Drive(made.nominal.replace(discs=1))
     bare = cy.Drive(drive.pair.replace(supports=None)).wear(LAW, "-181 N*m", 2e7, workers=1).surface.life
     surfaces = tuple(
-        drive.surface.replace(**{n: getattr(bare, n)[k] for n in ("gear_deviation", "pin_deviation",
-                                                                   "gear_curvature", "pin_curvature")}, origin="worn")
+        drive.surface.replace(
+            **{n: getattr(bare, n)[k] for n in ("gear_deviation", "pin_deviation", "gear_curvature", "pin_curvature")},
+            origin="worn",
+        )
         for k in range(bare.crank_turns.size)
-    )  # fmt: skip
+    )
     dose = 1e-18 * bare.crank_turns
     figures = {
         name: (70.0 + 2e12 * dose[:, None] + np.array([0.0, 200.0])) / ARCSEC
@@ -346,9 +351,11 @@ def twin():
     }
     life = LifeFigures(dose, np.array([0.0, 4e-5]), figures, dict.fromkeys(figures, 0.0), surfaces)
     history = history_of(
-        [0, 50, 100], [70, 75, 80], bearing={"name": "turning_arm", "clearance_growth": "2 um", "within": "100 h"},
+        [0, 50, 100],
+        [70, 75, 80],
+        bearing={"name": "turning_arm", "clearance_growth": "2 um", "within": "100 h"},
         coefficient_factor=2.0,
-    )  # fmt: skip
+    )
     return forecast(drive, LAW, history, measured(history, drive), until=120 * HOUR, life=life, workers=1)
 
 

@@ -41,10 +41,14 @@ def cranked(discs=2, share=1.0, clearance=4e-6):
     """A small pair on three cranks in needle cages whose stiffness is a share of the drawn one."""
     nominal = read_pair(EXAMPLES / "drive-39-40.toml").replace(**SMALL)
     supports = {
-        "kind": "cranks", "count": 3, "circle_radius": 0.026, "first_angle": 0.3,
+        "kind": "cranks",
+        "count": 3,
+        "circle_radius": 0.026,
+        "first_angle": 0.3,
         "turning_arm": {"rollers": 15, "roller_length": 0.009 * share**1.125, "clearance": clearance},
-        "crank_shaft": {"rollers": 30, "roller_length": 0.007 * share**1.125}, "main": {"stiffness": 1.2e9 * share},
-    }  # fmt: skip
+        "crank_shaft": {"rollers": 30, "roller_length": 0.007 * share**1.125},
+        "main": {"stiffness": 1.2e9 * share},
+    }
     return Pair(**{k: getattr(nominal, k) for k in OF_PAIR}, discs=discs, supports=supports)
 
 
@@ -63,15 +67,22 @@ def run_of(made, surface, load, generator, each, turns):
     angle = np.sign(load) * (generator.uniform(0.0, 6.0) + np.arange(round(turns * 11 * each)) * 2.0 * np.pi / each)
     error = solve(made, surface, load, angle, with_play=False).transmission_error[0]
     output = angle / made.ratio + error + generator.normal(0.0, 0.5 * ARCSEC, angle.size)
-    return fitting.Run(input_angle=angle, output_angle=output, torque=load, common_zero=True, known_index=True,
-                       name=f"{load:g} N·m")  # fmt: skip
+    return fitting.Run(
+        input_angle=angle, output_angle=output, torque=load, common_zero=True, known_index=True, name=f"{load:g} N·m"
+    )
 
 
 def test_a_bearing_of_another_stiffness_presses_by_that_share_more():
     pair = cranked()
     names = unknown_bearings(pair)
-    assert names == ("turning_arm_stiffness", "turning_arm_clearance", "crank_shaft_stiffness",
-                     "crank_shaft_clearance", "main_stiffness", "main_clearance")  # fmt: skip
+    assert names == (
+        "turning_arm_stiffness",
+        "turning_arm_clearance",
+        "crank_shaft_stiffness",
+        "crank_shaft_clearance",
+        "main_stiffness",
+        "main_clearance",
+    )
     stiffer = pair_with(pair, np.array([0.3, 0.0, -0.2, 0.0, 0.1, 0.0]))
     before, after = (assembly_of(p, surface_of_pair(p)) for p in (pair, stiffer))
     for name, share in (("turning_arm", 0.3), ("crank_shaft", -0.2), ("main", 0.1)):
@@ -116,9 +127,9 @@ def test_derivatives_by_bearings_and_single_displacements_are_those_of_other_dri
 
     def model(by_bearing, scatter):
         changed, moved = pair_with(pair, bearings + by_bearing), with_scatter(pair, start, scatter)
-        return np.concatenate([
-            solve(changed, moved, c.torque, c.input_angle, with_play=False).transmission_error[0] for c in curves
-        ])  # fmt: skip
+        return np.concatenate(
+            [solve(changed, moved, c.torque, c.input_angle, with_play=False).transmission_error[0] for c in curves]
+        )
 
     linear = linearise(pair, observed, State(start, zero, bench, bearings=bearings))
     assert linear.model == pytest.approx(model(np.zeros(6), zero), abs=1e-12)
@@ -207,13 +218,19 @@ def test_a_place_between_two_jumps_of_a_force_is_found():
     """A pin passes from one flank of a form to the other as the disc gives way; steps went to and fro for ever."""
     pair = cranked(1, 0.85, 2.85e-6)
     micrometres = {
-        "centre_distance_x": -1.1, "centre_distance_y": 1.6, "pin_circle_radius": -1.8, "pin_radius": -0.9,
+        "centre_distance_x": -1.1,
+        "centre_distance_y": 1.6,
+        "pin_circle_radius": -1.8,
+        "pin_radius": -0.9,
         "pin_radial": [0.4, -1.8, -1.9, 0.7, 1.4, 0.3, -0.1, 0.4, -1.5, -1.5, 0.8, 2.6],
         "pin_tangential": [-1.6, -1.8, -2.2, -0.5, 1.7, 3.3, 4.2, 4.2, 0.9, -2.0, -3.9, -2.3],
         "tooth_cumulative_pitch": [[0.7, 1.4, 0.8, 1.6, 3.8, 3.0, -1.2, -4.1, -3.4, -1.9, -0.8]],
-        "hole_x": [[0.8, -1.4, -0.4]], "hole_y": [[-2.9, -3.5, -0.6]],
-        "crank_x": [-1.2, 1.1, 0.3], "crank_y": [3.2, 3.9, 1.0], "crank_throw": [[0.1, -0.1, -2.2]],
-    }  # fmt: skip
+        "hole_x": [[0.8, -1.4, -0.4]],
+        "hole_y": [[-2.9, -3.5, -0.6]],
+        "crank_x": [-1.2, 1.1, 0.3],
+        "crank_y": [3.2, 3.9, 1.0],
+        "crank_throw": [[0.1, -0.1, -2.2]],
+    }
     errors = {name: 1e-6 * np.array(value) for name, value in micrometres.items()}
     surface = surface_of_pair(pair).replace(**errors, crank_phase=np.array([[1.0e-4, -3.5e-4, 2.9e-4]]))
     formed = with_structured(pair, surface, {"profile_deviation_1": 1e-6})
@@ -260,8 +277,9 @@ def test_a_form_of_the_flanks_is_allowed_for():
         angle *= np.sign(load)
         error = solve(made, surface, load, angle, with_play=False).transmission_error[0]
         output = angle / made.ratio + error + generator.normal(0.0, 0.5 * ARCSEC, angle.size)
-        runs.append(fitting.Run(input_angle=angle, output_angle=output, torque=load, common_zero=True,
-                                known_index=True))  # fmt: skip
+        runs.append(
+            fitting.Run(input_angle=angle, output_angle=output, torque=load, common_zero=True, known_index=True)
+        )
     found = identify(runs, Drive(on_bearings(nominal, surface_of_pair(nominal))[0]), held_out=False)
     assert found.verdict.state == "explained but for"
     assert any("a form of the flanks of 1 µm" in note for note in found.notes)

@@ -31,8 +31,14 @@ def run_of(drive, surface, load, generator, each, turns, noise=0.5 * ARCSEC):
     ideal = np.sign(load) * (generator.uniform(0.0, 6.0) + np.arange(round(turns * 11 * each)) * 2.0 * np.pi / each)
     error = solve(pair, surface, first, load, ideal, with_play=False, with_stiffness=False).transmission_error[0]
     sun = ideal * drive.ratio / pair.ratio
-    return fitting.Run(input_angle=sun, output_angle=sun / drive.ratio + error + generator.normal(0.0, noise, sun.size),
-                       torque=load, common_zero=True, known_index=True, name=f"{load:g} N·m")  # fmt: skip
+    return fitting.Run(
+        input_angle=sun,
+        output_angle=sun / drive.ratio + error + generator.normal(0.0, noise, sun.size),
+        torque=load,
+        common_zero=True,
+        known_index=True,
+        name=f"{load:g} N·m",
+    )
 
 
 def test_the_model_is_the_reducer_solved_as_a_whole():

@@ -78,18 +78,32 @@ def test_the_page_holds_all_that_a_certificate_states(found, tmp_path):
     page = (tmp_path / "c.html").read_text(encoding="utf-8")
     shown = re.sub(r"<script>.*?</script>|<[^>]+>", " ", page, flags=re.S)
     for words in (
-        "Verdict: undecided", "0007", "Test laboratory", "E-0815", "2026-02-10", "not stated", "(20 ± 1) °C", "167 N·m",
-        "Guard band of the expanded uncertainty", "Lost motion", "Torsional stiffness", "torque sensor, class 0.1",
-        "expanded, k = 1.96", "missing",
-    ):  # fmt: skip
+        "Verdict: undecided",
+        "0007",
+        "Test laboratory",
+        "E-0815",
+        "2026-02-10",
+        "not stated",
+        "(20 ± 1) °C",
+        "167 N·m",
+        "Guard band of the expanded uncertainty",
+        "Lost motion",
+        "Torsional stiffness",
+        "torque sensor, class 0.1",
+        "expanded, k = 1.96",
+        "missing",
+    ):
         assert words in shown, words
     assert "http" not in re.sub(r"<script>.*?</script>", "", page, flags=re.S)
     rows = re.findall(r"<tr>(.*?)</tr>", page.split('id="results"')[1].split("</table>")[0], flags=re.S)[1:]
     cells = [[re.sub("<[^>]+>", "", c).strip() for c in re.findall(r"<td.*?</td>", row, flags=re.S)] for row in rows]
     assert [(c[0], c[-1]) for c in cells] == [
-        ("Lost motion", "pass"), ("Backlash", "pass"), ("Torsional stiffness", "pass"),
-        ("Angular transmission error", "undecided"), ("Hysteresis loss", ""),
-    ]  # fmt: skip
+        ("Lost motion", "pass"),
+        ("Backlash", "pass"),
+        ("Torsional stiffness", "pass"),
+        ("Angular transmission error", "undecided"),
+        ("Hysteresis loss", ""),
+    ]
     assert float(cells[0][1]) == pytest.approx(found.figures["lost_motion"].value / ARCSEC, abs=0.01)
 
 

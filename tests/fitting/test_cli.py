@@ -11,9 +11,22 @@ from fitting.figures.survey import survey
 def test_identify_from_the_command_line(command, tmp_path):
     files = [BENCH / f"250Nm-{way}.csv" for way in ("forward", "backward")]
     run = command(
-        "cycloid-fit", "identify", *files, "--pair", BENCH / "pair.toml", "-o", "fit.json", "--surface", "s.nc",
-        "--plot", "fit.png", "--report", "fit.html", "--bootstrap", "50",
-    )  # fmt: skip
+        "cycloid-fit",
+        "identify",
+        *files,
+        "--pair",
+        BENCH / "pair.toml",
+        "-o",
+        "fit.json",
+        "--surface",
+        "s.nc",
+        "--plot",
+        "fit.png",
+        "--report",
+        "fit.html",
+        "--bootstrap",
+        "50",
+    )
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith("Explained")
     assert "centre_distance_x" in run.stdout
@@ -28,9 +41,17 @@ def test_identify_from_the_command_line(command, tmp_path):
 
 def test_curve_from_the_command_line(command, tmp_path):
     run = command(
-        "cycloid-fit", "curve", BENCH / "30Nm-forward.csv", "--pair", BENCH / "pair.toml", "-o", "c.nc", "--plot",
-        "c.pdf", "--json",
-    )  # fmt: skip
+        "cycloid-fit",
+        "curve",
+        BENCH / "30Nm-forward.csv",
+        "--pair",
+        BENCH / "pair.toml",
+        "-o",
+        "c.nc",
+        "--plot",
+        "c.pdf",
+        "--json",
+    )
     assert run.returncode == 0, run.stderr
     curve = json.loads(run.stdout)
     assert np.mean(curve["torque"]) == pytest.approx(30.0, abs=0.05)

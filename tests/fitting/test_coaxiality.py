@@ -21,9 +21,17 @@ HEAD = read_read_head(EXAMPLES / "rv-20e-read-head.toml")
 def recording(torque, angle):
     time = np.arange(torque.size) * 0.01
     return Recording(
-        time=time, input_angle=0.0 * time, output_angle=angle, torque=torque, status=np.zeros(time.size, np.uint8),
-        common_zero=True, known_index=True, ratio=None, source="r.csv", checksum="",
-    )  # fmt: skip
+        time=time,
+        input_angle=0.0 * time,
+        output_angle=angle,
+        torque=torque,
+        status=np.zeros(time.size, np.uint8),
+        common_zero=True,
+        known_index=True,
+        ratio=None,
+        source="r.csv",
+        checksum="",
+    )
 
 
 def test_the_paper_s_output_shaft():
@@ -103,10 +111,14 @@ def test_curve_without_the_head_s_error(command, tmp_path, measured_csv):
     corrected = command(*words, "--read-head", "rv-20e-read-head.toml")
     assert corrected.returncode == 0, corrected.stderr
     assert any("standard uncertainty" in note for note in json.loads(corrected.stdout)["notes"])
-    found = {n: np.array(json.loads(text)["transmission_error"][0]) for n, text in (
-        ("corrected", corrected.stdout), ("as read", command(*words).stdout),
-        ("true", command("cycloid-fit", "curve", plain, "--pair", pair, "--json").stdout),
-    )}  # fmt: skip
+    found = {
+        n: np.array(json.loads(text)["transmission_error"][0])
+        for n, text in (
+            ("corrected", corrected.stdout),
+            ("as read", command(*words).stdout),
+            ("true", command("cycloid-fit", "curve", plain, "--pair", pair, "--json").stdout),
+        )
+    }
     assert found["corrected"] == pytest.approx(found["true"], abs=1e-9)
     assert (found["as read"] - found["true"]) == pytest.approx(float(angle_error(HEAD, torque)[0]), abs=1e-9)
 

@@ -23,16 +23,27 @@ from fitting.transmission_error.folding import Folding
 def recorded(angle, error, ratio=-39.0, torque=50.0):
     n = angle.size
     return Recording(
-        np.arange(n) * 1e-3, angle, angle / ratio + error, np.full(n, torque), np.zeros(n, np.uint8), ratio=ratio,
-        common_zero=True, known_index=True, source="run.arrows", checksum="0",
-    )  # fmt: skip
+        np.arange(n) * 1e-3,
+        angle,
+        angle / ratio + error,
+        np.full(n, torque),
+        np.zeros(n, np.uint8),
+        ratio=ratio,
+        common_zero=True,
+        known_index=True,
+        source="run.arrows",
+        checksum="0",
+    )
 
 
 @pytest.mark.slow(3)
 @example(turns=2.4, forwards=False, start=0.0, each=37)  # every second turn is in step
 @given(
-    turns=st.floats(0.3, 3.5), forwards=st.booleans(), start=st.floats(-300, 300), each=st.integers(5, 60),
-)  # fmt: skip
+    turns=st.floats(0.3, 3.5),
+    forwards=st.booleans(),
+    start=st.floats(-300, 300),
+    each=st.integers(5, 60),
+)
 def test_a_known_curve_comes_back_at_the_angles_where_it_was_measured(turns, forwards, start, each):
     """Orders of the output that repeat after its turn, whatever the start, direction, length and sampling."""
     period = 2 * np.pi * 39
@@ -85,9 +96,15 @@ def test_no_motion_is_refused():
 def test_a_recorded_loop_is_no_curve(tmp_path):
     """The locked input's noise makes a way of some arcseconds, of which an output turn has a milliard points."""
     with drivers.simulate_bench(
-        lambda angle, torque: -angle / 39.0 + 1e-5 * torque, ratio=-39.0, torque=200.0, turns=2, samples_per_turn=400,
-        hysteresis=True, noise="0.1 arcsec", interface="virtual",
-    ) as bench:  # fmt: skip
+        lambda angle, torque: -angle / 39.0 + 1e-5 * torque,
+        ratio=-39.0,
+        torque=200.0,
+        turns=2,
+        samples_per_turn=400,
+        hysteresis=True,
+        noise="0.1 arcsec",
+        interface="virtual",
+    ) as bench:
         bench.record(tmp_path / "loop.arrows")
     with pytest.raises(edge.InputError) as problem:
         fitting.curves(fitting.read_recordings(tmp_path / "loop.arrows"), -39.0)
@@ -110,8 +127,9 @@ def test_memory_does_not_grow_with_the_speed_behind_a_slow_beginning():
     tracemalloc.start()
     try:
         for part in (slice(0, slow.size), slice(slow.size, None)):
-            folding.add(Block(*(v[part] for v in (made.time, made.input_angle, made.output_angle, made.torque,
-                                                  made.status))))  # fmt: skip
+            folding.add(
+                Block(*(v[part] for v in (made.time, made.input_angle, made.output_angle, made.torque, made.status)))
+            )
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -136,9 +154,11 @@ def test_curve_file(tmp_path):
 @pytest.mark.slow(5)
 @example(ways=[20.0, 20.0, 20.0], forwards=False, cuts=[0.00390625], seed=0)
 @given(
-    ways=st.lists(st.floats(20, 400), min_size=1, max_size=4), forwards=st.booleans(),
-    cuts=st.lists(st.floats(0, 1), max_size=6), seed=st.integers(0, 99),
-)  # fmt: skip
+    ways=st.lists(st.floats(20, 400), min_size=1, max_size=4),
+    forwards=st.booleans(),
+    cuts=st.lists(st.floats(0, 1), max_size=6),
+    seed=st.integers(0, 99),
+)
 def test_blocks_and_reversals_anywhere_give_the_same_curves(ways, forwards, cuts, seed):
     """There and back several times, the encoder shaking: each direction has its own curve, however the blocks fall."""
     turning = 1 if forwards else -1
@@ -151,8 +171,9 @@ def test_blocks_and_reversals_anywhere_give_the_same_curves(ways, forwards, cuts
     borders = np.unique(np.r_[0, (np.array(cuts) * angle.size).astype(int), angle.size])
     folding = Folding(-39.0, "run.arrows")
     for a, b in itertools.pairwise(borders):
-        folding.add(Block(*(v[a:b] for v in (made.time, made.input_angle, made.output_angle, made.torque,
-                                               made.status))))  # fmt: skip
+        folding.add(
+            Block(*(v[a:b] for v in (made.time, made.input_angle, made.output_angle, made.torque, made.status)))
+        )
     found = {c.direction: c for c in folding.curves(made, PlausibleBlocks(made, -39.0))}
     assert found.keys() == whole.keys() == set(way.astype(int))
     for direction, curve in whole.items():

@@ -36,11 +36,13 @@ RUN_OUT = {1: 90.0, 2: 3.0, 3: 1.4}  # order of the output: amplitude, arcsec
 def found(measured, nominal):
     """With run-out, no index and the drawing's tolerances."""
     curves = [
-        dataclasses.replace(c, transmission_error=c.transmission_error + sum(
-            a * ARCSEC * np.cos(order * c.input_angle / 39 - order) for order, a in RUN_OUT.items()
-        ))
+        dataclasses.replace(
+            c,
+            transmission_error=c.transmission_error
+            + sum(a * ARCSEC * np.cos(order * c.input_angle / 39 - order) for order, a in RUN_OUT.items()),
+        )
         for c in measured(1, known_index=False)
-    ]  # fmt: skip
+    ]
     return fitting.identify(curves, Drive(nominal), tolerances=EXAMPLES / "tolerances-of-places.toml")
 
 
@@ -65,8 +67,11 @@ def test_the_errors_are_ranked_by_what_the_transmission_error_loses_without_them
         compared.add((one.kind, one.order))
     # Those of the drawing of this drive that are not small.
     assert compared >= {
-        ("centre_distance_x", None), ("centre_distance_y", None), ("pin_radial", 2), ("tooth_cumulative_pitch", 1),
-    }  # fmt: skip
+        ("centre_distance_x", None),
+        ("centre_distance_y", None),
+        ("pin_radial", 2),
+        ("tooth_cumulative_pitch", 1),
+    }
 
 
 def test_amplitude_and_angle_of_an_order_are_those_it_was_made_with(measured, nominal, made):
@@ -132,10 +137,12 @@ def test_the_report_fits_a_screen_of_1280_pixels(found, nominal, tmp_path):
     size = len(chosen) + 3 * pair.pins + 2 * pair.gear_teeth + 1
     rng = np.random.default_rng(0)
     surface = surface_of_pair(pair)
-    surface = surface.replace(**{
-        name: 1e-5 * rng.normal(size=np.shape(getattr(surface, name)))
-        for name in ("pin_radial", "pin_tangential", "tooth_cumulative_pitch")
-    })  # fmt: skip
+    surface = surface.replace(
+        **{
+            name: 1e-5 * rng.normal(size=np.shape(getattr(surface, name)))
+            for name in ("pin_radial", "pin_tangential", "tooth_cumulative_pitch")
+        }
+    )
     ring = realised(pair, surface, chosen, 1e-12 * np.eye(size), np.full(size - len(chosen), 1e-6))
     report(dataclasses.replace(found, realised=ring), tmp_path / "fit.html")
     with playwright.sync_playwright() as driver:

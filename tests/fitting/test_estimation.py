@@ -30,8 +30,14 @@ from fitting.reports.report import report
 from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000
-ERRORS = ["centre_distance_x", "centre_distance_y", "eccentricity", "pin_radius", "pin_radial_2_cos",
-          "tooth_cumulative_pitch_1_sin"]  # fmt: skip
+ERRORS = [
+    "centre_distance_x",
+    "centre_distance_y",
+    "eccentricity",
+    "pin_radius",
+    "pin_radial_2_cos",
+    "tooth_cumulative_pitch_1_sin",
+]
 
 
 def at_nominal(pair, observed):
@@ -43,25 +49,48 @@ def curve(pair, surface, torque, generator, *, each=12, turns=1.0, wave=0.0, dri
     teeth = abs(round(pair.ratio))
     angle = np.arange(round(teeth * each * turns)) * 2.0 * np.pi / each
     loads = torque * (1.0 + wave * np.cos(angle))
-    error = np.array([solve(pair, surface, t, a, with_play=False).transmission_error[0, 0]
-                      for t, a in zip(loads, angle, strict=True)]) if wave else (
-        solve(pair, surface, torque, angle, with_play=False).transmission_error[0])  # fmt: skip
+    error = (
+        np.array(
+            [
+                solve(pair, surface, t, a, with_play=False).transmission_error[0, 0]
+                for t, a in zip(loads, angle, strict=True)
+            ]
+        )
+        if wave
+        else (solve(pair, surface, torque, angle, with_play=False).transmission_error[0])
+    )
     error = error + generator.normal(0.0, 0.5 * ARCSEC, angle.size) + drift * angle / (2.0 * np.pi * teeth)
-    return Curve(angle, error, np.full(angle.size, np.nan), np.ones(angle.size, int), float(loads.mean()),
-                 float(loads.std()), int(np.sign(torque)), pair.ratio, True, True, f"{torque:g} N·m", "0",
-                 torque_each=loads if wave else None)  # fmt: skip
+    return Curve(
+        angle,
+        error,
+        np.full(angle.size, np.nan),
+        np.ones(angle.size, int),
+        float(loads.mean()),
+        float(loads.std()),
+        int(np.sign(torque)),
+        pair.ratio,
+        True,
+        True,
+        f"{torque:g} N·m",
+        "0",
+        torque_each=loads if wave else None,
+    )
 
 
 def distances(found, pair, surface):
-    return {p.name: (p.value - structured_value(pair, surface, p.name)) / p.standard_error
-            for p in found.parameters if p.held is None}  # fmt: skip
+    return {
+        p.name: (p.value - structured_value(pair, surface, p.name)) / p.standard_error
+        for p in found.parameters
+        if p.held is None
+    }
 
 
 @pytest.fixture(scope="module")
 def simple(nominal):
     """A drive with a few errors, its observations, and the fit without scatter."""
-    made = with_structured(nominal, surface_of_pair(nominal), dict(zip(ERRORS, np.array([4, -3, 1, 1, 2, -2]) * 1e-6,
-                                                                       strict=True)))  # fmt: skip
+    made = with_structured(
+        nominal, surface_of_pair(nominal), dict(zip(ERRORS, np.array([4, -3, 1, 1, 2, -2]) * 1e-6, strict=True))
+    )
     generator = np.random.default_rng(3)
     curves = [curve(nominal, made, t, generator, each=6) for t in (20.0, -20.0, 200.0, -200.0)]
     observed = observations(curves, nominal, [0.5 * ARCSEC] * 4)
@@ -71,8 +100,12 @@ def simple(nominal):
 @pytest.mark.slow(12)
 def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evaluations(simple, nominal, monkeypatch):
     observed = simple[1]
-    errors = chosen_errors(observed, linearise(nominal, observed, at_nominal(nominal, observed)), errors_of(nominal),
-                           np.zeros(spread_of(nominal, {}).size))  # fmt: skip
+    errors = chosen_errors(
+        observed,
+        linearise(nominal, observed, at_nominal(nominal, observed)),
+        errors_of(nominal),
+        np.zeros(spread_of(nominal, {}).size),
+    )
     assert len(errors) > 15
     solved = {"fit": 0, "differences": 0}
     kernel = fitting.model.observations.error_sensitivity
@@ -84,15 +117,20 @@ def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evalua
     monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
     found = fit(nominal, observed, errors, at_nominal(nominal, observed), {}, gain=0.01, estimated=False)
     known = np.isfinite(observed.bench_prior)
-    scale = np.concatenate([np.full(len(errors), 5e-6), np.where(known, observed.bench_prior, 1e-4),
-                            [observed.friction_prior]])  # fmt: skip
+    scale = np.concatenate(
+        [np.full(len(errors), 5e-6), np.where(known, observed.bench_prior, 1e-4), [observed.friction_prior]]
+    )
     prior = np.concatenate([np.full(len(errors), 1e-3), np.where(known, 1.0, 1e-3), [1.0]])
 
     def left(unknowns):
         values = unknowns * scale
         surface = with_structured(nominal, surface_of_pair(nominal), dict(zip(errors, values, strict=False)))
-        model = [solve(nominal, surface, c.torque + c.direction * values[-1], c.input_angle, with_play=False)
-                 .transmission_error[0] for c in observed.curves]  # fmt: skip
+        model = [
+            solve(
+                nominal, surface, c.torque + c.direction * values[-1], c.input_angle, with_play=False
+            ).transmission_error[0]
+            for c in observed.curves
+        ]
         solved["differences"] += observed.measured.size
         rest = observed.measured - np.concatenate(model) - observed.bench @ values[len(errors) : -1]
         return np.concatenate([observed.weight * rest, unknowns * prior])
@@ -110,8 +148,9 @@ def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evalua
 def test_the_last_step_confirms_the_optimum_and_its_covariance(simple, nominal, monkeypatch):
     """It moves no error by more than a twentieth of its standard error, for two evaluations of the model at most."""
     _, observed = simple
-    found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {"pin_radial": 1e-6}, gain=1e-3,
-                estimated=False)  # fmt: skip
+    found = fit(
+        nominal, observed, ERRORS, at_nominal(nominal, observed), {"pin_radial": 1e-6}, gain=1e-3, estimated=False
+    )
     solved = 0
     kernel = fitting.model.observations.error_sensitivity
 
@@ -130,8 +169,9 @@ def test_the_last_step_confirms_the_optimum_and_its_covariance(simple, nominal, 
             nominal, with_scatter(nominal, found.state.surface, -found.state.scatter), name
         )
         assert abs(moved) < 0.05 * parameters[name].stderr
-    wanted = posterior_covariance(found.observed, again.linear, errors_of(nominal), ERRORS,
-                                  spread_of(nominal, found.scatter))[: len(ERRORS), : len(ERRORS)]  # fmt: skip
+    wanted = posterior_covariance(
+        found.observed, again.linear, errors_of(nominal), ERRORS, spread_of(nominal, found.scatter)
+    )[: len(ERRORS), : len(ERRORS)]
     size = np.sqrt(np.diag(wanted))
     assert covariance[: len(ERRORS), : len(ERRORS)] / np.outer(size, size) == pytest.approx(
         wanted / np.outer(size, size), abs=1e-3
@@ -144,8 +184,11 @@ def test_the_last_step_confirms_the_optimum_and_its_covariance(simple, nominal, 
 def test_the_last_step_leads_to_the_optimum_from_beside_it(simple, nominal):
     _, observed = simple
     found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {}, gain=1e-3, estimated=False)
-    moved = with_structured(nominal, found.state.surface, {"eccentricity": structured_value(
-        nominal, found.state.surface, "eccentricity") + 200e-9})  # fmt: skip
+    moved = with_structured(
+        nominal,
+        found.state.surface,
+        {"eccentricity": structured_value(nominal, found.state.surface, "eccentricity") + 200e-9},
+    )
     state = dataclasses.replace(found.state, surface=moved)
     beside = dataclasses.replace(found, state=state, linear=linearise(nominal, found.observed, state))
     again, parameters, covariance = confirmed(nominal, beside, gain=1e-3)
@@ -186,8 +229,9 @@ def test_a_fit_that_leaves_what_is_possible_ends_at_its_bound_and_says_so(simple
 def test_a_profile_is_the_interval_by_standard_error_where_the_model_is_linear(simple, nominal):
     _, observed = simple
     found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {}, gain=1e-3, estimated=False)
-    columns = observed.weight[:, None] * np.column_stack([found.linear.structured, observed.bench,
-                                                          found.linear.by_friction])  # fmt: skip
+    columns = observed.weight[:, None] * np.column_stack(
+        [found.linear.structured, observed.bench, found.linear.by_friction]
+    )
     names = errors_of(nominal)
     kept = [names.index(n) for n in ERRORS] + list(range(len(names), columns.shape[1]))
     known = np.concatenate([np.zeros(len(ERRORS)), observed.bench_prior**-2.0, [observed.friction_prior**-2.0]])
@@ -228,10 +272,17 @@ def test_a_curve_keeps_its_turns_where_asked_to(nominal):
     angle = np.arange(5 * 39 * 20) * 2.0 * np.pi / 20
     number = np.floor(angle / (2.0 * np.pi * 39) + 1e-9)
     recording = Recording(
-        time=np.arange(angle.size) * 1e-3, input_angle=angle, output_angle=angle / -39.0 + 1e-5 * number,
-        torque=20.0 + 5.0 * np.cos(angle), status=np.zeros(angle.size, np.uint8), source="run", checksum="0",
-        common_zero=True, known_index=True, ratio=-39.0,
-    )  # fmt: skip
+        time=np.arange(angle.size) * 1e-3,
+        input_angle=angle,
+        output_angle=angle / -39.0 + 1e-5 * number,
+        torque=20.0 + 5.0 * np.cos(angle),
+        status=np.zeros(angle.size, np.uint8),
+        source="run",
+        checksum="0",
+        common_zero=True,
+        known_index=True,
+        ratio=-39.0,
+    )
     (one,) = fitting.curves(recording, -39.0, keep_turns=True)
     assert one.each_turn.shape == (5, one.input_angle.size)
     assert np.nanmean(one.each_turn, axis=1) == pytest.approx(1e-5 * np.arange(5), abs=1e-12)

@@ -47,8 +47,12 @@ def test_arrays_give_the_same_curve_as_the_file_they_are_in():
     drive = read_drive(BENCH / "pair.toml")
     (recording,) = fitting.read_recordings(BENCH / "30Nm-forward.csv")
     whole = recording.open().read()
-    run = fitting.Run(input_angle=np.mod(whole.input_angle, 2 * np.pi), output_angle=whole.output_angle,
-                      torque=whole.torque, time=whole.time)  # fmt: skip
+    run = fitting.Run(
+        input_angle=np.mod(whole.input_angle, 2 * np.pi),
+        output_angle=whole.output_angle,
+        torque=whole.torque,
+        time=whole.time,
+    )
     (from_file,), (from_arrays,) = fitting.curves(recording, drive), fitting.curves([run], drive.pair.ratio)
     assert from_arrays.transmission_error == pytest.approx(from_file.transmission_error, abs=1e-12)
 

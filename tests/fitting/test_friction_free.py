@@ -82,10 +82,13 @@ class Rig:
         """The figures, the efficiencies at a spring torque, N·m."""
         friction = self.friction + self.growth * at
         return {
-            "play": PLAY, "torsional_stiffness": STIFFNESS, "friction_torque": self.friction,
-            "friction_per_load": self.growth, "efficiency_driving": at / (at + friction),
+            "play": PLAY,
+            "torsional_stiffness": STIFFNESS,
+            "friction_torque": self.friction,
+            "friction_per_load": self.growth,
+            "efficiency_driving": at / (at + friction),
             "efficiency_back_driving": max(1.0 - friction / at, 0.0),
-        }  # fmt: skip
+        }
 
 
 @pytest.mark.parametrize("growth", [0.0, 0.2, 0.4, 0.7])
@@ -150,8 +153,14 @@ def test_the_file_has_the_figures_in_si_and_the_table_shows_them(tmp_path, comma
     assert "torsional_stiffness: contains friction that grows with load" in done.stdout
     found = json.loads((tmp_path / "figures.json").read_text())
     assert "remark" in found["torsional_stiffness"]
-    units = {"play": "rad", "torsional_stiffness": "N*m/rad", "friction_torque": "N*m", "friction_per_load": "1",
-             "efficiency_driving": "1", "efficiency_back_driving": "1"}  # fmt: skip
+    units = {
+        "play": "rad",
+        "torsional_stiffness": "N*m/rad",
+        "friction_torque": "N*m",
+        "friction_per_load": "1",
+        "efficiency_driving": "1",
+        "efficiency_back_driving": "1",
+    }
     assert {name: one["unit"] for name, one in found["friction_free"].items()} == units
     assert found["friction_free"]["play"]["value"] == pytest.approx(PLAY, rel=0.05)
 
@@ -197,9 +206,12 @@ def test_each_position_has_its_play(stated):
         )
     torque, windup, group = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     run = fitting.Run(
-        input_angle=0.0, output_angle=windup, torque=torque, time=0.016 * np.arange(torque.size),
+        input_angle=0.0,
+        output_angle=windup,
+        torque=torque,
+        time=0.016 * np.arange(torque.size),
         group=group if stated else None,
-    )  # fmt: skip
+    )
     found = fitting.metrics(run, ratio=-13.0)
     by_place = sorted(found.loop_groups, key=lambda one: one.friction_free.figures["play"].value)
     assert [one.friction_free.figures["play"].value for one in by_place] == pytest.approx(PLAYS, rel=0.02)
@@ -333,10 +345,14 @@ MOTOR = MOTOR_MAPPING.replace("[time]", 'ratio = 13\nlocked = "output"\n[time]')
         ("onyx_init1_raw.csv.gz", MOTOR_MAPPING, 1, {"hysteresis_loss": (math.radians(1.256), math.radians(0.03))}),
         ("onyx_init1.csv", MOTOR_MAPPING, 1, {"hysteresis_loss": (math.radians(1.256), math.radians(0.02))}),
         ("june_motor_side.csv", f'{MOTOR}side = "motor"\n', 0, {"loading_stiffness": (653.0, 40.0)}),
-        ("june_motor_side.csv", f'{MOTOR}side = "motor"\n', 1,
-         {"hysteresis_loss": (math.radians(2.09), math.radians(0.27))}),
+        (
+            "june_motor_side.csv",
+            f'{MOTOR}side = "motor"\n',
+            1,
+            {"hysteresis_loss": (math.radians(2.09), math.radians(0.27))},
+        ),
     ],
-)  # fmt: skip
+)
 def test_groups_of_a_measured_drive(file, mapping, group, wanted, tmp_path):
     if not (MEASURED / file).exists():
         pytest.skip(f"{MEASURED / file} is missing")
@@ -349,9 +365,11 @@ def test_groups_of_a_measured_drive(file, mapping, group, wanted, tmp_path):
 
 
 MADE_OF = {
-    "torsional_stiffness": (300.0, 15.0), "play": (math.radians(1.0), math.radians(0.1)), "friction_torque": (2.5, 0.3),
+    "torsional_stiffness": (300.0, 15.0),
+    "play": (math.radians(1.0), math.radians(0.1)),
+    "friction_torque": (2.5, 0.3),
     "friction_per_load": (0.4, 0.04),
-}  # fmt: skip
+}
 
 
 @pytest.mark.measured_drives

@@ -75,9 +75,12 @@ class Rig:
             torque = torque + self.slow_noise * math.sqrt(1.0 - steps**2) * lfilter([1.0], [1.0, -steps], white)
         seen = np.round(angle * self.counts / TURN) * TURN / self.counts
         return fitting.Run(
-            input_angle=0.0, output_angle=seen, torque=torque, time=np.floor(time / self.tick + 1e-9) * self.tick,
+            input_angle=0.0,
+            output_angle=seen,
+            torque=torque,
+            time=np.floor(time / self.tick + 1e-9) * self.tick,
             name=self.name,
-        )  # fmt: skip
+        )
 
     def under_load(self, free, sign):
         """Friction F from that without load: F = (1 - mu) free + mu |load ± F|, driven by the motor or by the load."""
@@ -248,10 +251,14 @@ def test_measured_friction_is_the_friction_of_the_fmu(tmp_path, command, nominal
             begun = slice(200, None)
             runs.append(
                 fitting.Run(
-                    input_angle=crank[begun], output_angle=simulated["flange_b.phi"][begun], torque=load,
-                    input_torque=simulated["flange_a.tau"][begun], time=time[begun], name=f"{load} N·m, {speed} rad/s",
+                    input_angle=crank[begun],
+                    output_angle=simulated["flange_b.phi"][begun],
+                    torque=load,
+                    input_torque=simulated["flange_a.tau"][begun],
+                    time=time[begun],
+                    name=f"{load} N·m, {speed} rad/s",
                 )
-            )  # fmt: skip
+            )
     again = fitting.friction(runs, ratio=ratio).figures
     for name in ("coulomb", "viscous"):
         assert again[name].value == pytest.approx(measured.figures[name].value, rel=0.01)

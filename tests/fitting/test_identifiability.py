@@ -53,8 +53,11 @@ def test_encoder_eccentricity_is_the_bench_s(measured, nominal, made):
     assert found.bench["output_encoder_eccentricity_cos"] == pytest.approx(20 * ARCSEC * np.cos(0.4), abs=0.1 * ARCSEC)
     assert found.bench["output_encoder_eccentricity_sin"] == pytest.approx(20 * ARCSEC * np.sin(0.4), abs=0.1 * ARCSEC)
     truth = surface_of_pair(made)
-    far = [abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
-           for p in found.parameters if p.held is None]  # fmt: skip
+    far = [
+        abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
+        for p in found.parameters
+        if p.held is None
+    ]
     assert max(far) < 4.0
 
 
@@ -84,8 +87,11 @@ def test_outliers_are_left_out_and_missing_arcs_do_not_matter(measured, nominal,
     assert [*found.outliers.values()] == [3, 0, 0, 0]
     assert any("3 of 936 points" in n for n in found.notes)
     truth = surface_of_pair(made)
-    far = [abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
-           for p in found.parameters if p.held is None]  # fmt: skip
+    far = [
+        abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
+        for p in found.parameters
+        if p.held is None
+    ]
     assert max(far) < 4.0
 
 
@@ -168,8 +174,11 @@ def test_a_plan_foretells_the_fit(measured, nominal):
     """
     found = identify(measured(9), Drive(nominal), held_out=False)
     planned = plan(Drive(nominal), [20.0, 200.0], turns=1.0, samples=24, noise=0.5 * ARCSEC, scatter=1e-9)[-1]
-    ratios = {p.name: p.standard_error / planned.standard_error[p.name] for p in found.parameters
-              if p.held is None and p.name in planned.standard_error}  # fmt: skip
+    ratios = {
+        p.name: p.standard_error / planned.standard_error[p.name]
+        for p in found.parameters
+        if p.held is None and p.name in planned.standard_error
+    }
     assert len(ratios) > 15
     assert np.median([*ratios.values()]) == pytest.approx(1.0, abs=0.4)
     # The cost of a flank form of 1 µm, a factor of ten, is part of both.
@@ -196,8 +205,10 @@ def test_ensemble_have_the_fit_s_covariance(found, nominal, tmp_path):
 def test_the_ensemble_s_band_is_as_wide_as_the_fit_is_uncertain(found, nominal, made):
     """At a load that was not measured the truth is within a few widths of the drawn band."""
     angles = np.linspace(0.0, 200.0, 40)
-    drawn = [solve(nominal, s, 60.0, angles, with_play=False).transmission_error[0]
-             for s in (d.surface for d in ensemble(found.drive, 60, seed=0))]  # fmt: skip
+    drawn = [
+        solve(nominal, s, 60.0, angles, with_play=False).transmission_error[0]
+        for s in (d.surface for d in ensemble(found.drive, 60, seed=0))
+    ]
     truth = solve(made, surface_of_pair(made), 60.0, angles, with_play=False).transmission_error[0]
     centre, width = np.mean(drawn, axis=0), np.std(drawn, axis=0)
     assert np.abs((truth - centre) / width).max() < 5.0
@@ -207,8 +218,19 @@ def test_the_ensemble_s_band_is_as_wide_as_the_fit_is_uncertain(found, nominal, 
 def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_path):
     (tmp_path / "pair.toml").write_text(nominal.text)
     write_surface(found.surface, tmp_path / "s.nc")
-    run = command("cycloid-fit", "plan", "pair.toml", "--torque", "20 N*m", "--torque", "200 N*m", "--samples", "12",
-                  "--plot", "p.png")  # fmt: skip
+    run = command(
+        "cycloid-fit",
+        "plan",
+        "pair.toml",
+        "--torque",
+        "20 N*m",
+        "--torque",
+        "200 N*m",
+        "--samples",
+        "12",
+        "--plot",
+        "p.png",
+    )
     assert run.returncode == 0, run.stderr
     assert "C: 200 and 20 N·m both ways; next " in run.stdout
     assert "pin_radial, each [µm]" in run.stdout
@@ -276,8 +298,10 @@ def test_two_discs_without_tooth_errors_have_two_descriptions(nominal):
     assert "2 sets of errors make these curves" in found.verdict.sentence
     (other,) = found.other_descriptions
     fitted = [p for p in found.parameters if p.held is None]
-    off = [[abs(v[p.name] - values.get(p.name, 0.0)) / p.standard_error for p in fitted]
-           for v in ({p.name: p.value for p in fitted}, other)]  # fmt: skip
+    off = [
+        [abs(v[p.name] - values.get(p.name, 0.0)) / p.standard_error for p in fitted]
+        for v in ({p.name: p.value for p in fitted}, other)
+    ]
     near, far = sorted(off, key=np.max)
     assert np.max(near) < 4.0
     assert np.max(far) > 4.5
@@ -302,10 +326,15 @@ def test_friction_wind_up_and_hysteresis_of_a_bench_are_separated(friction, wind
     for load, way in itertools.product((20.0, -20.0, 60.0, -60.0, 100.0, -100.0), (1, -1)):
         error = made.analyze(load + friction * way, crank_angle=angle).transmission_error.values[0]
         beside = wind_up * load + hysteresis * way + generator.normal(0.0, 1e-6, angle.size)
-        runs.append(fitting.Run(
-            input_angle=angle[::way], output_angle=angle[::way] / -9 + error[::way] + beside, torque=load,
-            common_zero=True, known_index=True,
-        ))  # fmt: skip
+        runs.append(
+            fitting.Run(
+                input_angle=angle[::way],
+                output_angle=angle[::way] / -9 + error[::way] + beside,
+                torque=load,
+                common_zero=True,
+                known_index=True,
+            )
+        )
     found = identify(runs, drive, held_out=False)
     assert found.bench["friction_torque"] == pytest.approx(friction, rel=0.03)
     assert found.bench["chain_compliance"] == pytest.approx(wind_up, rel=0.01, abs=3e-8)

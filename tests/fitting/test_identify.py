@@ -238,8 +238,13 @@ def test_coverage_of_the_intervals(nominal, teeth, record_property):
     if teeth != 39:
         circle, pin, crank = OTHERS[teeth]
         drives = max(1, drives // 5)
-        changed = {"gear_teeth": teeth, "pins": teeth + 1, "pin_circle_radius": circle, "pin_radius": pin,
-                   "eccentricity": crank}  # fmt: skip
+        changed = {
+            "gear_teeth": teeth,
+            "pins": teeth + 1,
+            "pin_circle_radius": circle,
+            "pin_radius": pin,
+            "eccentricity": crank,
+        }
         pair = nominal.replace(**changed)
     angle = np.arange(teeth * 24) * 2 * np.pi / 24
     rows, held_out, widths = {}, [], []
@@ -247,11 +252,23 @@ def test_coverage_of_the_intervals(nominal, teeth, record_property):
         generator = np.random.default_rng(seed)
         surface, values = random_drive(pair, generator)
         curves = [
-            Curve(angle, error + generator.normal(0.0, 0.5 * ARCSEC, angle.size), np.full(angle.size, np.nan),
-                  np.ones(angle.size, int), load, 0.0, int(np.sign(load)), -float(teeth), True, True, f"{load:g}", "0")
+            Curve(
+                angle,
+                error + generator.normal(0.0, 0.5 * ARCSEC, angle.size),
+                np.full(angle.size, np.nan),
+                np.ones(angle.size, int),
+                load,
+                0.0,
+                int(np.sign(load)),
+                -float(teeth),
+                True,
+                True,
+                f"{load:g}",
+                "0",
+            )
             for load in loads
             for error in [solve(pair, surface, load, angle, with_play=False).transmission_error[0]]
-        ]  # fmt: skip
+        ]
         found = identify(curves, Drive(pair))
         assert found.residual < 1.2 * 0.5 * ARCSEC, seed
         for p in found.parameters:

@@ -99,15 +99,19 @@ def test_swings_are_those_of_scipy(joint):
         pull = 3.0 * band * (ideal - turning) + 3.0 * band**2 * off + band**3 * summed
         pull = (rotor + arm / ratio**2) * (fed + pull) - load / ratio
         return [
-            speed, (load - torque - bristle - joint.friction[4] * speed) / arm,
+            speed,
+            (load - torque - bristle - joint.friction[4] * speed) / arm,
             joint.friction[5] * (speed - abs(speed) * bristle / high),
-            turning, (pull + torque / ratio) / rotor, off,
-        ]  # fmt: skip
+            turning,
+            (pull + torque / ratio) / rotor,
+            off,
+        ]
 
     load = profile.load[0]
     begin = [profile.angle[0] + float(joint.teeth.at(command[0], load)), 0.0, 0.0, command[0], 0.0, 0.0]
-    wanted = solve_ivp(rates, (0.0, last * profile.step), begin, "LSODA", time[: last + 1], rtol=1e-7, atol=1e-10,
-                       max_step=1e-3)  # fmt: skip
+    wanted = solve_ivp(
+        rates, (0.0, last * profile.step), begin, "LSODA", time[: last + 1], rtol=1e-7, atol=1e-10, max_step=1e-3
+    )
     found = moved(joint, profile, lambda angle, *told: ratio * angle, substep=25e-6)
     away = found.error[: last + 1] + profile.angle[: last + 1] - wanted.y[0]
     assert np.abs(away).max() < 0.2 * ARCSEC
@@ -152,9 +156,12 @@ def test_a_recorded_drive_is_moved_by_what_was_identified(record_property):
     pair, made, _, generator = drive_of(SMALL, 0)
     found = found_of(pair, made, generator, loads=(20.0, 150.0), turns=1, loops=1)
     made_of_it = found.drive.compensator(
-        friction=cy.Friction(coulomb=found.friction), series_compliance=found.windup, largest_torque=1.2 * RATED,
-        torque_accuracy=0.01 * RATED, residual="4 arcsec",
-    )  # fmt: skip
+        friction=cy.Friction(coulomb=found.friction),
+        series_compliance=found.windup,
+        largest_torque=1.2 * RATED,
+        torque_accuracy=0.01 * RATED,
+        residual="4 arcsec",
+    )
     profile = short()
     for name, encoder in itertools.product(("as recorded", "index wrong by five pins"), (False, True)):
         case = CASES[name]

@@ -40,10 +40,17 @@ def wound_up(pair, *, friction, crank=CRANK, sides=(1, -1), samples=800, noise=0
         output.append(crank / pair.ratio + drive.transmission_error)
     output += 3e-4 + np.random.default_rng(0).normal(0.0, noise, torque.size)
     return Recording(
-        np.arange(torque.size) * 0.01, np.full(torque.size, crank), np.array(output), torque,
-        np.zeros(torque.size, np.uint8), common_zero=common_zero, known_index=True,
-        ratio=pair.ratio, source="loop.csv", checksum="0",
-    )  # fmt: skip
+        np.arange(torque.size) * 0.01,
+        np.full(torque.size, crank),
+        np.array(output),
+        torque,
+        np.zeros(torque.size, np.uint8),
+        common_zero=common_zero,
+        known_index=True,
+        ratio=pair.ratio,
+        source="loop.csv",
+        checksum="0",
+    )
 
 
 def rubbing_more_with_load(pair, *, without_load, growth, noise=0.5 * ARCSEC):
@@ -55,9 +62,17 @@ def rubbing_more_with_load(pair, *, without_load, growth, noise=0.5 * ARCSEC):
     (winding,) = solve(pair, surface_of_pair(pair), spring[:, None], CRANK).transmission_error.T
     output = CRANK / pair.ratio + winding + 3e-4 + np.random.default_rng(0).normal(0.0, noise, torque.size)
     return Recording(
-        np.arange(torque.size) * 0.01, np.full(torque.size, CRANK), output, torque, np.zeros(torque.size, np.uint8),
-        common_zero=False, known_index=True, ratio=pair.ratio, source="loop.csv", checksum="0",
-    )  # fmt: skip
+        np.arange(torque.size) * 0.01,
+        np.full(torque.size, CRANK),
+        output,
+        torque,
+        np.zeros(torque.size, np.uint8),
+        common_zero=False,
+        known_index=True,
+        ratio=pair.ratio,
+        source="loop.csv",
+        checksum="0",
+    )
 
 
 def branches(pair, **how):
@@ -106,10 +121,14 @@ def test_the_play_and_its_derivatives_are_those_of_the_contact_model(made):
     assert play == solve(made, surface, 1.0, CRANK).backlash[0]
     for name, slope in zip(names, slopes, strict=True):
         ends = [
-            solve(made, with_structured(made, surface, {name: structured_value(made, surface, name) + way * 1e-8}),
-                  1.0, CRANK).backlash[0]
+            solve(
+                made,
+                with_structured(made, surface, {name: structured_value(made, surface, name) + way * 1e-8}),
+                1.0,
+                CRANK,
+            ).backlash[0]
             for way in (-1.0, 1.0)
-        ]  # fmt: skip
+        ]
         assert slope == pytest.approx((ends[1] - ends[0]) / 2e-8, rel=1e-3, abs=1e-3)
 
 
@@ -120,8 +139,11 @@ def test_a_loop_whose_friction_grows_with_load_tells_the_play(measured, nominal,
     loop = branches_of(survey(recording, made.ratio, RATED), made.ratio)
     found = identify([*curves, *loop], Drive(nominal), form=0.0)
     truth = surface_of_pair(made)
-    far = [abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
-           for p in found.parameters if p.held is None]  # fmt: skip
+    far = [
+        abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
+        for p in found.parameters
+        if p.held is None
+    ]
     assert max(far) < 4.0
     assert found.bench["loop_friction_torque"] == pytest.approx(2.5, abs=0.3)
     assert found.bench["loop_friction_per_load"] == pytest.approx(0.4, abs=0.01)
@@ -140,8 +162,11 @@ def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, m
     assert with_loop["pin_circle_radius"].held is None
     assert with_loop["pin_radius"].standard_error < 0.7 * alone["pin_radius"].standard_error
     truth = surface_of_pair(made)
-    far = [abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
-           for p in found.parameters if p.held is None]  # fmt: skip
+    far = [
+        abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
+        for p in found.parameters
+        if p.held is None
+    ]
     assert max(far) < 4.0
     assert found.bench["loop_friction_torque"] == pytest.approx(2.0, abs=0.3)
     (one,) = found.loops
@@ -165,8 +190,9 @@ def test_the_crank_s_turn_is_found_by_an_absolute_output(made, measured):
     recording = wound_up(made, friction=0.5, common_zero=True)
     short = dataclasses.replace(recording, input_angle=recording.input_angle - 2.0 * np.pi)
     curves = measured(1, each=12, zeros=(3e-4,) * 4)
-    seen, wanted = (on_the_curves_zero(branches_of(survey(r, made.ratio, RATED), made.ratio), curves)
-                    for r in (short, recording))  # fmt: skip
+    seen, wanted = (
+        on_the_curves_zero(branches_of(survey(r, made.ratio, RATED), made.ratio), curves) for r in (short, recording)
+    )
     for one, other in zip(seen, wanted, strict=True):
         assert one.input_angle == pytest.approx(np.full(24, CRANK), abs=1e-9)
         assert one.transmission_error == pytest.approx(other.transmission_error, abs=1e-12)
@@ -216,10 +242,29 @@ def test_loops_among_recordings_on_the_command_line(command, made, measured, tmp
     for number, c in enumerate(measured(1, each=12)[2:]):
         way = slice(None, None, c.direction)
         angle = c.input_angle[way]
-        write(f"{number}.csv", (np.arange(angle.size) * 0.01, angle, angle / c.ratio + c.transmission_error[way],
-                                np.full(angle.size, c.torque)))  # fmt: skip
-    run = command("cycloid-fit", "identify", "loop.csv", *(f"{n}.csv" for n in range(2)), "--pair", "pair.toml",
-                  "-o", "fit.json", "--report", "fit.html", "--plot", "fit.png")  # fmt: skip
+        write(
+            f"{number}.csv",
+            (
+                np.arange(angle.size) * 0.01,
+                angle,
+                angle / c.ratio + c.transmission_error[way],
+                np.full(angle.size, c.torque),
+            ),
+        )
+    run = command(
+        "cycloid-fit",
+        "identify",
+        "loop.csv",
+        *(f"{n}.csv" for n in range(2)),
+        "--pair",
+        "pair.toml",
+        "-o",
+        "fit.json",
+        "--report",
+        "fit.html",
+        "--plot",
+        "fit.png",
+    )
     assert run.returncode == 0, run.stderr
     assert "loop.csv: play at the crank angle 418.3°" in run.stdout
     content = json.loads((tmp_path / "fit.json").read_text())

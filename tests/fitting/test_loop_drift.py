@@ -39,9 +39,17 @@ def figures(torque, windup, drift=0.0, noise=0.5 / 60, seed=0):
     time = 0.01 * np.arange(torque.size)
     angle = windup + drift * time / (0.04 * EACH) + np.random.default_rng(seed).normal(0.0, noise, time.size)
     made = Recording(
-        time, 0.0 * time, angle * ARCMIN, torque, np.zeros(time.size, np.uint8), common_zero=True, known_index=True,
-        ratio=-39.0, source="loop.csv", checksum="",
-    )  # fmt: skip
+        time,
+        0.0 * time,
+        angle * ARCMIN,
+        torque,
+        np.zeros(time.size, np.uint8),
+        common_zero=True,
+        known_index=True,
+        ratio=-39.0,
+        source="loop.csv",
+        checksum="",
+    )
     surveyed = survey(made, -39.0, RATED)
     return figures_of([surveyed], -39.0, RATED), surveyed.loops
 

@@ -21,9 +21,14 @@ def made(load, speed, warm, sign, noise):
     error = (error + noise.normal(0.0, 0.3, TURN.size)) * ARCSEC + load / STIFFNESS + 0.5 * sign * GAP * warm / 300.0
     output = -sign * TURN
     return fitting.Run(
-        input_angle=(output - error) * -39, output_angle=output, torque=load, speed=speed, temperature=warm,
-        common_zero=True, name=f"{load:g} {speed:g} {warm:g} {sign:g}",
-    )  # fmt: skip
+        input_angle=(output - error) * -39,
+        output_angle=output,
+        torque=load,
+        speed=speed,
+        temperature=warm,
+        common_zero=True,
+        name=f"{load:g} {speed:g} {warm:g} {sign:g}",
+    )
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +36,11 @@ def found():
     noise = np.random.default_rng(0)
     runs = [
         made(load + noise.normal(0.0, 0.1), speed, warm + noise.normal(0.0, 0.1), sign, noise)
-        for load in (100.0, 200.0, 400.0) for speed in (1.0, 2.0) for warm in (300.0, 320.0) for sign in (1, -1)
-    ]  # fmt: skip
+        for load in (100.0, 200.0, 400.0)
+        for speed in (1.0, 2.0)
+        for warm in (300.0, 320.0)
+        for sign in (1, -1)
+    ]
     return fitting.maps(runs[1:], -39.0)
 
 
@@ -97,8 +105,21 @@ def test_maps_from_the_command_line(command, tmp_path):
         (tmp_path / f"d_{load}Nm_10rpm_25C.csv").write_text("\n".join(["Position [deg],TE [arcsec]", *rows]))
     assert command("cycloid-fit", "inspect", "d_100Nm_10rpm_25C.csv", "-o", "m.toml").returncode == 0
     files = ["d_100Nm_10rpm_25C.csv", "d_200Nm_10rpm_25C.csv"]
-    run = command("cycloid-fit", "maps", *files, "--mapping", "m.toml", "--ratio", "-39", "-o", "m.nc", "--report",
-                  "m.html", "--plot", "m.png")  # fmt: skip
+    run = command(
+        "cycloid-fit",
+        "maps",
+        *files,
+        "--mapping",
+        "m.toml",
+        "--ratio",
+        "-39",
+        "-o",
+        "m.nc",
+        "--report",
+        "m.html",
+        "--plot",
+        "m.png",
+    )
     assert run.returncode == 0, run.stderr
     found = xr.load_dataset(tmp_path / "m.nc")
     amplitude = found.order_amplitude.sel(order=39, direction="backward").squeeze() / ARCSEC

@@ -24,8 +24,18 @@ ARCSEC = ARCMIN / 60
 
 def recording(time, input_angle, output_angle, torque, ratio=-39.0):
     n = time.size
-    return Recording(time, input_angle * np.ones(n), output_angle, torque * np.ones(n), np.zeros(n, np.uint8),
-                     common_zero=True, known_index=True, ratio=ratio, source="run.csv", checksum="0")  # fmt: skip
+    return Recording(
+        time,
+        input_angle * np.ones(n),
+        output_angle,
+        torque * np.ones(n),
+        np.zeros(n, np.uint8),
+        common_zero=True,
+        known_index=True,
+        ratio=ratio,
+        source="run.csv",
+        checksum="0",
+    )
 
 
 def loop(rated, stiffness, play, friction, *, loops=1, each=500, first=1, reach=1.0):
@@ -47,9 +57,14 @@ def figures_from(torque, angle, rated=167.0, ratio=None, crank=0.0):
 
 
 @given(
-    rated=st.floats(5, 3000), windup=st.floats(0.5, 6), play=st.floats(0.01, 3), friction=st.floats(0.001, 0.08),
-    loops=st.integers(1, 3), first=st.sampled_from([1, -1]), zero=st.floats(-3, 3),
-)  # fmt: skip
+    rated=st.floats(5, 3000),
+    windup=st.floats(0.5, 6),
+    play=st.floats(0.01, 3),
+    friction=st.floats(0.001, 0.08),
+    loops=st.integers(1, 3),
+    first=st.sampled_from([1, -1]),
+    zero=st.floats(-3, 3),
+)
 def test_the_ideal_loop_gives_what_it_was_made_of(rated, windup, play, friction, loops, first, zero):
     stiffness, play, friction = rated / (windup * ARCMIN), play * ARCMIN, friction * rated
     torque, angle = loop(rated, stiffness, play, friction, loops=loops, first=first)
@@ -76,9 +91,11 @@ def test_with_noise_the_figures_lie_within_their_uncertainty(crank):
     """Coverage of the stated 95 % intervals over seeds, locked and turned slowly with a transmission error under it."""
     rated, stiffness, play, friction = 167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0
     truth = {
-        "hysteresis_loss": play + 2 * friction / stiffness, "backlash": play,
-        "lost_motion": play + 0.06 * rated / stiffness, "torsional_stiffness": stiffness,
-    }  # fmt: skip
+        "hysteresis_loss": play + 2 * friction / stiffness,
+        "backlash": play,
+        "lost_motion": play + 0.06 * rated / stiffness,
+        "torsional_stiffness": stiffness,
+    }
     inside = dict.fromkeys(truth, 0)
     seeds = 60
     for seed in range(seeds):

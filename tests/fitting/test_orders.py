@@ -28,9 +28,16 @@ def run(orders, *, turns=TURNS, each=999.7, noise=1.0, seed=0, way=1, pulley=1.0
     error = sum(a * np.cos(k * psi + p) for k, (a, p) in orders.items()) + random.normal(0, noise, psi.size)
     n = np.ones(psi.size)
     return Recording(
-        np.arange(psi.size) / 1000, 15.0 * psi, psi + error * ARCMIN, 10.0 * n, np.zeros(psi.size, np.uint8),
-        ratio=15.0, source="run.csv", checksum="0", pulley=pulley,
-    )  # fmt: skip
+        np.arange(psi.size) / 1000,
+        15.0 * psi,
+        psi + error * ARCMIN,
+        10.0 * n,
+        np.zeros(psi.size, np.uint8),
+        ratio=15.0,
+        source="run.csv",
+        checksum="0",
+        pulley=pulley,
+    )
 
 
 def figures(made):

@@ -112,8 +112,9 @@ def test_an_identification_says_how_many_samples_it_left_out():
     def recorded(load, name):
         error = made.analyze(load, crank_angle=angle).transmission_error.values[0]
         output = angle / -9 + error + noise.normal(0.0, 1e-6, angle.size)
-        return fitting.Run(input_angle=angle, output_angle=output, torque=load, name=name, common_zero=True,
-                           known_index=True)  # fmt: skip
+        return fitting.Run(
+            input_angle=angle, output_angle=output, torque=load, name=name, common_zero=True, known_index=True
+        )
 
     runs = [recorded(load, f"{load:g}") for load in (20.0, -20.0, 100.0, -100.0)]
     runs[0].output_angle[100:110] += 1.0

@@ -17,8 +17,12 @@ from fitting.recordings.sources import read_recordings
 from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000
-FORM = {"profile_deviation_1": -0.4e-6, "profile_deviation_2": 0.5e-6, "profile_deviation_3": 0.6e-6,
-        "profile_deviation_4": -0.3e-6}  # fmt: skip
+FORM = {
+    "profile_deviation_1": -0.4e-6,
+    "profile_deviation_2": 0.5e-6,
+    "profile_deviation_3": 0.6e-6,
+    "profile_deviation_4": -0.3e-6,
+}
 
 
 @pytest.mark.slow(6)
@@ -33,10 +37,11 @@ def test_derivatives_are_those_of_finite_differences(made, output, form):
     for name, column in zip(names, jacobian.T, strict=True):
         value = structured_value(pair, surface, name)
         low, high = (
-            solve(pair, with_structured(pair, surface, {name: value + way * step}), 150.0, angles, with_play=False)
-            .transmission_error[0]
+            solve(
+                pair, with_structured(pair, surface, {name: value + way * step}), 150.0, angles, with_play=False
+            ).transmission_error[0]
             for way in (-1.0, 1.0)
-        )  # fmt: skip
+        )
         wanted = (high - low) / (2.0 * step)
         off = np.abs(column - wanted) / np.abs(wanted).max()
         assert np.median(off) < 1e-3, name
@@ -64,17 +69,32 @@ def test_form_within_its_tolerance_no_longer_bends_the_other_errors(made, nomina
     surface = with_structured(made, surface_of_pair(made), FORM)
     generator, angle = np.random.default_rng(1), np.arange(39 * 12) * 2.0 * np.pi / 12
     curves = [
-        Curve(angle, error + generator.normal(0.0, 0.5 * ARCSEC, angle.size), np.full(angle.size, np.nan),
-              np.ones(angle.size, int), load, 0.0, int(np.sign(load)), -39.0, True, True, f"{load:g} N·m", "0")
+        Curve(
+            angle,
+            error + generator.normal(0.0, 0.5 * ARCSEC, angle.size),
+            np.full(angle.size, np.nan),
+            np.ones(angle.size, int),
+            load,
+            0.0,
+            int(np.sign(load)),
+            -39.0,
+            True,
+            True,
+            f"{load:g} N·m",
+            "0",
+        )
         for load in (20.0, -20.0, 200.0, -200.0)
         for error in [solve(made, surface, load, angle, with_play=False).transmission_error[0]]
-    ]  # fmt: skip
+    ]
     without = identify(curves, Drive(nominal), held_out=False, form=0.0)
     found = identify(curves, Drive(nominal), tolerances=Prior(profile=tolerated), held_out=False)
 
     def distances(result):
-        return {p.name: abs(p.value - structured_value(made, surface, p.name)) / p.standard_error
-                for p in result.parameters if p.held is None}  # fmt: skip
+        return {
+            p.name: abs(p.value - structured_value(made, surface, p.name)) / p.standard_error
+            for p in result.parameters
+            if p.held is None
+        }
 
     assert distances(without)["eccentricity"] > 4.0
     assert without.residual == pytest.approx(0.5 * ARCSEC, rel=0.05)

@@ -76,9 +76,13 @@ def test_tables_as_benches_write_them(tmp_path, encoding, delimiter, decimal, he
 
 
 @given(
-    delimiter=st.sampled_from([";", "\t", "|", ","]), comma=st.booleans(), width=st.integers(2, 6),
-    rows=st.integers(1, 8), preamble=st.integers(0, 3), seed=st.integers(0, 10**6),
-)  # fmt: skip
+    delimiter=st.sampled_from([";", "\t", "|", ","]),
+    comma=st.booleans(),
+    width=st.integers(2, 6),
+    rows=st.integers(1, 8),
+    preamble=st.integers(0, 3),
+    seed=st.integers(0, 10**6),
+)
 def test_the_dialect_of_any_table_is_found(delimiter, comma, width, rows, preamble, seed):
     decimal = "," if comma and delimiter != "," else "."
     rng = np.random.default_rng(seed)
@@ -194,9 +198,11 @@ def write_tdms(path, waveform):
     with nptdms.TdmsWriter(str(path)) as writer:
         for begin in range(0, SAMPLES, 900):
             writer.write_segment(
-                [nptdms.ChannelObject("run", n, OWN[n][1][begin : begin + 900], {"unit_string": OWN[n][0], **step})
-                 for n in names]
-            )  # fmt: skip
+                [
+                    nptdms.ChannelObject("run", n, OWN[n][1][begin : begin + 900], {"unit_string": OWN[n][0], **step})
+                    for n in names
+                ]
+            )
 
 
 @pytest.mark.parametrize("waveform", [False, True])
@@ -415,9 +421,13 @@ def test_blocks_join_to_the_same_recording(tmp_path):
     time = np.arange(n) / 4000.0
     angle = time * 30.0
     table = pa.table(
-        {"time [s]": time, "input_angle [rad]": angle % (2 * np.pi), "output_angle [rad]": -angle / 39,
-         "torque [N*m]": np.ones(n)}
-    )  # fmt: skip
+        {
+            "time [s]": time,
+            "input_angle [rad]": angle % (2 * np.pi),
+            "output_angle [rad]": -angle / 39,
+            "torque [N*m]": np.ones(n),
+        }
+    )
     parquet.write_table(table, tmp_path / "a.parquet")
     blocks = list(RecordingStream(tmp_path / "a.parquet").blocks())
     assert len(blocks) == 3

@@ -68,9 +68,11 @@ def quiet(pair, drive, load, generator, noise):
     error = error + generator.normal(0.0, noise, angle.size)
     run = fitting.Run(
         input_angle=-np.sign(pair.ratio * load) * angle,
-        output_angle=-np.sign(pair.ratio * load) * angle / pair.ratio + error, torque=load, known_index=True,
+        output_angle=-np.sign(pair.ratio * load) * angle / pair.ratio + error,
+        torque=load,
+        known_index=True,
         name=f"{load:g}",
-    )  # fmt: skip
+    )
     return observed_curves([run], drive)
 
 
@@ -369,16 +371,28 @@ def test_from_the_command_line(case, command, tmp_path):
         + '[torque]\ncolumn = "torque"\n'
     )
     for number, run in enumerate(runs):
-        rows = [f"{a!r},{o!r},{run.torque}"
-                for a, o in zip(run.input_angle.tolist(), run.output_angle.tolist(), strict=True)]  # fmt: skip
+        rows = [
+            f"{a!r},{o!r},{run.torque}"
+            for a, o in zip(run.input_angle.tolist(), run.output_angle.tolist(), strict=True)
+        ]
         text = "\n".join(["input_angle [rad],output_angle [rad],torque [N*m]", *rows])
         (tmp_path / f"run-{number}.csv").write_text(text + "\n")
     common = ["cycloid-fit", "recalibrate", "--pair", "pair.toml", "--crank-turns", "1e7", "--bits", "17"]
     files = [f"run-{number}.csv" for number in range(len(runs))]
     run = command(
-        *common, *files, "--mapping", "map.toml", "--before", "s.nc", "-o", "now.json", "--surface", "now.nc",
-        "--plot", "now.png",
-    )  # fmt: skip
+        *common,
+        *files,
+        "--mapping",
+        "map.toml",
+        "--before",
+        "s.nc",
+        "-o",
+        "now.json",
+        "--surface",
+        "now.nc",
+        "--plot",
+        "now.png",
+    )
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith("The model is valid")
     found = json.loads((tmp_path / "now.json").read_text())

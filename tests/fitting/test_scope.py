@@ -11,9 +11,23 @@ from fitting.recordings.formats import open_bench_file
 from fitting.recordings.scope import ScopeFile
 
 HEADER = (
-    "SymbolComment", "Data-Type", "SampleTime[ms]", "VariableSize", "SymbolBased", "IndexGroup", "IndexOffset",
-    "SymbolName", "NetID", "Port", "Offset", "ScaleFactor", "BitMask", "Unit", "Unit ScaleFactor", "Unit Offset",
-)  # fmt: skip
+    "SymbolComment",
+    "Data-Type",
+    "SampleTime[ms]",
+    "VariableSize",
+    "SymbolBased",
+    "IndexGroup",
+    "IndexOffset",
+    "SymbolName",
+    "NetID",
+    "Port",
+    "Offset",
+    "ScaleFactor",
+    "BitMask",
+    "Unit",
+    "Unit ScaleFactor",
+    "Unit Offset",
+)
 PLAIN = {"Offset": "0", "ScaleFactor": "1", "Unit ScaleFactor": "1", "Unit Offset": "0", "Unit": "(None)"}
 
 

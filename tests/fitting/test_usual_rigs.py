@@ -150,8 +150,10 @@ def test_a_clock_in_ticks_goes_to_the_figures_of_the_loop(command, tmp_path):
     assert any(f"{torque.size} samples share their time stamp" in note for note in found["notes"])
     assert found["hysteresis_loss"]["loops"] == 4
     truth = {
-        "hysteresis_loss": play + 2 * friction / stiffness, "backlash": play, "torsional_stiffness": stiffness,
-    }  # fmt: skip
+        "hysteresis_loss": play + 2 * friction / stiffness,
+        "backlash": play,
+        "torsional_stiffness": stiffness,
+    }
     for name, value in truth.items():
         assert found[name]["value"] == pytest.approx(value, rel=0.01), name
 
@@ -288,8 +290,15 @@ def test_a_coarse_clock_keeps_the_transmission_error_of_a_turning_crank(tmp_path
     crank = speed * time
     error = 20 * ARCSEC * np.cos(40 * crank / 39)
     tick = 0.016
-    path = table(tmp_path, {"t [s]": np.arange(time.size) // 32 * tick, "motor [rad]": crank,
-                            "flange [rad]": crank / RATIO + error, "M [Nm]": np.full(time.size, 5.0)})  # fmt: skip
+    path = table(
+        tmp_path,
+        {
+            "t [s]": np.arange(time.size) // 32 * tick,
+            "motor [rad]": crank,
+            "flange [rad]": crank / RATIO + error,
+            "M [Nm]": np.full(time.size, 5.0),
+        },
+    )
     inspect(path).write(tmp_path / "map.toml")
     found = RecordingStream(path, read_mapping(tmp_path / "map.toml")).read()
     assert (np.diff(found.time) > 0.0).all()
@@ -323,8 +332,11 @@ def test_ticks_are_the_same_over_the_seams_of_pieces(tmp_path, monkeypatch, piec
     parts = RecordingStream(path, mapping).read()
     for name in ("time", "output_angle", "torque"):
         assert getattr(parts, name) == pytest.approx(getattr(whole, name), abs=1e-12)
-    assert whole.torque == pytest.approx(np.add.reduceat(torque, np.arange(0, torque.size, 6)) / np.diff(
-        np.arange(0, torque.size + 6, 6).clip(max=torque.size)), abs=1e-4)  # fmt: skip
+    assert whole.torque == pytest.approx(
+        np.add.reduceat(torque, np.arange(0, torque.size, 6))
+        / np.diff(np.arange(0, torque.size + 6, 6).clip(max=torque.size)),
+        abs=1e-4,
+    )
 
 
 @pytest.mark.parametrize(
@@ -352,11 +364,14 @@ def test_the_columns_of_numbers_decide(tmp_path, text, expected):
 
 
 @given(
-    delimiter=st.sampled_from([";", "\t", "|", ","]), comma=st.booleans(), rows=st.integers(4, 40),
+    delimiter=st.sampled_from([";", "\t", "|", ","]),
+    comma=st.booleans(),
+    rows=st.integers(4, 40),
     seed=st.integers(0, 10**6),
     kinds=st.lists(st.sampled_from(["number", "text", "stamp", "sparse"]), min_size=1, max_size=5),
-    preamble=st.integers(0, 3), first_is_bad=st.booleans(),
-)  # fmt: skip
+    preamble=st.integers(0, 3),
+    first_is_bad=st.booleans(),
+)
 def test_any_table_of_numbers_stamps_and_text_is_read(
     tmp_path_factory, delimiter, comma, rows, seed, kinds, preamble, first_is_bad
 ):

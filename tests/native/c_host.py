@@ -42,7 +42,7 @@ def compiled(target, sources, *flags, compiler=COMPILER):
     subprocess.run(
         [*compiler, "-std=c99", "-g", *flags, *include, *map(str, sources), "-o", str(target), *libraries],
         check=True,
-    )  # fmt: skip
+    )
     return target
 
 
@@ -54,9 +54,11 @@ class Slave:
         self.references = {v.name: v.valueReference for v in description.modelVariables}
         self.said = []
         self.fmi = FMU2Slave(
-            guid=description.guid, unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)),
-            modelIdentifier=description.coSimulation.modelIdentifier, instanceName="drive",
-        )  # fmt: skip
+            guid=description.guid,
+            unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)),
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName="drive",
+        )
         logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *words: self.said.append(words[4].decode()))
         self._kept = fmpy.fmi2.fmi2CallbackFunctions(
             logger,
@@ -93,18 +95,26 @@ def native_of(folder, drive, surface, made, interface):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
         native_build.build_native(
-            drive, folder / "drive.fmu", surface, interface=interface, made=made,
+            drive,
+            folder / "drive.fmu",
+            surface,
+            interface=interface,
+            made=made,
             platforms=[native_build.this_platform()],
-        )  # fmt: skip
+        )
     return folder / "drive.fmu"
 
 
 def run_host(program, library, uri, guid, *words, prefix=(), **environment):
     """Run the C host."""
     return subprocess.run(
-        [*prefix, str(program), str(library), uri, guid, *map(str, words)], capture_output=True, text=True,
-        timeout=900, env={**os.environ, **environment}, check=False,
-    )  # fmt: skip
+        [*prefix, str(program), str(library), uri, guid, *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=900,
+        env={**os.environ, **environment},
+        check=False,
+    )
 
 
 def needs(program):

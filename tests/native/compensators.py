@@ -19,20 +19,37 @@ def compensator(seed=1, functions=3, temperatures=3, friction=True):
     small = [random.integers(-100, 100, random.integers(4, 30)).astype(np.int8) for _ in range(functions)]
     steps = tuple(one if k % 2 else one * np.int16(300) for k, one in enumerate(small))
     table = Inverse(
-        period=2.0 * math.pi * random.integers(1, 40) / 40.0, steps=steps, scale=random.uniform(1e-8, 1e-7, functions)
-        / np.array([1.0 if one.dtype == np.int8 else 300.0 for one in steps]), torque=torque,
+        period=2.0 * math.pi * random.integers(1, 40) / 40.0,
+        steps=steps,
+        scale=random.uniform(1e-8, 1e-7, functions)
+        / np.array([1.0 if one.dtype == np.int8 else 300.0 for one in steps]),
+        torque=torque,
         temperature=np.linspace(280.0, 330.0, temperatures) if temperatures > 1 else np.zeros(1),
-        mean=np.sort(random.normal(0.0, 1e-4, shape), axis=1), share=random.normal(0.0, 1.0, (*shape, functions)),
-        flank=np.tanh(torque / 5.0), spread=np.zeros(shape), residual=1e-6,
-    )  # fmt: skip
+        mean=np.sort(random.normal(0.0, 1e-4, shape), axis=1),
+        share=random.normal(0.0, 1.0, (*shape, functions)),
+        flank=np.tanh(torque / 5.0),
+        spread=np.zeros(shape),
+        residual=1e-6,
+    )
     speeds = np.linspace(0.0, 0.2, 6)
     return Compensator(
-        ratio=-117.0, crank_ratio=-39.0, inverse=table, compliance=2e-6, coulomb=1.5 * friction,
-        load_share=0.03 * friction, stribeck=0.7 * friction, viscous=0.2, presliding_angle=2e-5,
-        stribeck_speed=speeds, stribeck_share=np.exp(-((speeds / 0.05) ** 2)),
-        warmth_temperature=np.array([280.0, 300.0, 330.0]), warmth=np.array([1.3, 0.95, 0.6]),
-        variance=random.uniform(2e-12, 1e-10, shape), ripple_variance=random.uniform(1e-12, 1e-10, shape), sensor=3e-6,
-    )  # fmt: skip
+        ratio=-117.0,
+        crank_ratio=-39.0,
+        inverse=table,
+        compliance=2e-6,
+        coulomb=1.5 * friction,
+        load_share=0.03 * friction,
+        stribeck=0.7 * friction,
+        viscous=0.2,
+        presliding_angle=2e-5,
+        stribeck_speed=speeds,
+        stribeck_share=np.exp(-((speeds / 0.05) ** 2)),
+        warmth_temperature=np.array([280.0, 300.0, 330.0]),
+        warmth=np.array([1.3, 0.95, 0.6]),
+        variance=random.uniform(2e-12, 1e-10, shape),
+        ripple_variance=random.uniform(1e-12, 1e-10, shape),
+        sensor=3e-6,
+    )
 
 
 def way(c, seed, count=300, *, index=0.4, measured=0.8, odd=0.02):

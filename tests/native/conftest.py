@@ -51,9 +51,14 @@ def built(drive, tmp_path_factory):
             with pytest.MonkeyPatch.context() as patch:
                 patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
                 native_build.build_native(
-                    drive.pair, path, drive.surface, interface=BUILT[kind], fmi_version=version, made=drive.tables,
+                    drive.pair,
+                    path,
+                    drive.surface,
+                    interface=BUILT[kind],
+                    fmi_version=version,
+                    made=drive.tables,
                     platforms=[native_build.this_platform()],
-                )  # fmt: skip
+                )
             made[kind, version] = path
         return made[kind, version]
 
@@ -72,11 +77,13 @@ def unpacked(built, tmp_path_factory):
             description = fmpy.read_model_description(str(path))
             two = version == "2.0"
             made[kind, version] = SimpleNamespace(
-                folder=folder, version=version, kind=kind,
+                folder=folder,
+                version=version,
+                kind=kind,
                 uri=(folder / "resources").as_uri() if two else f"{folder / 'resources'}/",
                 guid=description.guid if two else description.instantiationToken,
                 library=folder / "binaries" / ("linux64" if two else "x86_64-linux") / "CycloidDrive.so",
-            )  # fmt: skip
+            )
         return made[kind, version]
 
     return one
@@ -95,9 +102,15 @@ def host(tmp_path_factory):
 
     def run(fmu, *words, uri=None, guid=None, fails=False, program=None, library=None, prefix=(), **environment):
         done = run_host(
-            program or programs[fmu.version], library or fmu.library, uri or fmu.uri, guid or fmu.guid, fmu.kind,
-            *words, prefix=prefix, **environment,
-        )  # fmt: skip
+            program or programs[fmu.version],
+            library or fmu.library,
+            uri or fmu.uri,
+            guid or fmu.guid,
+            fmu.kind,
+            *words,
+            prefix=prefix,
+            **environment,
+        )
         if fails is None:
             return done.returncode
         assert (done.returncode != 0) == fails, done.stderr

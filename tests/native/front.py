@@ -36,16 +36,40 @@ def compiled_front(library):
 def _compile(library, target):
     if library.endswith(".dll"):  # not mingw's library, which takes minutes to compile
         parts = ("string", "private")
-        runtime = ["-nostdlib", "-Wl,--no-entry", "-isystem", str(native_build.windows_headers()),
-                   *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in parts), "-lkernel32"]  # fmt: skip
+        runtime = [
+            "-nostdlib",
+            "-Wl,--no-entry",
+            "-isystem",
+            str(native_build.windows_headers()),
+            *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in parts),
+            "-lkernel32",
+        ]
     else:
         runtime = ["-ldl", "-lpthread"]
     subprocess.run(
-        [*zig(LIBRARIES[library]), "-std=c99", "-Os", "-Wall", "-Wextra",
-         "-Werror", "-fPIC", "-shared", "-fvisibility=hidden", "-s", f'-DSOURCE_HASH="{source_hash()}"',
-         "-I", str(NATIVE), "-I", str(native_build.headers()), *map(str, SOURCES), "-o", str(target), *runtime],
+        [
+            *zig(LIBRARIES[library]),
+            "-std=c99",
+            "-Os",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            "-fPIC",
+            "-shared",
+            "-fvisibility=hidden",
+            "-s",
+            f'-DSOURCE_HASH="{source_hash()}"',
+            "-I",
+            str(NATIVE),
+            "-I",
+            str(native_build.headers()),
+            *map(str, SOURCES),
+            "-o",
+            str(target),
+            *runtime,
+        ],
         check=True,
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

@@ -65,8 +65,16 @@ def _real(value):
     return value
 
 
-FUNCTIONS = ("ABS", "SQRT", "DINT_TO_LREAL", "LINT_TO_LREAL", "LREAL_TO_DINT", "LREAL_TO_LINT", "SINT_TO_DINT",
-             "INT_TO_DINT")  # fmt: skip
+FUNCTIONS = (
+    "ABS",
+    "SQRT",
+    "DINT_TO_LREAL",
+    "LINT_TO_LREAL",
+    "LREAL_TO_DINT",
+    "LREAL_TO_LINT",
+    "SINT_TO_DINT",
+    "INT_TO_DINT",
+)
 
 
 class _Array(list):
@@ -87,10 +95,13 @@ def blocks(text, rounded):
         re.findall(r"(\w+)\s*:\s*(ARRAY[^;]*);", "".join(re.findall(r"\bTYPE\b(.*?)END_TYPE", text, re.DOTALL)))
     )
     functions = {
-        "ABS": lambda v: abs(_real(v)), "SQRT": lambda v: math.sqrt(_real(v)), "SINT_TO_DINT": Whole,
-        "INT_TO_DINT": Whole, **dict.fromkeys(("DINT_TO_LREAL", "LINT_TO_LREAL"), lambda v: float(_whole(v))),
+        "ABS": lambda v: abs(_real(v)),
+        "SQRT": lambda v: math.sqrt(_real(v)),
+        "SINT_TO_DINT": Whole,
+        "INT_TO_DINT": Whole,
+        **dict.fromkeys(("DINT_TO_LREAL", "LINT_TO_LREAL"), lambda v: float(_whole(v))),
         **dict.fromkeys(("LREAL_TO_DINT", "LREAL_TO_LINT"), lambda v: Whole(rounded(_real(v)))),
-    }  # fmt: skip
+    }
     made = {}
     for name, inside in re.findall(r"FUNCTION_BLOCK (\w+)(.*?)END_FUNCTION_BLOCK", text, re.DOTALL):
         made[name] = _block(name, inside, types, functions, made)

@@ -41,8 +41,10 @@ ARM = Path("/usr/aarch64-linux-gnu")
 
 
 class _Command(ctypes.Structure):
-    _fields_ = [*((name, ctypes.c_double) for name in ("motor_angle", "motor_speed", "band", "gain")),
-                ("holds", ctypes.c_int)]  # fmt: skip
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("motor_angle", "motor_speed", "band", "gain")),
+        ("holds", ctypes.c_int),
+    ]
 
 
 class InC:
@@ -90,18 +92,23 @@ def test_the_ways_take_every_branch(drive):
 
 @settings(max_examples=60, deadline=None)
 @given(
-    seed=st.integers(0, 2**31), index=st.sampled_from([0.4, -17.3, 0.0, NONE, math.nan]),
-    measured=st.sampled_from([0.0, 0.5, 1.0]), odd=st.sampled_from([0.0, 0.05, 0.5]),
+    seed=st.integers(0, 2**31),
+    index=st.sampled_from([0.4, -17.3, 0.0, NONE, math.nan]),
+    measured=st.sampled_from([0.0, 0.5, 1.0]),
+    odd=st.sampled_from([0.0, 0.05, 0.5]),
     probability=st.sampled_from([0.0, 0.7, 1.0, -0.0, 3.0, math.nan]),
-)  # fmt: skip
+)
 def test_c_gives_the_bits_of_python_on_any_way(drive, in_c, seed, index, measured, odd, probability):
     rows = way(drive, seed, 80, index=index, measured=measured, odd=odd)
     assert np.array_equal(in_c.commands(rows, index, probability), commands(drive, rows, index, probability))
 
 
 @settings(max_examples=100, deadline=None)
-@given(rows=st.lists(st.lists(st.floats(), min_size=6, max_size=6), min_size=1, max_size=6), index=st.floats(),
-       probability=st.floats())  # fmt: skip
+@given(
+    rows=st.lists(st.lists(st.floats(), min_size=6, max_size=6), min_size=1, max_size=6),
+    index=st.floats(),
+    probability=st.floats(),
+)
 def test_whatever_is_handed_over_gives_a_number_and_the_same_in_c(drive, in_c, rows, index, probability):
     found = commands(drive, np.array(rows), index, probability)
     assert np.isfinite(found).all()
@@ -137,17 +144,28 @@ def test_sums_that_may_be_reordered_are_refused(drive, tmp_path):
 def host(c, rows, index, folder, compiler, *flags, suffix=""):
     """Compile the host with a way inside."""
     source, _ = write_compensator(c, folder / "joint.c")
-    bits = ",\n".join("{" + ", ".join(f"{NONE if abs(v) == math.inf or v != v else v!r}" for v in row) + "}"
-                      for row in rows.tolist())  # fmt: skip
+    bits = ",\n".join(
+        "{" + ", ".join(f"{NONE if abs(v) == math.inf or v != v else v!r}" for v in row) + "}" for row in rows.tolist()
+    )
     (folder / "sequence.h").write_text(
         f"#define ROWS {len(rows)}\n#define INDEX {index!r}\n#define PROBABILITY 1.0\n"
         f"static const double SEQUENCE[ROWS][6] = {{\n{bits}\n}};\n"
     )
     program = folder / f"host{suffix}"
     subprocess.run(
-        [*compiler, "-std=c99", "-O2", *map(str, (HERE / "compensation_host.c", source)), "-I", str(folder), "-o",
-         str(program), *flags], check=True,
-    )  # fmt: skip
+        [
+            *compiler,
+            "-std=c99",
+            "-O2",
+            *map(str, (HERE / "compensation_host.c", source)),
+            "-I",
+            str(folder),
+            "-o",
+            str(program),
+            *flags,
+        ],
+        check=True,
+    )
     return program
 
 
@@ -197,8 +215,14 @@ class InterpretedText:
         block, found = self._blocks["joint"](), []
         block.index, block.index_probability = index, probability
         for row in rows.tolist():
-            names = ("desired_angle", "desired_speed", "load_torque", "temperature", "motor_angle_measured",
-                     "output_angle_measured")  # fmt: skip
+            names = (
+                "desired_angle",
+                "desired_speed",
+                "load_torque",
+                "temperature",
+                "motor_angle_measured",
+                "output_angle_measured",
+            )
             block(**dict(zip(names, row, strict=True)), output_measured=True)
             found.append([block.motor_angle, block.motor_speed, block.band, block.gain, block.holds])
         return np.array(found, dtype=float)
@@ -213,9 +237,25 @@ class CompiledText:
         library = Path(os.environ.get("MATIEC_LIBRARY", program.parent / "lib"))
         subprocess.run([program, "-I", library, "-T", folder, path], check=True, stdout=subprocess.DEVNULL)
         subprocess.run(
-            ["gcc", "-O1", "-std=gnu99", "-w", "-ffp-contract=off", "-shared", "-fPIC", "-I", folder, "-I",
-             library / "C", HERE / "structured_text_host.c", "-o", folder / "joint.so", "-lm"], check=True,
-        )  # fmt: skip
+            [
+                "gcc",
+                "-O1",
+                "-std=gnu99",
+                "-w",
+                "-ffp-contract=off",
+                "-shared",
+                "-fPIC",
+                "-I",
+                folder,
+                "-I",
+                library / "C",
+                HERE / "structured_text_host.c",
+                "-o",
+                folder / "joint.so",
+                "-lm",
+            ],
+            check=True,
+        )
         self._library = ctypes.CDLL(str(folder / "joint.so"))
         self._library.start.argtypes = [ctypes.c_double] * 2
 
@@ -298,13 +338,20 @@ def fmus(drive, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
         for version in ("2.0", "3.0"):
-            write_compensator(drive, folder / f"{version[0]}.fmu", fmi_version=version,
-                              platforms=[native_build.this_platform()])  # fmt: skip
+            write_compensator(
+                drive, folder / f"{version[0]}.fmu", fmi_version=version, platforms=[native_build.this_platform()]
+            )
     return {version: folder / f"{version[0]}.fmu" for version in ("2.0", "3.0")}
 
 
-INPUTS = ("desired_angle", "desired_speed", "load_torque", "temperature", "motor_angle_measured",
-          "output_angle_measured")  # fmt: skip
+INPUTS = (
+    "desired_angle",
+    "desired_speed",
+    "load_torque",
+    "temperature",
+    "motor_angle_measured",
+    "output_angle_measured",
+)
 OUTPUTS = ("motor_angle", "motor_speed", "band", "gain")
 
 
@@ -501,8 +548,11 @@ def test_sources_in_the_fmu_compile_without_a_warning(fmus, tmp_path, compiler):
     for version, path in fmus.items():
         fmpy.extract(str(path), unzipdir=str(tmp_path / version))
         for source in ("compensator.c", "instance.c", "fmi2.c", "fmi3.c")[: 4 if version == "2.0" else 2]:
-            subprocess.run([*compiler, "-std=c99", *STRICT, "-c", source, "-o", tmp_path / "made.o"],
-                           cwd=tmp_path / version / "sources", check=True)  # fmt: skip
+            subprocess.run(
+                [*compiler, "-std=c99", *STRICT, "-c", source, "-o", tmp_path / "made.o"],
+                cwd=tmp_path / version / "sources",
+                check=True,
+            )
 
 
 # --- the command ---

@@ -23,8 +23,14 @@ CHAIN = {"series_compliance": 5e-6, "mesh_damping": 50.0}
 LOSSY = ((0.0, 0.9, 0.85, 0.02, 0.03), (400.0, 0.92, 0.87, 0.05, 0.06))
 ARM, MOTOR = 2.0, 1e-3  # kg·m²
 OUTPUTS = ("flange_a.tau", "flange_b.phi", "flange_b.w", "elastic_energy", "dissipated_energy")
-NAMES = {"flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
-         "flange_b.tau": "torque", "flange_b.phi": "output_angle", "flange_b.w": "output_speed"}  # fmt: skip
+NAMES = {
+    "flange_a.phi": "crank_angle",
+    "flange_a.w": "crank_speed",
+    "flange_a.tau": "crank_torque",
+    "flange_b.tau": "torque",
+    "flange_b.phi": "output_angle",
+    "flange_b.w": "output_speed",
+}
 
 
 class Exact:
@@ -97,9 +103,12 @@ def joint(drive, tmp_path):
 def test_at_constant_speed_the_crank_bears_the_load_over_the_ratio_and_the_losses(joint, drive, kind, speed, step):
     load, pitch = 47.0, 2.0 * math.pi / drive.pair.pins
     found = joint(
-        kind, Interface("compliant", ARM, LOSSY), flange_a__w=-speed, flange_b__tau=-load,
+        kind,
+        Interface("compliant", ARM, LOSSY),
+        flange_a__w=-speed,
+        flange_b__tau=-load,
         **{**CHAIN, "mesh_damping": 1000.0},
-    )  # fmt: skip
+    )
     time, torque = 0.0, []
     for _ in range(15):
         found.step(time, 2e-3)
@@ -123,10 +132,12 @@ def test_work_done_is_stored_lost_or_given_back_through_reversals_and_impacts(jo
     interface = Interface("compliant", ARM)
     if parameters:
         interface = Interface(
-            "compliant", ARM, LOSSY,
+            "compliant",
+            ARM,
+            LOSSY,
             input_friction=Friction(coulomb=0.01, load_share=0.02, stribeck=0.01, viscous=1e-4),
             output_friction=Friction(load_share=0.02, stribeck=1.0, viscous=0.5),
-        )  # fmt: skip
+        )
     found = joint(kind, interface, **parameters)
     lowest = highest = passed = 0.0
     begun, done = found.get("elastic_energy")[0], 0.0
@@ -210,9 +221,7 @@ def test_motor_and_arm_move_as_scipy_has_them(joint, drive, kind, step):
     interface = Interface("compliant", ARM, crank_inertia=MOTOR)
     found = joint(kind, interface, flange_b__tau=load, crank_angle_start=0.2, **CHAIN)
     begun = [*found.get("flange_a.phi", "flange_a.w", "flange_b.phi", "flange_b.w"), *found.get("elastic_energy")]
-    exact, _ = reference(
-        drive, last, begun[:4], motor, load, CHAIN["mesh_damping"], CHAIN["series_compliance"]
-    )  # fmt: skip
+    exact, _ = reference(drive, last, begun[:4], motor, load, CHAIN["mesh_damping"], CHAIN["series_compliance"])
     assert begun[0] == 0.2
     done, passed, rows = 0.0, 0.0, [begun[:4]]
     time = step * np.arange(round(last / step) + 1)

@@ -62,14 +62,23 @@ def test_motor_and_arm_move_through_the_play_as_scipy_has_them(built, drive, ver
     for i, row in enumerate(((0.0, 1.0, 1.0, 0.0, 0.0), (100.0, 1.0, 1.0, 0.0, 0.0)), start=1):
         values |= {f"loss_table[{i},{j}]": value for j, value in enumerate(row, start=1)}
     found = simulated(
-        built("joint", version), "ModelExchange", last,
+        built("joint", version),
+        "ModelExchange",
+        last,
         signals(time, flange_a__tau=2.0 * np.sin(75.0 * time), flange_b__tau=np.full(time.size, load)),
-        (*MOTION, "elastic_energy", "dissipated_energy"), values, relative_tolerance=1e-9,
-    )  # fmt: skip
+        (*MOTION, "elastic_energy", "dissipated_energy"),
+        values,
+        relative_tolerance=1e-9,
+    )
     exact, _ = reference(
-        drive, last, [found[n][0] for n in MOTION], lambda t: 2.0 * math.sin(75.0 * t), load, CHAIN["mesh_damping"],
+        drive,
+        last,
+        [found[n][0] for n in MOTION],
+        lambda t: 2.0 * math.sin(75.0 * t),
+        load,
+        CHAIN["mesh_damping"],
         CHAIN["series_compliance"],
-    )  # fmt: skip
+    )
     wanted = exact(found["time"])
     for name, values in zip(MOTION, wanted, strict=True):
         assert np.abs(found[name] - values).max() < 1e-3 * np.ptp(values)
@@ -88,9 +97,11 @@ def test_kinematic_gives_in_model_exchange_what_it_gives_in_co_simulation(built,
     """Through reversals, zero torque and friction: where both are asked, both have seen the same."""
     time = np.linspace(0.0, 0.2, 201)
     inputs = signals(
-        time, flange_a__phi=2.0 * np.sin(30.0 * time), flange_a__w=60.0 * np.cos(30.0 * time),
+        time,
+        flange_a__phi=2.0 * np.sin(30.0 * time),
+        flange_a__w=60.0 * np.cos(30.0 * time),
         flange_b__tau=40.0 * np.sin(50.0 * time + 0.3),
-    )  # fmt: skip
+    )
     outputs = ("flange_b.phi", "flange_b.w", "flange_a.tau", "transmission_error", "power_loss")
     for friction in (0.0, 5.0):
         exchange, simulation = (
@@ -108,9 +119,12 @@ def test_compliant_gives_in_model_exchange_what_it_gives_in_co_simulation(built)
     time = np.linspace(0.0, 0.1, 2001)
     deviation, rate = 2e-4 * np.sin(200.0 * time), 0.04 * np.cos(200.0 * time)
     inputs = signals(
-        time, flange_a__phi=10.0 * time, flange_a__w=np.full(time.size, 10.0),
-        flange_b__phi=-10.0 * time / 39.0 + deviation, flange_b__w=-10.0 / 39.0 + rate,
-    )  # fmt: skip
+        time,
+        flange_a__phi=10.0 * time,
+        flange_a__w=np.full(time.size, 10.0),
+        flange_b__phi=-10.0 * time / 39.0 + deviation,
+        flange_b__w=-10.0 / 39.0 + rate,
+    )
     outputs = ("flange_a.tau", "flange_b.tau", "dissipated_energy", "elastic_energy")
     values = {"friction_torque": 8.0, "mesh_damping": 30.0}
     path = built("compliant", "3.0")
@@ -169,9 +183,10 @@ class Model:
         ]
         self.fmi = kind(
             guid=described.guid or described.instantiationToken,
-            unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)), modelIdentifier="CycloidDrive",
+            unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)),
+            modelIdentifier="CycloidDrive",
             instanceName="drive",
-        )  # fmt: skip
+        )
         self.fmi.instantiate(**({"eventModeUsed": True, "earlyReturnAllowed": True} if early else {}))
         self._set, self._get = (
             (self.fmi.setFloat64, self.fmi.getFloat64) if new else (self.fmi.setReal, self.fmi.getReal)
@@ -249,8 +264,7 @@ def test_directional_derivatives_are_those_of_differences(model, kind, version, 
     elif kind == "compliant":
         values |= {"flange_b.phi": 0.3 / -39.0 + deviation, "flange_b.w": 31.0 / -39.0 + 0.02, **strains}
     else:
-        values |= {"transmission_error": deviation, "flange_b.w": 31.0 / -39.0 + 0.02, **strains,
-                   "flange_b.tau": 7.0}  # fmt: skip
+        values |= {"transmission_error": deviation, "flange_b.w": 31.0 / -39.0 + 0.02, **strains, "flange_b.tau": 7.0}
     parameters = {} if kind == "kinematic" else {"mesh_damping": 25.0}
     found.put({**values, **parameters})
     knowns = [n for n in dict.fromkeys([*found.inputs, *found.states]) if n != "dissipated_energy"]
@@ -274,16 +288,21 @@ def test_directional_derivatives_are_those_of_differences(model, kind, version, 
 @pytest.mark.parametrize("kind", ["compliant", "joint"])
 def test_adjoint_derivatives_are_the_transposed_ones(model, kind):
     found = model(kind)
-    found.put({"flange_a.phi": 0.3, "flange_b.phi": 0.3 / -39.0 + 2e-4} if kind == "compliant" else
-              {"flange_a.phi": 0.3, "transmission_error": 2e-4})  # fmt: skip
+    found.put(
+        {"flange_a.phi": 0.3, "flange_b.phi": 0.3 / -39.0 + 2e-4}
+        if kind == "compliant"
+        else {"flange_a.phi": 0.3, "transmission_error": 2e-4}
+    )
     knowns = [n for n in (*found.inputs, *found.states) if n != "dissipated_energy"]
     unknowns, random = [*found.outputs, *found.rates], np.random.default_rng(1)
     seeds = random.normal(size=len(unknowns))
     whole = np.array([found.directional(unknowns, [name], [1.0]) for name in knowns])
     adjoint = found.fmi.getAdjointDerivative(
-        [found.references[n] for n in unknowns], [found.references[n] for n in knowns], list(seeds),
+        [found.references[n] for n in unknowns],
+        [found.references[n] for n in knowns],
+        list(seeds),
         len(knowns),
-    )  # fmt: skip
+    )
     assert np.allclose(adjoint, whole @ seeds, rtol=1e-12)
     mixed = random.normal(size=len(knowns))
     together = found.directional(unknowns, knowns, mixed)
@@ -376,9 +395,15 @@ def test_elements_of_friction_stick_slide_and_turn_round_as_stops_do(built):
     speed = 1.8e-3 * np.cos(60.0 * time) + 2.6e-3 * np.cos(130.0 * time)
     names = STRAINS[5:]
     found = simulated(
-        built("compliant"), "ModelExchange", 0.2, signals(time, flange_b__phi=way, flange_b__w=speed), names,
-        {"friction_torque": 3.0}, relative_tolerance=1e-6, output_interval=5e-4,
-    )  # fmt: skip
+        built("compliant"),
+        "ModelExchange",
+        0.2,
+        signals(time, flange_b__phi=way, flange_b__w=speed),
+        names,
+        {"friction_torque": 3.0},
+        relative_tolerance=1e-6,
+        output_interval=5e-4,
+    )
     fine, limits = np.linspace(0.0, 0.2, 40001), 2e-5 * np.arange(1, 6) / 5
     strains = [np.zeros(5)]
     for step in np.diff(np.interp(fine, time, way)):
@@ -429,11 +454,17 @@ def test_a_step_returns_early_at_an_impact_where_the_host_asks_for_it(model, bui
 def test_fmpy_runs_a_joint_with_event_mode_and_early_return(built):
     whole, early = (
         simulated(
-            built("joint", "3.0"), "CoSimulation", 0.02, None, ("flange_b.phi",),
-            {"flange_b.tau": -30.0, "flange_a.tau": 2.0}, use_event_mode=used, early_return_allowed=used,
+            built("joint", "3.0"),
+            "CoSimulation",
+            0.02,
+            None,
+            ("flange_b.phi",),
+            {"flange_b.tau": -30.0, "flange_a.tau": 2.0},
+            use_event_mode=used,
+            early_return_allowed=used,
         )
         for used in (False, True)
-    )  # fmt: skip
+    )
     values = np.interp(whole["time"], early["time"], early["flange_b.phi"])
     assert np.abs(values - whole["flange_b.phi"]).max() < 1e-3 * np.ptp(whole["flange_b.phi"])
 

@@ -17,9 +17,7 @@ from front import LIBRARIES, SHIPPED, compiled_front, source_hash
 from cycloid_fmu.native import build as native_build
 
 TESTED = dict(line.split("==") for line in (HERE.parents[1] / "constraints.txt").read_text().split())
-LOGGER = ctypes.CFUNCTYPE(
-    None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p
-)  # fmt: skip
+LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 
 
 def signatures():
@@ -254,9 +252,15 @@ def test_the_windows_library_hands_on_a_path_of_ascii(alone, made):
     (folder / "resources").mkdir(parents=True)
     calls = "".join(f"CALL({name})" for name in signatures())
     behind = compiled(
-        alone / "pythonfmu-export.exe", [HERE / "front_behind.c"], f"-DCALLS={calls}", "-O2", "-shared",
-        "-Wl,--no-entry", *runtime, compiler=zig("x86_64-windows"),
-    )  # fmt: skip
+        alone / "pythonfmu-export.exe",
+        [HERE / "front_behind.c"],
+        f"-DCALLS={calls}",
+        "-O2",
+        "-shared",
+        "-Wl,--no-entry",
+        *runtime,
+        compiler=zig("x86_64-windows"),
+    )
     (folder / "pythonfmu-export.dll").write_bytes(behind.read_bytes())
     name = "win64/CycloidDrive.dll"
     if made == "shipped":
@@ -264,9 +268,13 @@ def test_the_windows_library_hands_on_a_path_of_ascii(alone, made):
     else:
         (folder / "CycloidDrive.dll").write_bytes(compiled_front(name))
     host = compiled(
-        alone / "host.exe", [HERE / "front_host.c", HERE / "windows_start.c"], "-O2", "-Wl,--entry=start", *runtime,
+        alone / "host.exe",
+        [HERE / "front_host.c", HERE / "windows_start.c"],
+        "-O2",
+        "-Wl,--entry=start",
+        *runtime,
         compiler=zig("x86_64-windows"),
-    )  # fmt: skip
+    )
     environment = {**os.environ, "WINEPREFIX": str(alone / "wine"), "WINEDEBUG": "-all"}
     for resources in (folder / "resources", alone):
         uri = resources.as_uri().replace("file:///", "file:///Z:/")

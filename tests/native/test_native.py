@@ -44,9 +44,18 @@ ARM = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross
 MOTION = {"kinematic": 3, "compliant": 4, "inertia": 3}  # inputs, which the C host prints first, after the time
 STUDIES = float(os.environ.get("CYCLOID_STEPS", "1e6"))
 COLUMNS = (
-    "time", "flange_a.phi", "flange_a.w", "flange_b.tau", "flange_b.phi", "flange_b.w", "flange_a.tau",
-    "transmission_error", "backlash", "torsional_stiffness", "max_contact_pressure",
-)  # fmt: skip
+    "time",
+    "flange_a.phi",
+    "flange_a.w",
+    "flange_b.tau",
+    "flange_b.phi",
+    "flange_b.w",
+    "flange_a.tau",
+    "transmission_error",
+    "backlash",
+    "torsional_stiffness",
+    "max_contact_pressure",
+)
 
 
 # Every interface in FMI 2.0; FMI 3.0, from the same source, with the two that take different inputs.
@@ -89,9 +98,12 @@ def against_the_exact_model(native, pair, surface, made, probes):
         model.crank_angle, model.torque = angle[i], torque[i]
         model.advance()
         found[0, :, i] = (
-            model.transmission_error, model.torsional_stiffness, model.output_speed - 1.0 / pair.ratio,
-            model.crank_torque, model.max_contact_pressure,
-        )  # fmt: skip
+            model.transmission_error,
+            model.torsional_stiffness,
+            model.output_speed - 1.0 / pair.ratio,
+            model.crank_torque,
+            model.max_contact_pressure,
+        )
         native.put(flange_a_phi=angle[i], flange_b_tau=torque[i])
         native.fmi.doStep(0.0, 1e-3)
         found[1, :, i] = native.get(
@@ -159,9 +171,12 @@ def test_progress_adds_up_to_what_was_said_before_each_step():
     pair = read_pair(EXAMPLES / "drive-39-40.toml")
     steps: list[list[int]] = []
     tables.compute(
-        pair, surface_of_pair(pair), total=lambda count: steps.append([count, 0]), workers=2,
+        pair,
+        surface_of_pair(pair),
+        total=lambda count: steps.append([count, 0]),
+        workers=2,
         progress=lambda count: steps[-1].__setitem__(1, steps[-1][1] + count),
-    )  # fmt: skip
+    )
     assert len(steps) > 3
     assert all(count == done > 0 for count, done in steps)
 
@@ -315,15 +330,27 @@ def stepped(native, model, i, angle, torque):
     model.crank_angle, model.crank_speed, model.torque = angle, math.cos(i), torque
     model.advance()
     exact = [
-        model.output_angle, model.transmission_error, model.backlash, model.crank_torque, model.output_speed,
-        model.power_loss, model.max_contact_pressure, model.torsional_stiffness,
-    ]  # fmt: skip
+        model.output_angle,
+        model.transmission_error,
+        model.backlash,
+        model.crank_torque,
+        model.output_speed,
+        model.power_loss,
+        model.max_contact_pressure,
+        model.torsional_stiffness,
+    ]
     native.put(flange_a_phi=angle, flange_a_w=math.cos(i), flange_b_tau=torque)
     native.fmi.doStep(1e-3 * i, 1e-3)
     return exact, native.get(
-        "flange_b.phi", "transmission_error", "backlash", "flange_a.tau", "flange_b.w", "power_loss",
-        "max_contact_pressure", "torsional_stiffness",
-    )  # fmt: skip
+        "flange_b.phi",
+        "transmission_error",
+        "backlash",
+        "flange_a.tau",
+        "flange_b.w",
+        "power_loss",
+        "max_contact_pressure",
+        "torsional_stiffness",
+    )
 
 
 @pytest.fixture(scope="module")
@@ -394,10 +421,12 @@ def test_compliant_follows_the_exact_model(drive, slave, parameters):
         model.crank_angle, model.crank_speed = crank, speed
         model.output_angle, model.output_speed = crank / ratio + off, speed / ratio + rate
         model.advance(1e-3)
-        found.append((
-            native.get("flange_a.tau", "flange_b.tau", "elastic_energy", "dissipated_energy"),
-            [model.crank_torque, model.torque, model.elastic_energy, model.dissipated_energy],
-        ))  # fmt: skip
+        found.append(
+            (
+                native.get("flange_a.tau", "flange_b.tau", "elastic_energy", "dissipated_energy"),
+                [model.crank_torque, model.torque, model.elastic_energy, model.dissipated_energy],
+            )
+        )
     interpolated, exact = np.moveaxis(np.array(found), 1, 0)
     assert (np.abs(interpolated - exact).max(axis=0) <= 0.01 * np.abs(exact).max(axis=0)).all()
 
@@ -417,10 +446,18 @@ def test_an_output_inertia_follows_the_exact_model_under_a_load_that_turns_round
         native.fmi.doStep(t, 1e-3)
         model.crank_speed, model.torque = speed, load
         model.advance(1e-3)
-        found.append((
-            native.get("flange_b.phi", "flange_b.w", "flange_a.tau", "elastic_energy", "dissipated_energy"),
-            [model.output_angle, model.output_speed, model.crank_torque, model.elastic_energy, model.dissipated_energy],
-        ))  # fmt: skip
+        found.append(
+            (
+                native.get("flange_b.phi", "flange_b.w", "flange_a.tau", "elastic_energy", "dissipated_energy"),
+                [
+                    model.output_angle,
+                    model.output_speed,
+                    model.crank_torque,
+                    model.elastic_energy,
+                    model.dissipated_energy,
+                ],
+            )
+        )
     interpolated, exact = np.moveaxis(np.array(found), 1, 0)
     assert (np.abs(interpolated - exact) <= 0.002 * np.abs(exact).max(axis=0)).all()
     assert interpolated[-1, 2] * interpolated[0, 2] < 0.0
@@ -506,9 +543,14 @@ def by_fmpy(path, motion):
         dtype=[("time", float), *((name, float) for name in COLUMNS[1:4])],
     )
     result = fmpy.simulate_fmu(
-        str(path), input=samples, output=COLUMNS[4:], step_size=1e-3, output_interval=1e-3,
-        stop_time=1e-3 * len(motion), use_event_mode=False,
-    )  # fmt: skip
+        str(path),
+        input=samples,
+        output=COLUMNS[4:],
+        step_size=1e-3,
+        output_interval=1e-3,
+        stop_time=1e-3 * len(motion),
+        use_event_mode=False,
+    )
     return [[row[name] for name in COLUMNS[4:]] for row in result[1:]]
 
 
@@ -731,9 +773,12 @@ def test_nonsense_and_rollback_with_a_first_stage_or_interference(request, host,
     folder = tmp_path / "unpacked"
     fmpy.extract(str(path), unzipdir=str(folder))
     fmu = SimpleNamespace(
-        version="2.0", kind="kinematic", uri=(folder / "resources").as_uri(),
-        guid=fmpy.read_model_description(str(path)).guid, library=folder / "binaries" / "linux64" / "CycloidDrive.so",
-    )  # fmt: skip
+        version="2.0",
+        kind="kinematic",
+        uri=(folder / "resources").as_uri(),
+        guid=fmpy.read_model_description(str(path)).guid,
+        library=folder / "binaries" / "linux64" / "CycloidDrive.so",
+    )
     assert "5000 steps" in host(fmu, "random", 5000)
     assert "100 states restored" in host(fmu, "rollback", 100)
 
@@ -981,9 +1026,15 @@ def test_outputs_that_are_none_reach_no_other_memory(unpacked, host, tmp_path, k
             (tmp_path / "drive.table").write_bytes(forged(data, [(first + k, causality) for k in range(10)]))
             for words in (("open",), ("run", 2), ("random", 20)):
                 status = host(
-                    fmu, *words, uri=tmp_path.as_uri(), fails=None, program=program, library=library,
-                    ASAN_OPTIONS="exitcode=99", UBSAN_OPTIONS="exitcode=99",
-                )  # fmt: skip
+                    fmu,
+                    *words,
+                    uri=tmp_path.as_uri(),
+                    fails=None,
+                    program=program,
+                    library=library,
+                    ASAN_OPTIONS="exitcode=99",
+                    UBSAN_OPTIONS="exitcode=99",
+                )
                 assert status in (0, 1), (causality, first, words)
 
 
@@ -1066,9 +1117,10 @@ def test_no_constant_of_the_models_is_copied_into_c_by_hand():
     for path in native_build.SOURCE_FOLDER.glob("*.[ch]"):
         code = re.sub(r"/\*.*?\*/|\"(\\.|[^\"])*\"", "", path.read_text(), flags=re.DOTALL)
         copied = {
-            told[float(number)] for number in re.findall(r"(?<![\w.])(?:\d+\.?\d*(?:[eE][-+]?\d+)?)(?![\w.])", code)
+            told[float(number)]
+            for number in re.findall(r"(?<![\w.])(?:\d+\.?\d*(?:[eE][-+]?\d+)?)(?![\w.])", code)
             if float(number) in told
-        }  # fmt: skip
+        }
         assert not copied, path
         assert not re.findall(rf"(?:define|double|int)\s+({'|'.join(named)})\b", code), path
 
@@ -1131,9 +1183,13 @@ def test_a_drive_gives_the_same_bytes_again(built, drive, tmp_path, monkeypatch)
     monkeypatch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
     path = tmp_path / "again.fmu"
     native_build.build_native(
-        drive.pair, path, drive.surface, interface=INTERFACES["kinematic"], made=drive.tables,
+        drive.pair,
+        path,
+        drive.surface,
+        interface=INTERFACES["kinematic"],
+        made=drive.tables,
         platforms=[native_build.this_platform()],
-    )  # fmt: skip
+    )
     assert path.read_bytes() == built().read_bytes()
 
 
@@ -1141,9 +1197,17 @@ def test_each_platform_has_its_folder_and_macos_in_fmi_2_holds_both_processors(d
     monkeypatch.setattr(native_build, "binary", lambda name: name.encode())
     for version, expected in (
         ("2.0", {"linux64/CycloidDrive.so", "win64/CycloidDrive.dll", "darwin64/CycloidDrive.dylib"}),
-        ("3.0", {"x86_64-linux/CycloidDrive.so", "aarch64-linux/CycloidDrive.so", "x86_64-windows/CycloidDrive.dll",
-                 "x86_64-darwin/CycloidDrive.dylib", "aarch64-darwin/CycloidDrive.dylib"}),
-    ):  # fmt: skip
+        (
+            "3.0",
+            {
+                "x86_64-linux/CycloidDrive.so",
+                "aarch64-linux/CycloidDrive.so",
+                "x86_64-windows/CycloidDrive.dll",
+                "x86_64-darwin/CycloidDrive.dylib",
+                "aarch64-darwin/CycloidDrive.dylib",
+            },
+        ),
+    ):
         path = tmp_path / f"{version}.fmu"
         native_build.build_native(drive.pair, path, drive.surface, fmi_version=version, made=drive.tables)
         with zipfile.ZipFile(path) as archive:
@@ -1229,9 +1293,13 @@ def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
     run = {"prefix": (WINE,), "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
     for version in ("2.0", "3.0"):
         run["program"] = compiled(
-            tmp_path / f"host{version[0]}.exe", [HERE / "host.c", HERE / "windows_start.c"],
-            f"-DFMI={version[0]}", "-O2", *runtime, compiler=zig("x86_64-windows"),
-        )  # fmt: skip
+            tmp_path / f"host{version[0]}.exe",
+            [HERE / "host.c", HERE / "windows_start.c"],
+            f"-DFMI={version[0]}",
+            "-O2",
+            *runtime,
+            compiler=zig("x86_64-windows"),
+        )
         for kind in INTERFACES:
             fmu = SimpleNamespace(**vars(unpacked(kind, version)))
             linux = rows_of(host(fmu, "run", 800))

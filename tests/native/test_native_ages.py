@@ -48,9 +48,7 @@ def build(twin, tmp_path_factory):
             patch.setattr(tables, "PROBES", 1000)
             patch.setattr(ages_module, "ACCURACY", BETWEEN)
             patch.setattr(native_build, "tables_of", functools.partial(native_build.tables_of, accuracy=ACCURACY))
-            made = native_build.build_native(
-                twin, folder / name, platforms=[native_build.this_platform()], **options
-            )  # fmt: skip
+            made = native_build.build_native(twin, folder / name, platforms=[native_build.this_platform()], **options)
         return folder / name, made
 
     return one
@@ -110,8 +108,11 @@ def test_it_ages_as_the_fmu_in_python_does(twin, build):
         with open_fmu(path.with_name(name)) as fmu:
             one, factor = fmu.variables["age"], fmu.variables["wear_factor"]
             assert (one.valueReference, one.unit, one.min, float(one.max)) == (
-                fmu.variables["age"].valueReference, "s", "0.0", 600.0 * HOUR
-            )  # fmt: skip
+                fmu.variables["age"].valueReference,
+                "s",
+                "0.0",
+                600.0 * HOUR,
+            )
             assert (one.variability, factor.variability) == (("fixed",) * 2 if i == 0 else ("tunable",) * 2)
             fmu.initialize({"age": age * HOUR, "wear_factor": 0.9, "flange_b.phi": -2.9e-4})
             found[i, k], rigid = fmu.reader(["flange_b.tau", "torsional_stiffness"])()
@@ -123,9 +124,13 @@ def test_it_ages_as_the_fmu_in_python_does(twin, build):
 def test_ages_beyond_the_life_are_refused_and_a_state_keeps_its_age(built, tmp_path):
     path, _ = built
     slave, other = Slave(path, tmp_path / "a"), Slave(path, tmp_path / "b")
-    for name, value, low, high in (("age", -1.0, "0", "2.16e+06"), ("age", 2.2e6, "0", "2.16e+06"),
-                                   ("age", np.nan, "0", "2.16e+06"), ("wear_factor", 0.7, "0.8", "1.33333"),
-                                   ("wear_factor", 1.4, "0.8", "1.33333")):  # fmt: skip
+    for name, value, low, high in (
+        ("age", -1.0, "0", "2.16e+06"),
+        ("age", 2.2e6, "0", "2.16e+06"),
+        ("age", np.nan, "0", "2.16e+06"),
+        ("wear_factor", 0.7, "0.8", "1.33333"),
+        ("wear_factor", 1.4, "0.8", "1.33333"),
+    ):
         with pytest.raises(FMICallException, match="status 3"):
             slave.put(**{name: value})
         assert slave.said[-1] == f"{name} = {value:g}: it must be finite and lie between {low} and {high}."

@@ -38,9 +38,14 @@ def build(drive, identified, tmp_path_factory):
             kept = functools.partial(native_build.tables_of, accuracy=ACCURACY)
             patch.setattr(native_build, "tables_of", kept)
             native_build.build_native(
-                identified, folder / name, draws=2, seed=1, made=drive.tables,
-                platforms=[native_build.this_platform()], **options,
-            )  # fmt: skip
+                identified,
+                folder / name,
+                draws=2,
+                seed=1,
+                made=drive.tables,
+                platforms=[native_build.this_platform()],
+                **options,
+            )
         return folder / name
 
     return one
@@ -108,8 +113,10 @@ def test_tables_of_another_draw_or_damaged_ones_are_not_taken(built, tmp_path):
     one, two = (folder / "resources" / f"drive.table{k}" for k in (1, 2))
     damaged = bytearray(one.read_bytes())
     damaged[-100] ^= 1
-    for content, said in ((two.read_bytes(), "this table belongs to another FMU or draw"),
-                          (bytes(damaged), "the table is damaged: its checksum does not fit")):  # fmt: skip
+    for content, said in (
+        (two.read_bytes(), "this table belongs to another FMU or draw"),
+        (bytes(damaged), "the table is damaged: its checksum does not fit"),
+    ):
         one.write_bytes(content)
         with pytest.raises(FMICallException, match="status 3"):
             slave.fmi.setInteger([slave.references["draw"]], [1])
@@ -138,8 +145,11 @@ def test_between_two_flanges_a_draw_is_its_drive(build, identified):
 def test_more_draws_than_there_is_room_for_are_refused(drive, identified, tmp_path, monkeypatch):
     monkeypatch.setattr(native_build, "MOST_BYTES", 300_000)
     monkeypatch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-    with pytest.raises(cy.InputError, match=r"^draws = 20: tables of 0\.06\d+ MB each would take more than 0 MB; this "
-                                            r"drive's FMU has room for 3\.$"):  # fmt: skip
+    with pytest.raises(
+        cy.InputError,
+        match=r"^draws = 20: tables of 0\.06\d+ MB each would take more than 0 MB; this "
+        r"drive's FMU has room for 3\.$",
+    ):
         native_build.build_native(
             identified, tmp_path / "drive.fmu", draws=20, made=drive.tables, platforms=[native_build.this_platform()]
         )

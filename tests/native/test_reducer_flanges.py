@@ -195,8 +195,14 @@ def test_with_inertias_inside_work_is_stored_lost_or_given_back(reducers, native
     def values():
         if kind == "native":
             return slave.get(*names)
-        return [model._turned, model.crank_speed, model.output_angle, model.output_speed, model.elastic_energy,
-                model.dissipated_energy]  # fmt: skip
+        return [
+            model._turned,
+            model.crank_speed,
+            model.output_angle,
+            model.output_speed,
+            model.elastic_energy,
+            model.dissipated_energy,
+        ]
 
     before, passed, done = values(), 0.0, 0.0
     begun = before[4]
@@ -236,9 +242,12 @@ def test_nonsense_and_rollback(reducers, host, tmp_path, name, kind):
     folder = tmp_path / "unpacked"
     fmpy.extract(str(path), unzipdir=str(folder))
     fmu = SimpleNamespace(
-        version="2.0", kind=kind, uri=(folder / "resources").as_uri(),
-        guid=fmpy.read_model_description(str(path)).guid, library=folder / "binaries" / "linux64" / "CycloidDrive.so",
-    )  # fmt: skip
+        version="2.0",
+        kind=kind,
+        uri=(folder / "resources").as_uri(),
+        guid=fmpy.read_model_description(str(path)).guid,
+        library=folder / "binaries" / "linux64" / "CycloidDrive.so",
+    )
     assert "3000 steps" in host(fmu, "random", 3000)
     if kind == "inertia":  # between two flanges the host moves those of a drive without a first stage
         assert "50 states restored" in host(fmu, "rollback", 50)

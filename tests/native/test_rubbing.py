@@ -148,8 +148,15 @@ def test_what_slides_less_slips_back_and_never_gains():
 @pytest.mark.parametrize("kind", KINDS)
 def test_both_flanges_of_the_compliant_interface_loop_as_masing_has_it(opened, kind):
     """Within the play the teeth carry nothing: the torque at a flange is its friction."""
-    found = opened(kind, Interface("compliant", mesh_damping=0.0, input_friction=Friction(coulomb=0.02),
-                                   output_friction=Friction(coulomb=6.0, presliding_angle=1e-5)))  # fmt: skip
+    found = opened(
+        kind,
+        Interface(
+            "compliant",
+            mesh_damping=0.0,
+            input_friction=Friction(coulomb=0.02),
+            output_friction=Friction(coulomb=6.0, presliding_angle=1e-5),
+        ),
+    )
     found.start()
     (free,) = found.get("backlash")
     assert free > 1.5e-5
@@ -248,8 +255,16 @@ def test_a_motor_outside_stops_and_stands(opened, kind, step, late):
 @pytest.mark.parametrize("share", [pytest.param(0.64, marks=pytest.mark.slow(3)), 0.99, 1.01])
 def test_a_load_below_breakaway_is_held_without_creep(opened, share):
     """Motor and arm inside, the motor's torque raised to a share of its breakaway, then 100 s."""
-    found = opened("native", Interface("compliant", 2.0, crank_inertia=1e-4, input_friction=Friction(coulomb=0.05),
-                                       output_friction=Friction(coulomb=3.0)))  # fmt: skip
+    found = opened(
+        "native",
+        Interface(
+            "compliant",
+            2.0,
+            crank_inertia=1e-4,
+            input_friction=Friction(coulomb=0.05),
+            output_friction=Friction(coulomb=3.0),
+        ),
+    )
     found.start(series_compliance=5e-6)
     for i in range(500):
         found.put(flange_a_tau=min(i / 400.0, 1.0) * share * 0.05)
@@ -268,8 +283,14 @@ def test_a_load_below_breakaway_is_held_without_creep(opened, share):
 @pytest.mark.parametrize("kind", KINDS)
 def test_friction_falls_with_the_temperature_and_takes_its_power(opened, kind):
     """Sliding without load: (C + S exp(-(w/w_s)²) + D w) exp(-β (T - T_ref)), and the loss table with it."""
-    law = Friction(coulomb=0.05, stribeck=0.03, stribeck_speed=20.0, viscous=1e-3, temperature_coefficient=0.02,
-                   reference_temperature=300.0)  # fmt: skip
+    law = Friction(
+        coulomb=0.05,
+        stribeck=0.03,
+        stribeck_speed=20.0,
+        viscous=1e-3,
+        temperature_coefficient=0.02,
+        reference_temperature=300.0,
+    )
     found = opened(kind, Interface(losses=((0.0, 1.0, 1.0, 0.01, 0.01),), input_friction=law))
     found.start()
     for temperature, speed in ((300.0, 10.0), (335.0, 10.0), (280.0, -40.0)):
@@ -404,8 +425,12 @@ def stuck_and_slipped(drive):
 @pytest.mark.parametrize(("kind", "step"), [("exact", 1e-3), ("native", 1e-3), ("native", 1e-4)])
 def test_a_motor_sticks_and_slips_as_scipy_has_it(opened, stuck_and_slipped, kind, step):
     """Motor and arm inside, all kinds of friction at both flanges, through reversals and the play."""
-    found = opened(kind, Interface("compliant", ARM, crank_inertia=MOTOR, mesh_damping=0.0, input_friction=LAWS[0],
-                                   output_friction=LAWS[1]))  # fmt: skip
+    found = opened(
+        kind,
+        Interface(
+            "compliant", ARM, crank_inertia=MOTOR, mesh_damping=0.0, input_friction=LAWS[0], output_friction=LAWS[1]
+        ),
+    )
     found.start(flange_b_tau=LOAD, series_compliance=5e-6)
     rows = [found.get(*PLACES)]
     time = step * np.arange(round(LAST / step) + 1)

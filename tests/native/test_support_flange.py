@@ -168,8 +168,11 @@ def test_the_fmu_in_python_has_the_housing_s_flange(drive, tmp_path, version):
     assert problems == []
     assert {"support.phi", "support.w", "support.tau"} <= {v["name"] for v in variables}
     found = fmpy.simulate_fmu(
-        str(path), stop_time=2e-3, step_size=1e-3, output=["flange_a.tau", "flange_b.tau", "support.tau"],
+        str(path),
+        stop_time=2e-3,
+        step_size=1e-3,
+        output=["flange_a.tau", "flange_b.tau", "support.tau"],
         start_values={"support.phi": 0.5, "flange_a.phi": 0.5, "flange_b.phi": 0.5 + 4e-4},
-    )  # fmt: skip
+    )
     assert abs(found["flange_b.tau"][-1]) > 5.0
     assert found["support.tau"] == pytest.approx(-found["flange_a.tau"] - found["flange_b.tau"], rel=1e-12)

@@ -17,13 +17,21 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ARCSEC = math.pi / 648000
 SIZES = {
-    "gear_teeth": 9, "pin_circle_radius": 40e-3, "pin_radius": 4e-3, "eccentricity": 2.2e-3, "face_width": 0.01,
-    "rated_torque": 40.0, "modification": {"isometric": -10e-6, "offset": -30e-6},
-}  # fmt: skip
+    "gear_teeth": 9,
+    "pin_circle_radius": 40e-3,
+    "pin_radius": 4e-3,
+    "eccentricity": 2.2e-3,
+    "face_width": 0.01,
+    "rated_torque": 40.0,
+    "modification": {"isometric": -10e-6, "offset": -30e-6},
+}
 HELD = {
-    "circle_radius": 0.02, "first_angle": 0.3, "crank_shaft": {"stiffness": 3e8}, "main": {"stiffness": 1e9},
+    "circle_radius": 0.02,
+    "first_angle": 0.3,
+    "crank_shaft": {"stiffness": 3e8},
+    "main": {"stiffness": 1e9},
     "turning_arm": {"rollers": 12, "roller_length": 8e-3, "clearance": 6e-6},
-}  # fmt: skip
+}
 
 
 def pair_on(kind, count, **changes):

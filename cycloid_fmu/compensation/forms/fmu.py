@@ -28,15 +28,27 @@ _INPUTS = (
     Variable("temperature", "of the drive", "input", unit="K", start=REFERENCE_TEMPERATURE),
     Variable("motor_angle_measured", "reading of the motor's encoder", "input", unit="rad", display="deg", start=0.0),
     Variable("output_angle_measured", "reading of the output's encoder", "input", unit="rad", display="deg", start=0.0),
-    Variable("output_measured", "whether both readings are valid now", "input", "discrete", start=0.0,
-             kind="boolean"),
-)  # fmt: skip
+    Variable("output_measured", "whether both readings are valid now", "input", "discrete", start=0.0, kind="boolean"),
+)
 _INDEX = (
-    Variable("index", "crank angle of the model where the desired output angle is 0", "parameter", "fixed", unit="rad",
-             display="deg", start=0.0),
-    Variable("index_probability", "that the index is right and the drive is this one, 0 to 1", "parameter", "fixed",
-             unit="1", start=0.0),
-)  # fmt: skip
+    Variable(
+        "index",
+        "crank angle of the model where the desired output angle is 0",
+        "parameter",
+        "fixed",
+        unit="rad",
+        display="deg",
+        start=0.0,
+    ),
+    Variable(
+        "index_probability",
+        "that the index is right and the drive is this one, 0 to 1",
+        "parameter",
+        "fixed",
+        unit="1",
+        start=0.0,
+    ),
+)
 _OUTPUTS = (
     ("motor_angle", "command for the motor", "rad", "deg"),
     ("motor_speed", "speed of that command", "rad/s", "rev/min"),
@@ -49,8 +61,10 @@ def variables(version: Version) -> tuple[Variable, ...]:
     """Return the FMU's variables, in the order of `sources/instance.h`; the index is the value reference."""
     time = () if version == "2.0" else (Variable("time", "time", "independent", unit="s"),)
     known = {"depends": tuple(v.name for v in _INPUTS), "initially": tuple(v.name for v in _INDEX)}
-    outputs = [Variable(name, text, "output", unit=unit, display=display, **known)  # type: ignore[arg-type]
-               for name, text, unit, display in _OUTPUTS]  # fmt: skip
+    outputs = [
+        Variable(name, text, "output", unit=unit, display=display, **known)  # type: ignore[arg-type]
+        for name, text, unit, display in _OUTPUTS
+    ]
     holds = Variable("holds", "whether the model is valid", "output", "discrete", kind="boolean", **known)  # type: ignore[arg-type]
     return (*_INPUTS, *_INDEX, *outputs, holds, *time)
 
@@ -81,11 +95,12 @@ def build_compensator_fmu(
     source, header = c_source(compensator, "compensator")
     place = native.SOURCE_FOLDER
     files = {
-        "compensator.c": source.encode(), "compensator.h": header.encode(),
+        "compensator.c": source.encode(),
+        "compensator.h": header.encode(),
         **{name: (SOURCES / name).read_bytes() for name in ("instance.c", "instance.h")},
         **{name: (place / name).read_bytes() for name in ("fmi2.c", "fmi3.c", "calls.h", "format.h")},
         **{one.name: one.read_bytes() for one in sorted(native.headers().glob("fmi[23]*.h"))},
-    }  # fmt: skip
+    }
     token = token_of(__version__ + hashlib.sha256(repr(sorted(files.items())).encode()).hexdigest())
     constants = f'#define TOKEN "{token}"\n#define START_TEMPERATURE {REFERENCE_TEMPERATURE!r}\n'
     files["token.h"] = constants.encode()
@@ -107,17 +122,32 @@ def build_compensator_fmu(
 
 
 def _description(c: Compensator, version: Version, token: str, table: Sequence[Variable]) -> Element:
-    root = Element("fmiModelDescription", {
-        "fmiVersion": version, "modelName": IDENTIFIER, "guid" if version == "2.0" else "instantiationToken": token,
-        "description": about(c), "author": "cycloid-fmu", "version": __version__, "license": "MIT",
-        "generationTool": f"cycloid-fmu {__version__}", "variableNamingConvention": "structured",
-    })  # fmt: skip
+    root = Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": version,
+            "modelName": IDENTIFIER,
+            "guid" if version == "2.0" else "instantiationToken": token,
+            "description": about(c),
+            "author": "cycloid-fmu",
+            "version": __version__,
+            "license": "MIT",
+            "generationTool": f"cycloid-fmu {__version__}",
+            "variableNamingConvention": "structured",
+        },
+    )
     state = "FMUstate" if version == "2.0" else "FMUState"
-    offered = SubElement(root, "CoSimulation", {
-        "modelIdentifier": IDENTIFIER, f"canGetAndSet{state}": "true", f"canSerialize{state}": "true",
-        "canHandleVariableCommunicationStepSize": "true",
-        **({"canNotUseMemoryManagementFunctions": "true"} if version == "2.0" else {}),
-    })  # fmt: skip
+    offered = SubElement(
+        root,
+        "CoSimulation",
+        {
+            "modelIdentifier": IDENTIFIER,
+            f"canGetAndSet{state}": "true",
+            f"canSerialize{state}": "true",
+            "canHandleVariableCommunicationStepSize": "true",
+            **({"canNotUseMemoryManagementFunctions": "true"} if version == "2.0" else {}),
+        },
+    )
     if version == "2.0":
         files = SubElement(offered, "SourceFiles")
         for name in _COMPILED:

@@ -79,7 +79,7 @@ def look_up(c: Compensator, temperature: float | None = None) -> LookUp:
     raise InputError(
         f"a look-up table of this residual takes more than {_MOST_ANGLES} crank angles; state a larger residual, or "
         "use another form."
-    )  # fmt: skip
+    )
 
 
 def _deviation(c: Compensator, crank: Array, torque: Array, temperature: float) -> Array:
@@ -101,6 +101,7 @@ def csv_text(c: Compensator, table: LookUp) -> str:
         "torque [N*m],crank_angle [rad],correction [rad]",
     ]
     for torque, row in zip(table.torque.tolist(), table.correction.tolist(), strict=True):
-        lines += [f"{torque:.9g},{angle!r},{value!r}"
-                  for angle, value in zip(table.crank_angle.tolist(), row, strict=True)]  # fmt: skip
+        lines += [
+            f"{torque:.9g},{angle!r},{value!r}" for angle, value in zip(table.crank_angle.tolist(), row, strict=True)
+        ]
     return "\n".join(lines) + "\n"

@@ -18,34 +18,59 @@ Array = NDArray[np.float64]
 LIMITS = {
     name: getattr(core, name)
     for name in (
-        "LARGEST", "FIRST", "LARGEST_GAIN", "GAIN_RATE", "ANGLE_RATE", "OUTLIER", "ALARM",
-        "LEAST_GAIN", "ENOUGH", "SURE_FLANK", "SETTLED",
+        "LARGEST",
+        "FIRST",
+        "LARGEST_GAIN",
+        "GAIN_RATE",
+        "ANGLE_RATE",
+        "OUTLIER",
+        "ALARM",
+        "LEAST_GAIN",
+        "ENOUGH",
+        "SURE_FLANK",
+        "SETTLED",
     )
 } | {
-    "LARGEST_TRANSMISSION_ERROR": LARGEST_TRANSMISSION_ERROR, "PER_MEMORY": 1.0 / core.MEMORY,
+    "LARGEST_TRANSMISSION_ERROR": LARGEST_TRANSMISSION_ERROR,
+    "PER_MEMORY": 1.0 / core.MEMORY,
     "PER_CORRELATION": 1.0 / core.CORRELATION,
-}  # fmt: skip
+}
 
 
 def counts(c: Compensator) -> dict[str, int]:
     """Return the sizes of the tables."""
     t = c.inverse
     return {
-        "FRICTION_ELEMENTS": FRICTION_ELEMENTS, "FUNCTIONS": len(t.scale), "COLUMNS": core.COLUMNS,
-        "SUPPORT": core.SUPPORT, "TORQUES": len(t.torque),
-        "TEMPERATURES": len(t.temperature), "STRIBECK_SPEEDS": len(c.stribeck_speed), "WARMTHS": len(c.warmth),
-    }  # fmt: skip
+        "FRICTION_ELEMENTS": FRICTION_ELEMENTS,
+        "FUNCTIONS": len(t.scale),
+        "COLUMNS": core.COLUMNS,
+        "SUPPORT": core.SUPPORT,
+        "TORQUES": len(t.torque),
+        "TEMPERATURES": len(t.temperature),
+        "STRIBECK_SPEEDS": len(c.stribeck_speed),
+        "WARMTHS": len(c.warmth),
+    }
 
 
 def scalars(c: Compensator) -> dict[str, float]:
     """Return the numbers of the drive and those common to all drives."""
     t = c.tables
     own = {
-        "RATIO": c.ratio, "PER_RATIO": t.per_ratio, "CRANK_RATIO": c.crank_ratio, "PER_PERIOD": t.per_period,
-        "COMPLIANCE": c.compliance, "COULOMB": c.coulomb, "LOAD_SHARE": c.load_share, "STRIBECK": c.stribeck,
-        "VISCOUS": c.viscous, "STRAIN": t.strain, "STIFFNESS": t.stiffness, "NOISE": t.noise, "LEAST": t.least,
+        "RATIO": c.ratio,
+        "PER_RATIO": t.per_ratio,
+        "CRANK_RATIO": c.crank_ratio,
+        "PER_PERIOD": t.per_period,
+        "COMPLIANCE": c.compliance,
+        "COULOMB": c.coulomb,
+        "LOAD_SHARE": c.load_share,
+        "STRIBECK": c.stribeck,
+        "VISCOUS": c.viscous,
+        "STRAIN": t.strain,
+        "STIFFNESS": t.stiffness,
+        "NOISE": t.noise,
+        "LEAST": t.least,
         "REACH": c.inverse.torque[-1],
-    }  # fmt: skip
+    }
     return {name: float(value) for name, value in (own | LIMITS).items()}
 
 
@@ -53,13 +78,21 @@ def arrays(c: Compensator) -> dict[str, Array]:
     """Return tables, row by row; that of torque and temperature has two dimensions."""
     t, node = c.inverse, c.tables.node
     return {
-        "EXPECTED": np.array(core.EXPECTED), "KNOWN": np.array(core.KNOWN), "PRIOR": np.array(core.PRIOR),
-        "TORQUE": t.torque, "TORQUE_RATE": c.tables.torque_rate, "TEMPERATURE": t.temperature,
-        "TEMPERATURE_RATE": c.tables.temperature_rate, "NODE": node.reshape(-1, node.shape[-1]),
-        "STRIBECK_SPEED": c.stribeck_speed, "STRIBECK_RATE": c.tables.stribeck_rate,
-        "STRIBECK_SHARE": c.stribeck_share, "WARMTH_TEMPERATURE": c.warmth_temperature,
-        "WARMTH_RATE": c.tables.warmth_rate, "WARMTH": c.warmth,
-    }  # fmt: skip
+        "EXPECTED": np.array(core.EXPECTED),
+        "KNOWN": np.array(core.KNOWN),
+        "PRIOR": np.array(core.PRIOR),
+        "TORQUE": t.torque,
+        "TORQUE_RATE": c.tables.torque_rate,
+        "TEMPERATURE": t.temperature,
+        "TEMPERATURE_RATE": c.tables.temperature_rate,
+        "NODE": node.reshape(-1, node.shape[-1]),
+        "STRIBECK_SPEED": c.stribeck_speed,
+        "STRIBECK_RATE": c.tables.stribeck_rate,
+        "STRIBECK_SHARE": c.stribeck_share,
+        "WARMTH_TEMPERATURE": c.warmth_temperature,
+        "WARMTH_RATE": c.tables.warmth_rate,
+        "WARMTH": c.warmth,
+    }
 
 
 def name_of(path: Path, argument: str = "path") -> str:
@@ -73,9 +106,10 @@ def name_of(path: Path, argument: str = "path") -> str:
     name = re.sub(r"[\s.-]+", "_", path.stem)
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", name) or keyword.iskeyword(name.lower()):
         raise ArgumentError(
-            argument, "its name is also that of its content: it must begin with a letter; letters, digits, single _",
+            argument,
+            "its name is also that of its content: it must begin with a letter; letters, digits, single _",
             path.name,
-        )  # fmt: skip
+        )
     return name
 
 

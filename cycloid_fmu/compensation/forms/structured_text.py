@@ -64,10 +64,12 @@ def _splines(c: Compensator) -> list[str]:
         small.append("TRUE" if kind else "FALSE")
         made[kind] += steps.tolist()
     return [
-        _table("START", "DINT", map(str, start)), _table("KNOTS", "LREAL", knots),
-        _table("IS_SMALL", "BOOL", small, "FALSE"), _table("SMALL", "SINT", map(str, made[True])),
+        _table("START", "DINT", map(str, start)),
+        _table("KNOTS", "LREAL", knots),
+        _table("IS_SMALL", "BOOL", small, "FALSE"),
+        _table("SMALL", "SINT", map(str, made[True])),
         _table("LARGE", "INT", map(str, made[False])),
-    ]  # fmt: skip
+    ]
 
 
 def _whole(name: str, value: int) -> str:
