@@ -564,71 +564,26 @@ def fit_friction(
     edge.NoDataError
         If the torque opposes the motion: it is then not what drives.
     """
-    notes, remarks = list[str](), list[str]()
     measured = bool(np.isfinite(stretches.load).all())
     both = _both_ways(stretches)
-    loads: dict[str, float] = {}
-    apart = False
-    if measured:
-        loads = {
-            sources[k]: float(stretches.load[stretches.recording == k].mean()) for k in np.unique(stretches.recording)
-        }
-    elif len(both) > 1:
-        offsets, frictions = _mean_torques(stretches, both)
-        apart = float(np.ptp(offsets)) > _OTHER_LOAD * float(np.abs(frictions).mean())
-        if apart:
-            loads = {sources[k]: float(o) for k, o in zip(both, offsets, strict=True)}
-            single = [sources[k] for k in np.unique(stretches.recording) if k not in both]
-            if single:
-                notes.append(
-                    f"{edge.listed(single)}: left out; under a load, friction needs both directions in one recording."
-                )
+    loads, apart, notes = _loads_of(stretches, sources, both, measured)
     used = np.isin(stretches.recording, both) if apart else np.ones(stretches.speed.size, bool)
     every, stretches = stretches, stretches.chosen(used)
     renumbered = np.unique(stretches.block, return_inverse=True)[1]
     stretches = dataclasses.replace(stretches, block=renumbered)
-    sign, speed = np.sign(stretches.speed), stretches.speed
+    sign = np.sign(stretches.speed)
     model = _Model(stretches, {"coulomb": sign})
     two_ways = len(set(sign)) == 2
     if two_ways:
         model.columns.update(_offset_columns(stretches, apart))
-    turning = model.add("viscous", speed)
-    if not turning:
-        remarks.append("the friction at this speed, as the speeds hardly differ; viscous friction is part of it")
-    if not model.add("inertia", stretches.acceleration):
-        pushed = float((sign * stretches.acceleration).mean())
-        moved = abs(pushed) * float(np.ptp(stretches.time[stretches.run == stretches.run[0]]))
-        if moved > 0.1 * float(np.abs(speed).mean()):
-            remarks.append(
-                f"with the torque of the inertia, {pushed:.2g} N·m for each kg·m² at the output, as the speed only "
-                f"{'rises' if pushed > 0.0 else 'falls'}; record ramps up and down"
-            )
-    middle = np.bincount(stretches.recording, stretches.time) / np.maximum(np.bincount(stretches.recording), 1)
-    if model.add("drift", sign * (stretches.time - middle[stretches.recording])):
-        value, uncertainty = model.fit().linear({"drift": 1.0})
-        if abs(value) > _SURE * uncertainty:
-            notes.append(
-                f"The friction drifts by {value * 60.0:.2g} N·m a minute, as while it warms up; it is that of the "
-                "middle of each recording."
-            )
-    if len({round(v, 9) for v in loads.values()}) > 1 and _add_growth(model, measured):
-        value, uncertainty = model.fit().linear({"friction_per_load": 1.0})
-        if not value > uncertainty:
-            del model.columns["friction_per_load"]
-            notes.append(f"Growth of the friction with the load is not resolved: {value:.2g} ± {uncertainty:.2g}.")
+    turning, remarks = _add_running_terms(model)
+    notes += _add_drift(model)
+    if len({round(v, 9) for v in loads.values()}) > 1:
+        notes += _add_resolved_growth(model, measured)
     stribeck = _stribeck(model) if turning else None
     fit = model.fit() if stribeck is None else stribeck[1]
     if turning and stribeck is None:
-        notes.append("No Stribeck term is resolved: friction does not rise significantly towards the lowest speeds.")
-        bent = dict(model.columns)
-        bent["bend"] = speed * np.abs(speed)
-        if separate(bent["bend"], model.columns.values()):
-            value, uncertainty = fit_columns(bent, stretches).linear({"bend": 1.0})
-            if abs(value) > _SURE * uncertainty:
-                notes.append(
-                    "The friction is no straight line over these speeds: its slope "
-                    f"{'rises' if value > 0.0 else 'falls'} with the speed. Fit a narrower range."
-                )
+        notes += _notes_on_the_line(model)
     if "viscous" in fit.names:
         value, uncertainty = fit.linear({"viscous": 1.0})
         if value < 0.0 and stribeck is None:
@@ -642,31 +597,9 @@ def fit_friction(
     if apart:
         loads = {sources[k]: float(fit.values[fit.names.index(f"offset {k}")]) for k in both}
     sums = _sums(fit, two_ways, sign, apart, measured)
-    figures = {}
     spread = _of_recordings(stretches, fit.names, sums, apart or measured, both)
-    growth = fit.linear({"friction_per_load": 1.0})[0]
-    for name, weights in sums.items():
-        value, uncertainty = fit.linear(weights)
-        if name == "stribeck_speed" and stribeck is not None:  # its column is the derivative for 1 N·m
-            value, uncertainty = stribeck[0], uncertainty / abs(fit.linear({"stribeck": 1.0})[0])
-        elif growth and name in WITHOUT_LOAD:
-            value /= 1.0 - growth
-            _, uncertainty = fit.linear({name: 1.0 / (1.0 - growth), "friction_per_load": value / (1.0 - growth)})
-        degrees = fit.degrees
-        if spread.get(name, 0.0) > uncertainty:
-            uncertainty, degrees = spread[name], float(len(both) - 1)
-        figures[name] = Figure(
-            value,
-            uncertainty,
-            UNITS[name],
-            DEFINITIONS[name],
-            speeds,
-            "rad/s",
-            fit.blocks,
-            "blocks",
-            degrees=degrees,
-            remark="; ".join(remarks) if name.startswith("coulomb") else "",
-        )
+    at = math.nan if stribeck is None else stribeck[0]
+    figures = _figures_of(fit, sums, spread, at, len(both), speeds, "; ".join(remarks))
     first = next(iter(figures))
     if not figures[first].value > 0.0:
         raise edge.NoDataError(
@@ -687,6 +620,121 @@ def fit_friction(
     )
     fitted[used] = stretches.torque - fit.residual - removed[used]
     return figures, loads, fitted, removed, notes
+
+
+def _loads_of(
+    stretches: Stretches, sources: Sequence[str], both: Sequence[int], measured: bool
+) -> tuple[dict[str, float], bool, list[str]]:
+    """Return the load of each recording (N·m), whether it is the mean of both directions, and notes."""
+    if measured:
+        numbers = np.unique(stretches.recording)
+        return {sources[k]: float(stretches.load[stretches.recording == k].mean()) for k in numbers}, False, []
+    if len(both) < 2:
+        return {}, False, []
+    offsets, frictions = _mean_torques(stretches, both)
+    if not float(np.ptp(offsets)) > _OTHER_LOAD * float(np.abs(frictions).mean()):
+        return {}, False, []
+    notes = []
+    single = [sources[k] for k in np.unique(stretches.recording) if k not in both]
+    if single:
+        notes.append(f"{edge.listed(single)}: left out; under a load, friction needs both directions in one recording.")
+    return {sources[k]: float(o) for k, o in zip(both, offsets, strict=True)}, True, notes
+
+
+def _add_running_terms(model: _Model) -> tuple[bool, list[str]]:
+    """Add viscous friction and inertia where they separate; return whether the former does, and remarks."""
+    stretches, remarks = model.stretches, []
+    sign, speed = np.sign(stretches.speed), stretches.speed
+    turning = model.add("viscous", speed)
+    if not turning:
+        remarks.append("the friction at this speed, as the speeds hardly differ; viscous friction is part of it")
+    if not model.add("inertia", stretches.acceleration):
+        pushed = float((sign * stretches.acceleration).mean())
+        moved = abs(pushed) * float(np.ptp(stretches.time[stretches.run == stretches.run[0]]))
+        if moved > 0.1 * float(np.abs(speed).mean()):
+            remarks.append(
+                f"with the torque of the inertia, {pushed:.2g} N·m for each kg·m² at the output, as the speed only "
+                f"{'rises' if pushed > 0.0 else 'falls'}; record ramps up and down"
+            )
+    return turning, remarks
+
+
+def _add_drift(model: _Model) -> list[str]:
+    """Add a drift of the friction over each recording; return a note if it is significant."""
+    stretches = model.stretches
+    middle = np.bincount(stretches.recording, stretches.time) / np.maximum(np.bincount(stretches.recording), 1)
+    if not model.add("drift", np.sign(stretches.speed) * (stretches.time - middle[stretches.recording])):
+        return []
+    value, uncertainty = model.fit().linear({"drift": 1.0})
+    if abs(value) <= _SURE * uncertainty:
+        return []
+    return [
+        f"The friction drifts by {value * 60.0:.2g} N·m a minute, as while it warms up; it is that of the middle of "
+        "each recording."
+    ]
+
+
+def _add_resolved_growth(model: _Model, measured: bool) -> list[str]:
+    """Add the growth with load if the data resolve it; otherwise return a note."""
+    if not _add_growth(model, measured):
+        return []
+    value, uncertainty = model.fit().linear({"friction_per_load": 1.0})
+    if value > uncertainty:
+        return []
+    del model.columns["friction_per_load"]
+    return [f"Growth of the friction with the load is not resolved: {value:.2g} ± {uncertainty:.2g}."]
+
+
+def _notes_on_the_line(model: _Model) -> list[str]:
+    """Return notes on a friction without a Stribeck term: that it has none, and whether it is a straight line."""
+    notes = ["No Stribeck term is resolved: friction does not rise significantly towards the lowest speeds."]
+    speed = model.stretches.speed
+    bend = speed * np.abs(speed)
+    if separate(bend, model.columns.values()):
+        value, uncertainty = fit_columns({**model.columns, "bend": bend}, model.stretches).linear({"bend": 1.0})
+        if abs(value) > _SURE * uncertainty:
+            notes.append(
+                "The friction is no straight line over these speeds: its slope "
+                f"{'rises' if value > 0.0 else 'falls'} with the speed. Fit a narrower range."
+            )
+    return notes
+
+
+def _figures_of(
+    fit: Fit,
+    sums: Mapping[str, Mapping[str, float]],
+    spread: Mapping[str, float],
+    stribeck_speed: float,
+    recordings: int,
+    speeds: tuple[float, float],
+    remark: str,
+) -> dict[str, Figure]:
+    """Return the figures of a fit; those without load do not have the growth with their own torque."""
+    figures = {}
+    growth = fit.linear({"friction_per_load": 1.0})[0]
+    for name, weights in sums.items():
+        value, uncertainty = fit.linear(weights)
+        if name == "stribeck_speed":  # its column is the derivative for 1 N·m
+            value, uncertainty = stribeck_speed, uncertainty / abs(fit.linear({"stribeck": 1.0})[0])
+        elif growth and name in WITHOUT_LOAD:
+            value /= 1.0 - growth
+            _, uncertainty = fit.linear({name: 1.0 / (1.0 - growth), "friction_per_load": value / (1.0 - growth)})
+        degrees = fit.degrees
+        if spread.get(name, 0.0) > uncertainty:
+            uncertainty, degrees = spread[name], float(recordings - 1)
+        figures[name] = Figure(
+            value,
+            uncertainty,
+            UNITS[name],
+            DEFINITIONS[name],
+            speeds,
+            "rad/s",
+            fit.blocks,
+            "blocks",
+            degrees=degrees,
+            remark=remark if name.startswith("coulomb") else "",
+        )
+    return figures
 
 
 def _sums(fit: Fit, two_ways: bool, sign: Array, apart: bool, measured: bool) -> dict[str, dict[str, float]]:
