@@ -7,6 +7,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
@@ -699,6 +700,42 @@ class Drive:
             progress=progress,
         )
 
+    def at_age(self, age: float | str, wear_factor: float = 1.0) -> Self:
+        """Return this drive at an age of its forecast: flanks, pins and the clearance of the bearing that wears.
+
+        Parameters
+        ----------
+        age
+            Running time since new, s or text with a unit, `"5000 h"`.
+        wear_factor
+            Ratio of the wear coefficient to the forecast's median.
+
+        Raises
+        ------
+        edge.InputError
+            If the drive has no forecast (`fitting`'s `Forecast.aged`), or the values are outside of it.
+        """
+        from cycloid_fmu.surfaces.surface import at_age
+
+        found = at_age(self.pair.nominal, self.surface, _quantity("age", age, "s"), wear_factor)
+        return type(self)(*found, self.first_stage)
+
+    def after(self, crank_turns: float) -> Self:
+        """Return this worn drive after a number of crank turns since new, linear between the states of its life.
+
+        Raises
+        ------
+        edge.InputError
+            If the drive has no life (`WearRun.surface`), or its life ends earlier.
+        """
+        from cycloid_fmu.surfaces.surface import surface_after
+
+        try:
+            worn = surface_after(self.surface, crank_turns)
+        except ValueError as problem:
+            raise edge.InputError(f"{problem}.") from None
+        return type(self)(self.pair.nominal, worn.replace(life=None), self.first_stage)
+
     def design(
         self,
         goals: str | Sequence[str],
@@ -783,10 +820,10 @@ class Drive:
         fmi_version: Literal["2.0", "3.0"] = "2.0",
         native: bool = False,
         largest_torque: float | None = None,
-        draws: int = 0,
-        seed: int = 0,
     ) -> None:
-        """Build an FMU of the drive; never a partial file.
+        """Build an FMU of the drive; never a partial file. `cycloid_fmu.build_fmus` builds those of several drives.
+
+        A drive with a life is built at the age of its surface; `at_age` and `after` return it at others.
 
         Parameters
         ----------
@@ -802,15 +839,11 @@ class Drive:
             extra `native`.
         largest_torque
             Largest torque of a native FMU's tables, N·m; None for 2.5 times the rated torque.
-        draws, seed
-            Number of drives in the FMU besides an identified one, drawn from the distribution of its fit. The parameter
-            `draw` selects one, counted from 1, as `fitting.ensemble` draws them with this seed; 0 is this drive.
 
         Raises
         ------
         edge.InputError
-            If the folder does not exist, the interface is not available for this drive, or there is no fit to draw
-            from.
+            If the folder does not exist, or the interface is not available for this drive.
 
         Examples
         --------
@@ -834,14 +867,12 @@ class Drive:
                 interface=interface,
                 fmi_version=fmi_version,
                 largest_torque=largest_torque,
-                draws=draws,
-                seed=seed,
                 workers=os.cpu_count() or 1,
             )
         else:
             from cycloid_fmu.fmu.build import build_fmu
 
-            build_fmu(self, path, interface=interface, fmi_version=fmi_version, draws=draws, seed=seed)
+            build_fmu(self, path, interface=interface, fmi_version=fmi_version)
 
     def compensator(
         self,
@@ -999,6 +1030,53 @@ class Drive:
             raise edge.InputError(f"{path}: a pair file can't hold the form of flanks and pins; write a surface, .nc.")
         else:
             write_pair(self.pair, target)
+
+
+def build_fmus(drives: Iterable[Drive], path: str | os.PathLike[str], **options: Any) -> list[Path]:
+    """Build an FMU of each drive: those drawn from a fit, a worn drive at several ages, or the drives of a study.
+
+    Parameters
+    ----------
+    drives
+        The drives.
+    path
+        `drive.fmu` for the files `drive-0000.fmu`, `drive-0001.fmu`, …, in the order of the drives. Files of the same
+        names are replaced.
+    options
+        As in `Drive.build_fmu`; the same for all.
+
+    Returns
+    -------
+    paths
+        The files.
+
+    Raises
+    ------
+    edge.InputError
+        As `Drive.build_fmu` does.
+
+    Examples
+    --------
+    Drives that agree with the measurements as well as an identified one:
+
+    >>> import cycloid_fmu as cy, fitting, numpy as np
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> fitted = cy.Drive(pair).surface.replace(covariance=np.array([[1e-12]]), covariance_of=("eccentricity",))
+    >>> drawn = fitting.ensemble(cy.Drive(pair, fitted), count=2)
+    >>> [path.name for path in cy.build_fmus(drawn, "drawn.fmu")]
+    ['drawn-0000.fmu', 'drawn-0001.fmu']
+    """
+    built = []
+    for number, drive in enumerate(drives):
+        built.append(numbered(path, number))
+        drive.build_fmu(built[-1], **options)
+    return built
+
+
+def numbered(path: str | os.PathLike[str], number: int) -> Path:
+    """Return the path with a number in its name: `drive-0001.fmu`."""
+    whole = Path(path)
+    return whole.with_name(f"{whole.stem}-{number:04d}{whole.suffix}")
 
 
 def refuse_first_stage(drive: Drive, what: str) -> None:

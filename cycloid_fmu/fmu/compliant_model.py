@@ -43,10 +43,6 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 _SHARED = (
     "errors",
     "pin_arrays",
-    "_crank_turns_worn",
-    "_age",
-    "_wear_factor",
-    "_draw",
     "crank_angle",
     "crank_speed",
     "series_compliance",
@@ -235,7 +231,6 @@ class CompliantModel(SteppedModel, CompliantState):
                 self.crank_speed = self.crank_speed_start - self._support_speed
             self._turned = self.crank_angle
             still = self._still()
-            still.draws = self.draws
             shared = {name: getattr(self, name) for name in _SHARED}
             still.restore({**still.state(), **shared, "torque": self._load_torque})
             still.advance()

@@ -33,11 +33,11 @@ from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
 from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, Interface, Variable, stiffness_text, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.surfaces.surface import Ageing, ErrorSurface, Life
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
-NUMBERS, SURFACE, DRAWS, SUMS = "pair.json", "surface.npz", "draws.npz", "SHA256SUMS"
-FORMAT = 3  # of the resource files
-MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 7
+NUMBERS, SURFACE, SUMS = "pair.json", "surface.npz", "SHA256SUMS"
+FORMAT = 4  # of the resource files
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 8
 # Phases of an instance as named in messages; the native FMU has the same (native/sources/instance.c).
 INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
     "before initialization",
@@ -152,16 +152,11 @@ class Core:
             raise RuntimeError(f"{built} in format {numbers.get('format')}, this reads format {FORMAT}: {again}")
         with np.load(io.BytesIO(files[SURFACE])) as arrays:
             values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
-            states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}
         pair, stage = parse_pair(numbers["pair"], "the FMU's drive"), numbers.get("first_stage")
-        ageing = None if "ageing" not in numbers else Ageing(**numbers["ageing"])
-        surface = ErrorSurface(pair, **values, life=Life(**states, ageing=ageing) if states else None)
+        surface = ErrorSurface(pair, **values)
         self.interface = interface = interface_from(numbers["interface"])
         self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
-        if DRAWS in files:
-            with np.load(io.BytesIO(files[DRAWS])) as arrays:
-                self.model.draws = dict(arrays)
-        table = variables(pair, surface, interface, version, self.model.ratio, numbers.get("draws", 0))
+        table = variables(pair, surface, interface, version, self.model.ratio)
         if variables_hash(table) != numbers["variables"]:
             raise RuntimeError(f"{built}, whose variables are others: {again}")
         self.table = dict(enumerate(table))
@@ -169,7 +164,7 @@ class Core:
         self.phase = INSTANTIATED
         self.faults: dict[int, str] = {}
         self.time = 0.0
-        self._hash = hashlib.sha256(files[NUMBERS] + files[SURFACE] + files.get(DRAWS, b"")).digest()
+        self._hash = hashlib.sha256(files[NUMBERS] + files[SURFACE]).digest()
         accesses = {reference: self._access(variable) for reference, variable in self.table.items()}
         self.getters = {reference: getter for reference, (getter, _) in accesses.items()}
         self._setters = {reference: setter for reference, (_, setter) in accesses.items()}

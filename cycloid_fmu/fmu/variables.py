@@ -350,47 +350,6 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
             start=interface.series_compliance,
         ),
     ]
-    if surface.life is not None and (ageing := surface.life.ageing) is not None:
-        found += [
-            Variable(
-                "age",
-                "running time since new, which determines the wear",
-                "parameter",
-                "tunable",
-                "s",
-                "h",
-                0.0,
-                ageing.largest_age,
-                ageing.largest_age,
-                ageing.age,
-                baked=True,
-            ),
-            Variable(
-                "wear_factor",
-                "ratio of the wear coefficient to the forecast's median",
-                "parameter",
-                "tunable",
-                least=ageing.smallest_wear_factor,
-                most=ageing.largest_wear_factor,
-                start=1.0,
-                baked=True,
-            ),
-        ]
-    elif surface.life is not None:
-        turns = float(surface.life.crank_turns[-1])
-        found.append(
-            Variable(
-                "crank_turns_worn",
-                "crank turns since new, which determine the wear",
-                "parameter",
-                "tunable",
-                least=0.0,
-                most=turns,
-                nominal=turns,
-                start=turns,
-                baked=True,
-            )
-        )
     return found
 
 
@@ -691,7 +650,6 @@ def variables(
     interface: Interface,
     fmi_version: Literal["2.0", "3.0"],
     ratio: float | None = None,
-    draws: int = 0,
 ) -> tuple[Variable, ...]:
     """Return the FMU's variables; the index of each is its value reference.
 
@@ -705,8 +663,6 @@ def variables(
         With "3.0" `time` and the arrays follow the scalars of both versions.
     ratio
         Ratio of the angles of `flange_a` and `flange_b`; None for that of the pair.
-    draws
-        Number of drives in the FMU besides the most likely one.
     """
     flanges = _flanges(pair, interface)
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
@@ -732,24 +688,10 @@ def variables(
             else v
             for v in found
         ]
-    if draws > 0:
-        found.append(
-            Variable(
-                "draw",
-                "0: the most likely drive; above 0: a drive drawn from the fit's distribution, whose errors are "
-                "added to those stated",
-                "parameter",
-                "fixed",
-                least=0.0,
-                most=float(draws),
-                start=0.0,
-                kind="integer",
-            )
-        )
     shape = next(v.depends for v in found if v.name == "transmission_error")
     if fmi_version == "3.0":
         found += _arrays(pair, surface, shape)
-    errors = tuple(v.name for v in found if v.causality == "parameter" and (v.baked or v.name == "draw"))
+    errors = tuple(v.name for v in found if v.causality == "parameter" and v.baked)
     shaping = (*errors, "series_compliance", "backlash_on")
     rubbing = tuple(v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction")))
     lossy = (*shaping, *rubbing, "friction_torque")
@@ -769,20 +711,16 @@ def variables(
     )
 
 
-def from_tables(table: Sequence[Variable], *, ages: bool = False) -> dict[int, Variable]:
+def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
     """Return the variables of a native FMU, by value reference.
 
-    Values that are fixed in its tables are constants, and there are no values of single pins. With tables of several
-    `ages`, age and wear factor are set before initialisation.
+    Values that are fixed in its tables are constants, and there are no values of single pins.
     """
-    free = ("age", "wear_factor") if ages else ()
-    constants = {v.name for v in table if v.baked and v.name not in free}
+    constants = {v.name for v in table if v.baked}
 
     def kept(v: Variable) -> Variable:
         if v.name in constants:
             return dataclasses.replace(v, causality="local", variability="constant")
-        if v.name in free:
-            return dataclasses.replace(v, variability="fixed", baked=False)
         return dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants))
 
     return {reference: kept(v) for reference, v in enumerate(table) if not v.dimensions}

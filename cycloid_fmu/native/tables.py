@@ -320,12 +320,12 @@ def _side(loads: Array, exact: Solved, far: tuple[float, Solved], step: float) -
     )
     p_fine = steps[2][:, None]
     x, c = _coefficients(exact.deviation), _coefficients(exact.compliance)
-    make_monotone(loads, x, c, steps)
+    _make_monotone(loads, x, c, steps)
     p = np.maximum(np.round(_coefficients(square) / p_fine), 0.0) * p_fine
     return Side(loads, x, c, loads[some], count.astype(np.uint8), p, steps, _far_end(loads[-1], x[-1], c[-1], *far))
 
 
-def make_monotone(loads: Array, deviation: Array, compliance: Array, steps: Sequence[Array]) -> None:
+def _make_monotone(loads: Array, deviation: Array, compliance: Array, steps: Sequence[Array]) -> None:
     """Round coefficients of deviation and compliance to their steps, in place, such that they rise with the load."""
     # Row by row, which the processor's cache holds: 5 times as fast as all at once.
     for k, fine in enumerate(steps[0]):
@@ -776,18 +776,3 @@ def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array, work
     return _Probed(
         theta, torque, States(one.transmission_error[0], stiffness, rate - 1.0 / pair.ratio, crank_torque, pressure)
     )
-
-
-def probed_at(pair: Pair, surface: ErrorSurface, largest: float, probes: int, seed: int = 1) -> _Probed:
-    """Solve the exact model at random crank angles and torques, the latter up to a largest (N·m)."""
-    pitch = 2.0 * math.pi / (pair.pins if pair.output == "gear" else pair.gear_teeth)
-    return _probed(pair, surface, *_places(mesh_pitches(pair, surface) * pitch, largest, probes, seed))
-
-
-def at_loads(side: Side, loads: Array) -> tuple[Array, Array]:
-    """Return a side's coefficients of deviation and compliance at loads up to its far one, (loads, angles)."""
-    own = np.append(side.load, side.far[0])
-    ends = (np.vstack([side.deviation, side.far[1]]), np.vstack([side.compliance, side.far[2]]))
-    j, u, width = _cells(own, loads)
-    x, c = (values[np.stack([j, j + 1])] for values in ends)
-    return _hermite(u[:, None], width[:, None], x, c), _slope(u[:, None], width[:, None], x, c)

@@ -135,7 +135,7 @@ class Forecast:
     def aged(self) -> Drive:
         """The twin: the drive at the last recording, with its life from new to the forecast's end.
 
-        FMUs that `Drive.build_fmu` makes of it have the parameters `age` and `wear_factor`.
+        `Drive.at_age` returns the drive at any age, and `Drive.build_fmu` builds it at the last recording.
         """
         surface = aged_surface(
             self.posterior,

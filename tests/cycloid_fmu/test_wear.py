@@ -7,15 +7,16 @@ import pytest
 from boundary_wear import Mesh
 from common import ARCSEC, WEAR_PAIR, make_pair
 
+import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import drive_of, solve
 from cycloid_fmu.draw import figure as plots_of
 from cycloid_fmu.draw import wear_plots
-from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.geometry.pair import write_pair
 from cycloid_fmu.geometry.profile import flank_normals, flank_points
 from cycloid_fmu.surfaces.files import read_surface, write_surface
-from cycloid_fmu.surfaces.surface import nominal_surface, surface_after, surface_of_pair
+from cycloid_fmu.surfaces.surface import at_own_age, nominal_surface, surface_after, surface_of_pair
 from cycloid_fmu.wear import progress as wear
 from cycloid_fmu.wear.law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle
 from cycloid_fmu.wear.life import coefficient_warning, run_wear, surface_of_run, wear_figures
@@ -424,8 +425,8 @@ def test_the_worn_surface_travels(run, tmp_path):
     theta = worn.sweep.crank_angle[::16]
     for turns in (0.0, 1e5, 4e5):
         at = surface_after(read, turns)
-        drive = DriveModel(worn.pair, read)
-        drive.crank_turns_worn, drive.torque = turns, -400.0
+        drive = DriveModel(*at_own_age(worn.pair, at))
+        drive.torque = -400.0
         expected = solve(worn.pair, at, -400.0, theta)
         found, play = [], []
         for angle in theta:
@@ -435,50 +436,30 @@ def test_the_worn_surface_travels(run, tmp_path):
             play.append(drive.backlash)
         np.testing.assert_allclose(found, expected.transmission_error[0], atol=1e-3 * ARCSEC)
         np.testing.assert_allclose(play, expected.backlash, atol=1e-3 * ARCSEC)
-        kept = drive.state()
-        drive.crank_turns_worn = 2e5
-        drive.restore(kept)
-        assert drive.crank_turns_worn == turns
     assert np.abs(surface_after(read, 0.0).gear_deviation).max() == 0.0
     assert (surface_after(read, 4e5).gear_deviation == read.gear_deviation).all()
     with pytest.raises(ValueError, match="between 0 and 400000"):
         surface_after(read, 5e5)
 
 
-def test_the_fmu_asks_how_far_it_is_worn(run, tmp_path):
-    import fmpy
-    from fmpy.fmi2 import FMU2Slave
-    from fmpy.validation import validate_fmu
-
+@pytest.mark.slow(10)
+def test_fmus_of_a_worn_drive_at_its_crank_turns(run, command, tmp_path):
+    """From the command line, one FMU for each; without the option, one of the end of the life."""
     worn, states, _ = run
     surface = surface_of_run(worn, states)
-    path = tmp_path / "worn.fmu"
-    build_fmu(worn.pair, path, surface)
-    assert validate_fmu(str(path)) == []
-    description = fmpy.read_model_description(str(path))
-    variables = {v.name: v for v in description.modelVariables}
-    parameter = variables["crank_turns_worn"]
-    assert (parameter.causality, parameter.variability) == ("parameter", "tunable")
-    assert float(parameter.start) == float(parameter.max) == 4e5
-    fmu = FMU2Slave(
-        guid=description.guid,
-        unzipDirectory=fmpy.extract(str(path), str(tmp_path / "fmu")),
-        instanceName="worn",
-        modelIdentifier=description.coSimulation.modelIdentifier,
-    )
-    reference = {n: [variables[n].valueReference] for n in variables}
-    fmu.instantiate()
-    fmu.setupExperiment(startTime=0.0)
-    fmu.enterInitializationMode()
-    fmu.setReal(reference["flange_b.tau"], [-400.0])
-    fmu.exitInitializationMode()
-    for step, turns in enumerate((4e5, 0.0, 1.5e5)):
-        fmu.setReal(reference["crank_turns_worn"], [turns])
-        fmu.doStep(step * 0.01, 0.01)
-        expected = solve(worn.pair, surface_after(surface, turns), -400.0, 0.0).transmission_error[0, 0]
-        assert fmu.getReal(reference["transmission_error"])[0] == pytest.approx(expected, abs=1e-3 * ARCSEC)
-    fmu.terminate()
-    fmu.freeInstance()
+    write_surface(surface, tmp_path / "worn.nc")
+    write_pair(worn.pair, tmp_path / "pair.toml")
+    given = ("cycloid-fmu", "build", "pair.toml", "--surface", "worn.nc", "-o", "worn.fmu")
+    for more in ((), ("--crank-turns", "0", "--crank-turns", "1.5e5")):
+        done = command(*given, *more)
+        assert done.returncode == 0, done.stderr
+    for name, turns in (("worn", 4e5), ("worn-0000", 0.0), ("worn-0001", 1.5e5)):
+        found = cy.simulate_fmu(tmp_path / f"{name}.fmu", crank_angle=[0.0, 0.1], torque=-400.0)["transmission_error"]
+        expected = solve(worn.pair, surface_after(surface, turns), -400.0, [0.0, 0.1]).transmission_error[0]
+        assert found == pytest.approx(expected, abs=1e-3 * ARCSEC)
+    done = command(*given, "--crank-turns", "5e5")
+    assert done.returncode == 2
+    assert "crank_turns = 500000: it must be between 0 and 400000, the end of the life" in done.stderr
 
 
 @pytest.mark.parametrize(
