@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures: Mapping[str, Any]) -> Figure:
     """Contact of one pin when new, wear depth over both bodies, and depth and accuracy over life."""
-    from cycloid_fmu.contact.tooth_contact import loaded_contacts
+    from cycloid_fmu.contact.loaded_contacts import loaded_contacts
     from cycloid_fmu.contact.transmission import drive_of
     from cycloid_fmu.wear.progress import contact_coefficients
     from cycloid_fmu.wear.sliding import velocities

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.tooth_contact import contact_ratio
+from cycloid_fmu.contact.loaded_contacts import contact_ratio
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, Life
 from cycloid_fmu.wear.law import Load, WearLaw

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.tooth_contact import LoadedContacts, loaded_contacts
+from cycloid_fmu.contact.loaded_contacts import LoadedContacts, loaded_contacts
 from cycloid_fmu.contact.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS, drive_of, slices_needed, solve
 from cycloid_fmu.edge.kernels import kept_njit
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
