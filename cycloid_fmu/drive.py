@@ -1032,7 +1032,12 @@ class Drive:
             write_pair(self.pair, target)
 
 
-def build_fmus(drives: Iterable[Drive], path: str | os.PathLike[str], **options: Any) -> list[Path]:
+def build_fmus(
+    drives: Iterable[Drive],
+    path: str | os.PathLike[str],
+    interface: Literal["kinematic", "compliant"] | Interface = "kinematic",
+    **options: Any,
+) -> list[Path]:
     """Build an FMU of each drive: those drawn from a fit, a worn drive at several ages, or the drives of a study.
 
     Parameters
@@ -1042,7 +1047,7 @@ def build_fmus(drives: Iterable[Drive], path: str | os.PathLike[str], **options:
     path
         `drive.fmu` for the files `drive-0000.fmu`, `drive-0001.fmu`, …, in the order of the drives. Files of the same
         names are replaced.
-    options
+    interface, options
         As in `Drive.build_fmu`; the same for all.
 
     Returns
@@ -1069,7 +1074,7 @@ def build_fmus(drives: Iterable[Drive], path: str | os.PathLike[str], **options:
     built = []
     for number, drive in enumerate(drives):
         built.append(numbered(path, number))
-        drive.build_fmu(built[-1], **options)
+        drive.build_fmu(built[-1], interface, **options)
     return built
 
 
