@@ -19,7 +19,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -393,112 +393,205 @@ def compute(
         if pair.rated_torque is None:
             raise ValueError("the pair has no rated_torque, which determines the range of the tables")
         largest_load = LARGEST_LOAD * pair.rated_torque
-    g = pair
-    pitches = mesh_pitches(pair, surface)
-    pitch = 2.0 * math.pi / (g.pins if g.output == "gear" else g.gear_teeth)
-    period = pitches * pitch
-    random = np.random.default_rng(1)
-    spread = np.sort(random.uniform(0.0, period, _SPREAD))
+    allowed, loads = _first_loads(pair, surface, accuracy, largest_load, workers)
+    return _refined(_Grid(pair, surface, allowed, loads, workers, total, progress), largest_load, accuracy / ACCURACY)
+
+
+def _pitch(pair: Pair) -> float:
+    """Return the crank angle from one pin's contact to the next one's, rad."""
+    return 2.0 * math.pi / (pair.pins if pair.output == "gear" else pair.gear_teeth)
+
+
+def _first_loads(
+    pair: Pair, surface: ErrorSurface, accuracy: float, largest: float, workers: int
+) -> tuple[float, list[Array]]:
+    """Return the allowed error of the deviation, and loads of both directions chosen at random crank angles."""
+    period = mesh_pitches(pair, surface) * _pitch(pair)
+    spread = np.sort(np.random.default_rng(1).uniform(0.0, period, _SPREAD))
     rest = nodes.at_rest(pair, surface, spread, workers)
-    ends = nodes.solved(pair, surface, 1.0, np.array([0.0, largest_load]), spread, rest)
+    ends = nodes.solved(pair, surface, 1.0, np.array([0.0, largest]), spread, rest)
     allowed = max(accuracy, RANGE_SHARE * float(np.ptp(ends.deviation, axis=1).max()))
 
     def chosen_loads(direction: float) -> Array:
-        return _chosen_loads(pair, surface, direction, largest_load, spread, rest, _SHARE * allowed)
+        return _chosen_loads(pair, surface, direction, largest, spread, rest, _SHARE * allowed)
 
     with ThreadPoolExecutor(min(workers, len(_DIRECTIONS))) as pool:
-        loads = list(pool.map(chosen_loads, _DIRECTIONS))
-    samples, most = _SAMPLES[0], max(_SAMPLES[1], min(_SAMPLES[2], _MOST_ANGLES // pitches))
-    fewest = pitches * samples
-    angles = pitch / samples * np.arange(fewest, dtype=float)
-    rest = nodes.at_rest(pair, surface, angles, workers)
+        return allowed, list(pool.map(chosen_loads, _DIRECTIONS))
 
-    def between(coarse: Solved, direction: float, at: Array) -> Solved:
+
+@dataclass
+class _Grid:
+    """The exact model at loads of both directions and at equidistant crank angles; both become more.
+
+    Attributes
+    ----------
+    allowed
+        Allowed error of the deviation, rad.
+    loads, exact, far
+        Of both directions: loads, the model at them, and at a load far beyond the last.
+    workers, total, progress
+        As in `compute`.
+    samples, angles
+        Crank angles per mesh pitch, and all of a period, rad.
+    rest
+        The drive without a load at these angles.
+    """
+
+    pair: Pair
+    surface: ErrorSurface
+    allowed: float
+    loads: list[Array]
+    workers: int
+    total: Callable[[int], None]
+    progress: Callable[[int], None]
+    samples: int = _SAMPLES[0]
+    angles: Array = field(init=False)
+    rest: Rest = field(init=False)
+    exact: list[Solved] = field(init=False)
+    far: list[tuple[float, Solved]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.pitches = mesh_pitches(self.pair, self.surface)
+        self.angles = self._equidistant()
+        self.rest = nodes.at_rest(self.pair, self.surface, self.angles, self.workers)
+        self.exact = [self._solved(d, n) for d, n in zip(_DIRECTIONS, self.loads, strict=True)]
+        self.far = [
+            _far(self.pair, self.surface, d, n[-1], self.angles, one, self.workers)
+            for d, n, one in zip(_DIRECTIONS, self.loads, self.exact, strict=True)
+        ]
+
+    @property
+    def period(self) -> float:
+        """Crank angle after which the drive repeats, rad."""
+        return self.pitches * _pitch(self.pair)
+
+    @property
+    def spacing(self) -> float:
+        """Distance of the crank angles, rad."""
+        return _pitch(self.pair) / self.samples
+
+    @property
+    def most_samples(self) -> int:
+        """Largest number of crank angles per mesh pitch."""
+        return max(_SAMPLES[1], min(_SAMPLES[2], _MOST_ANGLES // self.pitches))
+
+    @property
+    def load_count(self) -> int:
+        """Number of loads of both directions."""
+        return sum(n.size for n in self.loads)
+
+    def _equidistant(self) -> Array:
+        return self.spacing * np.arange(self.pitches * self.samples, dtype=float)
+
+    def _between(self, coarse: Solved, direction: float, at: Array) -> Solved:
         """Insert the crank angles midway, solved where interpolation between neighbours is not accurate enough."""
         found = [np.empty_like(channel) for channel in coarse[:2]]
         needed = np.empty(found[0].shape, dtype=bool)
         for k in range(at.size):  # a row at a time stays in the processor's cache
             (found[0][k], off), (found[1][k], bent) = (nodes.midway(channel[k]) for channel in coarse[:2])
-            needed[k] = (off > _MIDWAY * allowed) | (bent > _MIDWAY_COMPLIANCE * coarse.compliance[k])
+            needed[k] = (off > _MIDWAY * self.allowed) | (bent > _MIDWAY_COMPLIANCE * coarse.compliance[k])
         load, angle = np.nonzero(needed)
         if load.size:
-            total(load.size)
-        step = angles.size // (2 * coarse.deviation.shape[1])
-        here = Rest._make(channel[step :: 2 * step] for channel in rest)
-        one = nodes.solved_at(
-            pair, surface, direction, at, angles[step :: 2 * step], load, angle, here, workers, progress
-        )
+            self.total(load.size)
+        step = self.angles.size // (2 * coarse.deviation.shape[1])
+        middles = self.angles[step :: 2 * step]
+        here = Rest._make(channel[step :: 2 * step] for channel in self.rest)
+        solver = functools.partial(nodes.solved_at, self.pair, self.surface, direction, at, middles)
+        one = solver(load, angle, here, self.workers, self.progress)
         found[0][needed], found[1][needed] = one.deviation, one.compliance
         finer = [np.stack(both, axis=-1).reshape(at.size, -1) for both in zip(coarse[:2], found, strict=True)]
         return coarse._replace(deviation=finer[0], compliance=finer[1])
 
-    def solved(direction: float, at: Array) -> Solved:
-        total(fewest * at.size)
-        step = angles.size // fewest
-        here = Rest._make(channel[::step] for channel in rest)
-        one = nodes.solved(pair, surface, direction, at, angles[::step], here, workers, progress)
-        while one.deviation.shape[1] < angles.size:
-            one = between(one, direction, at)
+    def _solved(self, direction: float, at: Array) -> Solved:
+        """Solve loads at the fewest crank angles, and between them."""
+        fewest = self.pitches * _SAMPLES[0]
+        self.total(fewest * at.size)
+        step = self.angles.size // fewest
+        here = Rest._make(channel[::step] for channel in self.rest)
+        solver = functools.partial(nodes.solved, self.pair, self.surface, direction, at)
+        one = solver(self.angles[::step], here, self.workers, self.progress)
+        while one.deviation.shape[1] < self.angles.size:
+            one = self._between(one, direction, at)
         return one
 
-    def closer() -> None:
+    def add_angles(self) -> None:
         """Insert the crank angles midway."""
-        nonlocal samples, angles, rest
-        samples *= 2
-        angles = pitch / samples * np.arange(pitches * samples, dtype=float)
-        here = nodes.at_rest(pair, surface, angles[1::2], workers)
-        rest = Rest._make(np.ravel(channels, "F") for channels in zip(rest, here, strict=True))
+        self.samples *= 2
+        self.angles = self._equidistant()
+        here = nodes.at_rest(self.pair, self.surface, self.angles[1::2], self.workers)
+        self.rest = Rest._make(np.ravel(channels, "F") for channels in zip(self.rest, here, strict=True))
         for k, direction in enumerate(_DIRECTIONS):
-            exact[k] = between(exact[k], direction, loads[k])
-            last, beyond = far[k]
-            far[k] = last, between(beyond, direction, np.array([last]))
+            self.exact[k] = self._between(self.exact[k], direction, self.loads[k])
+            last, beyond = self.far[k]
+            self.far[k] = last, self._between(beyond, direction, np.array([last]))
 
-    def with_more(further: Sequence[Array]) -> None:
-        """Insert loads."""
-        # The slope at zero load is taken towards the first load: with a new first load it is solved again.
-        again = [int(new.size > 0 and new[0] < at[1]) for new, at in zip(further, loads, strict=True)]
-        more = [np.append(at[:first], new) for at, first, new in zip(loads, again, further, strict=True)]
-        for k, direction in enumerate(_DIRECTIONS):
-            if more[k].size:
-                kept = Solved(*(channel[again[k] :] for channel in exact[k]))
-                exact[k] = _with_loads(kept, loads[k][again[k] :], solved(direction, more[k]), more[k])
-                loads[k] = np.union1d(loads[k], more[k])
+    def add_loads(self, further: Sequence[Array]) -> None:
+        """Insert loads of both directions."""
+        for k, (direction, new) in enumerate(zip(_DIRECTIONS, further, strict=True)):
+            at = self.loads[k]
+            # The slope at zero load is taken towards the first load: with a new first load it is solved again.
+            again = int(new.size > 0 and new[0] < at[1])
+            more = np.append(at[:again], new)
+            if more.size:
+                kept = Solved(*(channel[again:] for channel in self.exact[k]))
+                self.exact[k] = _with_loads(kept, at[again:], self._solved(direction, more), more)
+                self.loads[k] = np.union1d(at, more)
+
+    def tables(self) -> Tables:
+        """Return the tables through these nodes."""
+        spread = max(float(np.ptp(one.deviation, axis=1).max()) for one in self.exact)
+        step = max(self.allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
+        with ThreadPoolExecutor(min(self.workers, len(_DIRECTIONS))) as pool:
+            positive, negative = pool.map(functools.partial(_side, step=step), self.loads, self.exact, self.far)
+        # A mean crank torque at rest is not the derivative of a periodic energy.
+        rest = _coefficients(self.rest.crank_torque - self.rest.crank_torque.mean())
+        rest_step = _rest_step(rest)
+        # Where there is hardly any play the splines of its two ends must not cross.
+        negative.deviation[0] = np.maximum(negative.deviation[0], -positive.deviation[0])
+        for lower, higher in itertools.pairwise(negative.deviation):
+            np.maximum(lower, higher, out=higher)
+        rest = np.round(rest / rest_step) * rest_step
+        return Tables(self.pair.ratio, self.period, positive, negative, rest, self.allowed)
+
+
+def _refined(grid: _Grid, largest: float, looser: float) -> Tables:
+    """Add nodes to a grid until its tables are within the allowed errors, `looser` times the default ones; return them.
+
+    They are compared with the model at random places, of torques up to the largest.
+    """
+    pair, surface, workers, allowed = grid.pair, grid.surface, grid.workers, grid.allowed
 
     def random_places(seed: int) -> _Probed:
-        return _probed(pair, surface, *_places(period, largest_load, PROBES, seed), workers)
+        return _probed(pair, surface, *_places(grid.period, largest, PROBES, seed), workers)
 
-    exact = [solved(d, n) for d, n in zip(_DIRECTIONS, loads, strict=True)]
-    far = [
-        _far(pair, surface, d, n[-1], angles, one, workers) for d, n, one in zip(_DIRECTIONS, loads, exact, strict=True)
-    ]
     drawn = 1
     chosen = random_places(drawn)
-    tables = _assembled(pair, surface, period, loads, exact, rest.crank_torque, allowed, far, workers)
-    probed = _around_the_worst(tables, pair, surface, chosen, pitch / samples, drawn, workers)
+    tables = grid.tables()
+    probed = _around_the_worst(tables, pair, surface, chosen, grid.spacing, drawn, workers)
     while True:
         off = np.abs(_off(tables, probed))
         coarse = off.max() > allowed
-        room = _MOST_VALUES // (2 * angles.size) - sum(n.size for n in loads)
+        room = _MOST_VALUES // (2 * grid.angles.size) - grid.load_count
         further, by_angle = (
-            _missing_loads(pair, surface, loads, probed, off, allowed)
+            _missing_loads(pair, surface, grid.loads, probed, off, allowed)
             if coarse
-            else _missing_elsewhere(pair, surface, tables, chosen, room, accuracy / ACCURACY)
+            else _missing_elsewhere(pair, surface, tables, chosen, room, looser)
         )
-        enough = max(a.size + b.size for a, b in zip(loads, further, strict=True)) >= MOST_LOADS
-        if by_angle and 2 * samples <= most and (coarse or room >= sum(n.size for n in loads)):
-            closer()
+        enough = max(a.size + b.size for a, b in zip(grid.loads, further, strict=True)) >= MOST_LOADS
+        if by_angle and 2 * grid.samples <= grid.most_samples and (coarse or room >= grid.load_count):
+            grid.add_angles()
         elif any(n.size for n in further) and not enough:
-            with_more(further)
+            grid.add_loads(further)
         else:
             # Compared at places that refined nothing; where these have larger errors, they are used for refinement too.
             drawn += 1
             fresh = random_places(drawn)
-            near = _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn, workers)
+            near = _around_the_worst(tables, pair, surface, fresh, grid.spacing, drawn, workers)
             probed = _together(probed, near)
             if coarse or np.abs(_off(tables, near)).max() <= allowed:
                 break
             continue
-        tables = _assembled(pair, surface, period, loads, exact, rest.crank_torque, allowed, far, workers)
+        tables = grid.tables()
     found = interpolated(tables, fresh.crank_angle, fresh.torque)
     return dataclasses.replace(
         tables,
@@ -519,31 +612,6 @@ def _far(
     end = Solved(*(channel[-1:] for channel in exact))
     beyond = (_FAR[-1] - 1.0) * last
     return _FAR[-1] * last, end._replace(deviation=end.deviation + np.float32(beyond) * end.compliance)
-
-
-def _assembled(
-    pair: Pair,
-    surface: ErrorSurface,
-    period: float,
-    loads: Sequence[Array],
-    exact: Sequence[Solved],
-    rest: Array,
-    allowed: float,
-    far: Sequence[tuple[float, Solved]],
-    workers: int,
-) -> Tables:
-    spread = max(float(np.ptp(one.deviation, axis=1).max()) for one in exact)
-    step = max(allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
-    with ThreadPoolExecutor(min(workers, len(_DIRECTIONS))) as pool:
-        made = list(pool.map(functools.partial(_side, step=step), loads, exact, far))
-    # A mean crank torque at rest is not the derivative of a periodic energy.
-    rest = _coefficients(rest - rest.mean())
-    rest_step = _rest_step(rest)
-    # Where there is hardly any play the splines of its two ends must not cross.
-    made[1].deviation[0] = np.maximum(made[1].deviation[0], -made[0].deviation[0])
-    for lower, higher in itertools.pairwise(made[1].deviation):
-        np.maximum(lower, higher, out=higher)
-    return Tables(pair.ratio, period, made[0], made[1], np.round(rest / rest_step) * rest_step, allowed)
 
 
 def _missing_loads(
