@@ -460,13 +460,14 @@ def at_age(pair: Pair, surface: ErrorSurface, age: float, wear_factor: float = 1
     ageing = None if surface.life is None else surface.life.ageing
     if surface.life is None or ageing is None:
         problem = "needs a drive with a forecast; give a surface written by cycloid-fit forecast --twin"
-        raise edge.ArgumentError("age", problem, f"{age:g} s")
+        raise edge.ArgumentError("age", problem, age)
     low, high = ageing.smallest_wear_factor, ageing.largest_wear_factor
     if not 0.0 <= age <= ageing.largest_age:
-        limit = f"it must be between 0 and {ageing.largest_age / 3600.0:g} h, the end of the forecast"
-        raise edge.ArgumentError("age", limit, f"{age / 3600.0:g} h")
+        last = ageing.largest_age
+        limit = f"it must be between 0 and {last:g} s ({last / 3600.0:g} h), the end of the forecast"
+        raise edge.ArgumentError("age", limit, age)
     if not low <= wear_factor <= high:
-        raise edge.ArgumentError("wear_factor", f"it must be between {low:g} and {high:g}", f"{wear_factor:g}")
+        raise edge.ArgumentError("wear_factor", f"it must be between {low:g} and {high:g}", wear_factor)
     # Rounding must not exceed the life's end.
     turns = min(age * ageing.crank_turns_per_second * wear_factor, float(surface.life.crank_turns[-1]))
     return _with_clearance(pair, surface_after(surface, turns), ageing, age)
