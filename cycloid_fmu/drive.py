@@ -524,7 +524,6 @@ class Drive:
         samples: int = 1000,
         seed: int = 1,
         angles: int = ANGLES,
-        first_order: float | None = None,
         workers: int | None = None,
         progress: Callable[[int], None] = lambda drives: None,
     ) -> Findings:
@@ -538,8 +537,6 @@ class Drive:
             Torque on the output, N·m or text with a unit; one or several, by default plus and minus the rated torque.
         samples, seed, angles
             Number of drives, seed that determines them, and number of crank angles of each.
-        first_order
-            Solve to first order, and confirm this share of the drives by the exact model.
         workers, progress
             Number of processes, by default one per core; function called with the number of drives just finished.
 
@@ -560,7 +557,7 @@ class Drive:
         4
         """
         from cycloid_fmu.studies import yields
-        from cycloid_fmu.studies.tolerance import Study
+        from cycloid_fmu.studies.tolerance import Study, check_study
 
         loads = _torques(torque, self.pair)
         if torque is None:
@@ -574,8 +571,8 @@ class Drive:
             angles=angles,
             first_stage=self.first_stage,
         )
-        yields.check(study, "pair", "tolerances", to_first_order=first_order is not None)
-        return yields.conduct(study, first_order, workers=workers or os.cpu_count() or 1, progress=progress)
+        check_study(study, "pair", "tolerances")
+        return yields.conduct(study, workers=workers or os.cpu_count() or 1, progress=progress)
 
     def sweep(
         self,

@@ -295,7 +295,7 @@ def study():
 
 def checkpoint(folder):
     path = folder / "study.checkpoint"
-    Checkpoint(path, study()).add(0, np.zeros((2, len(study().columns))), ("", "no such drive"))
+    Checkpoint(path, study()).add(np.arange(2), np.zeros((2, len(study().columns))), ("", "no such drive"))
     return path
 
 

@@ -21,9 +21,9 @@ from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.transmission import series_compliance, solve
-from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory, checkpoint_of
+from cycloid_fmu.studies.checkpoint import Checkpoint, checkpoint_of
 from cycloid_fmu.studies.limits import whole_stiffness
-from cycloid_fmu.studies.machines import Solved, complete, versions
+from cycloid_fmu.studies.machines import Numbers, Solved, complete, versions
 from cycloid_fmu.studies.tolerance import FIGURES as OF_STUDIES
 from cycloid_fmu.studies.tolerance import free_figures, loaded_figures
 from cycloid_fmu.studies.varied import Varied, drive_with, varied
@@ -170,10 +170,10 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
     return np.array([found[n] if k is None else found[n][k] for n, k in sweep.columns]), "; ".join(reasons)
 
 
-def _task(sweep: Sweep, first: int, points: Array) -> Solved:
+def _task(sweep: Sweep, numbers: Numbers) -> Solved:
     """Solve some drives in any process."""
-    values, reasons = zip(*(figures_of(sweep, first + k) for k in range(len(points))), strict=True)
-    return Solved(first, np.array(values), reasons)
+    values, reasons = zip(*(figures_of(sweep, number) for number in numbers.tolist()), strict=True)
+    return numbers, np.array(values), reasons
 
 
 class Interrupted(KeyboardInterrupt):
@@ -207,18 +207,16 @@ def run(
         At a KeyboardInterrupt; its text states the kept results.
     """
     check_sweep(sweep)
-    kept = InMemory(sweep) if output is None else Checkpoint(checkpoint_of(output), sweep)
+    kept = Checkpoint(None if output is None else checkpoint_of(output), sweep)
     try:
-        complete(
-            sweep, lambda first, last: np.empty((last - first, 0)), kept, _task, workers=workers, progress=progress
-        )
+        complete(kept, _task, lambda numbers: (sweep, numbers), together=1, workers=workers, progress=progress)
     except KeyboardInterrupt:
         where = "nothing is kept without an output"
-        if isinstance(kept, Checkpoint):
+        if kept.path is not None:
             where = f"{kept.path} keeps them; the same sweep goes on from there"
         done = np.count_nonzero(kept.done)
         raise Interrupted(f"Interrupted: {done} of {sweep.drives} drives are done; {where}.") from None
-    return _dataset(sweep, np.array(kept.values), [kept.notes.get(k, "") for k in range(sweep.drives)])
+    return _dataset(sweep, kept.values, [kept.notes.get(k, "") for k in range(sweep.drives)])
 
 
 def _dataset(sweep: Sweep, values: Array, reasons: list[str]) -> xr.Dataset:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
-
-import numpy as np
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import slices_needed
@@ -21,14 +18,10 @@ from cycloid_fmu.studies.tolerance import (
     PLAY_STEP,
     Array,
     Result,
-    Screened,
     Study,
-    check_first_order,
-    check_study,
     crank_angles,
     dataset_of,
     run,
-    screened,
     sobol_indices,
     statistics,
     surface_of,
@@ -47,25 +40,15 @@ class Findings:
         The solved samples.
     statistics, yields, indices
         As `tolerance.statistics`, `yields` and `sobol_indices` return them; no indices but with Saltelli's design.
-    screened
-        The samples confirmed by the exact model, if the study was solved to first order.
     """
 
     result: Result
     statistics: Mapping[str, Mapping[str, Any]]
     yields: Mapping[str, Mapping[str, float]]
     indices: Mapping[str, Mapping[str, Array]]
-    screened: Screened | None
 
     def numbers(self) -> dict[str, Any]:
         """Return the figures in SI units, for scripts."""
-        screening = None
-        if self.screened is not None:
-            screening = {
-                "confirmed": self.screened.confirmed.size,
-                "difference": self.screened.difference,
-                "changed": self.screened.changed,
-            }
         return {
             "samples": self.result.sample.size,
             "torque": list(self.result.study.torque),
@@ -73,7 +56,6 @@ class Findings:
             "statistics": self.statistics,
             "yields": self.yields,
             "indices": self.indices,
-            "screening": screening,
         }
 
 
@@ -143,22 +125,8 @@ def judged(result: Result) -> list[judging.Verdict]:
     return found
 
 
-def check(study: Study, pair_source: str, tolerances_source: str, *, to_first_order: bool = False) -> None:
-    """Raise `edge.InputError` for an invalid study, or one that first order does not support; it names the files."""
-    check_study(study, pair_source, tolerances_source)
-    if to_first_order:
-        check_first_order(study, tolerances_source)
-
-
-def drives(study: Study, screen: float | None = None) -> int:
-    """Return how many drives `conduct` solves: the samples, and the share of them that is confirmed."""
-    size = study.drives
-    return size if screen is None else size + math.ceil(screen * size)
-
-
 def conduct(
     study: Study,
-    screen: float | None = None,
     output: str | os.PathLike[str] | None = None,
     *,
     workers: int = 1,
@@ -169,36 +137,25 @@ def conduct(
 
     Parameters
     ----------
-    screen
-        Solve to first order, and confirm this share of the samples by the exact model.
     output
-        A netCDF file, format `cycloid-tolerance-study/1`. Until it is written, samples solved by the exact model are
-        kept in `output` with `.checkpoint` appended; the same study continues from there.
+        A netCDF file, format `cycloid-tolerance-study/1`. Until it is written, solved samples are kept in `output` with
+        `.checkpoint` appended; the same study continues from there.
     workers, scheduler, progress
         As of `tolerance.run`.
 
     Raises
     ------
     edge.InputError
-        If the share is not between 0 and 1, or the checkpoint is of another study.
+        If the checkpoint is of another study.
     Interrupted
         At a KeyboardInterrupt; its text states the kept results.
     """
-    if screen is not None and not 0.0 < screen <= 1.0:
-        raise edge.ArgumentError("screen", "the share must be between 0 and 1", screen)
-    machines: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "progress": progress}
-    confirmed = kept = None
+    kept = None
     with reserved(output):
-        if screen is not None:
-            confirmed = screened(study, screen, **machines)
-            result = confirmed.result
-        else:
-            if output is not None:
-                kept = Checkpoint(checkpoint_of(output), study)
-            result = run(study, kept, **machines)
+        if output is not None:
+            kept = Checkpoint(checkpoint_of(output), study)
+        result = run(study, kept, workers=workers, scheduler=scheduler, progress=progress)
         if output is not None:
             edge.write_netcdf(dataset_of(result), output)
-        if kept is not None and os.name == "nt":  # a file that is mapped can't be removed there
-            result = dataclasses.replace(result, values=np.array(result.values))
     indices = sobol_indices(result) if study.design == "saltelli" else {}
-    return Findings(result, statistics(result), yields(result), indices, confirmed)
+    return Findings(result, statistics(result), yields(result), indices)

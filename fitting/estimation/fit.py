@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.near_drives import NearDrives
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, ErrorSurface, surface_of_pair
 from fitting.estimation.normal_equations import Factor
 from fitting.model.identifiability import UNKNOWN
+from fitting.model.near_drive import NearDrive
 from fitting.model.observations import (
     CHAIN,
     KNOWN_SIZES,
@@ -142,7 +142,7 @@ class Problem:
         pair: Pair,
         observed: Observations,
         chosen: Sequence[str],
-        around: Sequence[NearDrives] | None = None,
+        around: Sequence[NearDrive] | None = None,
         prior: ErrorSurface | None = None,
     ) -> None:
         self.pair, self.chosen, self.around = pair, list(chosen), around
@@ -287,7 +287,7 @@ def fit(
     scatter: Mapping[str, float],
     *,
     gain: float,
-    around: Sequence[NearDrives] | None = None,
+    around: Sequence[NearDrive] | None = None,
     linear: Linear | None = None,
     evaluations: int = EVALUATIONS,
     estimated: bool = True,

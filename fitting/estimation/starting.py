@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.near_drives import NearDrives
 from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
@@ -19,6 +18,7 @@ from fitting.estimation.fit import NO_SCATTER, Estimate, fit
 from fitting.estimation.result import is_uneven
 from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors
+from fitting.model.near_drive import NearDrive
 from fitting.model.observations import (
     CHAIN,
     CREEP,
@@ -88,7 +88,7 @@ def starting_estimate(
     size = spread_of(pair, {}).size
     prior = surface_of_pair(pair)
 
-    def zeroed(part: Observations, state: State, around: Sequence[NearDrives] | None) -> tuple[State, Linear]:
+    def zeroed(part: Observations, state: State, around: Sequence[NearDrive] | None) -> tuple[State, Linear]:
         """The state with the unknown zeros of these observations, and the model there."""
         state = dataclasses.replace(state, bench=np.zeros(part.bench.shape[1]))
         free = ~np.isfinite(part.bench_prior)
@@ -113,7 +113,7 @@ def starting_estimate(
     pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
 
     def ended(
-        part: Observations, state: State, scatter: Mapping[str, float], around: Sequence[NearDrives] | None
+        part: Observations, state: State, scatter: Mapping[str, float], around: Sequence[NearDrive] | None
     ) -> Estimate | None:
         try:
             state, linear = zeroed(part, state, around)
@@ -149,7 +149,7 @@ def starting_estimate(
     found: list[Estimate] = []
     singular: list[np.linalg.LinAlgError] = []
 
-    def around(surface: ErrorSurface) -> Sequence[NearDrives] | None:
+    def around(surface: ErrorSurface) -> Sequence[NearDrive] | None:
         try:
             return None if nominal is None else linearisation_point(pair, surface, few)
         except edge.InputError:

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.near_drives import NearDrives
 from cycloid_fmu.contact.transmission import error_sensitivity, form_sensitivity
 from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
 from cycloid_fmu.geometry.pair import Pair
@@ -35,6 +34,7 @@ from cycloid_fmu.surfaces.structured import (
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 from fitting.model.bearings import lowest_of, pair_with, sizes_of, unknown_bearings
 from fitting.model.first_stage import share_of, turned
+from fitting.model.near_drive import NearDrive
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
@@ -528,18 +528,18 @@ def scatter_columns(pair: Pair, each: Array) -> Array:
     return np.concatenate(columns, axis=-1)
 
 
-def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> tuple[NearDrives, ...]:
+def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> tuple[NearDrive, ...]:
     """Solve a drive at every point of every curve; return what takes drives near it to first order, one a curve."""
 
-    def one(curve: Curve) -> NearDrives:
-        return NearDrives(pair, surface, [(curve.torque, curve.input_angle)], 1, first_order=True)
+    def one(curve: Curve) -> NearDrive:
+        return NearDrive(pair, surface, curve.torque, curve.input_angle)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return tuple(pool.map(one, observed.curves))
 
 
 def linearised_curve(
-    pair: Pair, observed: Observations, number: int, state: State, around: Sequence[NearDrives] | None = None
+    pair: Pair, observed: Observations, number: int, state: State, around: Sequence[NearDrive] | None = None
 ) -> Linear:
     """Evaluate the model and its analytic derivatives by every structured error at every point of one curve.
 
@@ -579,7 +579,7 @@ def linearised_curve(
         model, jacobian, each, further = error_sensitivity(pair, surface, s * torque, at + w, list(observed.errors))
         by_crank, by_torque = further.T
     else:
-        model, each, by_torque = around[number].sensitivities(0, displacement_vector(pair, surface), torque)
+        model, each, by_torque = around[number].sensitivities(displacement_vector(pair, surface), torque)
         jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
     scatter = scatter_columns(pair, each)
     by_friction = against * by_torque_stated * by_torque
@@ -634,7 +634,7 @@ def form_columns(pair: Pair, observed: Observations, state: State, linear: Linea
         return np.concatenate(list(pool.map(one, range(len(observed.curves)), np.split(linear.model, observed.ends))))
 
 
-def linearise(pair: Pair, observed: Observations, state: State, around: Sequence[NearDrives] | None = None) -> Linear:
+def linearise(pair: Pair, observed: Observations, state: State, around: Sequence[NearDrive] | None = None) -> Linear:
     """Evaluate the model and its analytic derivatives at every point of every curve, as `linearised_curve` does."""
     # The kernel works without Python's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -139,7 +139,7 @@ def test_gaps_and_feet_move_as_displacements_say(name):
         surface = ErrorSurface(pair, {kind.name: 1e-6 * random.uniform(0.5, 1.0, kind.shape(pair))})
         after = placed(pair, surface, angle[0], x)
         work = side_by_side.memory(len(guide.rows[0]), exact.made(displacement_vector(pair, surface)[None]).errors)
-        side_by_side._displace(guide.rows[0], pair.pins, False, work)
+        side_by_side._displace(guide.rows[0], pair.pins, work)
         for row in range(0, len(before), 2):
             beside, frame = work.beside[row // 2], contact.local_frame(problem, angle[0], x, before, row)
             # Far from roots, where a micrometre is little beside the curvature radius.

@@ -605,5 +605,3 @@ def test_a_tolerance_study_draws_errors_of_holes_and_cranks():
     rigid = cy.Drive(cy.Pair(**SIZES))
     with pytest.raises(edge.InputError, match="no supports"):
         rigid.sample(tolerances, seed=1)
-    with pytest.raises(edge.InputError, match="supports"):
-        drive.study(tolerances, [100.0], samples=8, first_order=0.5, angles=41, workers=1)
