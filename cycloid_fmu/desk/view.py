@@ -37,6 +37,7 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 
 Array = NDArray[np.float64]
 _EACH_PITCH = 24  # crank angles of the curves in a pin pitch
+_WITHOUT_FIELD = ("contact_law",)  # for comparison with papers
 _TABLES = ("modification", "material", "supports", "temperature", "expansion", "errors")
 _PLACE = re.compile(r"(\[(?:pair|modification)\] )?(\w+)(?: = | is missing)")
 
@@ -76,7 +77,7 @@ def _fields() -> dict[str, Field]:
     found = {}
     for table, model in (("pair", Pair), ("modification", Modification)):
         for name, field in model.model_fields.items():
-            if table == "pair" and name in ("pins", *_TABLES):
+            if table == "pair" and name in ("pins", *_WITHOUT_FIELD, *_TABLES):
                 continue
             key, unit = f"{table}.{name}", edge.unit_of_field(field)
             choices = get_args(field.annotation) if isinstance(field.default, str) else ()
@@ -120,8 +121,9 @@ class Desk:
 
     @property
     def kept(self) -> list[str]:
-        """Names of the file's tables without fields; they remain part of the drive and of the saved file."""
-        return [name for name in self.tables if name in _TABLES and name != "modification"]
+        """What the file states without fields: names and [tables]. It remains part of the drive and the saved file."""
+        names = [name for name in _WITHOUT_FIELD if name in self.tables["pair"]]
+        return names + [f"[{name}]" for name in self.tables if name in _TABLES and name != "modification"]
 
 
 def open_desk(path: str | os.PathLike[str], limits: str | os.PathLike[str] | None = None) -> Desk:
