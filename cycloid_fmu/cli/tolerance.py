@@ -64,15 +64,11 @@ def tolerance(
     from cycloid_fmu.studies import yields
     from cycloid_fmu.studies.allocation import check_target
     from cycloid_fmu.studies.limits import not_judged, read_requirements
-    from cycloid_fmu.studies.tolerance import check_study
 
     asked = None if limits_file is None else read_requirements(limits_file).limits
-    study = yields.read_study(
-        pair_file, tolerances_file, torque, samples=samples, seed=seed, design=design, angles=angles, turns=turns
-    )
-    if asked is not None:
-        study = yields.with_limits(study, asked, str(limits_file), str(tolerances_file))
-    check_study(study, str(pair_file), str(tolerances_file))
+    limits = None if asked is None else (asked, str(limits_file))
+    settings = {"samples": samples, "seed": seed, "design": design, "angles": angles, "turns": turns}
+    study = yields.read_study(pair_file, tolerances_file, torque, limits, **settings)
     if target is not None:
         check_target(study, target, str(tolerances_file))
     machines = {"workers": workers, "scheduler": scheduler}
@@ -88,12 +84,7 @@ def tolerance(
         given = None if allocation is None else dataclasses.asdict(allocation)
         commands.print_json({**found.numbers(), "allocation": given, **judged})
     else:
-        drives = int(found.result.independent.sum())
-        _print_statistics(found, f"{pair_file.name}: {drives} drives within {tolerances_file.name}")
-        _print_yields(found)
-        _print_indices(found)
-        if allocation is not None:
-            _print_allocation(found, allocation)
+        _print(found, allocation, f"{pair_file.name}: {{}} drives within {tolerances_file.name}")
         if limits_file is not None:
             title = f"Limits of {limits_file.name}, worst drive: met if every drive meets them"
             print_verdicts(title, verdicts, missing)
@@ -130,6 +121,14 @@ def _units() -> dict[str, tuple[str, float]]:
     from cycloid_fmu.studies.tolerance import FIGURES
 
     return {name: SHOWN[unit] for name, (unit, _) in FIGURES.items()}
+
+
+def _print(found: Findings, allocation: Allocation | None, title: str) -> None:
+    _print_statistics(found, title.format(int(found.result.independent.sum())))
+    _print_yields(found)
+    _print_indices(found)
+    if allocation is not None:
+        _print_allocation(found, allocation)
 
 
 def _print_statistics(found: Findings, title: str) -> None:

@@ -18,6 +18,7 @@ from cycloid_fmu import edge
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-study-checkpoint/3"
+_LONG = 60  # characters of a value that a message does not show
 
 
 def checkpoint_of(output: str | os.PathLike[str]) -> Path:
@@ -147,10 +148,12 @@ def _check_header(path: Path, header: dict[str, Any] | None, identity: dict[str,
     for name in {**identity, **stated}:
         mine, theirs = identity.get(name), stated.get(name)
         if theirs != mine:
-            long = isinstance(mine or theirs, str | dict) and name != "design"
-            values = "" if long else f": {theirs} there, {mine} here"
+            what = name if name.isidentifier() else "definition"
+            texts = [str(value) for value in (theirs, mine)]
+            is_short = all(len(text) < _LONG and text.isprintable() for text in texts)
+            values = ": {} there, {} here".format(*texts) if is_short else ""
             raise edge.InputError(
-                f"{path}: this checkpoint belongs to another study, its {name} differs{values}; finish that "
+                f"{path}: this checkpoint belongs to another study, its {what} differs{values}; finish that "
                 "study, or remove the file to start again."
             )
 

@@ -19,6 +19,7 @@ from cycloid_fmu.studies.tolerance import (
     Array,
     Result,
     Study,
+    check_study,
     crank_angles,
     dataset_of,
     run,
@@ -63,42 +64,41 @@ def read_study(
     pair_file: str | os.PathLike[str],
     tolerances_file: str | os.PathLike[str],
     torque: Sequence[float] | None = None,
+    limits: tuple[judging.Limits, str] | None = None,
     **settings: Any,
 ) -> Study:
-    """Return the study of a pair file and a tolerance file.
+    """Return the study of a pair file and a tolerance file, checked.
 
     Parameters
     ----------
     torque
         Loads on the output, N·m; plus and minus the pair's rated torque where None.
+    limits
+        Those of a requirements file, and its name, to judge in place of those of the tolerance file, as far as a study
+        has their figures.
     settings
         Further fields of `Study`.
 
     Raises
     ------
     edge.InputError
-        If a file can't be read, or there is neither a torque nor a rated torque.
+        If a file can't be read, there is neither a torque nor a rated torque, both files state limits, or the study is
+        one that `check_study` refuses.
     """
     (pair, _, first_stage), tolerances = parts_of_file(pair_file), read_tolerances(tolerances_file)
     if not torque:
         rated = pair.rated_load(str(pair_file))
         torque = (rated, -rated)
-    return Study(pair, tolerances, torque=tuple(torque), first_stage=first_stage, **settings)
-
-
-def with_limits(study: Study, limits: judging.Limits, source: str, tolerances_source: str) -> Study:
-    """Return a study that judges the limits of a requirements file, as far as a study has their figures.
-
-    Raises
-    ------
-    edge.InputError
-        If the tolerances file states limits of its own.
-    """
-    if study.tolerances.limits.stated():
-        raise edge.InputError(
-            f"{tolerances_source}: [limits] is stated here and in {source}; state the limits in one of them."
-        )
-    return dataclasses.replace(study, tolerances=study.tolerances.replace(limits=limits.of_study))
+    if limits is not None:
+        asked, source = limits
+        if tolerances.limits.stated():
+            raise edge.InputError(
+                f"{tolerances_file}: [limits] is stated here and in {source}; state the limits in one of them."
+            )
+        tolerances = tolerances.replace(limits=asked.of_study)
+    study = Study(pair, tolerances, torque=tuple(torque), first_stage=first_stage, **settings)
+    check_study(study, str(pair_file), str(tolerances_file))
+    return study
 
 
 def judged(result: Result) -> list[judging.Verdict]:

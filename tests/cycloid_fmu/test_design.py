@@ -120,7 +120,6 @@ def test_relaxing_what_binds_brings_what_is_stated(pair):
     tight, loose = best(1.000e9), best(1.010e9)
     (binding,) = (b for b in tight.binding if b.name == "max_contact_pressure")
     gained = tight.goals["pin_circle_radius"] - loose.goals["pin_circle_radius"]
-    assert gained == pytest.approx(0.01e9 * binding.gain, rel=0.1)
     assert gained == pytest.approx(0.1 * binding.of_a_tenth, rel=0.1)
 
 

@@ -18,7 +18,7 @@ from cycloid_fmu.geometry.profile import flank_points
 from cycloid_fmu.reducer.transmission import series_compliance
 from cycloid_fmu.studies import limits as asked
 from cycloid_fmu.studies.tolerance import Study, surface_of
-from cycloid_fmu.studies.yields import conduct, with_limits
+from cycloid_fmu.studies.yields import conduct
 from cycloid_fmu.studies.yields import judged as judged_of
 from cycloid_fmu.supports.figures import BearingLoad, lives_over_duty
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -285,8 +285,7 @@ def test_a_study_s_verdict_is_on_its_worst_drive_at_its_angle_and_pin(tmp_path):
         angles=24,
     )
     wanted = asked.Limits(max_contact_pressure="9 GPa", backlash="9 arcmin", lost_motion="1 arcsec", static_safety=9.0)
-    judged = with_limits(study, wanted, "r.toml", "t.toml")
-    result = conduct(judged).result
+    result = conduct(dataclasses.replace(study, tolerances=study.tolerances.replace(limits=wanted.of_study))).result
     found = {one.figure: one for one in judged_of(result)}
     assert {name: one.met for name, one in found.items()} == {
         "max_contact_pressure": True,
