@@ -22,7 +22,7 @@ Solved = tuple[Numbers, Array, Sequence[str]]
 
 # Packages whose versions determine the last digits.
 _DECISIVE = ("cycloid-fmu", "numba", "numpy", "scipy")
-_AHEAD = "4 * n_jobs"  # batches that are sent before the first one has ended: workers that join find some
+_AHEAD = "4 * n_jobs"  # tasks that a cluster has ahead, so that workers that join find some
 
 
 @functools.cache
@@ -48,7 +48,8 @@ def _machines(workers: int, scheduler: str | None) -> Iterator[Any]:
     import joblib
 
     if scheduler is None:
-        yield joblib.Parallel(workers, return_as="generator_unordered", pre_dispatch=_AHEAD)
+        # No more tasks ahead than its processes take at once: its thread has a traceback at Ctrl+C if some wait.
+        yield joblib.Parallel(workers, return_as="generator_unordered")
         return
     with edge.needs_extra("distributed", lambda said: edge.ArgumentError("scheduler", said, scheduler)):
         from distributed import Client

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -318,6 +319,22 @@ def test_killed_in_mid_run_and_started_again(command, files, tmp_path):
     found = json.loads(again.stdout)
     assert found["statistics"]["backlash"]["mean"] == whole.figure("backlash").mean()
     assert found["yields"]["all"]["share"] == np.mean(whole.figure("backlash") <= np.radians(1.5 / 60))
+
+
+@pytest.mark.slow(6)
+def test_interrupted_with_workers_it_says_what_is_kept_and_nothing_else(files, tmp_path):
+    words = [str(Path(sys.executable).with_name(files[0])), *map(str, files[1:]), "--samples", "3000"]
+    words += ["--workers", "2", "-o", "s.nc"]
+    checkpoint = tmp_path / "s.nc.checkpoint"
+    with subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        while not (checkpoint.exists() and checkpoint.read_bytes().count(b"\n") > 1):
+            assert process.poll() is None, "it ended before it was interrupted"
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        said = process.communicate()[1].splitlines()
+    assert process.returncode == 130
+    assert re.fullmatch(r"Interrupted: \d+ of 3000 drives are done; s.nc.checkpoint keeps them; the same .*", said[-1])
+    assert all(line.startswith("drives: ") for line in said[:-1])
 
 
 @pytest.mark.parametrize(
