@@ -8,6 +8,7 @@ drive. What is left out is how errors change normals and curvatures.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,31 +31,22 @@ from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _ITERATIONS = 60
+_COLUMNS = 11  # displacements that change a contact's gap: those of the bodies, of its pin and of its tooth
 
 
-def _records(*names: str) -> np.dtype[np.void]:
-    return np.dtype((np.record, [(name, np.float64) for name in names]))
+def _records(*names: str, more: Sequence[tuple[str, type, tuple[int]]] = ()) -> np.dtype[np.void]:
+    return np.dtype((np.record, [*((name, np.float64) for name in names), *more]))
 
 
 _SOLVED = _records(
-    "pin",
-    "tooth",
     "gap",
     "arm",
     "arm_rate",
     "curvature",
     "pin_radius",
-    # the gap's derivatives by displacements
-    "x",
-    "y",
-    "height",
-    "crank",
-    "facing",
-    "radial",
-    "tangential",
-    "turn",
+    more=[("column", np.int64, (_COLUMNS,)), ("rate", np.float64, (_COLUMNS,))],
 )
-"""A contact of the solved drive; pin and tooth as columns of a displacement vector count them."""
+"""A contact of the solved drive, with the gap's derivatives by the columns of a displacement vector."""
 _PRESSED = _records("gap", "arm", "force", "stiffness")
 """A contact of a drive near it: gap at the solved drive's rotation; arm, force and stiffness at its own."""
 
@@ -133,48 +125,22 @@ def _write_contact(problem: Problem, theta: float, x: float, contacts: Rows, k: 
     row = 2 * k + 1 if contacts[2 * k + 1].gap < contacts[2 * k].gap else 2 * k
     contact, local = contacts[row], local_frame(problem, theta, x, contacts, row)
     c, s = math.cos(local.direction), math.sin(local.direction)
-    nx, ny = local.normal_x, local.normal_y
-    one.pin, one.tooth = local.pin, local.disc * problem.teeth + local.tooth
+    nx, ny, height, pins = local.normal_x, local.normal_y, problem.slice_z[local.slice], problem.teeth + 1
     one.gap, one.arm, one.arm_rate, one.curvature = contact.gap, contact.arm, contact.arm_rate, contact.curvature
     one.pin_radius = problem.pin_radius[local.pin]
-    one.x, one.y, one.height = nx, ny, problem.slice_z[local.slice]
-    one.crank, one.facing = nx * local.crank_x + ny * local.crank_y, local.facing
-    one.radial, one.tangential = nx * c + ny * s, ny * c - nx * s
-    one.turn = nx * local.gear_y - ny * local.gear_x
-
-
-@part
-def _opened(one: np.record, pins: int, errors: Array) -> float:
-    """Change of a contact's gap by displacements."""
-    pin = BODY_COUNT + int(one.pin)
-    return float(
-        errors[PIN_GENERATING]
-        - one.facing * errors[CIRCLE_GENERATING]
-        - one.crank * errors[CRANK_THROW]
-        - one.x * (errors[CENTRE_X] + one.height * errors[TILT_X])
-        - one.y * (errors[CENTRE_Y] + one.height * errors[TILT_Y])
-        + one.radial * errors[pin]
-        + one.tangential * errors[pin + pins]
-        - errors[pin + 2 * pins]
-        + one.turn * errors[BODY_COUNT + 3 * pins + int(one.tooth)]
+    pin = BODY_COUNT + local.pin
+    tooth = BODY_COUNT + 3 * pins + local.disc * problem.teeth + local.tooth
+    columns = (
+        *(CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING),
+        *(pin, pin + pins, pin + 2 * pins, tooth),
     )
-
-
-@part
-def _add_derivatives(one: np.record, pins: int, share: float, out: Array) -> None:
-    """Add a contact's part of the rotation's derivatives, its share times those of its gap."""
-    pin = BODY_COUNT + int(one.pin)
-    out[PIN_GENERATING] += share
-    out[CIRCLE_GENERATING] -= share * one.facing
-    out[CRANK_THROW] -= share * one.crank
-    out[CENTRE_X] -= share * one.x
-    out[CENTRE_Y] -= share * one.y
-    out[TILT_X] -= share * one.x * one.height
-    out[TILT_Y] -= share * one.y * one.height
-    out[pin] += share * one.radial
-    out[pin + pins] += share * one.tangential
-    out[pin + 2 * pins] -= share
-    out[BODY_COUNT + 3 * pins + int(one.tooth)] += share * one.turn
+    crank, turn = nx * local.crank_x + ny * local.crank_y, nx * local.gear_y - ny * local.gear_x
+    rates = (
+        *(-nx, -ny, -nx * height, -ny * height, -crank, 1.0, -local.facing),
+        *(nx * c + ny * s, ny * c - nx * s, -1.0, turn),
+    )
+    for at in range(_COLUMNS):
+        one.column[at], one.rate[at] = columns[at], rates[at]
 
 
 @part
@@ -262,13 +228,17 @@ def _sweep(
     deviation, each, by_torque
         Overwritten, as `NearDrive.sensitivities` returns them; `each` is zeros.
     """
-    pins, moved = problem.teeth + 1, 0.0
+    moved = 0.0
     for i in range(solved.size):
         for k in range(pressed.size):
-            pressed[k].gap = contacts[i, k].gap + _opened(contacts[i, k], pins, errors)
+            one = contacts[i, k]
+            pressed[k].gap = one.gap
+            for at in range(_COLUMNS):
+                pressed[k].gap += one.rate[at] * errors[one.column[at]]
         moved, stiffness = _balance(problem, contacts[i], torque[i], moved, pressed)
         deviation[i], by_torque[i] = solved[i] + moved, 1.0 / stiffness
         for k in range(pressed.size):
             if pressed[k].force > 0.0:
-                share = pressed[k].stiffness * pressed[k].arm / stiffness
-                _add_derivatives(contacts[i, k], pins, share, each[i])
+                one, share = contacts[i, k], pressed[k].stiffness * pressed[k].arm / stiffness
+                for at in range(_COLUMNS):
+                    each[i, one.column[at]] += share * one.rate[at]
