@@ -35,7 +35,7 @@ class _Stand:
         assembly = assembly_of(pair, surface)
         self._assembly = assembly._replace(balanced=max(assembly.balanced, _BALANCED))
         self.rows, self.found, self.theta = contact.contact_rows(self._drive), np.zeros(energy.FOUND), math.nan
-        self._make(work_of(3 + 3 * pair.discs + 2 * assembly.throw.shape[1], pair.discs))
+        self._make(work_of(assembly.unknowns, pair.discs))
 
     def _make(self, work: Any) -> None:
         self.work, room = work, energy.room(work.place.size)

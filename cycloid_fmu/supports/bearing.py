@@ -1,4 +1,4 @@
-"""Force law of a bearing beyond its clearance: linear, or a continuum of rollers."""
+"""Force law of a joint beyond its clearance: a power of the displacement, or a continuum of rollers."""
 
 from __future__ import annotations
 
@@ -20,16 +20,18 @@ _ORDER = 24
 
 
 class Bearing(NamedTuple):
-    """A radial bearing: a force F(r) along the displacement r of its inner ring.
+    """A law: a force F(r) along the displacement r, such as that of a bearing's inner ring.
 
     Attributes
     ----------
     half_clearance
         Half of the diametral clearance, m.
     stiffness
-        Stiffness, N/m; for rollers Z K_l/(2π), N/m^(10/9).
+        Stiffness, N/m^exponent; for rollers Z K_l/(2π), N/m^(10/9).
+    exponent
+        Exponent of the force over the displacement beyond the clearance.
     rollers
-        Whether it is a roller bearing, otherwise a linear spring.
+        Whether it is a roller bearing, otherwise the force is stiffness · (r - half_clearance)^exponent.
     factor
         For rollers: coefficients of g(s) in `_roller_factor`.
     energy_factor
@@ -38,14 +40,26 @@ class Bearing(NamedTuple):
 
     half_clearance: float
     stiffness: float
+    exponent: float
     rollers: bool
     factor: Array
     energy_factor: Array
 
 
-def linear(stiffness: float, clearance: float = 0.0) -> Bearing:
-    """Return a bearing that is a linear spring (N/m) beyond its diametral clearance (m)."""
-    return Bearing(0.5 * clearance, float(stiffness), False, *_roller_factors())
+_SERIES = (_ORDER + 1,)
+LAW = np.dtype(
+    (
+        np.record,
+        [(name, np.float64) for name in ("half_clearance", "stiffness", "exponent")]
+        + [("rollers", np.bool_), ("factor", np.float64, _SERIES), ("energy_factor", np.float64, _SERIES)],
+    )
+)
+"""A `Bearing` as a record."""
+
+
+def linear(stiffness: float, clearance: float = 0.0, exponent: float = 1.0) -> Bearing:
+    """Return a bearing that is a spring beyond its diametral clearance (m): linear (N/m), or with another exponent."""
+    return Bearing(0.5 * clearance, float(stiffness), exponent, False, *_roller_factors())
 
 
 def rollers(number: int, length: float, clearance: float = 0.0) -> Bearing:
@@ -55,7 +69,7 @@ def rollers(number: int, length: float, clearance: float = 0.0) -> Bearing:
     steel); a roller has two contacts.
     """
     each = 8.06e4 / 2.0**_EXPONENT * (1e3 * length) ** (8.0 / 9.0) * 1e3**_EXPONENT
-    return Bearing(0.5 * clearance, number * each / (2.0 * math.pi), True, *_roller_factors())
+    return Bearing(0.5 * clearance, number * each / (2.0 * math.pi), _EXPONENT, True, *_roller_factors())
 
 
 @functools.cache
@@ -97,13 +111,16 @@ def _chebyshev(coefficients: Array, s: float) -> tuple[float, float]:
 
 
 @part
-def push(bearing: Bearing, r: float) -> tuple[float, float]:
+def push(bearing: Bearing | np.record, r: float) -> tuple[float, float]:
     """Force (N) and stiffness dF/dr (N/m) of a bearing displaced by r ≥ 0 (m)."""
     beyond = r - bearing.half_clearance
     if beyond <= 0.0:
         return 0.0, 0.0
     if not bearing.rollers:
-        return bearing.stiffness * beyond, bearing.stiffness
+        secant = bearing.stiffness
+        if bearing.exponent != 1.0:
+            secant *= beyond ** (bearing.exponent - 1.0)
+        return secant * beyond, bearing.exponent * secant
     s = bearing.half_clearance / r
     value, rise = _chebyshev(bearing.factor, s)
     root = bearing.stiffness * r ** (1.0 / 9.0)
@@ -114,25 +131,25 @@ def push(bearing: Bearing, r: float) -> tuple[float, float]:
 
 
 @part
-def stored(bearing: Bearing, r: float) -> float:
+def stored(bearing: Bearing | np.record, r: float) -> float:
     """Energy of a bearing displaced by r, ∫ F dr, J."""
     beyond = r - bearing.half_clearance
     if beyond <= 0.0:
         return 0.0
     if not bearing.rollers:
-        return 0.5 * bearing.stiffness * beyond * beyond
+        return float(push(bearing, r)[0] * beyond / (bearing.exponent + 1.0))
     s = bearing.half_clearance / r
     value, _ = _chebyshev(bearing.energy_factor, s)
     return float(bearing.stiffness / (_EXPONENT + 1.0) * r ** (19.0 / 9.0) * (1.0 - s) ** (47.0 / 18.0) * value)
 
 
 @part
-def by_clearance(bearing: Bearing, r: float) -> float:
+def by_clearance(bearing: Bearing | np.record, r: float) -> float:
     """Derivative of a bearing's force by its diametral clearance, N/m."""
     if r <= bearing.half_clearance:
         return 0.0
     if not bearing.rollers:
-        return -0.5 * bearing.stiffness
+        return -0.5 * push(bearing, r)[1]
     s = bearing.half_clearance / r
     value, rise = _chebyshev(bearing.factor, s)
     by_share = (1.0 - s) ** (11.0 / 18.0) * ((1.0 - s) * rise - 29.0 / 18.0 * value)

@@ -15,11 +15,11 @@ from cycloid_fmu.contact import ContactLines, Problem, transmission
 from cycloid_fmu.contact.parts import Stopped, solve_in_parts
 from cycloid_fmu.contact.transmission import Interrupted, Transmission
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.geometry.supports import Bearing
 from cycloid_fmu.supports import bearing
-from cycloid_fmu.supports.assembly import Assembly
+from cycloid_fmu.supports.assembly import add_by_displacements, by_kind, joint_list, kinds_of
 from cycloid_fmu.supports.balance import work_of
-from cycloid_fmu.supports.sensitivity import sweep_supported_sensitivities
+from cycloid_fmu.supports.joints import Assembly
+from cycloid_fmu.supports.sensitivity import PARAMETERS, Derivatives, sweep_supported_sensitivities
 from cycloid_fmu.supports.sweeps import Found, sweep_interference, sweep_supported
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacements, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -43,49 +43,10 @@ _LABELS = {
 }
 
 
-def _law(stated: Bearing) -> bearing.Bearing:
-    if stated.rollers is not None and stated.roller_length is not None:
-        return bearing.rollers(stated.rollers, stated.roller_length, stated.clearance)
-    return bearing.linear(bearing.RIGID if stated.stiffness is None else stated.stiffness, stated.clearance)
-
-
 def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
-    """Return the supports of a pair as numbers and arrays, at its temperatures."""
-    made = displacements(pair, surface, {})
-    pair = pair.at_temperature
-    supports = pair.supports
-    assert supports is not None
-    angle = supports.first_angle + 2.0 * np.pi * np.arange(supports.count) / supports.count
-    roller = supports.output_roller
-    play = np.zeros((pair.discs, supports.count)) if roller is None else made["hole_play"] + 0.5 * roller.clearance
-    stiffness = 0.0 if supports.kind == "cranks" else bearing.RIGID
-    if roller is not None and roller.stiffness is not None:
-        stiffness = roller.stiffness
-    arm, shaft, main = (_law(getattr(supports, name)) for name in ("turning_arm", "crank_shaft", "main"))
-    rigid = bearing.RIGID in (arm.stiffness, shaft.stiffness, main.stiffness, stiffness)
-    mesh = pair.face_width / (pair.material.gear.compliance + pair.material.pin.compliance)
-    return Assembly(
-        cranks=supports.kind == "cranks",
-        eccentricity=pair.eccentricity,
-        place_x=supports.circle_radius * np.cos(angle),
-        place_y=supports.circle_radius * np.sin(angle),
-        crank_x=made["carrier_x"],
-        crank_y=made["carrier_y"],
-        hole_x=made["hole_x"],
-        hole_y=made["hole_y"],
-        hole_play=play,
-        throw=made["eccentric_throw"] + made["crank_throw"],
-        phase=made["eccentric_phase"],
-        seat_x=float(made["centre_x"]),
-        seat_y=float(made["centre_y"]),
-        turning_arm=arm,
-        crank_shaft=shaft,
-        main=main,
-        output_roller=stiffness,
-        rotation_scale=pair.pin_circle_radius,
-        # Rounding of a rotation moves a crank by 1e-19 m, rounding of a gap is 1e-17 m.
-        balanced=max(1e-3 if rigid else 1e-7, 1e-17 * mesh),
-    )
+    """Return the joints of a pair as the list for the kernels, at its temperatures."""
+    grown = pair.at_temperature
+    return joint_list(grown, kinds_of(grown), displacements(pair, surface, {}))
 
 
 def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
@@ -142,7 +103,7 @@ class OnBearings(Transmission):
 def _empty(pair: Pair, loads: int, angles: int) -> Found:
     supports = pair.supports
     assert supports is not None
-    discs, cranks, rollers = pair.discs, supports.cranks, supports.count if supports.kind == "output_rollers" else 0
+    discs, cranks = pair.discs, supports.cranks
     grid = (loads, angles)
     pins = (*grid, discs, pair.pins)
     return Found(
@@ -154,10 +115,7 @@ def _empty(pair: Pair, loads: int, angles: int) -> Found:
         max_contact_pressure=np.zeros(grid),
         pin_force=np.zeros(pins),
         pin_pressure=np.zeros(pins),
-        turning_arm=np.zeros((*grid, discs, cranks)),
-        crank_bearing=np.zeros((*grid, cranks)),
-        main_bearing=np.zeros(grid),
-        output_roller=np.zeros((*grid, discs, rollers)),
+        force=np.zeros((*grid, sum(kind.size for kind in kinds_of(pair)))),
     )
 
 
@@ -354,7 +312,7 @@ def _result(
         stiffness = np.where((at_angles == 0.0) & (interference == 0.0), 0.0, stiffness)
         preload, count = found.pin_force[0].max(axis=(-1, -2)), found.contact_count[0].copy()
     kept = _of(found, np.s_[first:])
-    discs = pair.discs
+    discs, force = pair.discs, {kind.name: force for kind, force in by_kind(kinds_of(pair), kept.force)}
     return OnBearings(
         torques,
         angles,
@@ -373,10 +331,10 @@ def _result(
         disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
         disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
         disc_turn=kept.place[..., 5 : 3 + 3 * discs : 3] - kept.place[..., :1],
-        turning_arm_force=kept.turning_arm,
-        crank_bearing_force=kept.crank_bearing,
-        main_bearing_force=kept.main_bearing,
-        output_roller_force=kept.output_roller,
+        turning_arm_force=force["turning_arm"],
+        crank_bearing_force=force["crank_shaft"],
+        main_bearing_force=force["main"],
+        output_roller_force=force["output_roller"],
         crank_torque=kept.crank_torque,
     )
 
@@ -428,7 +386,7 @@ def sensitivity(
     found = _empty(pair, 1, angles.size)
     _solve(pair, surface, at_angles, angles, slices, found)
     size = max(place.stop for place in displacement_layout(pair).values())
-    each, laws = np.zeros((angles.size, size)), np.zeros((angles.size, len(LAWS)))
+    each, by_joint = np.zeros((angles.size, size)), np.zeros((*found.force.shape[1:], len(PARAMETERS)))
     by_angle, by_torque = (np.zeros(angles.size) for _ in range(2))
     if not sweep_supported_sensitivities(
         problem_of(pair, surface, slices),
@@ -436,13 +394,11 @@ def sensitivity(
         angles,
         at_angles[0],
         found.place[0],
-        each,
-        laws,
-        by_angle,
-        by_torque,
+        Derivatives(each, by_joint, by_angle, by_torque),
         work_of(found.place.shape[-1], pair.discs),
     ):
         raise _unbalanced(float(at_angles[0, 0]), angles[0])
+    laws = add_by_displacements(pair, kinds_of(pair), by_joint, each)
     return Sensitivity(found.place[0, :, 0].copy(), each, laws, by_angle, by_torque)
 
 

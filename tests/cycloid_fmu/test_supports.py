@@ -1,5 +1,6 @@
 """Drives on bearings: an independent solver's results, closed forms, symmetries, and checks of files."""
 
+import dataclasses
 import json
 import math
 
@@ -16,12 +17,13 @@ import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.contact import transmission as on_rigid
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.supports.assembly import joint_list, kinds_of
 from cycloid_fmu.supports.balance import work_of
 from cycloid_fmu.supports.bearing import linear, push, rollers, stored
 from cycloid_fmu.supports.figures import remaining
 from cycloid_fmu.supports.sweeps import sweep_supported
 from cycloid_fmu.supports.transmission import _empty, assembly_of, problem_of, sensitivity, solve
-from cycloid_fmu.surfaces.structured import displacement_layout
+from cycloid_fmu.surfaces.structured import displacement_layout, displacements
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 CASES = DATA / "supports-cases"
@@ -476,6 +478,15 @@ def test_any_torque_of_either_sign_is_balanced_whatever_was_solved_before(seed, 
     assert alone.pin_force[0, 0] == pytest.approx(swept.pin_force[0, -1], abs=0.05)
 
 
+def swept(pair, problem, assembly, torque, angles):
+    """Result of the kernel for any list of joints."""
+    found = _empty(pair, 1, angles.size)
+    here = type(found)(*(array[0] for array in found))._replace(force=np.zeros((angles.size, assembly.joints.size)))
+    work = work_of(assembly.unknowns, pair.discs)
+    sweep_supported(problem, assembly, angles, np.full(angles.size, torque), here, work, on_rigid.no_lines(1))
+    return here
+
+
 @pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
 def test_sensitivities_are_differences(kind):
     """Every displacement and every bearing, against the drive solved with a little of it."""
@@ -484,20 +495,10 @@ def test_sensitivities_are_differences(kind):
     surface = surface_of_pair(pair)
     found = sensitivity(pair, surface, 150.0, angles)
     problem, assembly = problem_of(pair, surface), assembly_of(pair, surface)
+    kinds, made_of = kinds_of(pair), displacements(pair, surface, {})
 
     def te(problem, assembly, torque=150.0, at=angles):
-        found = _empty(pair, 1, at.size)
-        here = type(found)(*(array[0] for array in found))
-        sweep_supported(
-            problem,
-            assembly,
-            at,
-            np.full(at.size, torque),
-            here,
-            work_of(here.place.shape[-1], 2),
-            on_rigid.no_lines(1),
-        )
-        return here.place[:, 0]
+        return swept(pair, problem, assembly, torque, at).place[:, 0]
 
     def check(by, plus, minus, scale=step):
         differences = (plus - minus) / (2.0 * scale)
@@ -505,33 +506,19 @@ def test_sensitivities_are_differences(kind):
 
     layout = displacement_layout(pair)
     assert found.transmission_error == pytest.approx(te(problem, assembly))
-    for name, field in (
-        ("hole_x", "hole_x"),
-        ("hole_y", "hole_y"),
-        ("carrier_x", "crank_x"),
-        ("carrier_y", "crank_y"),
-        ("eccentric_throw", "throw"),
-        ("eccentric_phase", "phase"),
-        ("hole_play", "hole_play"),
-    ):
-        if name not in layout:
-            continue
-        values = getattr(assembly, field)
-        columns = found.by_displacement[:, layout[name]].reshape(angles.size, *values.shape)
-        # The place that matters most.
-        most = np.unravel_index(np.abs(columns).max(axis=0).argmax(), values.shape)
-        ends = []
-        scale = 1e-6 if field == "phase" else step
-        for sign in (1.0, -1.0):
-            moved = values.copy()
-            moved[most] += sign * scale
-            ends.append(te(problem, assembly._replace(**{field: moved})))
-        check(columns[(slice(None), *most)], *ends, scale)
-    for name, field in (("centre_x", "seat_x"), ("centre_y", "seat_y")):
-        ends = [te(problem, assembly._replace(**{field: getattr(assembly, field) + d})) for d in (step, -step)]
+    for name in ("hole_x", "hole_y", "carrier_x", "carrier_y", "eccentric_throw", "eccentric_phase", "hole_play"):
+        if name in layout:
+            columns = found.by_displacement[:, layout[name]]
+            most = np.abs(columns).max(axis=0).argmax()  # the place that matters most
+            ends, scale = [], 1e-6 if name == "eccentric_phase" else step
+            for sign in (1.0, -1.0):
+                moved = made_of[name].copy()
+                moved.flat[most] += sign * scale
+                ends.append(te(problem, joint_list(pair, kinds, made_of | {name: moved})))
+            check(columns[:, most], *ends, scale)
+    for name in ("centre_x", "centre_y", "crank_throw"):
+        ends = [te(problem, joint_list(pair, kinds, made_of | {name: made_of[name] + d})) for d in (step, -step)]
         check(found.by_displacement[:, layout[name]][:, 0], *ends)
-    ends = [te(problem, assembly._replace(throw=assembly.throw + d)) for d in (step, -step)]
-    check(found.by_displacement[:, layout["crank_throw"]][:, 0], *ends)
     for name in ("pin_radial", "pin_tangential", "pin_radius"):
         columns = found.by_displacement[:, layout[name]]
         pin = np.abs(columns).max(axis=0).argmax()
@@ -558,23 +545,17 @@ def test_sensitivities_are_differences(kind):
     check(found.by_displacement[:, layout["generating_circle_radius"]][:, 0], *ends)
     check(found.by_torque, te(problem, assembly, 150.01), te(problem, assembly, 149.99), 0.01)
     check(found.by_crank_angle, te(problem, assembly, at=angles + 1e-6), te(problem, assembly, at=angles - 1e-6), 1e-6)
-    for at, field in enumerate(("turning_arm", "crank_shaft", "main", "output_roller")):
-        law = getattr(assembly, field)
-        if field == "output_roller":
-            if kind == "cranks":
-                continue
-            ends = [te(problem, assembly._replace(output_roller=law * math.exp(d))) for d in (1e-3, -1e-3)]
-            wider = [te(problem, assembly._replace(hole_play=assembly.hole_play + 0.5 * d)) for d in (step, -step)]
-        else:
-            ends = [
-                te(problem, assembly._replace(**{field: law._replace(stiffness=law.stiffness * math.exp(d))}))
-                for d in (1e-3, -1e-3)
-            ]
-            moved = [law._replace(half_clearance=law.half_clearance + 0.5 * d) for d in (step, -step)]
-            wider = [te(problem, assembly._replace(**{field: one})) for one in moved]
-        check(found.by_bearing[:, 2 * at], *ends, 1e-3)
-        if field != "main":
-            check(found.by_bearing[:, 2 * at + 1], *wider)
+    for at, kind_of_joint in enumerate(kinds):
+        if kind_of_joint.size == 0:
+            continue
+        law = kind_of_joint.law
+        stiffer = [law._replace(stiffness=law.stiffness * math.exp(d)) for d in (1e-3, -1e-3)]
+        looser = [law._replace(half_clearance=law.half_clearance + 0.5 * d) for d in (step, -step)]
+        for column, laws, scale in ((2 * at, stiffer, 1e-3), (2 * at + 1, looser, step)):
+            others = [[*kinds[:at], dataclasses.replace(kind_of_joint, law=one), *kinds[at + 1 :]] for one in laws]
+            # The main bearing has no clearance to take from.
+            if kind_of_joint.name != "main" or column == 2 * at:
+                check(found.by_bearing[:, column], *(te(problem, joint_list(pair, o, made_of)) for o in others), scale)
 
 
 def test_a_drive_s_sensitivity_knows_its_bearings():
