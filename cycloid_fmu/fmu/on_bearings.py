@@ -13,7 +13,7 @@ from cycloid_fmu import contact
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.supports import energy
-from cycloid_fmu.supports.balance import work_of
+from cycloid_fmu.supports.balance import Load, work_of
 from cycloid_fmu.supports.bearing import CENTRING
 from cycloid_fmu.supports.transmission import assembly_of, play_loads, problem_of
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -50,9 +50,9 @@ class _Stand:
     ) -> bool:
         """Solve a position of the flanges; return whether a solution was found."""
         cold = not abs(theta - self.theta) < _NEAR
-        centring = _PRESSED_CENTRING if pressed else CENTRING
+        pull = Load(torque, spring, flange, _PRESSED_CENTRING if pressed else CENTRING)
         self.theta = theta
-        if not energy.stand(self.box, theta, torque, spring, flange, centring, self.rows, cold, self.found):
+        if not energy.stand(self.box, theta, pull, self.rows, cold, self.found):
             self.theta = math.nan
         return self.theta == theta
 

@@ -17,7 +17,7 @@ from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
 from cycloid_fmu.contact.load_sharing import load_sharing
 from cycloid_fmu.supports.balance import HELD, Load, Work, hold, settle, solve_linear
-from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, add_turning, displacement, energy, reaction
+from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, add_turning, displacement, reaction, stored_energy
 
 # Indices of the results of `stand`, and their number.
 X, STIFFNESS, ENERGY, BY_FLANGE, BY_ANGLE, CRANK_TORQUE, RATE, TORQUE = range(8)
@@ -95,33 +95,21 @@ def _joints(assembly: Assembly, theta: float, centring: float, work: Work, by_an
         acting = reaction(assembly, joint, d, centring)
         if acting.stiffness == 0.0:
             continue
-        stored += energy(assembly, joint, d, centring)
+        stored += stored_energy(assembly, joint, d, centring)
         turning += add_turning(assembly, joint, theta, d, acting, work.at, work.by, by_angle)
     return stored, turning
 
 
 @compiled
-def stand(
-    box: Held,
-    theta: float,
-    torque: float,
-    spring: float,
-    flange: float,
-    centring: float,
-    rows: Rows,
-    cold: bool,
-    out: Array,
-) -> int:
+def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Array) -> int:
     """Solve the balance at a crank angle from the last solution; return the number of steps, 0 if not found.
 
     Parameters
     ----------
     box
         The drive; its unknowns are in `work.place`.
-    theta, torque, spring, flange
-        Crank angle (rad), and the load as in `balance.Load` (N·m, N·m/rad, rad).
-    centring
-        Springs that hold parts free in their clearance, N/m.
+    theta, pull
+        Crank angle, rad, and the load.
     rows, cold
         Contact rows, and whether to start without a neighbouring solution.
     out
@@ -132,18 +120,19 @@ def stand(
     """
     drive, assembly, work, by_energy, by_angle = box.drive, box.assembly, box.work, box.by_energy, box.by_angle
     q, teeth, n = work.place, drive.teeth, work.step.size
+    spring, flange = pull.spring, pull.flange
     if spring > 0.0:
         # Discs start with the carrier's rotation, or they would be pressed immediately.
         for i in range(FIRST_DISC + 2, FIRST_DISC + 3 * drive.shift_x.size, 3):
             q[i] += flange - q[0]
         q[0] = flange
-    steps = settle(drive, assembly, theta, Load(torque, spring, flange, centring), rows, work, cold)
+    steps = settle(drive, assembly, theta, pull, rows, work, cold)
     if steps == 0:
         return 0
     for i in range(n):
         by_energy[i] = by_angle[i] = 0.0
     of_mesh, mesh_turning, bending = _mesh(drive, theta, q[0], rows, by_energy, by_angle)
-    of_joints, joints_turning = _joints(assembly, theta, centring, work, by_angle)
+    of_joints, joints_turning = _joints(assembly, theta, pull.centring, work, by_angle)
     by_theta = mesh_turning + joints_turning
     # Rows of the inverse for the carrier's rotation and for b, without the flange's spring.
     work.jacobian[0, 0] -= spring
@@ -158,7 +147,7 @@ def stand(
     for i in range(n):
         rate -= row[i] * by_angle[i]
         energy_rate -= (bent[i] - row[i] * share * bent[0]) * by_angle[i]
-    carried = spring * (flange - q[0]) + torque
+    carried = spring * (flange - q[0]) + pull.torque
     by_flange = carried + bent[0] * share if spring > 0.0 else carried
     out[X], out[STIFFNESS] = q[0], 1.0 / row[0]
     out[ENERGY] = of_mesh + of_joints + (0.5 * (flange - q[0]) ** 2 * spring if spring > 0.0 else 0.0)

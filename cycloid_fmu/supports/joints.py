@@ -192,7 +192,7 @@ def reaction(assembly: Assembly, joint: np.record, d: Displacement, centring: fl
 
 
 @part
-def energy(assembly: Assembly, joint: np.record, d: Displacement, centring: float) -> float:
+def stored_energy(assembly: Assembly, joint: np.record, d: Displacement, centring: float) -> float:
     """Energy of a joint, ∫ F dr with the force of `reaction`, J."""
     spring = 0.5 * centring * d.length * d.length if joint.reach == 0.0 else 0.0
     return stored(assembly.laws[joint.law], d.excess - joint.play) + spring

@@ -1,6 +1,7 @@
 """Drives on bearings: an independent solver's results, closed forms, symmetries, and checks of files."""
 
 import dataclasses
+import itertools
 import json
 import math
 
@@ -15,12 +16,31 @@ from scipy.integrate import quad
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
+from cycloid_fmu.contact import contact_rows
 from cycloid_fmu.contact import transmission as on_rigid
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
-from cycloid_fmu.supports.assembly import joint_list, kinds_of
-from cycloid_fmu.supports.balance import work_of
-from cycloid_fmu.supports.bearing import linear, push, rollers, stored
+from cycloid_fmu.supports import energy
+from cycloid_fmu.supports.assembly import Kind, by_kind, joint_list, kinds_of
+from cycloid_fmu.supports.balance import Load, work_of
+from cycloid_fmu.supports.bearing import LAW, linear, push, rollers, stored
 from cycloid_fmu.supports.figures import remaining
+from cycloid_fmu.supports.joints import (
+    CARRIER,
+    FIRST_DISC_BODY,
+    HOUSING,
+    UNKNOWNS,
+    add_turning,
+    displacement,
+    reaction,
+    stored_energy,
+)
+from cycloid_fmu.supports.sensitivity import (
+    CLEARANCE,
+    PARAMETERS,
+    STIFFNESS,
+    Derivatives,
+    sweep_supported_sensitivities,
+)
 from cycloid_fmu.supports.sweeps import sweep_supported
 from cycloid_fmu.supports.transmission import _empty, assembly_of, problem_of, sensitivity, solve
 from cycloid_fmu.surfaces.structured import displacement_layout, displacements
@@ -556,6 +576,121 @@ def test_sensitivities_are_differences(kind):
             # The main bearing has no clearance to take from.
             if kind_of_joint.name != "main" or column == 2 * at:
                 check(found.by_bearing[:, column], *(te(problem, joint_list(pair, o, made_of)) for o in others), scale)
+
+
+def with_other_joints(kind):
+    """A drive with two kinds of joints that no file has: a second main bearing of balls, and output pins."""
+    pair, at = made(kind, 5, discs=1), np.array([0.2, 1.9, 4.1])
+    seat = {"outer_x": ("centre_x",), "outer_y": ("centre_y",)}
+    balls = Kind("balls", linear(4e10, 1e-6, 1.5), {}, HOUSING, CARRIER, errors=seat)
+    places = {"place_x": 0.02 * np.cos(at), "place_y": 0.02 * np.sin(at), "reach": pair.eccentricity}
+    errors = {"outer_x": 1e-6, "inner_y": [2e-6, 0.0, -1e-6]}
+    pins = Kind("pins", linear(2e9, 2e-6, 10 / 9), {"pin": 3}, FIRST_DISC_BODY, CARRIER, places | errors)
+    surface = surface_of_pair(pair)
+    return pair, [*kinds_of(pair), balls, pins], displacements(pair, surface, {}), problem_of(pair, surface)
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_a_new_kind_of_joint_is_one_definition(kind):
+    """It carries, its bodies stay in balance, and its sensitivities are differences."""
+    pair, kinds, displaced, problem = with_other_joints(kind)
+    assembly, angles, step = joint_list(pair, kinds, displaced), np.array([0.4, 0.42, 3.0]), 2e-9
+    found = swept(pair, problem, assembly, 150.0, angles)
+    bare = swept(pair, problem, joint_list(pair, kinds[:-2], displaced), 150.0, angles)
+    assert (found.stiffness > 1.01 * bare.stiffness).all()
+    force = {one.name: values for one, values in by_kind(kinds, found.force)}
+    assert force["balls"].min() > 10.0
+    assert force["pins"].max() > 100.0
+    # The two main bearings displace alike and share the load by their laws, whatever these are.
+    length = np.hypot(*(found.place[:, 1:3] - [displaced["centre_x"], displaced["centre_y"]]).T)
+    assert force["balls"] == pytest.approx(4e10 * (length - 0.5e-6) ** 1.5, rel=1e-6)
+    assert force["main"] == pytest.approx(1.2e9 * length, rel=1e-6)
+
+    each = np.zeros((3, max(place.stop for place in displacement_layout(pair).values())))
+    by_joint, by_angle, by_torque = np.zeros((3, assembly.joints.size, len(PARAMETERS))), *np.zeros((2, 3))
+    by = Derivatives(each, by_joint, by_angle, by_torque)
+    work, torques = work_of(assembly.unknowns, 1), np.full(3, 150.0)
+    assert sweep_supported_sensitivities(problem, assembly, angles, torques, found.place, by, work)
+
+    def te(change=0.0, **changed):
+        """Transmission error with a joint's or law's field of all new joints changed."""
+        other = assembly._replace(joints=assembly.joints.copy(), laws=assembly.laws.copy())
+        for field, value in changed.items():
+            records = other.laws if field in LAW.names else other.joints
+            new = slice(-2, None) if field in LAW.names else other.joints["law"] >= len(kinds) - 2
+            records[field][new] = value(records[field][new])
+        return swept(pair, problem, other, 150.0 + change, angles).place[:, 0]
+
+    new = assembly.joints["law"] >= len(kinds) - 2
+    for at, name in enumerate(PARAMETERS[:7]):
+        if name not in ("throw", "phase"):
+            ends = [te(**{name: lambda v, d=d: v + d}) for d in (step, -step)]
+            wanted = (ends[0] - ends[1]) / (2.0 * step)
+            assert by_joint[:, new, at].sum(axis=1) == pytest.approx(wanted, rel=1e-4, abs=1e-4)
+    ends = [te(stiffness=lambda v, d=d: v * math.exp(d)) for d in (1e-3, -1e-3)]
+    assert by_joint[:, new, STIFFNESS].sum(axis=1) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-4)
+    ends = [te(half_clearance=lambda v, d=d: v + 0.5 * d) for d in (step, -step)]
+    wanted = (ends[0] - ends[1]) / (2.0 * step)
+    assert by_joint[:, new, CLEARANCE].sum(axis=1) == pytest.approx(wanted, rel=1e-4)
+    assert by_torque == pytest.approx((te(0.01) - te(-0.01)) / 0.02, rel=1e-4)
+    around = [swept(pair, problem, assembly, 150.0, angles + d).place[:, 0] for d in (1e-6, -1e-6)]
+    assert by_angle == pytest.approx((around[0] - around[1]) / 2e-6, rel=1e-4, abs=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_every_joint_is_its_energy_s_gradient(kind):
+    """Forces, stiffnesses and the crank's torque of any joint, at a place that is no balance."""
+    pair, kinds, displaced, _ = with_other_joints(kind)
+    assembly, random = joint_list(pair, kinds, displaced), np.random.default_rng(7)
+    drawn, theta, n = random.normal(0.0, 2e-5, assembly.unknowns), 0.7, assembly.unknowns
+    at, by, step = np.zeros(UNKNOWNS, np.int64), np.zeros((2, UNKNOWNS)), 1e-9
+    pressed = set()
+    for joint, q in itertools.product(assembly.joints, (drawn, -drawn)):
+
+        def state(q, theta=theta, joint=joint):
+            d = displacement(assembly, joint, theta, q, at, by)
+            acting = reaction(assembly, joint, d, 10.0)
+            force = np.zeros(n)
+            np.add.at(
+                force, at[: d.unknowns], acting.force * (np.array([d.normal_x, d.normal_y]) @ by[:, : d.unknowns])
+            )
+            turned = np.zeros(n)
+            rate = add_turning(assembly, joint, theta, d, acting, at, by, turned)
+            return stored_energy(assembly, joint, d, 10.0), force, rate, turned, acting.force
+
+        _, force, rate, turned, size = state(q)
+        if size > 1.0:
+            pressed.add(kinds[joint.law].name)
+        ends = [[state(q + d * unit) for d in (step, -step)] for unit in np.eye(n)]
+        gradient = np.array([plus[0] - minus[0] for plus, minus in ends]) / (2.0 * step)
+        assert force == pytest.approx(gradient, rel=1e-5, abs=1e-5 * max(size, 1.0))
+        ahead, behind = state(q, theta + 1e-6), state(q, theta - 1e-6)
+        assert rate == pytest.approx((ahead[0] - behind[0]) / 2e-6, rel=1e-5, abs=1e-7 * max(size, 1.0))
+        assert turned == pytest.approx((ahead[1] - behind[1]) / 2e-6, rel=1e-5, abs=1e-5 * max(size, 1.0))
+    assert pressed == {kind.name for kind in kinds if kind.size}
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_a_drive_with_other_joints_stores_what_its_flanges_did(kind):
+    """The energy's differences between two prescribed flanges are their torques, with any kind of joint."""
+    pair, kinds, displaced, problem = with_other_joints(kind)
+    assembly = joint_list(pair, kinds, displaced)
+    work = work_of(assembly.unknowns, 1)
+    box = energy.held(problem, assembly, work, *energy.room(assembly.unknowns))
+
+    def stood(theta, flange):
+        found = np.zeros(energy.FOUND)
+        pull = Load(0.0, 1e8, flange, 10.0)
+        assert energy.stand(box, theta, pull, contact_rows(problem), True, found)
+        return found
+
+    for theta in (0.3, 2.2):
+        here, step = stood(theta, 1e-3), 1e-7
+        by_flange = (stood(theta, 1e-3 + step)[energy.ENERGY] - stood(theta, 1e-3 - step)[energy.ENERGY]) / (2 * step)
+        assert here[energy.BY_FLANGE] == pytest.approx(by_flange, rel=1e-5)
+        # The flange is held at an angle φ_b = flange - θ/z.
+        ends = [stood(theta + d, 1e-3 + d / pair.gear_teeth)[energy.ENERGY] for d in (1e-5, -1e-5)]
+        assert here[energy.BY_ANGLE] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-4)
 
 
 def test_a_drive_s_sensitivity_knows_its_bearings():
