@@ -13,8 +13,9 @@ from cycloid_fmu import contact
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.supports import energy
-from cycloid_fmu.supports.balance import Load, work_of
+from cycloid_fmu.supports.balance import Load
 from cycloid_fmu.supports.bearing import CENTRING
+from cycloid_fmu.supports.joints import work_of
 from cycloid_fmu.supports.transmission import assembly_of, play_loads, problem_of
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
@@ -35,7 +36,7 @@ class _Stand:
         assembly = assembly_of(pair, surface)
         self._assembly = assembly._replace(balanced=max(assembly.balanced, _BALANCED))
         self.rows, self.found, self.theta = contact.contact_rows(self._drive), np.zeros(energy.FOUND), math.nan
-        self._make(work_of(assembly.unknowns, pair.discs))
+        self._make(work_of(assembly))
 
     def _make(self, work: Any) -> None:
         self.work, room = work, energy.room(work.place.size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -73,19 +74,18 @@ def _law(supports: stated.Supports, name: str) -> Bearing:
     return linear(RIGID if part.stiffness is None else part.stiffness, part.clearance)
 
 
-def kinds_of(pair: Pair) -> list[Kind]:
+@functools.lru_cache(maxsize=16)
+def kinds_of(pair: Pair) -> tuple[Kind, ...]:
     """Return the kinds of joints of a pair with supports, as drawn."""
     supports = pair.supports
     assert supports is not None
     discs, cranks, count = pair.discs, supports.cranks, supports.count
     has_cranks = supports.kind == "cranks"
     disc, crank = FIRST_DISC_BODY + np.arange(discs)[:, None], FIRST_DISC_BODY + discs + np.arange(cranks)
-    phase = 2.0 * np.pi * np.arange(discs)[:, None] / discs
     angle = supports.first_angle + 2.0 * np.pi * np.arange(count) / count
     places = {
         "place_x": supports.circle_radius * np.cos(angle),
         "place_y": supports.circle_radius * np.sin(angle),
-        "crank_phase": phase,
     }
     of_places = {
         "outer_x": ("hole_x",),
@@ -95,14 +95,14 @@ def kinds_of(pair: Pair) -> list[Kind]:
     }
     of_eccentrics = {"throw": ("eccentric_throw", "crank_throw"), "phase": ("eccentric_phase",)}
     seats = {"outer_x": ("centre_x",), "outer_y": ("centre_y",)}
-    return [
+    return (
         Kind(
             "turning_arm",
             _law(supports, "turning_arm"),
             {"disc": discs, "crank": cranks},
             disc,
             crank,
-            {**(places if has_cranks else {"crank_phase": phase}), "eccentricity": pair.eccentricity},
+            {**(places if has_cranks else {}), "eccentricity": pair.eccentricity},
             {**(of_places if has_cranks else {}), **of_eccentrics},
         ),
         Kind(
@@ -123,7 +123,7 @@ def kinds_of(pair: Pair) -> list[Kind]:
             {} if has_cranks else {**places, "reach": pair.eccentricity},
             {} if has_cranks else {**of_places, "play": ("hole_play",)},
         ),
-    ]
+    )
 
 
 def bodies_of(pair: Pair) -> NDArray[np.void]:
@@ -131,9 +131,11 @@ def bodies_of(pair: Pair) -> NDArray[np.void]:
     assert pair.supports is not None
     rate, first_crank = -1.0 / pair.gear_teeth, FIRST_DISC + 3 * pair.discs
     carried = CARRIER if pair.supports.kind == "cranks" else HOUSING
-    bodies = [(-1, -1, -1, 0.0), (1, 0, -1, rate)]
-    bodies += [(at, at + 2, -1, rate) for at in range(FIRST_DISC, first_crank, 3)]
-    bodies += [(first_crank + 2 * crank, -1, carried, 1.0) for crank in range(pair.supports.cranks)]
+    bodies = [(-1, -1, -1, 0.0, 0.0), (1, 0, -1, rate, 0.0)]
+    for disc in range(pair.discs):
+        at = FIRST_DISC + 3 * disc
+        bodies.append((at, at + 2, -1, rate, 2.0 * np.pi * disc / pair.discs))
+    bodies += [(first_crank + 2 * crank, -1, carried, 1.0, 0.0) for crank in range(pair.supports.cranks)]
     return np.array(bodies, BODY)
 
 
@@ -149,19 +151,21 @@ def joint_list(pair: Pair, kinds: Sequence[Kind], displacements: Mapping[str, An
     displacements
         Displacements by errors and temperatures, as of `surfaces.structured.displacements`.
     """
-    bodies, parts = bodies_of(pair), []
-    for law, kind in enumerate(kinds):
-        each = np.zeros(kind.shape, JOINT)
+    bodies, joints = bodies_of(pair), np.zeros(sum(kind.size for kind in kinds), JOINT)
+    for law, (kind, each) in enumerate(by_kind(kinds, joints)):
         each["law"], each["outer"], each["inner"] = law, kind.outer, kind.inner
         for name, value in kind.values.items():
             each[name] = value
         for name, errors in kind.errors.items():
             for error in errors:
                 each[name] += displacements[error]
-        parts.append(each.ravel())
-    joints, laws = np.concatenate(parts), np.array([tuple(kind.law) for kind in kinds], LAW)
+    laws = np.array([tuple(kind.law) for kind in kinds], LAW)
     on = bodies["on"][joints["inner"]]
     joints["seat"] = np.where(on >= 0, on, joints["inner"])
+    throw, phase = joints["throw"], joints["phase"]
+    # From small terms: (e + de) cos ψ - e.
+    joints["throw_along"] = throw * np.cos(phase) - 2.0 * joints["eccentricity"] * np.sin(0.5 * phase) ** 2
+    joints["throw_across"] = (joints["eccentricity"] + throw) * np.sin(phase)
     rigid = RIGID in laws["stiffness"][joints["law"]]
     mesh = pair.face_width / (pair.material.gear.compliance + pair.material.pin.compliance)
     # Rounding of a rotation moves a crank by 1e-19 m, rounding of a gap is 1e-17 m.
@@ -169,23 +173,40 @@ def joint_list(pair: Pair, kinds: Sequence[Kind], displacements: Mapping[str, An
     return Assembly(bodies, joints, laws, pair.pin_circle_radius, balanced)
 
 
-def by_kind(kinds: Sequence[Kind], values: Array, axis: int = -1) -> Iterator[tuple[Kind, Array]]:
-    """Yield each kind with its part of an axis of joints, which becomes axes of its grid."""
-    ends = np.cumsum([kind.size for kind in kinds])[:-1]
-    axis = axis % values.ndim
-    for kind, each in zip(kinds, np.split(values, ends, axis=axis), strict=True):
-        yield kind, each.reshape(*values.shape[:axis], *kind.shape, *values.shape[axis + 1 :])
+def by_kind(kinds: Sequence[Kind], values: NDArray[Any], axis: int = -1) -> Iterator[tuple[Kind, NDArray[Any]]]:
+    """Yield each kind with a view of its part of an axis of joints, which becomes axes of its grid."""
+    axis, start = axis % values.ndim, 0
+    before, after, here = values.shape[:axis], values.shape[axis + 1 :], (slice(None),) * axis
+    for kind in kinds:
+        shape = kind.shape
+        end = start + math.prod(shape)
+        yield kind, values[(*here, slice(start, end))].reshape((*before, *shape, *after))
+        start = end
 
 
-def add_by_displacements(pair: Pair, kinds: Sequence[Kind], by_joint: Array, out: Array) -> Array:
+@functools.lru_cache(maxsize=16)
+def _displaced(pair: Pair) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return which of all joints' parameters are displaced, and the displacements that do so."""
+    layout, kinds = displacement_layout(pair), kinds_of(pair)
+    numbers = np.arange(sum(kind.size for kind in kinds) * len(PARAMETERS)).reshape(-1, len(PARAMETERS))
+    parameters, columns = [], []
+    for kind, each in by_kind(kinds, numbers, axis=0):
+        for name, errors in kind.errors.items():
+            for error in errors:
+                shape = pair.places[EACH_SUPPORT[error]] if error in EACH_SUPPORT else ()
+                column = np.arange(layout[error].start, layout[error].stop).reshape(shape)
+                columns.append(np.broadcast_to(column, kind.shape).ravel())
+                parameters.append(each[..., PARAMETERS.index(name)].ravel())
+    return np.concatenate(parameters), np.concatenate(columns)
+
+
+def add_by_displacements(pair: Pair, by_joint: Array, out: Array) -> Array:
     """Add the joints' derivatives to those by all displacements; return those by the laws.
 
     Parameters
     ----------
-    pair, kinds
-        The pair, and its kinds of joints.
     by_joint
-        Derivatives by each joint's `sensitivity.PARAMETERS`, shape (angles, joints, parameters).
+        Derivatives by the `sensitivity.PARAMETERS` of each joint of the pair, shape (angles, joints, parameters).
     out
         Derivatives by displacements, shape (angles, displacements).
 
@@ -195,14 +216,8 @@ def add_by_displacements(pair: Pair, kinds: Sequence[Kind], by_joint: Array, out
         Derivatives by the logarithm of each kind's stiffness (rad) and by its clearance (rad/m), shape (angles, 2 ·
         kinds).
     """
-    layout, by_laws = displacement_layout(pair), []
-    for kind, each in by_kind(kinds, by_joint, axis=1):
-        for name, errors in kind.errors.items():
-            values = each[..., PARAMETERS.index(name)].reshape(len(each), -1)
-            for error in errors:
-                shape = pair.places[EACH_SUPPORT[error]] if error in EACH_SUPPORT else ()
-                columns = np.arange(layout[error].start, layout[error].stop).reshape(shape)
-                np.add.at(out.T, np.broadcast_to(columns, kind.shape).ravel(), values.T)
-        joints = tuple(range(1, each.ndim - 1))
-        by_laws += [each[..., STIFFNESS].sum(axis=joints), each[..., CLEARANCE].sum(axis=joints)]
-    return np.stack(by_laws, axis=-1)
+    parameters, columns = _displaced(pair)
+    np.add.at(out.T, columns, by_joint.reshape(len(by_joint), -1)[:, parameters].T)
+    laws = by_joint[..., [STIFFNESS, CLEARANCE]]
+    each = [law.reshape(len(law), -1, 2).sum(axis=1) for _, law in by_kind(kinds_of(pair), laws, axis=1)]
+    return np.concatenate(each, axis=1)

@@ -11,14 +11,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, part, spliced
 from cycloid_fmu.contact.equilibrium import load
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
-from cycloid_fmu.supports.joints import FIRST_DISC, UNKNOWNS, Assembly, displacement, reaction
+from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, orient, reaction
 
 NEIGHBOUR = 0.1  # rad: a solution farther away is no useful start
 _EXACT = 1e-14  # m: a step within rounding
@@ -49,54 +46,6 @@ class Load(NamedTuple):
     spring: float
     flange: float
     centring: float
-
-
-class Work(NamedTuple):
-    """Arrays that solving overwrites.
-
-    Attributes
-    ----------
-    place, residual, step, before, jump
-        Shape (unknowns,): the unknowns q, residual, step, start of the step, and last jump within a step.
-    jacobian, matrix
-        Derivatives of the residual, and the matrix of the linear solution, shape (unknowns, unknowns).
-    at, by
-        Indices of the unknowns that move one joint, and derivatives of its displacement by them: see
-        `joints.displacement`.
-    pose, moved
-        Last position of each disc, shape (discs, 3), and motion of the discs since all pins were solved, shape (1,), m.
-    """
-
-    place: Array
-    residual: Array
-    step: Array
-    before: Array
-    jump: Array
-    jacobian: Array
-    matrix: Array
-    at: NDArray[np.int64]
-    by: Array
-    pose: Array
-    moved: Array
-
-
-def work_of(unknowns: int, discs: int) -> Work:
-    """Return uninitialized work arrays."""
-    place, residual, step, before, jump = np.zeros((5, unknowns))
-    jacobian, matrix = np.zeros((2, unknowns, unknowns))
-    return Work(
-        place,
-        residual,
-        step,
-        before,
-        jump,
-        jacobian,
-        matrix,
-        np.zeros(UNKNOWNS, np.int64),
-        np.zeros((2, UNKNOWNS)),
-        np.zeros((discs, 3)),
-        np.full(1, np.inf),
-    )
 
 
 @spliced
@@ -157,22 +106,24 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work) -> Non
 def _add_joints(assembly: Assembly, theta: float, centring: float, work: Work) -> None:
     """Add the joints' forces on their two bodies and the derivatives of these forces."""
     residual, jacobian, by, at = work.residual, work.jacobian, work.by, work.at
+    orient(assembly, theta, work)
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
-        d = displacement(assembly, joint, theta, work.place, at, by)
+        d = displacement(assembly, joint, work)
         acting = reaction(assembly, joint, d, centring)
         if acting.stiffness == 0.0:
             continue
+        unknowns = derivatives(assembly, joint, d, work)
         nx, ny, force, across = d.normal_x, d.normal_y, acting.force, acting.across
         kxx = acting.stiffness * nx * nx + across * ny * ny
         kyy = acting.stiffness * ny * ny + across * nx * nx
         kxy = (acting.stiffness - across) * nx * ny
-        for i in range(d.unknowns):
+        for i in range(unknowns):
             bx, by_ = by[0, i], by[1, i]
             row = at[i]
             residual[row] += force * (nx * bx + ny * by_)
             kx, ky = kxx * bx + kxy * by_, kxy * bx + kyy * by_
-            for j in range(d.unknowns):
+            for j in range(unknowns):
                 jacobian[row, at[j]] += kx * by[0, j] + ky * by[1, j]
         # The lever arms rotate as well.
         turn = assembly.bodies[joint.outer].rotation

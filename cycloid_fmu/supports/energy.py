@@ -16,8 +16,17 @@ from numba.experimental import structref
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
 from cycloid_fmu.contact.load_sharing import load_sharing
-from cycloid_fmu.supports.balance import HELD, Load, Work, hold, settle, solve_linear
-from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, add_turning, displacement, reaction, stored_energy
+from cycloid_fmu.supports.balance import HELD, Load, hold, settle, solve_linear
+from cycloid_fmu.supports.joints import (
+    FIRST_DISC,
+    Assembly,
+    Work,
+    add_turning,
+    derivatives,
+    displacement,
+    reaction,
+    stored_energy,
+)
 
 # Indices of the results of `stand`, and their number.
 X, STIFFNESS, ENERGY, BY_FLANGE, BY_ANGLE, CRANK_TORQUE, RATE, TORQUE = range(8)
@@ -86,17 +95,18 @@ def _mesh(
 
 
 @spliced
-def _joints(assembly: Assembly, theta: float, centring: float, work: Work, by_angle: Array) -> tuple[float, float]:
-    """Add the joints; returns their energy and its derivative by θ at fixed unknowns."""
+def _joints(assembly: Assembly, centring: float, work: Work, by_angle: Array) -> tuple[float, float]:
+    """Add the joints at the solved place; returns their energy and its derivative by θ at fixed unknowns."""
     stored = turning = 0.0
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
-        d = displacement(assembly, joint, theta, work.place, work.at, work.by)
+        d = displacement(assembly, joint, work)
         acting = reaction(assembly, joint, d, centring)
         if acting.stiffness == 0.0:
             continue
+        unknowns = derivatives(assembly, joint, d, work)
         stored += stored_energy(assembly, joint, d, centring)
-        turning += add_turning(assembly, joint, theta, d, acting, work.at, work.by, by_angle)
+        turning += add_turning(assembly, joint, d, acting, work, unknowns, by_angle)
     return stored, turning
 
 
@@ -132,7 +142,7 @@ def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Arra
     for i in range(n):
         by_energy[i] = by_angle[i] = 0.0
     of_mesh, mesh_turning, bending = _mesh(drive, theta, q[0], rows, by_energy, by_angle)
-    of_joints, joints_turning = _joints(assembly, theta, pull.centring, work, by_angle)
+    of_joints, joints_turning = _joints(assembly, pull.centring, work, by_angle)
     by_theta = mesh_turning + joints_turning
     # Rows of the inverse for the carrier's rotation and for b, without the flange's spring.
     work.jacobian[0, 0] -= spring

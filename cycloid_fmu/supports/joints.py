@@ -12,6 +12,7 @@ shift           1       index of the first of the two unknowns that shift it; -1
 rotation        1       index of the unknown that rotates it; -1 for the housing and for cranks, which turn by θ
 on              1       body that carries a crank's axis, from which its shift counts; -1 for other bodies
 rate            1       its ideal rotation for each radian of the crank
+crank_phase     rad     angle of a disc's eccentric ahead of disc 0's
 =============== ======= ===========================================================================================
 
 =============== ======= ===========================================================================================
@@ -23,9 +24,10 @@ law             1       its law
 place_x, _y     m       ideal place in the outer body and in the seat, in their axes at θ = 0; 0 if their rates differ
 outer_x, _y     m       error of the place in the outer body
 inner_x, _y     m       error of the place in the seat
-crank_phase     rad     angle of the disc's eccentric ahead of disc 0's
-eccentricity    m       ideal eccentricity of the crank that is the inner body; 0 without an eccentric
+eccentricity    m       ideal eccentricity of the crank that is the inner body, the disc the outer; otherwise 0
 throw, phase    m, rad  errors of the eccentric
+throw_along     m       the eccentric's error by both along its ideal direction
+throw_across    m       the same across it, counter-clockwise positive
 reach           m       ideal |d|, along the eccentric's direction: a roller's contact in its hole; 0 for bearings
 play            m       further |d| without contact
 =============== ======= ===========================================================================================
@@ -45,13 +47,21 @@ from cycloid_fmu.supports.bearing import push, stored
 HOUSING, CARRIER, FIRST_DISC_BODY = range(3)  # bodies: after the discs come the cranks
 FIRST_DISC = 3  # first unknown of disc 0: shift, then rotation; the carrier's unknowns are its rotation, then its shift
 _INDEX, _VALUE = np.int64, np.float64
-BODY = np.dtype((np.record, [("shift", _INDEX), ("rotation", _INDEX), ("on", _INDEX), ("rate", _VALUE)]))
+BODY = np.dtype(
+    (
+        np.record,
+        [(name, _INDEX) for name in ("shift", "rotation", "on")] + [(name, _VALUE) for name in ("rate", "crank_phase")],
+    )
+)
 JOINT = np.dtype(
     (
         np.record,
         [(name, _INDEX) for name in ("outer", "inner", "seat", "law")]
         + [(name, _VALUE) for name in ("place_x", "place_y", "outer_x", "outer_y", "inner_x", "inner_y")]
-        + [(name, _VALUE) for name in ("crank_phase", "eccentricity", "throw", "phase", "reach", "play")],
+        + [
+            (name, _VALUE)
+            for name in ("eccentricity", "throw", "phase", "throw_along", "throw_across", "reach", "play")
+        ],
     )
 )
 UNKNOWNS = 8  # at most of one joint
@@ -82,6 +92,59 @@ class Assembly(NamedTuple):
         return int(self.bodies["shift"].max()) + 2
 
 
+class Work(NamedTuple):
+    """Arrays that solving overwrites.
+
+    Attributes
+    ----------
+    place, residual, step, before, jump
+        Shape (unknowns,): the unknowns q, residual, step, start of the step, and last jump within a step.
+    jacobian, matrix
+        Derivatives of the residual, and the matrix of the linear solution, shape (unknowns, unknowns).
+    axes
+        Directions of each body's x-axis and of its eccentric: see `orient`. Shape (bodies, 4).
+    at, by
+        Indices of the unknowns that move one joint, shape (`UNKNOWNS`,), and derivatives of its displacement by them,
+        shape (2, `UNKNOWNS`): see `derivatives`.
+    pose, moved
+        Last position of each disc, shape (discs, 3), and motion of the discs since all pins were solved, shape (1,), m.
+    """
+
+    place: Array
+    residual: Array
+    step: Array
+    before: Array
+    jump: Array
+    jacobian: Array
+    matrix: Array
+    axes: Array
+    at: NDArray[np.int64]
+    by: Array
+    pose: Array
+    moved: Array
+
+
+def work_of(assembly: Assembly) -> Work:
+    """Return uninitialized work arrays."""
+    unknowns, discs = assembly.unknowns, int((assembly.bodies["rotation"] >= FIRST_DISC).sum())
+    place, residual, step, before, jump = np.zeros((5, unknowns))
+    jacobian, matrix = np.zeros((2, unknowns, unknowns))
+    return Work(
+        place,
+        residual,
+        step,
+        before,
+        jump,
+        jacobian,
+        matrix,
+        np.zeros((assembly.bodies.size, 4)),
+        np.zeros(UNKNOWNS, np.int64),
+        np.zeros((2, UNKNOWNS)),
+        np.zeros((discs, 3)),
+        np.full(1, np.inf),
+    )
+
+
 class Displacement(NamedTuple):
     """Displacement d of a joint's outer body from its inner one, in axes that do not rotate."""
 
@@ -89,13 +152,10 @@ class Displacement(NamedTuple):
     normal_y: float
     length: float  # |d|, m
     excess: float  # |d| beyond the joint's reach, m
-    outer_angle: float  # rotation of the bodies that have the joint's place, rad
-    inner_angle: float
-    outer_x: float  # lever arms of these bodies, m
+    outer_x: float  # lever arms of outer body and seat, m
     outer_y: float
     inner_x: float
     inner_y: float
-    unknowns: int  # number of unknowns that move it
 
 
 class Reaction(NamedTuple):
@@ -107,79 +167,82 @@ class Reaction(NamedTuple):
 
 
 @part
-def _by_shift(at: NDArray[np.int64], by: Array, column: int, unknown: int, sign: float) -> int:
-    """Set the derivatives by two unknowns that shift the displacement directly; return the next column."""
-    at[column], at[column + 1] = unknown, unknown + 1
-    by[0, column], by[1, column] = sign, 0.0
-    by[0, column + 1], by[1, column + 1] = 0.0, sign
-    return column + 2
+def orient(assembly: Assembly, theta: float, work: Work) -> None:
+    """Write the direction of each body's x-axis, and that of a disc's ideal eccentric, at θ and `work.place`."""
+    for number in range(assembly.bodies.size):
+        body, axes = assembly.bodies[number], work.axes[number]
+        axes[0], axes[1] = 1.0, 0.0
+        if body.rotation >= 0:
+            angle, crank = body.rate * theta + work.place[body.rotation], theta + body.crank_phase
+            axes[0], axes[1], axes[2], axes[3] = math.cos(angle), math.sin(angle), math.cos(crank), math.sin(crank)
 
 
 @part
-def displacement(
-    assembly: Assembly, joint: np.record, theta: float, q: Array, at: NDArray[np.int64], by: Array
-) -> Displacement:
-    """Displacement of a joint at crank angle θ and unknowns q, computed from small terms, without cancellation.
-
-    Parameters
-    ----------
-    at, by
-        Overwritten with the indices of the unknowns that move it, shape (`UNKNOWNS`,), and its derivatives by them,
-        shape (2, `UNKNOWNS`).
-    """
+def displacement(assembly: Assembly, joint: np.record, work: Work) -> Displacement:
+    """Displacement of a joint after `orient`, computed from small terms, without cancellation."""
+    q, px, py = work.place, joint.place_x, joint.place_y
     outer, inner = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.inner)]
     seat = assembly.bodies[int(joint.seat)]
-    y = q[outer.rotation] if outer.rotation >= 0 else 0.0
-    x = q[seat.rotation] if seat.rotation >= 0 else 0.0
-    outer_angle, inner_angle = outer.rate * theta + y, seat.rate * theta + x
-    co, so, ci, si = math.cos(outer_angle), math.sin(outer_angle), math.cos(inner_angle), math.sin(inner_angle)
-    px, py = joint.place_x, joint.place_y
-    dx = co * joint.outer_x - so * joint.outer_y - ci * joint.inner_x + si * joint.inner_y
-    dy = so * joint.outer_x + co * joint.outer_y - si * joint.inner_x - ci * joint.inner_y
+    axes, seat_axes = work.axes[int(joint.outer)], work.axes[int(joint.seat)]
+    co, so, ci, si = axes[0], axes[1], seat_axes[0], seat_axes[1]
+    dx, dy = co * joint.outer_x - so * joint.outer_y, so * joint.outer_x + co * joint.outer_y
+    ex, ey = ci * joint.inner_x - si * joint.inner_y, si * joint.inner_x + ci * joint.inner_y
+    hx, hy, ax, ay = co * px - so * py, so * px + co * py, ci * px - si * py, si * px + ci * py
+    outer_x, outer_y, inner_x, inner_y = hx + dx, hy + dy, ax + ex, ay + ey
+    dx, dy = dx - ex, dy - ey
     if px != 0.0 or py != 0.0:
-        # Both places rotated; R(γ + y) p - R(γ + x) p as a rotation about their mean.
-        turn, mean = 2.0 * math.sin(0.5 * (y - x)), seat.rate * theta + 0.5 * (x + y)
-        cm, sm = math.cos(mean), math.sin(mean)
-        dx += turn * (-sm * px - cm * py)
-        dy += turn * (cm * px - sm * py)
-    hx, hy, ax, ay = px + joint.outer_x, py + joint.outer_y, px + joint.inner_x, py + joint.inner_y
-    hx, hy, ax, ay = co * hx - so * hy, so * hx + co * hy, ci * ax - si * ay, si * ax + ci * ay
-
-    count = 0
+        # R(γ + y) p - R(γ + x) p as a rotation about their mean.
+        turn = math.tan(0.5 * (q[outer.rotation] - q[seat.rotation]))
+        dx, dy = dx - turn * (hy + ay), dy + turn * (hx + ax)
     # A crank in the body that carries it is displaced by its own shift alone.
     carried = inner.on == joint.outer
     if outer.shift >= 0 and not carried:
         dx, dy = dx + q[outer.shift], dy + q[outer.shift + 1]
-        count = _by_shift(at, by, count, outer.shift, 1.0)
     if inner.shift >= 0:
         dx, dy = dx - q[inner.shift], dy - q[inner.shift + 1]
-        count = _by_shift(at, by, count, inner.shift, -1.0)
     if seat.shift >= 0 and joint.seat != joint.inner and not carried:
         dx, dy = dx - q[seat.shift], dy - q[seat.shift + 1]
-        count = _by_shift(at, by, count, seat.shift, -1.0)
-    if outer.rotation >= 0:
-        at[count], by[0, count], by[1, count] = outer.rotation, -hy, hx
-        count += 1
-    if seat.rotation >= 0:
-        at[count], by[0, count], by[1, count] = seat.rotation, ay, -ax
-        count += 1
+    # Ideal eccentric e u(A) minus the actual one (e + de) u(A + dψ).
+    along, across, cc, sc = joint.throw_along, joint.throw_across, axes[2], axes[3]
+    dx, dy = dx - along * cc + across * sc, dy - along * sc - across * cc
 
-    ox = oy = 0.0
-    if joint.eccentricity > 0.0:
-        # Ideal eccentric e u(A) minus the actual one (e + de) u(A + dψ).
-        half = 2.0 * joint.eccentricity * math.sin(0.5 * joint.phase)
-        between = theta + joint.crank_phase + 0.5 * joint.phase
-        made = theta + joint.crank_phase + joint.phase
-        dx += half * math.sin(between) - joint.throw * math.cos(made)
-        dy += -half * math.cos(between) - joint.throw * math.sin(made)
-    if joint.reach > 0.0:
-        ox, oy = joint.reach * math.cos(theta + joint.crank_phase), joint.reach * math.sin(theta + joint.crank_phase)
-    length = math.hypot(ox + dx, oy + dy)
+    wx, wy = joint.reach * cc + dx, joint.reach * sc + dy
+    length = math.hypot(wx, wy)
     excess = length
     if joint.reach > 0.0:
-        excess = (2.0 * (ox * dx + oy * dy) + dx * dx + dy * dy) / (length + joint.reach)
-    nx, ny = ((ox + dx) / length, (oy + dy) / length) if length > 0.0 else (1.0, 0.0)
-    return Displacement(nx, ny, length, excess, outer_angle, inner_angle, hx, hy, ax, ay, count)
+        excess = (2.0 * joint.reach * (cc * dx + sc * dy) + dx * dx + dy * dy) / (length + joint.reach)
+    nx, ny = (wx / length, wy / length) if length > 0.0 else (1.0, 0.0)
+    return Displacement(nx, ny, length, excess, outer_x, outer_y, inner_x, inner_y)
+
+
+@part
+def _by_shift(work: Work, column: int, unknown: int, sign: float) -> int:
+    """Set the derivatives by two unknowns that shift a displacement directly; return the next column."""
+    work.at[column], work.at[column + 1] = unknown, unknown + 1
+    work.by[0, column], work.by[1, column] = sign, 0.0
+    work.by[0, column + 1], work.by[1, column + 1] = 0.0, sign
+    return column + 2
+
+
+@part
+def derivatives(assembly: Assembly, joint: np.record, d: Displacement, work: Work) -> int:
+    """Write the unknowns that move a joint and the derivatives of d by them into `work`; return their number."""
+    outer, inner = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.inner)]
+    seat, at, by = assembly.bodies[int(joint.seat)], work.at, work.by
+    count, carried = 0, inner.on == joint.outer
+    if outer.shift >= 0 and not carried:
+        count = _by_shift(work, count, outer.shift, 1.0)
+    if inner.shift >= 0:
+        count = _by_shift(work, count, inner.shift, -1.0)
+    if seat.shift >= 0 and joint.seat != joint.inner and not carried:
+        count = _by_shift(work, count, seat.shift, -1.0)
+    if outer.rotation >= 0:
+        at[count], by[0, count], by[1, count] = outer.rotation, -d.outer_y, d.outer_x
+        count += 1
+    if seat.rotation >= 0:
+        at[count], by[0, count], by[1, count] = seat.rotation, d.inner_y, -d.inner_x
+        count += 1
+    return count
 
 
 @part
@@ -206,37 +269,32 @@ def change(d: Displacement, acting: Reaction, vx: float, vy: float) -> tuple[flo
 
 
 @part
-def eccentric(joint: np.record, theta: float) -> tuple[float, float]:
-    """Position of a joint's eccentric from its crank's axis, m."""
-    throw, angle = joint.eccentricity + joint.throw, theta + joint.crank_phase + joint.phase
-    return throw * math.cos(angle), throw * math.sin(angle)
+def eccentric(joint: np.record, work: Work) -> tuple[float, float]:
+    """Position of a joint's eccentric from its crank's axis, after `orient`, m."""
+    axes = work.axes[int(joint.outer)]
+    along, across = joint.eccentricity + joint.throw_along, joint.throw_across
+    return along * axes[2] - across * axes[3], along * axes[3] + across * axes[2]
 
 
 @part
 def add_turning(
-    assembly: Assembly,
-    joint: np.record,
-    theta: float,
-    d: Displacement,
-    acting: Reaction,
-    at: NDArray[np.int64],
-    by: Array,
-    by_angle: Array,
+    assembly: Assembly, joint: np.record, d: Displacement, acting: Reaction, work: Work, unknowns: int, by_angle: Array
 ) -> float:
-    """Add the derivatives of the balance's equations by θ at fixed unknowns; return that of the joint's energy, N·m."""
-    outer, seat = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)]
-    vx = seat.rate * d.inner_y - outer.rate * d.outer_y
-    vy = outer.rate * d.outer_x - seat.rate * d.inner_x
-    ideal, crank = joint.eccentricity + joint.reach, theta + joint.crank_phase
-    if ideal > 0.0:
-        ex, ey = eccentric(joint, theta)
-        vx, vy = vx + ey - ideal * math.sin(crank), vy - ex + ideal * math.cos(crank)
+    """Add the derivatives of the balance's equations by θ at fixed unknowns; return that of the joint's energy, N·m.
+
+    `unknowns` is the result of `derivatives`.
+    """
+    outer, seat, axes = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)], work.axes[int(joint.outer)]
+    ideal, (ex, ey) = joint.eccentricity + joint.reach, eccentric(joint, work)
+    vx = seat.rate * d.inner_y - outer.rate * d.outer_y + ey - ideal * axes[3]
+    vy = outer.rate * d.outer_x - seat.rate * d.inner_x - ex + ideal * axes[2]
     gx, gy = change(d, acting, vx, vy)
-    for i in range(d.unknowns):
-        by_angle[at[i]] += by[0, i] * gx + by[1, i] * gy
+    for i in range(unknowns):
+        by_angle[work.at[i]] += work.by[0, i] * gx + work.by[1, i] * gy
     # The lever arms rotate as well.
+    fx, fy = acting.force * d.normal_x, acting.force * d.normal_y
     if outer.rotation >= 0:
-        by_angle[outer.rotation] -= outer.rate * acting.force * (d.normal_x * d.outer_x + d.normal_y * d.outer_y)
+        by_angle[outer.rotation] -= outer.rate * (fx * d.outer_x + fy * d.outer_y)
     if seat.rotation >= 0:
-        by_angle[seat.rotation] += seat.rate * acting.force * (d.normal_x * d.inner_x + d.normal_y * d.inner_y)
-    return float(acting.force * (d.normal_x * vx + d.normal_y * vy))
+        by_angle[seat.rotation] += seat.rate * (fx * d.inner_x + fy * d.inner_y)
+    return float(fx * vx + fy * vy)

@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
 from cycloid_fmu.contact.sensitivity import (
@@ -19,15 +17,17 @@ from cycloid_fmu.contact.sensitivity import (
     PIN_GENERATING,
     larger_circle,
 )
-from cycloid_fmu.supports.balance import Load, Work, assemble, hold, solve_linear
+from cycloid_fmu.supports.balance import Load, assemble, hold, solve_linear
 from cycloid_fmu.supports.bearing import CENTRING, by_clearance
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
     Displacement,
     Reaction,
+    Work,
     add_turning,
     change,
+    derivatives,
     displacement,
     eccentric,
     reaction,
@@ -127,49 +127,40 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work, out: A
 
 
 @part
-def _by_place(d: Displacement, acting: Reaction, angle: float, lx: float, ly: float, turn: float) -> float:
-    """λ·∂r for a motion of the outer body's place along the direction of an angle; `turn` is λ for its rotation."""
-    ux, uy = math.cos(angle), math.sin(angle)
+def _by_place(d: Displacement, acting: Reaction, ux: float, uy: float, lx: float, ly: float, turn: float) -> float:
+    """λ·∂r for a motion of the outer body's place along u; `turn` is λ for its rotation."""
     gx, gy = change(d, acting, ux, uy)
     return gx * lx + gy * ly + acting.force * (d.normal_y * ux - d.normal_x * uy) * turn
 
 
-@part
-def _by_eccentric(
-    joint: np.record, theta: float, d: Displacement, acting: Reaction, lx: float, ly: float, out: Array
-) -> None:
-    """Subtract λ·∂r for the throw and the phase of a joint's eccentric."""
-    ex, ey = eccentric(joint, theta)
-    gx, gy = change(d, acting, ey, -ex)
-    out[PHASE] -= gx * lx + gy * ly
-    throw = math.hypot(ex, ey)
-    gx, gy = change(d, acting, ex / throw, ey / throw)
-    out[THROW] += gx * lx + gy * ly
-
-
 @spliced
-def _add_joints(assembly: Assembly, theta: float, work: Work, by_joint: Array) -> None:
+def _add_joints(assembly: Assembly, work: Work, by_joint: Array) -> None:
     """Subtract λ·∂r/∂p for the parameters of each joint, and add ∂r/∂θ to `work.residual`."""
     row, at, by = work.step, work.at, work.by
     for number in range(assembly.joints.size):
         joint, out = assembly.joints[number], by_joint[number]
-        d = displacement(assembly, joint, theta, work.place, at, by)
+        d = displacement(assembly, joint, work)
         acting = reaction(assembly, joint, d, 0.0)
         if acting.stiffness == 0.0:
             continue
-        add_turning(assembly, joint, theta, d, acting, at, by, work.residual)
+        unknowns = derivatives(assembly, joint, d, work)
+        add_turning(assembly, joint, d, acting, work, unknowns, work.residual)
         lx = ly = 0.0  # λ·∂d/∂q
-        for i in range(d.unknowns):
+        for i in range(unknowns):
             lx += by[0, i] * row[at[i]]
             ly += by[1, i] * row[at[i]]
-        outer, seat = assembly.bodies[joint.outer].rotation, assembly.bodies[joint.seat].rotation
+        outer, seat = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.seat)].rotation
         turned, carried = row[outer] if outer >= 0 else 0.0, row[seat] if seat >= 0 else 0.0
-        for axis in range(2):
-            quarter = 0.5 * math.pi * axis
-            out[OUTER + axis] -= _by_place(d, acting, d.outer_angle + quarter, lx, ly, turned)
-            out[INNER + axis] += _by_place(d, acting, d.inner_angle + quarter, lx, ly, carried)
+        c, s = work.axes[int(joint.outer), 0], work.axes[int(joint.outer), 1]
+        out[OUTER] -= _by_place(d, acting, c, s, lx, ly, turned)
+        out[OUTER + 1] -= _by_place(d, acting, -s, c, lx, ly, turned)
+        c, s = work.axes[int(joint.seat), 0], work.axes[int(joint.seat), 1]
+        out[INNER] += _by_place(d, acting, c, s, lx, ly, carried)
+        out[INNER + 1] += _by_place(d, acting, -s, c, lx, ly, carried)
         if joint.eccentricity > 0.0:
-            _by_eccentric(joint, theta, d, acting, lx, ly, out)
+            ex, ey = eccentric(joint, work)
+            out[THROW] += _by_place(d, acting, ex, ey, lx, ly, 0.0) / math.hypot(ex, ey)
+            out[PHASE] += _by_place(d, acting, -ey, ex, lx, ly, 0.0)
         if d.length > 0.0:
             along = d.normal_x * lx + d.normal_y * ly
             out[PLAY] += acting.stiffness * along
@@ -184,7 +175,7 @@ def sweep_supported_sensitivities(
     thetas: Array,
     torques: Array,
     places: Array,
-    derivatives: Derivatives,
+    found: Derivatives,
     work: Work,
 ) -> bool:
     """Write the derivatives of the deviation at given solutions; return False if one is singular.
@@ -193,7 +184,7 @@ def sweep_supported_sensitivities(
     ----------
     thetas, torques, places
         Crank angles (rad) and the torque at each (N·m), shape (angles,); the solutions, shape (angles, unknowns).
-    derivatives
+    found
         Zeros; overwritten.
     """
     contacts = contact.contact_rows(problem)
@@ -204,12 +195,12 @@ def sweep_supported_sensitivities(
         assemble(problem, assembly, thetas[i], Load(torques[i], 0.0, 0.0, CENTRING), contacts, work)
         if not _row_of_rotation(problem, assembly, work):
             return False
-        derivatives.by_torque[i] = work.step[0]
-        turning = _add_mesh(problem, thetas[i], contacts, work, derivatives.by_displacement[i])
+        found.by_torque[i] = work.step[0]
+        turning = _add_mesh(problem, thetas[i], contacts, work, found.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0
-        _add_joints(assembly, thetas[i], work, derivatives.by_joint[i])
+        _add_joints(assembly, work, found.by_joint[i])
         for k in range(work.residual.size):
             turning += work.step[k] * work.residual[k]
-        derivatives.by_angle[i] = -turning
+        found.by_angle[i] = -turning
     return True

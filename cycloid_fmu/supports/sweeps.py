@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, compiled, spliced
 from cycloid_fmu.contact.load_sharing import write_contact_lines
-from cycloid_fmu.supports.balance import NEIGHBOUR, Load, Work, settle, torsional_stiffness
+from cycloid_fmu.supports.balance import NEIGHBOUR, Load, settle, torsional_stiffness
 from cycloid_fmu.supports.bearing import CENTRING
-from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, displacement, eccentric, reaction
+from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, displacement, eccentric, reaction
 
 
 class Found(NamedTuple):
@@ -31,14 +31,14 @@ class Found(NamedTuple):
 
 
 @spliced
-def _forces(assembly: Assembly, theta: float, work: Work, force: Array) -> float:
-    """Write the force of every joint (N); return the crank torque (N·m)."""
+def _forces(assembly: Assembly, work: Work, force: Array) -> float:
+    """Write the force of every joint (N) at the solved place; return the crank torque (N·m)."""
     crank_torque = 0.0
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
-        d = displacement(assembly, joint, theta, work.place, work.at, work.by)
+        d = displacement(assembly, joint, work)
         force[number] = reaction(assembly, joint, d, 0.0).force
-        ex, ey = eccentric(joint, theta)
+        ex, ey = eccentric(joint, work)
         crank_torque -= force[number] * (ex * d.normal_y - ey * d.normal_x)
     return crank_torque
 
@@ -68,7 +68,7 @@ def sweep_supported(
         for k in range(q.size):
             found.place[i, k] = q[k]
         found.stiffness[i] = torsional_stiffness(problem, assembly, work)
-        found.crank_torque[i] = _forces(assembly, theta, work, found.force[i])
+        found.crank_torque[i] = _forces(assembly, work, found.force[i])
         count, pressure = contact.load_sharing(problem, contacts, found.pin_force[i], found.pin_pressure[i])
         found.contact_count[i], found.max_contact_pressure[i] = count, pressure
         if lines.slice_force.size > 0:

@@ -17,8 +17,7 @@ from cycloid_fmu.contact.transmission import Interrupted, Transmission
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.supports import bearing
 from cycloid_fmu.supports.assembly import add_by_displacements, by_kind, joint_list, kinds_of
-from cycloid_fmu.supports.balance import work_of
-from cycloid_fmu.supports.joints import Assembly
+from cycloid_fmu.supports.joints import Assembly, work_of
 from cycloid_fmu.supports.sensitivity import PARAMETERS, Derivatives, sweep_supported_sensitivities
 from cycloid_fmu.supports.sweeps import Found, sweep_interference, sweep_supported
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacements, profile_wave
@@ -224,7 +223,7 @@ def _solve(
         problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
         for k, torque in enumerate(torques):
             here = _of(found, np.s_[k, start:last])
-            work = work_of(here.place.shape[-1], pair.discs)
+            work = work_of(assembly)
             mine = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
             sweep_supported(problem, assembly, angles[start:last], torque[start:last], here, work, mine)
             if lines is not None and k >= first:
@@ -386,19 +385,20 @@ def sensitivity(
     found = _empty(pair, 1, angles.size)
     _solve(pair, surface, at_angles, angles, slices, found)
     size = max(place.stop for place in displacement_layout(pair).values())
+    assembly = assembly_of(pair, surface)
     each, by_joint = np.zeros((angles.size, size)), np.zeros((*found.force.shape[1:], len(PARAMETERS)))
     by_angle, by_torque = (np.zeros(angles.size) for _ in range(2))
     if not sweep_supported_sensitivities(
         problem_of(pair, surface, slices),
-        assembly_of(pair, surface),
+        assembly,
         angles,
         at_angles[0],
         found.place[0],
         Derivatives(each, by_joint, by_angle, by_torque),
-        work_of(found.place.shape[-1], pair.discs),
+        work_of(assembly),
     ):
         raise _unbalanced(float(at_angles[0, 0]), angles[0])
-    laws = add_by_displacements(pair, kinds_of(pair), by_joint, each)
+    laws = add_by_displacements(pair, by_joint, each)
     return Sensitivity(found.place[0, :, 0].copy(), each, laws, by_angle, by_torque)
 
 

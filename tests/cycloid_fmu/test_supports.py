@@ -21,18 +21,20 @@ from cycloid_fmu.contact import transmission as on_rigid
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.supports import energy
 from cycloid_fmu.supports.assembly import Kind, by_kind, joint_list, kinds_of
-from cycloid_fmu.supports.balance import Load, work_of
+from cycloid_fmu.supports.balance import Load
 from cycloid_fmu.supports.bearing import LAW, linear, push, rollers, stored
 from cycloid_fmu.supports.figures import remaining
 from cycloid_fmu.supports.joints import (
     CARRIER,
     FIRST_DISC_BODY,
     HOUSING,
-    UNKNOWNS,
     add_turning,
+    derivatives,
     displacement,
+    orient,
     reaction,
     stored_energy,
+    work_of,
 )
 from cycloid_fmu.supports.sensitivity import (
     CLEARANCE,
@@ -502,7 +504,7 @@ def swept(pair, problem, assembly, torque, angles):
     """Result of the kernel for any list of joints."""
     found = _empty(pair, 1, angles.size)
     here = type(found)(*(array[0] for array in found))._replace(force=np.zeros((angles.size, assembly.joints.size)))
-    work = work_of(assembly.unknowns, pair.discs)
+    work = work_of(assembly)
     sweep_supported(problem, assembly, angles, np.full(angles.size, torque), here, work, on_rigid.no_lines(1))
     return here
 
@@ -609,7 +611,7 @@ def test_a_new_kind_of_joint_is_one_definition(kind):
     each = np.zeros((3, max(place.stop for place in displacement_layout(pair).values())))
     by_joint, by_angle, by_torque = np.zeros((3, assembly.joints.size, len(PARAMETERS))), *np.zeros((2, 3))
     by = Derivatives(each, by_joint, by_angle, by_torque)
-    work, torques = work_of(assembly.unknowns, 1), np.full(3, 150.0)
+    work, torques = work_of(assembly), np.full(3, 150.0)
     assert sweep_supported_sensitivities(problem, assembly, angles, torques, found.place, by, work)
 
     def te(change=0.0, **changed):
@@ -643,19 +645,21 @@ def test_every_joint_is_its_energy_s_gradient(kind):
     pair, kinds, displaced, _ = with_other_joints(kind)
     assembly, random = joint_list(pair, kinds, displaced), np.random.default_rng(7)
     drawn, theta, n = random.normal(0.0, 2e-5, assembly.unknowns), 0.7, assembly.unknowns
-    at, by, step = np.zeros(UNKNOWNS, np.int64), np.zeros((2, UNKNOWNS)), 1e-9
-    pressed = set()
+    work, step, pressed = work_of(assembly), 1e-9, set()
     for joint, q in itertools.product(assembly.joints, (drawn, -drawn)):
 
         def state(q, theta=theta, joint=joint):
-            d = displacement(assembly, joint, theta, q, at, by)
-            acting = reaction(assembly, joint, d, 10.0)
-            force = np.zeros(n)
-            np.add.at(
-                force, at[: d.unknowns], acting.force * (np.array([d.normal_x, d.normal_y]) @ by[:, : d.unknowns])
+            work.place[:] = q
+            orient(assembly, theta, work)
+            d = displacement(assembly, joint, work)
+            acting, count, force, turned = (
+                reaction(assembly, joint, d, 10.0),
+                derivatives(assembly, joint, d, work),
+                *np.zeros((2, n)),
             )
-            turned = np.zeros(n)
-            rate = add_turning(assembly, joint, theta, d, acting, at, by, turned)
+            by = np.array([d.normal_x, d.normal_y]) @ work.by[:, :count]
+            np.add.at(force, work.at[:count], acting.force * by)
+            rate = add_turning(assembly, joint, d, acting, work, count, turned)
             return stored_energy(assembly, joint, d, 10.0), force, rate, turned, acting.force
 
         _, force, rate, turned, size = state(q)
@@ -675,7 +679,7 @@ def test_a_drive_with_other_joints_stores_what_its_flanges_did(kind):
     """The energy's differences between two prescribed flanges are their torques, with any kind of joint."""
     pair, kinds, displaced, problem = with_other_joints(kind)
     assembly = joint_list(pair, kinds, displaced)
-    work = work_of(assembly.unknowns, 1)
+    work = work_of(assembly)
     box = energy.held(problem, assembly, work, *energy.room(assembly.unknowns))
 
     def stood(theta, flange):
