@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu.errors.kinds import EACH_SUPPORT
 from cycloid_fmu.geometry import supports as stated
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.supports.bearing import LAW, RIGID, Bearing, linear, rollers
+from cycloid_fmu.supports.bearing import LAW, RIGID, Law, linear, rollers
 from cycloid_fmu.supports.joints import (
     BODY,
     CARRIER,
@@ -30,7 +30,7 @@ from cycloid_fmu.surfaces.structured import displacement_layout
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kind:
     """A kind of joint: joints of one law, one at each place of a grid.
 
@@ -49,7 +49,7 @@ class Kind:
     """
 
     name: str
-    law: Bearing
+    law: Law
     grid: Mapping[str, int]
     outer: NDArray[np.int64] | int
     inner: NDArray[np.int64] | int
@@ -67,7 +67,7 @@ class Kind:
         return math.prod(self.shape)
 
 
-def _law(supports: stated.Supports, name: str) -> Bearing:
+def _law(supports: stated.Supports, name: str) -> Law:
     part = getattr(supports, name) or stated.OutputRoller()
     if isinstance(part, stated.Bearing) and part.rollers is not None and part.roller_length is not None:
         return rollers(part.rollers, part.roller_length, part.clearance)
@@ -150,6 +150,11 @@ def joint_list(pair: Pair, kinds: Sequence[Kind], displacements: Mapping[str, An
         The kinds of joints, such as `kinds_of` this pair.
     displacements
         Displacements by errors and temperatures, as of `surfaces.structured.displacements`.
+
+    Raises
+    ------
+    ValueError
+        If a joint off the centre connects bodies that do not rotate alike.
     """
     bodies, joints = bodies_of(pair), np.zeros(sum(kind.size for kind in kinds), JOINT)
     for law, (kind, each) in enumerate(by_kind(kinds, joints)):
@@ -162,6 +167,9 @@ def joint_list(pair: Pair, kinds: Sequence[Kind], displacements: Mapping[str, An
     laws = np.array([tuple(kind.law) for kind in kinds], LAW)
     on = bodies["on"][joints["inner"]]
     joints["seat"] = np.where(on >= 0, on, joints["inner"])
+    apart = bodies["rate"][joints["outer"]] != bodies["rate"][joints["seat"]]
+    if (joints["place_x"][apart] != 0.0).any() or (joints["place_y"][apart] != 0.0).any():
+        raise ValueError("place_x and place_y must be 0 for a joint of bodies that do not rotate alike")
     throw, phase = joints["throw"], joints["phase"]
     # From small terms: (e + de) cos ψ - e.
     joints["throw_along"] = throw * np.cos(phase) - 2.0 * joints["eccentricity"] * np.sin(0.5 * phase) ** 2

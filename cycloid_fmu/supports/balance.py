@@ -24,6 +24,8 @@ _REACH = 4e-6  # m: pins closer than this are solved at every step, the others a
 HELD = 1e-3  # N/m: limits a rotation that nothing holds yet; it pulls to the start of the step
 _ITERATIONS = 60
 _JUMP = 1e-10  # m: steps that end this close show a jump of forces, as where a pin leaves one of two teeth at a root
+_CHATTER = 1e-12  # m: steps shorter than this, `_CHATTERING` in turn, go to and fro across a jump of less than some mN
+_CHATTERING = 20
 _LAST_ITERATIONS = 600  # a drive loose in its clearances converges in small steps
 
 
@@ -206,6 +208,16 @@ def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
             work.matrix[i, i] += held
 
 
+@part
+def solve_transposed(problem: Problem, assembly: Assembly, work: Work, right: Array, held: float) -> bool:
+    """Solve with the transposed derivatives of the balance, `held` as in `hold`; return False if singular."""
+    hold(problem, assembly, work, held)
+    for i in range(right.size):
+        for j in range(i):
+            work.matrix[i, j], work.matrix[j, i] = work.matrix[j, i], work.matrix[i, j]
+    return solve_linear(work.matrix, right)
+
+
 @spliced
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
     """Torsional stiffness dT/dx = 1/(H⁻¹)_xx at the balance, N·m/rad; NaN if the carrier is free."""
@@ -263,7 +275,7 @@ def balance(
     would be missed, and the next step would overshoot too.
     """
     assemble(problem, assembly, theta, pull, contacts, work)
-    q = work.place
+    q, short = work.place, 0
     for iteration in range(iterations):
         left = _longest(problem, assembly, work.residual, -1.0)
         if left < assembly.balanced:
@@ -272,7 +284,8 @@ def balance(
         if share == 0.0:
             return 0
         step, longest = work.step, _longest(problem, assembly, work.step, 1.0)
-        if longest < _EXACT:
+        short = short + 1 if longest < _CHATTER else 0
+        if longest < _EXACT or short > _CHATTERING:
             return iteration + 1
         downhill = 0.0
         for i in range(step.size):

@@ -14,9 +14,9 @@ from numba import types
 from numba.experimental import structref
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled, spliced
 from cycloid_fmu.contact.load_sharing import load_sharing
-from cycloid_fmu.supports.balance import HELD, Load, hold, settle, solve_linear
+from cycloid_fmu.supports.balance import HELD, Load, settle, solve_transposed
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
@@ -149,9 +149,9 @@ def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Arra
     for i in range(n):
         work.before[i] = by_energy[i]
         work.residual[i] = 1.0 if i == 0 else 0.0
-    if not (_transposed(drive, assembly, work, work.residual) and _transposed(drive, assembly, work, work.before)):
-        return 0
     row, bent = work.residual, work.before
+    if not (solve_transposed(drive, assembly, work, row, HELD) and solve_transposed(drive, assembly, work, bent, HELD)):
+        return 0
     share = spring / (1.0 + spring * row[0])
     rate, energy_rate = 0.0, by_theta + bending
     for i in range(n):
@@ -164,16 +164,6 @@ def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Arra
     out[BY_FLANGE], out[BY_ANGLE] = by_flange, energy_rate + by_flange / teeth
     out[CRANK_TORQUE], out[RATE], out[TORQUE] = by_theta + carried / teeth, rate - 1.0 / teeth, carried
     return steps
-
-
-@part
-def _transposed(drive: Problem, assembly: Assembly, work: Work, right: Array) -> bool:
-    """Solve with the transposed derivatives of the balance; return False if singular."""
-    hold(drive, assembly, work, HELD)
-    for i in range(right.size):
-        for j in range(i):
-            work.matrix[i, j], work.matrix[j, i] = work.matrix[j, i], work.matrix[i, j]
-    return solve_linear(work.matrix, right)
 
 
 @compiled

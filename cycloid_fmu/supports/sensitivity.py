@@ -17,7 +17,7 @@ from cycloid_fmu.contact.sensitivity import (
     PIN_GENERATING,
     larger_circle,
 )
-from cycloid_fmu.supports.balance import Load, assemble, hold, solve_linear
+from cycloid_fmu.supports.balance import Load, assemble, solve_transposed
 from cycloid_fmu.supports.bearing import CENTRING, by_clearance
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
@@ -68,19 +68,6 @@ class Derivatives(NamedTuple):
     by_joint: Array
     by_angle: Array
     by_torque: Array
-
-
-@spliced
-def _row_of_rotation(problem: Problem, assembly: Assembly, work: Work) -> bool:
-    """Write λ into `work.step`."""
-    hold(problem, assembly, work, 0.0)
-    matrix, n = work.matrix, work.step.size
-    for i in range(n):
-        for j in range(i):
-            matrix[i, j], matrix[j, i] = matrix[j, i], matrix[i, j]
-    for i in range(n):
-        work.step[i] = 1.0 if i == 0 else 0.0
-    return solve_linear(matrix, work.step)
 
 
 @spliced
@@ -193,9 +180,11 @@ def sweep_supported_sensitivities(
             work.place[k] = places[i, k]
         work.moved[0] = math.inf
         assemble(problem, assembly, thetas[i], Load(torques[i], 0.0, 0.0, CENTRING), contacts, work)
-        if not _row_of_rotation(problem, assembly, work):
+        for k in range(work.step.size):
+            work.step[k] = 1.0 if k == 0 else 0.0
+        if not solve_transposed(problem, assembly, work, work.step, 0.0):
             return False
-        found.by_torque[i] = work.step[0]
+        found.by_torque[i] = work.step[0]  # of λ, which is now in `step`
         turning = _add_mesh(problem, thetas[i], contacts, work, found.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0

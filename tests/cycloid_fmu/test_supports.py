@@ -639,6 +639,13 @@ def test_a_new_kind_of_joint_is_one_definition(kind):
     assert by_angle == pytest.approx((around[0] - around[1]) / 2e-6, rel=1e-4, abs=1e-8)
 
 
+def test_a_joint_off_the_centre_needs_bodies_that_rotate_alike():
+    pair, kinds, displaced, _ = with_other_joints("cranks")
+    off = Kind("off", linear(1e9), {}, HOUSING, CARRIER, {"place_x": 0.01})
+    with pytest.raises(ValueError, match="place_x and place_y must be 0"):
+        joint_list(pair, [*kinds, off], displaced)
+
+
 @pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
 def test_every_joint_is_its_energy_s_gradient(kind):
     """Forces, stiffnesses and the crank's torque of any joint, at a place that is no balance."""
