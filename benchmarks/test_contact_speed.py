@@ -13,10 +13,11 @@ import pytest
 from common import ARCSEC, CASES, DATA
 from element_pairs import solve_elements
 
-from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.analysis import error_sensitivity, solve
+from cycloid_fmu.analysis import solve as on_bearings
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import names_of
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
-from cycloid_fmu.supports.transmission import solve as on_bearings
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ANGLES = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)
@@ -28,7 +29,7 @@ pytestmark = pytest.mark.benchmark(timer=time.process_time)
 def test_sweep(benchmark, case, with_play):
     pair = read_pair(CASES / f"{case}.toml")
     surface = surface_of_pair(pair)
-    solve(pair, surface, -120.0, ANGLES[:3])  # compile
+    solve(DriveValue(pair, surface), -120.0, ANGLES[:3])  # compile
     benchmark(solve, pair, surface, -120.0, ANGLES, with_play=with_play)
     benchmark.extra_info["µs a crank angle"] = round(benchmark.stats.stats.median / ANGLES.size * 1e6, 2)
 
@@ -37,7 +38,7 @@ def test_against_brute_force(benchmark):
     case = CASES / "errors-39-40.toml"
     pair, plain = read_pair(case), brute_force.load_pair(case)
     surface = surface_of_pair(pair)
-    solve(pair, surface, -120.0, ANGLES[:3])
+    solve(DriveValue(pair, surface), -120.0, ANGLES[:3])
     benchmark(solve, pair, surface, -120.0, ANGLES, with_play=False)
     mine = benchmark.stats.stats.median / ANGLES.size
     took, found = [], []
@@ -46,7 +47,9 @@ def test_against_brute_force(benchmark):
         begin = time.process_time()
         found.append(brute_force.solve(plain, angle, -120.0, points=6400, halvings=0, with_play=False))
         took.append(time.process_time() - begin)
-    difference = solve(pair, surface, -120.0, chosen).transmission_error[0] - [f["transmission_error"] for f in found]
+    difference = solve(DriveValue(pair, surface), -120.0, chosen).transmission_error[0] - [
+        f["transmission_error"] for f in found
+    ]
     assert np.abs(difference).max() < 0.01 * ARCSEC  # at equal accuracy
     benchmark.extra_info["times faster than brute force"] = round(float(np.median(took)) / mine)
 
@@ -56,8 +59,8 @@ def test_sweep_with_all_derivatives(benchmark, case):
     """By every displacement and every structured error, against the same sweep without them in turn."""
     pair = read_pair(CASES / f"{case}.toml")
     surface, names = surface_of_pair(pair), names_of(pair)
-    error_sensitivity(pair, surface, -120.0, ANGLES[:3], names)
-    solve(pair, surface, -120.0, ANGLES[:3])
+    error_sensitivity(DriveValue(pair, surface), -120.0, ANGLES[:3], names)
+    solve(DriveValue(pair, surface), -120.0, ANGLES[:3])
     took, bare = [], []
 
     def timed(times, call, *arguments, **options):
@@ -78,7 +81,7 @@ def test_a_hundred_slices_misaligned(benchmark):
     text = (CASES / "errors-39-40.toml").read_text().replace("[errors]", '[errors]\nmisalignment_xz = "0.3 mrad"')
     pair = parse_pair(text, "tilted")
     surface = surface_of_pair(pair)
-    solve(pair, surface, -120.0, ANGLES[:3], 100)
+    solve(DriveValue(pair, surface), -120.0, ANGLES[:3], 100)
     benchmark(solve, pair, surface, -120.0, ANGLES[::10], 100, with_play=False)
     benchmark.extra_info["ms a crank angle"] = round(benchmark.stats.stats.median / 360 * 1e3, 3)
 
@@ -91,7 +94,7 @@ def test_against_the_paper_s_element_pairs(benchmark):
     text = (CASES / "errors-39-40.toml").read_text().replace("[errors]", '[errors]\nmisalignment_xz = "0.3 mrad"')
     pair = parse_pair(text, "tilted")
     surface = surface_of_pair(pair)
-    solve(pair, surface, -120.0, ANGLES[:3], 100)
+    solve(DriveValue(pair, surface), -120.0, ANGLES[:3], 100)
     benchmark(solve, pair, surface, -120.0, ANGLES[::10], 100, with_play=False)
     mine = benchmark.stats.stats.median / 360
     small = solve_elements(pair, surface, 1.7, -120.0, 1, 50, 50, pairs="all", with_play=False)
@@ -107,9 +110,9 @@ def test_on_bearings(benchmark, case):
     rigid = pair.nominal.replace(supports=None)
     none = surface_of_pair(rigid)
     for one, errors in ((pair, surface), (rigid, none)):
-        on_bearings(one, errors, torque, ANGLES[:3], with_play=False)
+        on_bearings(DriveValue(one, errors), torque, ANGLES[:3], with_play=False)
     begin = time.process_time()
-    on_bearings(rigid, none, torque, ANGLES, with_play=False)
+    on_bearings(DriveValue(rigid, none), torque, ANGLES, with_play=False)
     plain = (time.process_time() - begin) / ANGLES.size
     benchmark(on_bearings, pair, surface, torque, ANGLES, with_play=False)
     each = benchmark.stats.stats.median / ANGLES.size
@@ -125,7 +128,7 @@ def test_play_on_bearings(benchmark, case):
 
     def seconds(torque, with_play):
         begin = time.process_time()
-        on_bearings(pair, surface, torque, ANGLES[::10], with_play=with_play)
+        on_bearings(DriveValue(pair, surface), torque, ANGLES[::10], with_play=with_play)
         return time.process_time() - begin
 
     seconds(pair.rated_torque, False)

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from common import EXAMPLES
 
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.desk.view import look, open_desk, pair_of
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
-from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 MANY_TEETH = {
@@ -56,7 +57,7 @@ def test_a_change_on_the_desk(benchmark, drive, limits, changed):
     surface = surface_of_pair(pair)
 
     def loaded():
-        solve(pair, surface, None, pair.rated_torque, TURN, with_play=False)
+        solve(DriveValue(pair, surface), pair.rated_torque, TURN, with_play=False)
 
     loaded()
     alone, whole = processor_seconds(loaded), processor_seconds(change)

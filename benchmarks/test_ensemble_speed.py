@@ -15,8 +15,9 @@ import numpy as np
 from common import EXAMPLES
 
 import fitting
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive, read_drive
+from cycloid_fmu.drive_value import DriveValue
 from fitting.model.observations import scatter_names
 
 CYCLE = [half * torque for half in (1.0, -1.0) for torque in (181.0, 90.0, -60.0, 20.0, -120.0)]  # N·m
@@ -48,7 +49,7 @@ def test_a_thousand_drives_through_a_load_cycle(benchmark):
     band(2)
     begun = clocks()
     for one in fitting.ensemble(identified, FIRST):
-        solve(one.pair, one.surface, CYCLE, angle, workers=1)
+        solve(DriveValue(one.pair, one.surface), CYCLE, angle, workers=1)
     loop = (clocks() - begun) / FIRST
     before, begun = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, clocks()
     benchmark.pedantic(band, (DRIVES,), rounds=1)

@@ -10,6 +10,7 @@ import pytest
 from common import CASES, EXAMPLES
 from fmpy.fmi2 import FMU2Slave
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import read_pair
@@ -65,7 +66,7 @@ print(json.dumps(time.perf_counter() - begin))
 def fmu(tmp_path_factory):
     path = tmp_path_factory.mktemp("fmu") / "drive.fmu"
     pair = read_pair(CASES / "errors-39-40.toml")
-    build_fmu(pair, path)
+    build_fmu(DriveValue.as_stated(pair), path)
     return path
 
 
@@ -78,7 +79,7 @@ def slaves(tmp_path_factory):
     (folder / "empty.py").write_text(EMPTY)
     subprocess.run([sys.executable, "-m", "pythonfmu", "build", "-f", "empty.py"], cwd=folder, check=True)
     for kind in ("kinematic", "compliant"):
-        build_fmu(pair, folder / f"{kind}.fmu", interface=Interface(kind))
+        build_fmu(DriveValue.as_stated(pair), folder / f"{kind}.fmu", interface=Interface(kind))
     for kind in ("kinematic", "compliant"):
         for name in (kind, "Empty"):
             description = fmpy.read_model_description(str(folder / f"{name}.fmu"))

@@ -17,8 +17,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import fitting.model.observations
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -37,7 +38,7 @@ def drive(pair, seed):
     generator = np.random.default_rng(seed)
     names = [n for n in errors_of(pair) if not n.startswith(("misalignment", "isometric", "offset", "pin_radial_1"))]
     values = dict(zip(names, generator.normal(0.0, 0.3, len(names)) * tolerances_of(names), strict=True))
-    surface = with_structured(pair, surface_of_pair(pair), values)
+    surface = with_structured(surface_of_pair(pair), values)
     scattered = {
         name: surface.errors[name] + generator.normal(0.0, 2e-6, pair.pins) for name in ("pin_radial", "pin_tangential")
     }
@@ -45,7 +46,7 @@ def drive(pair, seed):
     angle = np.arange(720) * 2.0 * np.pi * 39 / 720
     curves = []
     for load in LOADS:
-        error = solve(pair, surface, load, angle, with_play=False).transmission_error[0]
+        error = solve(DriveValue(pair, surface), load, angle, with_play=False).transmission_error[0]
         noisy = error + generator.normal(0.0, 0.5 * ARCSEC, angle.size)
         curves.append(
             Curve(
@@ -109,10 +110,10 @@ def plain_fit(pair, curves):
         nonlocal evaluations
         evaluations += 1
         values = unknowns * scale
-        surface = with_structured(pair, surface_of_pair(pair), dict(zip(names, values, strict=False)))
+        surface = with_structured(surface_of_pair(pair), dict(zip(names, values, strict=False)))
         model = [
             solve(
-                pair, surface, c.torque + c.direction * values[-1], c.input_angle, with_play=False
+                DriveValue(pair, surface), c.torque + c.direction * values[-1], c.input_angle, with_play=False
             ).transmission_error[0]
             for c in curves
         ]

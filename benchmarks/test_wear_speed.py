@@ -20,6 +20,7 @@ from cycloid_fmu.wear.progress import regression_coefficient, wear_model, wear_r
 from cycloid_fmu.wear.sliding import ideal_velocities
 
 from common import EXAMPLES  # isort: skip
+from cycloid_fmu.drive_value import DriveValue
 
 PAIR, LAW = EXAMPLES / "wear-39-40.toml", EXAMPLES / "wear.toml"
 TORQUE = -400.0
@@ -28,7 +29,7 @@ TORQUE = -400.0
 def wear_of_the_example(surface=None):
     pair = read_pair(PAIR)
     loads = [Load(torque=TORQUE, crank_turns=1.0)]
-    return wear_model(pair, surface or nominal_surface(pair), read_wear_law(LAW), loads)
+    return wear_model(DriveValue(pair, surface or nominal_surface(pair)), read_wear_law(LAW), loads)
 
 
 def plain_loop(model, crank_angles):

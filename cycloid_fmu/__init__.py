@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from cycloid_fmu.draw.plots import plot
-    from cycloid_fmu.drive import Drive, field_units, read_drive
+    from cycloid_fmu.drive import Drive, build_fmus, field_units, read_drive
     from cycloid_fmu.edge import ARCMIN, ARCSEC, InputError
     from cycloid_fmu.errors.kinds import ErrorKind, register_error_kind
     from cycloid_fmu.fmu.friction_file import Friction
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "draw.plots": ("plot",),
-    "drive": ("Drive", "field_units", "read_drive"),
+    "drive": ("Drive", "build_fmus", "field_units", "read_drive"),
     "edge": ("ARCMIN", "ARCSEC", "InputError"),
     "errors.kinds": ("ErrorKind", "register_error_kind"),
     "fmu.friction_file": ("Friction",),
@@ -55,6 +55,7 @@ __all__ = [
     "Tolerances",
     "__version__",
     "budget",
+    "build_fmus",
     "field_units",
     "plot",
     "read_drive",

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
+from cycloid_fmu.surfaces.provenance import stating
 from cycloid_fmu.surfaces.structured import dimensions, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
 
@@ -28,9 +29,9 @@ if TYPE_CHECKING:
     from cycloid_fmu.compensation.compensator import Compensator
     from cycloid_fmu.fmu.friction_file import Friction
     from cycloid_fmu.fmu.variables import Interface
+    from cycloid_fmu.geometry.first_stage import FirstStage
     from cycloid_fmu.motion import Motion
     from cycloid_fmu.reducer.description import Reducer
-    from cycloid_fmu.reducer.first_stage import FirstStage
     from cycloid_fmu.studies.design import Design
     from cycloid_fmu.studies.limits import Requirements
     from cycloid_fmu.studies.verdicts import Judged
@@ -75,7 +76,7 @@ def _tolerances(given: Tolerances | str | os.PathLike[str]) -> Tolerances:
     return given
 
 
-class Drive:
+class Drive(DriveValue):
     """A gear pair with its errors: everything that the contact model needs. Immutable, equal by value.
 
     Parameters
@@ -117,10 +118,6 @@ class Drive:
     (2, 90)
     """
 
-    pair: Pair
-    surface: ErrorSurface
-    first_stage: FirstStage | None
-
     def __init__(
         self, pair: Pair | Reducer, surface: ErrorSurface | None = None, first_stage: FirstStage | None = None
     ) -> None:
@@ -136,37 +133,10 @@ class Drive:
             pair = pair if surface_of_pair(pair) == surface else stating(pair, surface)
         self.__dict__.update(pair=pair, surface=surface, first_stage=first_stage)
 
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"{name}: a drive can't be changed; make another with replace")
-
-    def __eq__(self, other: object) -> bool:
-        return self.hash == other.hash if isinstance(other, Drive) else NotImplemented
-
-    def __hash__(self) -> int:
-        return hash(self.hash)
-
     def __repr__(self) -> str:
         pair, errors = self.pair, ", ".join(self.pair.errors) or "none"
         first = "" if self.first_stage is None else f", first stage {self.first_stage.text}"
         return f"Drive({pair.gear_teeth}/{pair.pins}, discs {pair.discs}, errors: {errors}{first}, hash {self.hash})"
-
-    @property
-    def ratio(self) -> float:
-        """Signed ratio of the input's rotation (crank, or sun of a first stage) to that of the output."""
-        return self.pair.ratio if self.first_stage is None else self.first_stage.ratio(self.pair.gear_teeth)
-
-    @property
-    def text(self) -> str:
-        """The gear pair and its errors as the text of a pair file, the same for equal values.
-
-        Form and wear of elements are not part of it.
-        """
-        return drive_text(self.pair, self.surface)
-
-    @functools.cached_property
-    def hash(self) -> str:
-        """Fingerprint of all values, 16 hexadecimal digits: the same for equal drives."""
-        return drive_hash(self.pair, self.surface, "" if self.first_stage is None else self.first_stage.text)
 
     def replace(self, errors: Mapping[str, Any] | None = None, **changes: Any) -> Self:
         """Return a copy with changed values, validated as a file is.
@@ -235,18 +205,15 @@ class Drive:
         edge.InputError
             If there is neither a torque nor a rated torque, or a torque can't be carried.
         """
-        from cycloid_fmu.contact.transmission import slices_needed
-        from cycloid_fmu.reducer.transmission import analyze
+        from cycloid_fmu.analysis import analyze
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
         return analyze(
-            self.pair,
-            self.surface,
-            self.first_stage,
+            self,
             _torques(torque, self.pair),
             crank_angle,
-            slices or slices_needed(self.surface),
+            slices,
             with_elements=slices is not None,
             workers=workers or os.cpu_count() or 1,
             progress=progress,
@@ -308,9 +275,7 @@ class Drive:
             crank_angle = _quantity("crank_angle", crank_angle, "rad")
         if not np.isfinite(crank_angle).all():
             raise edge.ArgumentError("crank_angle", "it must be finite", crank_angle)
-        found = motion_of(
-            self.pair, self.surface, _torques(torque, self.pair), crank_angle, exaggeration, progress=progress
-        )
+        found = motion_of(self.stage, _torques(torque, self.pair), crank_angle, exaggeration, progress=progress)
         return dataclasses.replace(found, behind_first_stage=self.first_stage is not None)
 
     def judge(
@@ -359,9 +324,7 @@ class Drive:
 
         stated = requirements if isinstance(requirements, Requirements) else read_requirements(requirements)
         return judge_drive(
-            self.pair,
-            self.surface,
-            self.first_stage,
+            self,
             stated,
             [] if torque is None else _torques(torque, self.pair),
             np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
@@ -393,9 +356,9 @@ class Drive:
         >>> [share.part for share in cy.Drive(pair).compliance()]
         ['mesh', 'main bearing']
         """
-        from cycloid_fmu.reducer.transmission import compliance
+        from cycloid_fmu.analysis import compliance
 
-        return compliance(self.pair, self.first_stage, progress=progress)
+        return compliance(self, progress=progress)
 
     def bearing_loads(
         self, torque: float | str | None = None, *, angles: int = ANGLES, turns: int = 1
@@ -415,12 +378,12 @@ class Drive:
         edge.InputError
             If the pair has no supports or the torque can't be carried.
         """
-        from cycloid_fmu.reducer.transmission import solve
+        from cycloid_fmu.analysis import solve
         from cycloid_fmu.supports.figures import bearing_loads
 
         loads = _torques(torque, self.pair)
         crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
-        found = solve(self.pair, self.surface, self.first_stage, loads, crank_angle, with_play=False)
+        found = solve(self, loads, crank_angle, with_play=False)
         return bearing_loads(self.pair, found)
 
     def sensitivity(
@@ -467,8 +430,7 @@ class Drive:
         """
         import xarray as xr
 
-        from cycloid_fmu.contact.transmission import slices_needed
-        from cycloid_fmu.reducer.transmission import error_sensitivity
+        from cycloid_fmu.analysis import error_sensitivity
         from cycloid_fmu.supports.transmission import LAWS
 
         if crank_angle is None:
@@ -479,9 +441,7 @@ class Drive:
             if name not in known and kind_of(name) is None and profile_wave(name, 1) is None:
                 raise edge.ArgumentError("errors", f"no structured error; {edge.did_you_mean(name, known)}", name)
         (load,) = _torques(torque, self.pair)
-        _, jacobian = error_sensitivity(
-            self.pair, self.surface, self.first_stage, load, crank_angle, names, slices_needed(self.surface)
-        )
+        _, jacobian = error_sensitivity(self, load, crank_angle, names)
         units = {"units": "rad/m, rad/rad", "long_name": "derivative of the transmission error", "drive": self.hash}
         places = {"error": names, "crank_angle": np.atleast_1d(crank_angle)}
         return xr.DataArray(jacobian.T, places, ("error", "crank_angle"), "sensitivity", units)
@@ -524,7 +484,6 @@ class Drive:
         samples: int = 1000,
         seed: int = 1,
         angles: int = ANGLES,
-        first_order: float | None = None,
         workers: int | None = None,
         progress: Callable[[int], None] = lambda drives: None,
     ) -> Findings:
@@ -538,8 +497,6 @@ class Drive:
             Torque on the output, N·m or text with a unit; one or several, by default plus and minus the rated torque.
         samples, seed, angles
             Number of drives, seed that determines them, and number of crank angles of each.
-        first_order
-            Solve to first order, and confirm this share of the drives by the exact model.
         workers, progress
             Number of processes, by default one per core; function called with the number of drives just finished.
 
@@ -560,7 +517,7 @@ class Drive:
         4
         """
         from cycloid_fmu.studies import yields
-        from cycloid_fmu.studies.tolerance import Study
+        from cycloid_fmu.studies.tolerance import Study, check_study
 
         loads = _torques(torque, self.pair)
         if torque is None:
@@ -574,8 +531,8 @@ class Drive:
             angles=angles,
             first_stage=self.first_stage,
         )
-        yields.check(study, "pair", "tolerances", to_first_order=first_order is not None)
-        return yields.conduct(study, first_order, workers=workers or os.cpu_count() or 1, progress=progress)
+        check_study(study, "pair", "tolerances")
+        return yields.conduct(study, workers=workers or os.cpu_count() or 1, progress=progress)
 
     def sweep(
         self,
@@ -634,9 +591,7 @@ class Drive:
         from cycloid_fmu.studies.sweep import Sweep, vary_of
         from cycloid_fmu.studies.sweep_files import conduct
 
-        sweep = Sweep(
-            self.pair, self.surface, self.first_stage, vary_of(vary), tuple(_torques(torque, self.pair)), angles, turns
-        )
+        sweep = Sweep(self, vary_of(vary), tuple(_torques(torque, self.pair)), angles, turns)
         return conduct(sweep, output, workers=workers or os.cpu_count() or 1, progress=progress)
 
     def wear(
@@ -689,8 +644,7 @@ class Drive:
         stated = law if isinstance(law, WearLaw) else read_wear_law(law)
         loads = (Load(torque=_torque(torque), crank_turns=1.0),)
         return run_wear(
-            self.pair,
-            self.surface,
+            self.stage,
             stated,
             loads,
             crank_turns,
@@ -698,6 +652,42 @@ class Drive:
             workers=workers or os.cpu_count() or 1,
             progress=progress,
         )
+
+    def at_age(self, age: float | str, wear_factor: float = 1.0) -> Self:
+        """Return this drive at an age of its forecast: flanks, pins and the clearance of the bearing that wears.
+
+        Parameters
+        ----------
+        age
+            Running time since new, s or text with a unit, `"5000 h"`.
+        wear_factor
+            Ratio of the wear coefficient to the forecast's median.
+
+        Raises
+        ------
+        edge.InputError
+            If the drive has no forecast (`fitting`'s `Forecast.aged`), or the values are outside of it.
+        """
+        from cycloid_fmu.surfaces.surface import at_age
+
+        found = at_age(self.pair.nominal, self.surface, _quantity("age", age, "s"), wear_factor)
+        return type(self)(*found, self.first_stage)
+
+    def after(self, crank_turns: float) -> Self:
+        """Return this worn drive after a number of crank turns since new, linear between the states of its life.
+
+        Raises
+        ------
+        edge.InputError
+            If the drive has no life (`WearRun.surface`), or its life ends earlier.
+        """
+        from cycloid_fmu.surfaces.surface import surface_after
+
+        try:
+            worn = surface_after(self.surface, crank_turns)
+        except ValueError as problem:
+            raise edge.InputError(f"{problem}.") from None
+        return type(self)(self.pair.nominal, worn.replace(life=None), self.first_stage)
 
     def design(
         self,
@@ -783,10 +773,10 @@ class Drive:
         fmi_version: Literal["2.0", "3.0"] = "2.0",
         native: bool = False,
         largest_torque: float | None = None,
-        draws: int = 0,
-        seed: int = 0,
     ) -> None:
-        """Build an FMU of the drive; never a partial file.
+        """Build an FMU of the drive; never a partial file. `cycloid_fmu.build_fmus` builds those of several drives.
+
+        A drive with a life is built at the age of its surface; `at_age` and `after` return it at others.
 
         Parameters
         ----------
@@ -802,15 +792,11 @@ class Drive:
             extra `native`.
         largest_torque
             Largest torque of a native FMU's tables, N·m; None for 2.5 times the rated torque.
-        draws, seed
-            Number of drives in the FMU besides an identified one, drawn from the distribution of its fit. The parameter
-            `draw` selects one, counted from 1, as `fitting.ensemble` draws them with this seed; 0 is this drive.
 
         Raises
         ------
         edge.InputError
-            If the folder does not exist, the interface is not available for this drive, or there is no fit to draw
-            from.
+            If the folder does not exist, or the interface is not available for this drive.
 
         Examples
         --------
@@ -834,14 +820,12 @@ class Drive:
                 interface=interface,
                 fmi_version=fmi_version,
                 largest_torque=largest_torque,
-                draws=draws,
-                seed=seed,
                 workers=os.cpu_count() or 1,
             )
         else:
             from cycloid_fmu.fmu.build import build_fmu
 
-            build_fmu(self, path, interface=interface, fmi_version=fmi_version, draws=draws, seed=seed)
+            build_fmu(self, path, interface=interface, fmi_version=fmi_version)
 
     def compensator(
         self,
@@ -930,9 +914,7 @@ class Drive:
         }
         between = temperatures and tuple(_quantity("temperatures", one, "K") for one in temperatures)
         return drive_compensator(
-            self.pair,
-            self.surface,
-            self.first_stage,
+            self,
             self.ratio,
             friction=friction,
             temperatures=between,
@@ -978,7 +960,7 @@ class Drive:
         """
         from cycloid_fmu.cad.profile import profile_of
 
-        return profile_of(self.pair, self.surface, disc, _quantity("chord_error", chord_error, "m"))
+        return profile_of(self.stage, disc, _quantity("chord_error", chord_error, "m"))
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the drive: a pair file (`.toml`), or an error surface (`.nc`) with form and wear as well.
@@ -999,6 +981,58 @@ class Drive:
             raise edge.InputError(f"{path}: a pair file can't hold the form of flanks and pins; write a surface, .nc.")
         else:
             write_pair(self.pair, target)
+
+
+def build_fmus(
+    drives: Iterable[Drive],
+    path: str | os.PathLike[str],
+    interface: Literal["kinematic", "compliant"] | Interface = "kinematic",
+    **options: Any,
+) -> list[Path]:
+    """Build an FMU of each drive: those drawn from a fit, a worn drive at several ages, or the drives of a study.
+
+    Parameters
+    ----------
+    drives
+        The drives.
+    path
+        `drive.fmu` for the files `drive-0000.fmu`, `drive-0001.fmu`, …, in the order of the drives. Files of the same
+        names are replaced.
+    interface, options
+        As in `Drive.build_fmu`; the same for all.
+
+    Returns
+    -------
+    paths
+        The files.
+
+    Raises
+    ------
+    edge.InputError
+        As `Drive.build_fmu` does.
+
+    Examples
+    --------
+    Drives that agree with the measurements as well as an identified one:
+
+    >>> import cycloid_fmu as cy, fitting, numpy as np
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> fitted = cy.Drive(pair).surface.replace(covariance=np.array([[1e-12]]), covariance_of=("eccentricity",))
+    >>> drawn = fitting.ensemble(cy.Drive(pair, fitted), count=2)
+    >>> [path.name for path in cy.build_fmus(drawn, "drawn.fmu")]
+    ['drawn-0000.fmu', 'drawn-0001.fmu']
+    """
+    built = []
+    for number, drive in enumerate(drives):
+        built.append(numbered(path, number))
+        drive.build_fmu(built[-1], interface, **options)
+    return built
+
+
+def numbered(path: str | os.PathLike[str], number: int) -> Path:
+    """Return the path with a number in its name: `drive-0001.fmu`."""
+    whole = Path(path)
+    return whole.with_name(f"{whole.stem}-{number:04d}{whole.suffix}")
 
 
 def refuse_first_stage(drive: Drive, what: str) -> None:

@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.transmission import Transmission, mesh_of, slices_needed
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.transmission import Transmission, mesh_of
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points
-from cycloid_fmu.supports.transmission import OnBearings, problem_of, solve
+from cycloid_fmu.supports.transmission import OnBearings, problem_of
 from cycloid_fmu.surfaces.structured import dimensions
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -168,8 +169,7 @@ def tooth_turns(pair: Pair) -> Points:
 
 
 def motion_of(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: DriveValue,
     torque: Sequence[float],
     crank_angle: ArrayLike,
     exaggeration: float | None = None,
@@ -200,12 +200,13 @@ def motion_of(
     edge.InputError
         If a torque can't be carried.
     """
+    pair, surface = drive.pair, drive.surface
     loads, theta = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
-    slices = slices_needed(surface)
+    slices = drive.slices
     turn = mesh_angles(pair.pins) if with_curve else np.zeros(0)
-    curve = solve(pair, surface, loads, turn, slices, with_play=False).transmission_error
-    found = solve(pair, surface, loads, theta, slices, with_play=False)
-    problem = (mesh_of if pair.supports is None else problem_of)(pair, surface, slices)
+    curve = solve(drive, loads, turn, slices, with_play=False).transmission_error
+    found = solve(drive, loads, theta, slices, with_play=False)
+    problem = (mesh_of if pair.supports is None else problem_of)(drive, slices)
     warm = pair.at_temperature
     tilted = dimensions(pair, surface)
     middle = complex(tilted["centre_x"], tilted["centre_y"]) if pair.supports is None else 0j

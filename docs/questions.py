@@ -212,15 +212,8 @@ QUESTIONS: dict[str, tuple[Figure, ...]] = {
             "a drive of a tolerance study, exact: wall clock and processor",
             "{} ms",
             TOLERANCE,
-            "test_exact_and_first_order_against_a_python_loop",
+            "test_exact_against_a_python_loop",
             ("^exact: ms a drive, wall and processor",),
-        ),
-        Figure(
-            "the same to first order, 2 % of the drives exact",
-            "{} ms",
-            TOLERANCE,
-            "test_exact_and_first_order_against_a_python_loop",
-            ("first order, 2 % exact: ms a drive, wall and processor",),
         ),
         Figure(
             "time with one worker over time with two, three rounds",

@@ -1,6 +1,6 @@
 """Draws the rooms and three ways through them, `docs/_static/rooms.svg`: `python docs/rooms.py`.
 
-Names and order of `cycloid_fmu` are those of `[tool.importlinter]` in `pyproject.toml`; in the two other packages a
+Names and order of `cycloid_fmu` and `fitting` are those of `[tool.importlinter]` in `pyproject.toml`; in `drivers` a
 room is above those that it imports. A test compares the drawing with the folders.
 """
 
@@ -29,21 +29,30 @@ WAYS = {
         "cycloid_fmu.geometry",
         "cycloid_fmu.errors",
         "cycloid_fmu.surfaces",
+        "cycloid_fmu.drive_value",
         "cycloid_fmu.contact",
-        "cycloid_fmu.drive",
+        "cycloid_fmu.analysis",
         "cycloid_fmu.fmu",
     ),
-    TORQUE: ("cycloid_fmu.edge", "cycloid_fmu.drive", "cycloid_fmu.contact", "cycloid_fmu.supports", "cycloid_fmu.fmu"),
+    TORQUE: (
+        "cycloid_fmu.edge",
+        "cycloid_fmu.drive",
+        "cycloid_fmu.analysis",
+        "cycloid_fmu.contact",
+        "cycloid_fmu.supports",
+        "cycloid_fmu.fmu",
+    ),
 }
 ROW, TOP, WIDE = 46, 108, 250
 LEFT = {"drivers": 10, "fitting": 280, "cycloid_fmu": 550}
 KNOWS = {"drivers": "encoders and buses", "fitting": "measurements", "cycloid_fmu": "the drive"}
 
 
-def layers_stated() -> list[list[str]]:
-    """Return the layers of `cycloid_fmu` as `pyproject.toml` has them, from the top."""
+def layers_stated(package: str) -> list[list[str]]:
+    """Return the layers of a package as `pyproject.toml` has them, from the top."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    (contract,) = (c for c in settings["tool"]["importlinter"]["contracts"] if c["type"] == "layers")
+    contracts = settings["tool"]["importlinter"]["contracts"]
+    (contract,) = (c for c in contracts if c["type"] == "layers" and c["containers"] == [package])
     return [re.split(r"\s*[|:]\s*", layer) for layer in contract["layers"]]
 
 
@@ -69,7 +78,7 @@ def layers_found(package: str) -> list[list[str]]:
 
 def drawing() -> str:
     """Return the drawing as SVG."""
-    columns = {"drivers": layers_found("drivers"), "fitting": layers_found("fitting"), "cycloid_fmu": layers_stated()}
+    columns = {"drivers": layers_found("drivers")} | {name: layers_stated(name) for name in ("fitting", "cycloid_fmu")}
     deep = max(sum((len(rooms) + 1) // 2 for rooms in layers) for layers in columns.values())
     height = TOP + deep * ROW + 100
     drawn = []

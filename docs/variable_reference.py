@@ -1,16 +1,14 @@
 """The reference of the FMU's variables, from the table that every FMU is made of."""
 
-import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-import numpy as np
-
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import with_damping
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import UNITS, Interface, Variable, from_tables, variables
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import Ageing, Life, nominal_surface
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 EXAMPLE = "drive-39-40.toml"
 WARM = Friction(temperature_coefficient=0.01)
@@ -54,33 +52,24 @@ INTRODUCTION = f"""# FMU variables
 
 The variables of an FMU of `cycloid-fmu build` and their causality in each [interface](../fmu.md), – where the
 interface lacks one. *Inertia inside* is the compliant interface with `--output-inertia`, *both inside* with
-`--crank-inertia` as well. `support` is there only with `--support-flange`,
-`draw` with `--draws` (here 20), `age` and `wear_factor` in the [twin of a forecast](../ageing.md) in place of
-`crank_turns_worn`. FMI 2.0 and 3.0 have the same names and value references. In the FMU of an RV reducer
-`flange_a` is the sun. Parameters that a [native FMU](../native.md) has in its tables are
-*constants* there: they can be read but not set.
+`--crank-inertia` as well. `support` is there only with `--support-flange`. FMI 2.0 and 3.0 have the same
+names and value references. In the FMU of an RV reducer `flange_a` is the sun. Parameters that a
+[native FMU](../native.md) has in its tables are *constants* there: they can be read but not set.
 
-Values are in the first unit, those in brackets are display units. Ranges and starts are those of `examples/{EXAMPLE}`,
-and of a drive worn for 10⁶ crank turns; the model description in every FMU has its own. Signs of angles, torques and
+Values are in the first unit, those in brackets are display units. Ranges and starts are those of `examples/{EXAMPLE}`;
+the model description in every FMU has its own. Signs of angles, torques and
 errors are those of [one drawing](theory-frames).
 
 """
 
 
 def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
-    """(interface, its FMI 3.0 variables) of the example, worn so that nothing lacks."""
+    """(interface, its FMI 3.0 variables) of the example."""
     pair = read_pair(Path(__file__).parent.parent / "examples" / EXAMPLE)
-    flanks, pins = np.zeros((2, pair.discs, pair.gear_teeth, 1, 1)), np.zeros((2, pair.pins, 1, 1))
-    worn = {"gear_deviation": flanks, "pin_deviation": pins, "gear_curvature": flanks, "pin_curvature": pins}
-    life = Life(np.array([0.0, 1e6]), **worn)
-    surface = nominal_surface(pair).replace(life=life, **{name: states[-1] for name, states in worn.items()})
-    ageing = Ageing(25.0, 3.6e4, 3.6e4, 0.9, 1.1)
-    twin = surface.replace(life=dataclasses.replace(life, ageing=ageing))
+    drive = DriveValue(pair, nominal_surface(pair))
     for name, interface in INTERFACES.items():
-        damped = with_damping(interface, pair, nominal_surface(pair))
-        table, aged = (variables(pair, one, damped, "3.0", draws=20) for one in (surface, twin))
-        known = {v.name for v in table}
-        yield name, (*table, *(v for v in aged if v.name not in known))
+        damped = with_damping(interface, drive)
+        yield name, variables(drive, damped, "3.0")
 
 
 def in_native(variable: Variable) -> str:

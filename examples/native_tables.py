@@ -31,8 +31,8 @@ print("drive                │ required  │ largest error │ size   │ loads
 for name, drive in drives.items():
     sizes, errors = [], []
     for asked in ASKED:
-        made = tables.compute(drive.pair, drive.surface, accuracy=asked / cy.ARCSEC)
-        every = variables.variables(drive.pair, drive.surface, interface, "2.0")
+        made = tables.compute(drive.stage, accuracy=asked / cy.ARCSEC)
+        every = variables.variables(drive.stage, interface, "2.0")
         file = table_file.write(made, interface, variables.from_tables(every))
         sizes.append(len(zlib.compress(file)) / 1e3)
         errors.append(made.largest_error * cy.ARCSEC)

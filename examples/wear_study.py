@@ -14,11 +14,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import cycloid_fmu as cy
-from cycloid_fmu.contact import tooth_contact, transmission
+from cycloid_fmu.contact import transmission
+from cycloid_fmu.contact.loaded_contacts import contact_ratio, loaded_contacts
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.wear import progress, sliding
 
 HERE = Path(__file__).parent
 TORQUE, TURNS = -400.0, 3e6
+NO_LOAD = -1e-6  # N·m: the first pin to touch carries it alone
 PITCH = 2.0 * np.pi / 40
 
 drive = cy.read_drive(HERE / "wear-39-40.toml")
@@ -27,8 +30,8 @@ run = drive.wear(HERE / "wear.toml", TORQUE, TURNS)
 found = run.figures
 
 theta = np.linspace(0.0, PITCH, 400, endpoint=False)
-problem = transmission.drive_of(pair, surface)
-loaded = tooth_contact.loaded_contacts(problem, theta, TORQUE)
+problem = transmission.drive_of(DriveValue(pair, surface))
+loaded = loaded_contacts(problem, theta, TORQUE)
 speed = sliding.velocities(problem, loaded)
 coefficient = progress.contact_coefficients(run.model.law, problem, loaded)
 printed, gear_printed, pin_printed = progress.depth_as_printed(run.model, TURNS)
@@ -36,14 +39,12 @@ printed, gear_printed, pin_printed = progress.depth_as_printed(run.model, TURNS)
 figure = Figure(figsize=(10.8, 12.8), layout="constrained")
 axes = figure.subplots(5, 2).ravel()
 wide = np.linspace(-2.0, 2.0, 1200)
-unloaded = tooth_contact.unloaded_contact(pair, surface, wide, -1)
-pins = [k for k in range(40) if (unloaded.pin == k).any()]
-for k in pins:
-    near = np.abs(unloaded.pin_error[:, 0, k] - unloaded.transmission_error) < 1.5 / cy.ARCSEC
-    axes[0].plot(wide[near], unloaded.pin_error[near, 0, k] * cy.ARCSEC, lw=0.7)
-axes[0].plot(wide, unloaded.transmission_error * cy.ARCSEC, "k", lw=1.5)
+unloaded = loaded_contacts(problem, wide, NO_LOAD)
+for k in np.unique(unloaded.pin):
+    touching = unloaded.angle[unloaded.pin == k]
+    axes[0].plot(wide[touching], unloaded.deviation[touching] * cy.ARCSEC, lw=1.5)
 axes[0].set(xlabel="crank angle [rad]", ylabel="TE [arcsec]", xlim=(-0.5, 0.5))
-axes[0].set_title("4: unloaded curve of each pin, and the envelope")
+axes[0].set_title("4: unloaded, a colour for each pin that touches")
 for error in drive.analyze([-200.0, -400.0, -800.0], crank_angle=wide).transmission_error:
     axes[1].plot(wide, error * cy.ARCSEC, lw=1, label=f"{float(error.torque):g} N·m")
 axes[1].set(xlabel="crank angle [rad]", ylabel="TE [arcsec]", xlim=(-0.5, 0.5))
@@ -92,20 +93,20 @@ for axis in axes:
     axis.title.set_fontsize(9)
 figure.savefig("wear_study.png", dpi=150)
 
-own = tooth_contact.unloaded_contact(pair, surface, theta, -1).transmission_error * cy.ARCSEC
-passing = tooth_contact.handovers(pair, surface, np.linspace(0.0, 1.0, 200), -1)
+touching_first = loaded_contacts(problem, theta, NO_LOAD)
+own = touching_first.deviation * cy.ARCSEC
 free = dataclasses.replace(run.model, law=run.model.law.replace(pins="free"))
 even = progress.wear_rate(free, free.surface).depth.pin.max() * TURNS
-span = np.ptp(tooth_contact.phase_of_pin(pair, theta[loaded.angle], loaded.disc, loaded.pin))
+span = np.ptp(loaded.phase)
 linear, updated, as_printed = found["linear"], found["updated"], found["as_printed"]
 um = 1e6
 compared = [
     ("unloaded TE, peak to peak, ″", 0.036, np.ptp(own), "the paper's fits 0.06 of the modification"),
-    ("unloaded mesh interval, rad", 0.1571, abs(np.diff(passing.crank_angle)).mean(), "one pin pitch"),
+    ("unloaded mesh interval, rad", 0.1571, PITCH * contact_ratio(touching_first), "one pin pitch"),
     (
         "contact ratio at 400 N·m",
         8.94,
-        tooth_contact.contact_ratio(loaded),
+        contact_ratio(loaded),
         "the paper's fits 0.347 of the modification",
     ),
     ("mesh of one pin, rad", 1.4043, span, "same cause as the contact ratio"),

@@ -3,12 +3,9 @@
 import importlib
 import json
 import os
-import posixpath
 import re
-import zipfile
 from decimal import Decimal
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -123,52 +120,6 @@ def damaged(random, data):
             word = random.integers(0, len(_ODD))
             data[found.start() : found.end()] = _ODD[word]
     return bytes(data)
-
-
-def smoke_tested(path, kind="CoSimulation"):
-    """Run the experiment inside an FMU as its FMI-LS-REF manifest has it; the number of reference rows that held."""
-    import fmpy
-
-    folder = "extra/org.fmi-standard.fmi-ls-ref"
-    with zipfile.ZipFile(path) as archive:
-        files = {n.removeprefix(f"{folder}/"): archive.read(n) for n in archive.namelist() if n.startswith(folder)}
-        names = set(archive.namelist())
-    manifest = ElementTree.fromstring(files["fmi-ls-manifest.xml"])
-    space = "{http://fmi-standard.org/fmi-ls-manifest}fmi-ls-"
-    assert manifest.tag == "fmiReferences"
-    assert manifest.get(f"{space}name") == "org.fmi-standard.fmi-ls-ref"
-    assert manifest.get(f"{space}description", "").startswith("Layered Standard providing information")
-    related = {node.get("source"): node for node in manifest.iter("Related")}
-    assert all(posixpath.normpath(f"{folder}/{source}") in names for source in related)
-    (source,) = (s for s, node in related.items() if node.get("role") == "experiment/smoke-test")
-    experiment = ElementTree.fromstring(files[source]).find("Experiment")
-    stimuli, references = (
-        np.genfromtxt(
-            files[experiment.find(tag).get("source")].decode().splitlines(),
-            delimiter=",",
-            names=True,
-            deletechars="",
-            replace_space="",
-        )
-        for tag in ("Stimuli", "References")
-    )
-    found = fmpy.simulate_fmu(
-        str(path),
-        fmi_type=kind,
-        input=stimuli,
-        output=references.dtype.names[1:],
-        relative_tolerance=1e-6,
-        stop_time=float(experiment.get("stopTime")),
-        step_size=float(experiment.get("stepSize")),
-        output_interval=float(experiment.get("stepSize")),
-    )
-    for name in references.dtype.names[1:]:
-        values = np.interp(references["time"], found["time"], found[name])
-        assert (
-            np.abs(values - references[name]).max()
-            <= float(experiment.get("tolerance")) * np.abs(references[name]).max()
-        ), name
-    return references.size
 
 
 def lengths_of(text):

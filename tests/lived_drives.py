@@ -46,16 +46,16 @@ def fitted(pair, generator):
     names = [n for n in errors_of(pair) if n not in HELD]
     parts = scatter_parts(pair)
     made_so = dict(zip(names, generator.normal(0.0, 1e-6, len(names)), strict=True))
-    known = with_structured(pair, surface_of_pair(pair), made_so)
+    known = with_structured(surface_of_pair(pair), made_so)
     size = np.concatenate([np.full(len(names), KNOWN_TO), np.full(len(scatter_names(pair)), KNOWN_TO)])
     scatter = generator.normal(0.0, 0.5e-6, len(scatter_names(pair)))
     scatter[parts["pin_radius_deviation"]] *= 0.2
     size[len(names) :][parts["pin_radius_deviation"]] *= 0.3
-    surface = with_scatter(pair, known, scatter).replace(
+    surface = with_scatter(known, scatter).replace(
         covariance_of=(*names, *scatter_names(pair)), covariance=np.diag(size**2)
     )
     off = generator.normal(0.0, size)
-    values = {n: structured_value(pair, known, n) + d for n, d in zip(names, off, strict=False)}
+    values = {n: structured_value(known, n) + d for n, d in zip(names, off, strict=False)}
     return Drive(pair, surface), values, scatter + off[len(names) :]
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import fitting
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -36,7 +37,7 @@ def structured(pair, generator, share=0.3):
 def random_drive(pair, generator, scatter):
     """A drive with structured errors within half their tolerance and a scatter of every pin that none of them holds."""
     values = structured(pair, generator)
-    surface = with_structured(pair, surface_of_pair(pair), values)
+    surface = with_structured(surface_of_pair(pair), values)
     scattered = {
         name: surface.errors[name] + generator.normal(0.0, scatter, pair.pins)
         for name in ("pin_radial", "pin_tangential")
@@ -52,7 +53,7 @@ def recorded(pair, surface, load, generator, *, each, turns, noise=0.5 * ARCSEC,
     count = round(turns * abs(pair.ratio) * each)
     angle = generator.uniform(0.0, 2.0 * np.pi) + np.arange(count) * 2.0 * np.pi / each
     angle *= np.sign(load)
-    error = solve(pair, surface, load, angle, with_play=False).transmission_error[0]
+    error = solve(DriveValue(pair, surface), load, angle, with_play=False).transmission_error[0]
     error = error + generator.normal(0.0, noise, count)
     if left is not None:
         error = error + left(angle, load)

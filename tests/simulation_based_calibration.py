@@ -60,7 +60,7 @@ def drawn(seed):
     noise, creep = NOISE * size(0.5, 2.0), NOISE * size(0.2, 10.0)
     m, largest = pair.modification, max(LOADS)
     made = second_drive.body(second_drive.sizes_of(pair), values, scatter, isometric=m.isometric, offset=m.offset)
-    surface = with_structured(pair, surface_of_pair(pair), values)
+    surface = with_structured(surface_of_pair(pair), values)
     surface = surface.replace(**{name: surface.errors[name] + each for name, each in scatter.items()})
     nominal = second_drive.body(second_drive.sizes_of(pair), isometric=m.isometric, offset=m.offset)
     at = np.linspace(0.0, 2.0 * np.pi, 40)

@@ -353,7 +353,7 @@ def test_a_command_says_which_option_the_library_objects_to(command, tmp_path):
     for more, sentence in (
         ([], "--torque is missing; give it, or state [pair] rated_torque in pair.toml."),
         (["--torque", "0 Nm"], '--torque = "0 Nm": a study\'s loads must not be zero; the play has its own figures.'),
-        (["--torque", "9 Nm", "--screen", "2"], "--screen = 2.0: the share must be between 0 and 1."),
+        (["--torque", "9 Nm", "--allocate", "2"], "--allocate = 2.0: the yield to reach must be between 0 and 1."),
         (
             ["--design", "sobl"],
             '--design = "sobl": it must be one of sobol, latin-hypercube, saltelli; did you mean sobol?',

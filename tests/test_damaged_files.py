@@ -21,6 +21,7 @@ from pyarrow import parquet
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import limited
 from cycloid_fmu.fmu.bench_losses import read_bench_losses
 from cycloid_fmu.fmu.build import build_fmu, read_losses
@@ -263,7 +264,7 @@ def points(folder):
 
 
 def fmu(folder):
-    build_fmu(SMALL, folder / "drive.fmu")
+    build_fmu(DriveValue.as_stated(SMALL), folder / "drive.fmu")
     return folder / "drive.fmu"
 
 
@@ -295,7 +296,7 @@ def study():
 
 def checkpoint(folder):
     path = folder / "study.checkpoint"
-    Checkpoint(path, study()).add(0, np.zeros((2, len(study().columns))), ("", "no such drive"))
+    Checkpoint(path, study()).add(np.arange(2), np.zeros((2, len(study().columns))), ("", "no such drive"))
     return path
 
 

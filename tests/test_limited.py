@@ -3,6 +3,7 @@
 import itertools
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -157,7 +158,7 @@ def test_commands_refuse_files_that_would_stop_them(tmp_path, command):
         done = command(*words)
         assert (done.returncode, done.stdout) == (2, ""), name
         assert done.stderr.count("\n") == 1
-        assert f"{name}: this file is damaged or too complex: reading it " in done.stderr
+        assert re.search(f"{name}: this .* damaged", done.stderr)
 
 
 @pytest.mark.slow(200)

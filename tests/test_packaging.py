@@ -218,6 +218,7 @@ def test_front_doors_and_help_pages_need_no_extra(core, tmp_path):
 
 
 LINE = '[port.tty]\nurl = "/dev/null"\n[channel.input_angle]\nport = "tty"\ncounts_per_turn = 4096\n'
+CAN = '[bus.can0]\ninterface = "virtual"\nchannel = "core"\n[channel.input_angle]\nbus = "can0"\n'
 PLC = (
     '[plc.plc1]\nnet_id = "127.0.0.1.1.1"\nring = "Ring"\n[channel.input_angle]\nplc = "plc1"\ncounts_per_turn = 4096\n'
 )
@@ -228,16 +229,20 @@ STUDY = ("cycloid-fmu", "tolerance", DRIVE, "--tolerances", TOLERANCES, "-o", "s
 # Uses of an extra: the input files, the missing package, and the command.
 TAKES = {
     "ads": [({"bench.toml": PLC + 'protocol = "ads"\ncolumn = 1\n'}, "pyads", RECORD)],
+    "bench": [
+        ({"bench.toml": CAN + 'protocol = "canopen"\nnode = 1\n'}, "canopen", RECORD),
+        ({"bench.toml": CAN + 'protocol = "dbc"\nfile = "a"\nmessage = "m"\nsignal = "s"\n'}, "canopen", RECORD),
+        ({"bench.toml": LINE + 'protocol = "modbus"\nregister = 0\n'}, "pymodbus", RECORD),
+        ({}, "canopen", SIMULATE),
+        ({}, "pymodbus", (*SIMULATE, "--serial", "modbus")),
+    ],
     "bench-files": [
         ({"run.tdms": "x"}, "nptdms", ("cycloid-fit", "inspect", "run.tdms")),
         ({"run.mf4": "x"}, "asammdf", ("cycloid-fit", "inspect", "run.mf4")),
+        ({"run.asc": "x", "run.dbc": "x"}, "cantools", ("cycloid-fit", "inspect", "run.asc", "--dbc", "run.dbc")),
     ],
     "cad": [({}, "ezdxf", ("cycloid-fmu", "profile", DRIVE, "-o", "disc.dxf"))],
     "distributed": [({}, "distributed", (*STUDY, "--samples", "64", "--scheduler", "tcp://127.0.0.1:1"))],
-    "modbus": [
-        ({"bench.toml": LINE + 'protocol = "modbus"\nregister = 0\n'}, "pymodbus", RECORD),
-        ({}, "pymodbus", (*SIMULATE, "--serial", "modbus")),
-    ],
     "native": [
         ({}, "ziglang", ("cycloid-fmu", "build", DRIVE, "--native", "--platform", "x86_64-windows", "-o", "drive.fmu"))
     ],

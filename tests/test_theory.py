@@ -14,7 +14,9 @@ import pytest
 from common import PAIR, make_pair, resolved
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.transmission import rigid_problem
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS, remove_error_kind
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
@@ -119,7 +121,7 @@ def ideal(phase):
 
 
 def gaps(surface):
-    drive = drive_of(make_pair(), surface)
+    drive = rigid_problem(DriveValue(make_pair(), surface))
     rows = contact.contact_rows(drive)
     contact.place(drive, 0.3, 0.0, rows, True, np.inf, np.inf)
     return rows["gap"][::2]
@@ -148,7 +150,7 @@ def test_first_order_effects_on_the_gap():
     blank, step = nominal_surface(make_pair()), 1e-9
     away = np.abs((phase + np.pi) % (2.0 * np.pi) - np.pi) > 0.3
     for name, effect in wanted.items():
-        ends = [gaps(with_structured(make_pair(), blank, {name: v})) for v in (-step, step)]
+        ends = [gaps(with_structured(blank, {name: v})) for v in (-step, step)]
         found = (ends[1] - ends[0]) / (2.0 * step)
         assert found[away] == pytest.approx(effect[away], abs=1e-4), name
 
@@ -159,9 +161,9 @@ def test_first_order_effects_on_the_gap():
 def test_orders_with_the_ring_as_output(name, order):
     """The gear held: pins at multiples of z_c of an output turn, teeth and fixed errors at multiples of z_p."""
     pair = make_pair(MODIFIED, output="ring")
-    surface = with_structured(pair, nominal_surface(pair), {name: 1e-6})
+    surface = with_structured(nominal_surface(pair), {name: 1e-6})
     angles = np.linspace(0.0, 2.0 * np.pi * 40, 40 * 80, endpoint=False)
-    error = solve(pair, surface, 100.0, angles, with_play=False).transmission_error[0]
+    error = solve(DriveValue(pair, surface), 100.0, angles, with_play=False).transmission_error[0]
     assert int(np.argmax(np.abs(np.fft.rfft(error))[1:])) + 1 == order
 
 
@@ -170,7 +172,7 @@ def test_load_dips_at_the_inflection(law, dip):
     """Error-surface paper, figure 7d: one pin near the largest load carries less than both its neighbours."""
     pair = make_pair(contact_law=law)
     angles = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
-    force = solve(pair, nominal_surface(pair), -181.0, angles, with_play=False).pin_force[0, :, 0]
+    force = solve(DriveValue(pair, nominal_surface(pair)), -181.0, angles, with_play=False).pin_force[0, :, 0]
     beside = np.minimum(np.roll(force, 1, axis=1), np.roll(force, -1, axis=1))
     share = np.where(beside > 0.5 * force.max(), 1.0 - force / np.maximum(beside, 1e-9), 0.0)
     assert share.max() == pytest.approx(dip, abs=0.01)

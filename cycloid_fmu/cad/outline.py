@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points, flank_speed
 from cycloid_fmu.surfaces.structured import dimensions
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
 Points = NDArray[np.complex128]
@@ -82,7 +82,7 @@ class Tooth:
         return np.asarray(np.interp(np.asarray(alpha), self.knots, self.heights))
 
 
-def teeth_of(pair: Pair, surface: ErrorSurface, disc: int) -> list[Tooth]:
+def teeth_of(drive: DriveValue, disc: int) -> list[Tooth]:
     """Return the teeth of a disc as made, counter-clockwise, each ending where the next one begins.
 
     A tooth with a pitch error is rotated as a whole about the disc's axis; it meets its neighbour on the ray between
@@ -94,6 +94,7 @@ def teeth_of(pair: Pair, surface: ErrorSurface, disc: int) -> list[Tooth]:
     edge.InputError
         If a drive with these errors is impossible.
     """
+    pair, surface = drive.pair, drive.surface
     cold = pair.replace(temperature=None)
     made = dimensions(cold, surface)
     count = pair.gear_teeth
@@ -102,7 +103,7 @@ def teeth_of(pair: Pair, surface: ErrorSurface, disc: int) -> list[Tooth]:
         isometric=made["generating_pin_radius"] - cold.pin_radius,
         offset=made["generating_circle_radius"] - cold.pin_circle_radius,
     )
-    knots, heights = _form(pair, surface, disc)
+    knots, heights = _form(drive, disc)
     turn = made["tooth_turn"][disc]
     clocked = -2.0 * math.pi * disc / pair.discs / count
     ahead = 0.5 * (np.roll(turn, -1) - turn)  # from a tooth's second root to its end at the next tooth
@@ -121,8 +122,9 @@ def teeth_of(pair: Pair, surface: ErrorSurface, disc: int) -> list[Tooth]:
     ]
 
 
-def _form(pair: Pair, surface: ErrorSurface, disc: int) -> tuple[Array, Array]:
+def _form(drive: DriveValue, disc: int) -> tuple[Array, Array]:
     """Profile parameters (rad) of a tooth's elements and one on either side, and heights (m) of every tooth."""
+    pair, surface = drive.pair, drive.surface
     flanks = surface.gear_deviation
     if flanks is None:
         return np.empty(0), np.empty((pair.gear_teeth, 0))

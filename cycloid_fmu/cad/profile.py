@@ -13,9 +13,9 @@ import numpy as np
 from cycloid_fmu import edge
 from cycloid_fmu.cad.arcs import arcs_of
 from cycloid_fmu.cad.outline import Array, Points, Tooth, teeth_of
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import dimensions
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 CHORD_ERROR = 1e-7
 _LEAST, _MOST = 1e-9, 1e-4  # chord errors, m: the contact model is verified to a nanometre
@@ -129,7 +129,7 @@ class Profile:
         write(self, path)
 
 
-def profile_of(pair: Pair, surface: ErrorSurface, disc: int = 0, chord_error: float = CHORD_ERROR) -> Profile:
+def profile_of(drive: DriveValue, disc: int = 0, chord_error: float = CHORD_ERROR) -> Profile:
     """Return the profile of a disc as made.
 
     Parameters
@@ -146,13 +146,14 @@ def profile_of(pair: Pair, surface: ErrorSurface, disc: int = 0, chord_error: fl
     edge.InputError
         If there is no such disc, the chord error is out of range, the drive is impossible or a hole cuts the flank.
     """
+    pair, surface = drive.pair, drive.surface
     if not 0 <= disc < pair.discs:
         allowed = f"it must be between 0 and {pair.discs - 1}" if pair.discs > 1 else "the pair has only disc 0"
         raise edge.ArgumentError("disc", allowed, disc)
     if not _LEAST <= chord_error <= _MOST:
         given = edge.format_quantity(chord_error, "m", "um")
         raise edge.ArgumentError("chord_error", "it must be between 0.001 um and 100 um", given)
-    teeth = teeth_of(pair, surface, disc)
+    teeth = teeth_of(drive, disc)
     cold = pair.replace(temperature=None)
     made = dimensions(cold, surface)
     start, bulge, largest = arcs_of(teeth, chord_error)

@@ -60,10 +60,10 @@ def analyze(
         asked = limits.read_requirements(limits_file)
     import numpy as np
 
-    from cycloid_fmu.contact.transmission import Interrupted, notes, slices_needed
+    from cycloid_fmu.analysis import labelled, notes, solve
+    from cycloid_fmu.contact.transmission import Interrupted
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.geometry.temperature import parse_temperatures
-    from cycloid_fmu.reducer import transmission
 
     drive = read_drive(pair_file, surface_file)
     if temperature is not None:
@@ -73,14 +73,12 @@ def analyze(
     else:
         verdicts.check(asked, drive.pair, str(limits_file), str(pair_file))
         torque = verdicts.loads_of(asked, torque, drive.pair, str(pair_file))
-    used = slices or slices_needed(drive.surface)
+    used = slices or drive.slices
     angle = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
     with commands.progress("crank angles", angles * len(torque)) as progress:
         try:
-            found = transmission.solve(
-                drive.pair,
-                drive.surface,
-                drive.first_stage,
+            found = solve(
+                drive,
                 torque,
                 angle,
                 used,
@@ -97,13 +95,13 @@ def analyze(
         raise typer.Exit(edge.INTERRUPTED)
     judged = None
     if asked is not None and finished == angles:
-        judged = verdicts.judge_sweep(drive.pair, drive.surface, drive.first_stage, asked, found, os.cpu_count() or 1)
+        judged = verdicts.judge_sweep(drive, asked, found, os.cpu_count() or 1)
     supported = drive.pair.supports is not None and drive.pair.rated_torque is not None
     shares = drive.compliance() if supported and (plot is not None or not as_json) else []
     if output is not None or plot is not None or as_json:
         # Imported here, because loading xarray takes longer than the sweep.
         whole = finished == angles
-        data = transmission.labelled(drive.pair, drive.surface, drive.first_stage, found, used, complete=whole)
+        data = labelled(drive, found, used, complete=whole)
         if judged is not None:
             data = judged.labelled(data)
         if output is not None:
@@ -136,7 +134,7 @@ def analyze(
             print_judged(judged, f"Limits of {limits_file.name if limits_file else ''}")
             if "bearing_life" in judged.not_judged:
                 typer.echo("Bearing life needs a bearing of [supports] with its dynamic_capacity.")
-    for note in notes(drive.pair, drive.surface, found):
+    for note in notes(drive.stage, found):
         typer.echo(f"Note: {note}", err=True)
     if finished < angles:
         raise typer.Exit(edge.INTERRUPTED)
@@ -147,7 +145,7 @@ def analyze(
 def _print(found: Transmission, title: str) -> None:
     import numpy as np
 
-    from cycloid_fmu.contact.transmission import statistics
+    from cycloid_fmu.analysis import statistics
 
     figures = statistics({**vars(found), "backlash": found.backlash[None]})
     rows, deepest = [], found.interference.max() * 1e6

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cycloid_fmu import edge
-from cycloid_fmu.cli.shared import SurfaceFile, with_measured
+from cycloid_fmu.cli.shared import SurfaceFile
 from cycloid_fmu.edge import commands
 from cycloid_fmu.geometry import ANGLES
 
 if TYPE_CHECKING:
-    from cycloid_fmu.fmu.friction_file import FrictionTables
-    from cycloid_fmu.fmu.variables import LossRow
+    from cycloid_fmu.drive import Drive
 
 
 def build(
@@ -91,10 +90,27 @@ def build(
         int,
         typer.Option(
             min=0,
-            help="Number of drives drawn from the fit of an identified drive; the parameter draw selects one.",
+            max=10000,
+            help="Drives drawn from the fit of an identified drive: DRIVE-0000.fmu, … beside that of the drive itself.",
             show_default=False,
         ),
     ] = 0,
+    age: Annotated[
+        list[float] | None,
+        commands.quantity_option(
+            "s",
+            "Age of a drive with a forecast; repeatable: DRIVE-0000.fmu, … instead of DRIVE.fmu.",
+            show_default=False,
+        ),
+    ] = None,
+    wear_factor: Annotated[float, typer.Option(help="With --age: wear coefficient over the forecast's median.")] = 1.0,
+    crank_turns: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Crank turns since new of a drive with a life; repeatable: DRIVE-0000.fmu, … instead of DRIVE.fmu.",
+            show_default=False,
+        ),
+    ] = None,
     platforms: Annotated[
         list[str] | None,
         typer.Option(
@@ -106,16 +122,9 @@ def build(
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
-    import numpy as np
-
-    from cycloid_fmu.contact.transmission import interference_notes, slices_needed
     from cycloid_fmu.drive import read_drive
-    from cycloid_fmu.fmu.bench_losses import is_of_bench
-    from cycloid_fmu.fmu.build import build_fmu, ratio_of, read_losses
-    from cycloid_fmu.fmu.chain import read_loop
-    from cycloid_fmu.fmu.friction_file import FrictionTables, read_friction
-    from cycloid_fmu.fmu.variables import LOSSLESS, Interface
-    from cycloid_fmu.reducer.transmission import solve
+    from cycloid_fmu.fmu.interface_files import read_interface
+    from cycloid_fmu.fmu.variables import Interface
 
     if platforms and not native:
         raise edge.InputError("--platform is only for --native; an FMU in Python runs wherever Python does.")
@@ -124,89 +133,78 @@ def build(
     if loop is not None and stiffness is not None:
         raise edge.InputError("--loop and --stiffness both state a stiffness; give one of them.")
     drive = read_drive(pair_file, surface_file)
-    table, friction = LOSSLESS, FrictionTables()
-    if friction_file is not None:
-        friction = read_friction(friction_file)
-    if losses is not None and is_of_bench(losses):
-        table, friction = _measured(losses, ratio_of(drive.pair, drive.first_stage), friction)
-    elif losses is not None:
-        table = read_losses(losses)
-    if loop is not None:
-        stiffness, coulomb = read_loop(loop)
-        friction = friction.replace(output=with_measured(friction.output, coulomb, "--loop"))
     kind: Any = interface
-    offered = Interface(
-        kind,
-        output_inertia,
-        table,
-        crank_inertia=crank_inertia,
-        stiffness=stiffness,
-        support_flange=support_flange,
-        input_friction=friction.input,
-        output_friction=friction.output,
+    stated = Interface(
+        kind, output_inertia, crank_inertia=crank_inertia, stiffness=stiffness, support_flange=support_flange
     )
-    options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version, "draws": draws}
-    turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
-    free = solve(drive.pair, drive.surface, drive.first_stage, [], turn, slices_needed(drive.surface))
-    for note in interference_notes(free):
-        typer.echo(f"Note: {note}", err=True)
-    if not native:
-        build_fmu(drive, output, **options)
-        return
-    from cycloid_fmu.fmu.constants import LARGEST_LOAD
-    from cycloid_fmu.native.build import build_native, platforms_of
-    from cycloid_fmu.native.tables import PROBES
+    offered, measured = read_interface(stated, drive.ratio, losses=losses, friction=friction_file, loop=loop)
+    if measured is not None:
+        typer.echo(f"{losses}: {measured.told}.")
+    if native and drive.pair.rated_torque is None and largest_torque is None:
+        from cycloid_fmu.fmu.constants import LARGEST_LOAD
 
-    if drive.pair.rated_torque is None and largest_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it (tables reach {LARGEST_LOAD:g} times as far) or "
             "give --largest-torque."
         )
-    names = platforms or platforms_of(fmi_version)  # type: ignore[arg-type]
-    life = drive.surface.life
-    ages = draws == 0 and life is not None and life.ageing is not None
+    for path, one in _drives(drive, output, draws, age or [], wear_factor, crank_turns or []).items():
+        _print_interference(one)
+        if native:
+            tables = {"platforms": platforms or (), "largest_torque": largest_torque}
+            _build_native(one, path, interface=offered, fmi_version=fmi_version, **tables)
+        else:
+            one.build_fmu(path, offered, fmi_version=fmi_version)  # type: ignore[arg-type]
 
-    def of(number: int) -> str:
-        if ages:
-            return f"crank angles of state {number + 1} of the life"
-        return f"crank angles of draw {number} of {draws}" if number else "crank angles"
 
-    with commands.Bar("compiling", len(names)) as bar:
+def _drives(
+    drive: Drive, output: Path, draws: int, ages: list[float], wear_factor: float, crank_turns: list[float]
+) -> dict[Path, Drive]:
+    """Return the drives to build by their files: one as it is, or those drawn, or those of ages or crank turns."""
+    from cycloid_fmu.drive import Drive, numbered
+    from cycloid_fmu.surfaces.posterior import drawn_surfaces
+
+    if sum(map(bool, (draws, ages, crank_turns))) > 1:
+        raise edge.InputError("--draws, --age and --crank-turns each choose the drives; give one of them.")
+    if wear_factor != 1.0 and not ages:
+        raise edge.InputError("--wear-factor is only for --age.")
+    worn = [drive.at_age(age, wear_factor) for age in ages] + [drive.after(turns) for turns in crank_turns]
+    if len(worn) == 1:
+        return {output: worn[0]}
+    surfaces = drawn_surfaces(drive.pair, drive.surface, draws, seed=0) if draws else []
+    drawn = [Drive(drive.pair, surface, drive.first_stage) for surface in surfaces]
+    files = {numbered(output, number): one for number, one in enumerate(worn or drawn)}
+    return files if worn else {output: drive, **files}
+
+
+def _print_interference(drive: Drive) -> None:
+    """Print notes on contacts that press without load."""
+    import numpy as np
+
+    from cycloid_fmu.analysis import interference_notes, solve
+
+    turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
+    free = solve(drive, [], turn)
+    for note in interference_notes(free):
+        typer.echo(f"Note: {note}", err=True)
+
+
+def _build_native(drive: Drive, path: Path, **options: Any) -> None:
+    """Build a native FMU with progress, and print the accuracy of its tables."""
+    from cycloid_fmu.native.build import build_native, platforms_of
+    from cycloid_fmu.native.tables import PROBES
+
+    options["platforms"] = options["platforms"] or platforms_of(options["fmi_version"])
+    with commands.Bar("compiling", len(options["platforms"])) as bar:
         made = build_native(
             drive,
-            output,
+            path,
             **options,
-            platforms=names,
-            largest_torque=largest_torque,
             workers=os.cpu_count() or 1,
             compiled=lambda name: bar.advance(),
             progress=bar.advance,
-            total=lambda count: bar.update(completed=0, total=count),
-            drawing=lambda number: bar.update(completed=0, description=of(number)),
+            total=lambda count: bar.update(completed=0, total=count, description="crank angles"),
         )
-    places = "random crank angles and torques, the transmission error also around its largest errors"
     typer.echo(
-        f"{output}: {output.stat().st_size / 1e6:.2f} MB, {made.told}; compared with the exact model at {PROBES} "
-        f"{'random crank angles and torques, at random ages' if ages else places}."
+        f"{path}: {path.stat().st_size / 1e6:.2f} MB, {made.told}; compared with the exact model at {PROBES} random "
+        "crank angles and torques, the transmission error also around its largest errors."
     )
-
-
-def _measured(losses: Path, ratio: float, friction: FrictionTables) -> tuple[tuple[LossRow, ...], FrictionTables]:
-    """Loss table fitted to measured losses, and the friction with their temperature coefficient at the input."""
-    from cycloid_fmu.fmu.bench_losses import read_bench_losses
-
-    found, at = read_bench_losses(losses, ratio), friction.input
-    warm = f", proportional to exp(-{found.temperature_coefficient:.4g}/K (T - {found.reference_temperature:.5g} K))"
-    typer.echo(
-        f"{losses}: the loss table's residual is {100.0 * found.misfit:.2g} % of the losses (rms)"
-        f"{warm if found.temperature_coefficient != 0.0 else ''}."
-    )
-    if found.temperature_coefficient == 0.0:
-        return found.rows, friction
-    if at.temperature_coefficient != 0.0:
-        raise edge.InputError(
-            f"[friction.input] temperature_coefficient = {at.temperature_coefficient:g} 1/K: {losses} has one as "
-            "well; remove one of them."
-        )
-    temperature = {name: getattr(found, name) for name in ("temperature_coefficient", "reference_temperature")}
-    return found.rows, friction.replace(input=at.replace(**temperature))

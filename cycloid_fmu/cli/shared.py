@@ -12,7 +12,6 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
-    from cycloid_fmu.fmu.friction_file import Friction
     from cycloid_fmu.studies.limits import Verdict
     from cycloid_fmu.studies.verdicts import Judged
 
@@ -41,13 +40,6 @@ LimitsFile = Annotated[
 TolerancesFile = Annotated[
     Path, typer.Option("--tolerances", metavar="T.toml", help="Tolerances, limits and costs (cycloid-tolerances/1).")
 ]
-
-
-def with_measured(friction: Friction, coulomb: float, option: str) -> Friction:
-    """Return the output's friction with the dry friction (N·m) of an option's file; refuse a second value."""
-    if friction.coulomb > 0.0:
-        raise edge.InputError(f"{option}: it states the dry friction; remove coulomb from [friction.output].")
-    return friction.replace(coulomb=coulomb)
 
 
 def print_verdicts(title: str, verdicts: Sequence[Verdict], not_judged: Sequence[str]) -> None:

@@ -60,8 +60,7 @@ def wear(
         verdicts.check(asked.of_wear, drive.pair, str(limits_file), str(pair_file))
     with commands.Bar("crank turns", turns or 1.0) as bar:
         run = life.run_wear(
-            drive.pair,
-            drive.surface,
+            drive.stage,
             law,
             loads,
             turns,

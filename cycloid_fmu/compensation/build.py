@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.compensation.compensator import Compensator
 from cycloid_fmu.compensation.inverse import Inverse, Model, inverse_of
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ArgumentError, InputError
 from cycloid_fmu.fmu.chain import with_chain
 from cycloid_fmu.fmu.constants import LARGEST_LOAD
 from cycloid_fmu.fmu.friction import Law, factor
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import Interface
-from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.temperature import BODIES, Temperatures
-from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.posterior import drawn_surfaces
 from cycloid_fmu.surfaces.sampling import Tolerances, sample_surface
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -36,9 +35,7 @@ _TEMPERATURES = 3  # at which the table knows the drive
 
 
 def drive_compensator(
-    pair: Pair,
-    surface: ErrorSurface,
-    first_stage: FirstStage | None,
+    drive: DriveValue,
     ratio: float,
     *,
     friction: Friction | None,
@@ -52,12 +49,13 @@ def drive_compensator(
     **options: Any,
 ) -> Compensator:
     """Return the compensator of a drive; parameters are those of `Drive.compensator` and `compensator_of`."""
+    pair, surface, first_stage = drive.pair, drive.surface, drive.first_stage
     for name, value in (("torque_accuracy", torque_accuracy), ("largest_torque", largest_torque)):
         if value is None and pair.rated_torque is None:
             raise InputError(f"rated_torque is missing: {name} follows from it; state either of them.")
     rated = pair.rated_torque or 0.0
     chain = Interface(stiffness=stiffness, series_compliance=series_compliance)
-    compliance = with_chain(chain, pair, surface, first_stage).series_compliance
+    compliance = with_chain(chain, drive).series_compliance
     # What gives way at the cranks is in the chain then.
     rigid = None if first_stage is None else dataclasses.replace(first_stage, crank_stiffness=math.inf)
     if temperatures is None:

@@ -26,11 +26,11 @@ from scipy import ndimage, special
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import slices_needed
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.native.tables import mesh_pitches
-from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.supports.transmission import PLAY_LOAD
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
@@ -159,12 +159,9 @@ class Model(NamedTuple):
     def solved(self, torque: ArrayLike, crank: Array, progress: Callable[[int], None] = lambda n: None) -> Array:
         """Return deviations under torques other than 0, shape (torques, angles) or as `contact.transmission` (rad)."""
         return solve(
-            self.pair,
-            self.surface,
-            self.first_stage,
+            DriveValue(self.pair, self.surface, self.first_stage),
             torque,
             crank,
-            slices_needed(self.surface),
             with_play=False,
             with_stiffness=False,
             workers=self.workers,
@@ -174,12 +171,9 @@ class Model(NamedTuple):
     def ends(self, crank: Array) -> tuple[Array, Array]:
         """Return the ends of the play, or the unloaded position as both, each of shape (angles,), rad."""
         found = solve(
-            self.pair,
-            self.surface,
-            self.first_stage,
+            DriveValue(self.pair, self.surface, self.first_stage),
             [0.0],
             crank,
-            slices_needed(self.surface),
             with_stiffness=False,
             workers=self.workers,
         )
@@ -223,7 +217,7 @@ def inverse_of(
         If a torque can't be carried or the period of the drive is too long.
     """
     pair, surface = models[0].pair, models[0].surface
-    pitches = mesh_pitches(pair, surface)
+    pitches = mesh_pitches(DriveValue(pair, surface))
     if pitches > _MOST_PITCHES:
         raise edge.InputError(
             f"the drive repeats after {pitches} mesh pitches, and a compensator's table has room for {_MOST_PITCHES}; "

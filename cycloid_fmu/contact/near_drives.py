@@ -1,4 +1,4 @@
-"""Many drives near one that is solved, each exactly or to first order in its errors: what a tolerance study solves."""
+"""Many drives near one that is solved, side by side: what a tolerance study solves."""
 
 from __future__ import annotations
 
@@ -17,13 +17,11 @@ from cycloid_fmu.contact.side_by_side import (
     guide_rows,
     memory,
     sweep_drives,
-    sweep_near_sensitivities,
     sweep_play_of_drives,
 )
-from cycloid_fmu.contact.transmission import check_falling, drive_of, meshes_of, solve, solve_problem
-from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.contact.transmission import Options, check_falling, meshes_of, rigid_problem, solve, solve_problem
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.structured import displacement_vector
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _GUIDE = 1 << 24  # bytes of a guide
 _KEPT = 1 << 27  # bytes of guides that are kept: of 40 contacts at 19,000 crank angles
@@ -40,25 +38,21 @@ class NearDrives:
         (torque N·m, crank angles rad), one a sweep; torque 0 is the play.
     slices
         Across the face width.
-    first_order
-        Whether they are taken to first order in their errors, not solved exactly.
     """
 
     def __init__(
         self,
-        pair: Pair,
-        surface: ErrorSurface,
+        drive: DriveValue,
         loads: Sequence[tuple[float, Array]],
         slices: int,
-        first_order: bool = False,
     ) -> None:
-        self.pair, self.loads, self.slices, self.first_order = pair, loads, slices, first_order
-        self._problem = drive_of(pair, surface, slices)
+        pair, surface = drive.pair, drive.surface
+        self.pair, self.loads, self.slices = pair, loads, slices
+        self._problem = rigid_problem(drive, slices)
         self._solved = displacement_vector(pair, surface)
-        self._made = meshes_of(pair, self._solved[None], slices)
         self._contacts = pair.discs * slices * pair.pins
         self._deviation = [
-            solve(pair, surface, [torque], angles, slices, with_play=False).transmission_error[0]
+            solve(drive, np.array([torque]), angles, Options(slices, with_play=False)).transmission_error[0]
             for torque, angles in loads
         ]
         self._guides: dict[tuple[int, int], Guide] = {}
@@ -83,10 +77,9 @@ class NearDrives:
         Raises
         ------
         edge.InputError
-            If a drive that is to be solved exactly is impossible.
+            If a drive is impossible.
         """
-        drives = self._made if self.first_order else meshes_of(self.pair, errors, self.slices)
-        return Made(drives, errors - self._solved)
+        return Made(meshes_of(self.pair, errors, self.slices), errors - self._solved)
 
     def loaded(self, sweep_number: int, drives: Made) -> tuple[Array, Array]:
         """Return transmission error (rad) and largest pressure (Pa), each of shape (drives, angles).
@@ -114,7 +107,6 @@ class NearDrives:
                     guide,
                     angles,
                     torque,
-                    self.first_order,
                     deviation[at],
                     stiffness[at],
                     pressure[at],
@@ -140,7 +132,7 @@ class NearDrives:
         low, high = (np.empty((len(drives.errors), angles.size)) for _ in range(2))
         for at, some, work in drives.parts(self._contacts):
             for guide in self._along(sweep_number):
-                sweep_play_of_drives(self._problem, some, work, guide, angles, self.first_order, low[at], high[at])
+                sweep_play_of_drives(self._problem, some, work, guide, angles, low[at], high[at])
         interference = np.zeros(low.shape)
         left = np.isnan(low)
         for j in np.flatnonzero(left.any(axis=1)):
@@ -149,47 +141,12 @@ class NearDrives:
             low[j, left[j]], high[j, left[j]], interference[j, left[j]] = alone
         return high - low, interference
 
-    def sensitivities(self, sweep_number: int, errors: Array, torque: Array) -> tuple[Array, Array, Array]:
-        """Return one drive's transmission error to first order, and its derivatives.
-
-        Parameters
-        ----------
-        sweep_number
-            Of the loads.
-        errors
-            `displacement_vector` of the drive.
-        torque
-            At each crank angle, shape (angles,), N·m, not 0.
-
-        Returns
-        -------
-        transmission_error
-            Shape (angles,), rad.
-        each
-            By every single error, columns as in `contact.sensitivities`.
-        by_torque
-            Shape (angles,), rad/(N·m).
-        """
-        angles = self.loads[sweep_number][1]
-        deviation, by_torque = np.empty(angles.size), np.empty(angles.size)
-        each = np.empty((angles.size, errors.size))
-        work = memory(self._contacts, (errors - self._solved)[None])
-        for guide in self._along(sweep_number):
-            sweep_near_sensitivities(self._problem, self._made, work, guide, angles, torque, deviation, each, by_torque)
-        return deviation, each, by_torque
-
     def _alone(self, drives: Made, j: int) -> Problem:
-        made = drives.drives
-        if self.first_order:
-            made, j = meshes_of(self.pair, (drives.errors[j] + self._solved)[None], self.slices), 0
-        return self._problem._replace(**{name: values[j] for name, values in made._asdict().items()})
+        return self._problem._replace(**{name: values[j] for name, values in drives.drives._asdict().items()})
 
 
 class Made(NamedTuple):
-    """Drives as they are made, and their displacements from the one that is solved, shape (drives, displacements), m.
-
-    To first order that one stands for all of them: kernels look at the displacements alone.
-    """
+    """Drives as they are made, and displacements from the one that is solved, shape (drives, displacements), m."""
 
     drives: Drives
     errors: Array

@@ -4,10 +4,6 @@ The drive that is solved tells at each crank angle how far the pins of a drive n
 order in the errors' displacements, and how much second order can be. Pins that are clear for certain are left out, so
 that few contacts are solved: five of 40. What is solved is exact; the drive beside it only says what need not be
 solved, and where to begin. What a drive gives does not depend on the others.
-
-To first order the contacts are not solved: errors change their gaps linearly, by the displacement of pin and flank
-along the common normal; arms and gaps follow the rotation to second order, Hertz's law is exact, and the equilibrium is
-that of each drive. What is left out is how errors change normals and curvatures.
 """
 
 from __future__ import annotations
@@ -62,13 +58,11 @@ Indices = NDArray[np.int64]
     _BEYOND,
     _FOOT,
     _FOOT_RATE,
-    _CURVATURE,
     COLUMNS,
-) = range(23)
+) = range(22)
 _BENT = 0.2  # of a contact's curvature radius: what displaces a pin farther along its flank is beyond second order
 _SURE = 2e-7  # m: what is left to a gap for another foot, and for the rotation while contacts are not placed again
 _REACHED = 1e-7  # rad: a play's last step, to second order
-_NEARLY = 1e-5  # rad: so near the rotation at which contacts were taken to first order, the same ones touch
 _PLACED = 12  # times that contacts are placed before the drive is solved alone
 _ITERATIONS = 30
 _SOUGHT, _MOVED, _FOUND, _ALONE = range(4)  # states of a drive
@@ -131,7 +125,6 @@ def guide_rows(problem: Problem, thetas: Array, deviation: Array, rows: Array) -
             other = (local.tooth + (1 if along > 0.5 else -1)) % teeth if not 0.2 < along < 0.8 else local.tooth
             one[_TOOTH], one[_BEYOND] = local.disc * teeth + local.tooth, local.disc * teeth + other
             one[_FOOT], one[_FOOT_RATE] = contacts[2 * k].foot, contacts[2 * k].foot_rate
-            one[_CURVATURE] = contact.curvature
 
 
 _GAPS = lanes_of("gap")
@@ -220,7 +213,7 @@ def memory(contacts: int, errors: Array) -> Memory:
 
 
 @part
-def _displace(rows: Array, pins: int, first_order: bool, work: Memory) -> None:
+def _displace(rows: Array, pins: int, work: Memory) -> None:
     """Gaps of drives, and how far errors displace pins along their flanks, at the rotation of the drive beside them."""
     errors = work.errors
     # A larger circle displaces another foot, at most a pitch away, in another direction.
@@ -249,8 +242,6 @@ def _displace(rows: Array, pins: int, first_order: bool, work: Memory) -> None:
                 - nx * (errors[CENTRE_X, j] + height * errors[TILT_X, j])
                 - ny * (errors[CENTRE_Y, j] + height * errors[TILT_Y, j])
             )
-        if first_order:
-            continue
         turn_along, crank_along, leaning = one[_TURN_ALONG], one[_CRANK_ALONG], one[_LEANING]
         for j in range(vectors(work.drives.size)):
             turned, further = errors[tooth, j], errors[beyond, j] - errors[tooth, j]
@@ -268,21 +259,8 @@ def _displace(rows: Array, pins: int, first_order: bool, work: Memory) -> None:
 
 
 @inlined
-def _gaps_to_first_order(one: Array, beside: np.record, at: float, sure: float, work: Memory) -> int:
-    """Gaps of a contact where the drives are; returns how many of them are not above `sure`."""
-    gaps, near = work.gaps[0], 0
-    arm, rate = one[_ARM], one[_RATE]
-    for j in range(vectors(work.drives.size)):
-        x = work.x[j] - at
-        gap = beside.gap[j] - x * (arm + 0.5 * x * rate)
-        gaps.gap[j] = gap
-        near += 1 if gap <= sure else 0
-    return near
-
-
-@inlined
-def _least_gaps(one: Array, beside: np.record, at: float, sure: float, work: Memory) -> int:
-    """Gaps that a contact has at least where the drives are; returns how many of them are not above `sure`."""
+def _least_gaps(one: Array, beside: np.record, at: float, work: Memory) -> int:
+    """Gaps that a contact has at least where the drives are; returns how many of them are not above `_SURE`."""
     gaps, near = work.gaps[0], 0
     bend, known = one[_BEND], one[_GAP]
     arm, rate, slide = one[_ARM], one[_RIGID_RATE], one[_SLIDE]
@@ -296,13 +274,13 @@ def _least_gaps(one: Array, beside: np.record, at: float, sure: float, work: Mem
         second = gap - (bend * moved + abs(x)) * moved if bend * moved < _BENT else -1.0
         least = max(certain, second)
         gaps.gap[j] = least
-        near += 1 if least <= sure else 0
+        near += 1 if least <= _SURE else 0
     return near
 
 
 @part
-def _list(rows: Array, at: float, sure: float, first_order: bool, work: Memory) -> None:
-    """List contacts with a gap up to `sure`, beside a drive that is solved at `at`, of drives sought or moved."""
+def _list(rows: Array, at: float, work: Memory) -> None:
+    """List contacts that may touch, beside a drive that is solved at `at`, of drives sought or moved."""
     gaps, drives, sought = work.gaps[0], work.drives, work.listed_drive
     size = 0
     for j in range(drives.size):
@@ -311,14 +289,10 @@ def _list(rows: Array, at: float, sure: float, first_order: bool, work: Memory) 
             sought[size] = j
             size += 1
     for k in range(rows.shape[0]):
-        if first_order:
-            found = _gaps_to_first_order(rows[k], work.beside[k], at, sure, work)
-        else:
-            found = _least_gaps(rows[k], work.beside[k], at, sure, work)
-        if found == 0:
+        if _least_gaps(rows[k], work.beside[k], at, work) == 0:
             continue
         for j in sought[:size]:
-            if gaps.gap[j] > sure:
+            if gaps.gap[j] > _SURE:
                 continue
             near = work.near[j, int(drives[j].count)]
             # A force of the last crank angle begins the next one's.
@@ -346,34 +320,12 @@ def _first_touch(rows: Array, direction: float, work: Memory) -> None:
 
 
 @part
-def _take(problem: Problem, rows: Array, at: float, work: Memory) -> None:
-    """Take the contacts that may touch to first order, of the drives that were sought or moved."""
-    pins = problem.teeth + 1
-    _list(rows, at, 2.0 * _NEARLY * problem.circle_radius, True, work)
-    for j in range(work.drives.size):
-        if work.drives[j].state > _MOVED:
-            continue
-        x = work.x[j] - at
-        for n in range(int(work.drives[j].count)):
-            near = work.near[j, n]
-            k = int(near.contact)
-            near.arm, near.arm_rate = rows[k, _ARM] + x * rows[k, _RATE], rows[k, _RATE]
-            near.curvature, near.curvature_rate, near.foot_rate = rows[k, _CURVATURE], 0.0, 0.0
-            near.pin_radius = problem.pin_radius[k % pins]
-
-
-@part
-def _place(
-    problem: Problem, drives: Drives, rows: Array, at: float, theta: float, first_order: bool, work: Memory
-) -> None:
-    """Place the contacts that may touch, or take them to first order, of the drives that were sought or moved."""
-    if first_order:
-        _take(problem, rows, at, work)
-        return
+def _place(problem: Problem, drives: Drives, rows: Array, at: float, theta: float, work: Memory) -> None:
+    """Place the contacts that may touch, of the drives that were sought or moved."""
     pins, slices, teeth = problem.teeth + 1, problem.slice_z.size, problem.teeth
     e = problem.generating_eccentricity
     listed_drive, listed = work.listed_drive, work.listed
-    _list(rows, at, _SURE, False, work)
+    _list(rows, at, work)
     size = 0
     for j in range(work.drives.size):
         if work.drives[j].state > _MOVED:
@@ -552,12 +504,11 @@ def _settle(
     at: float,
     theta: float,
     torque: float,
-    first_order: bool,
     work: Memory,
 ) -> None:
     """Balance the torque."""
     for _ in range(_PLACED):
-        _place(problem, drives, rows, at, theta, first_order, work)
+        _place(problem, drives, rows, at, theta, work)
         for j in range(work.drives.size):
             if work.drives[j].state == _MOVED:
                 work.drives[j].state = _SOUGHT
@@ -565,7 +516,7 @@ def _settle(
             _press(
                 work, problem.slice_width, problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius
             )
-            if _balance(work, torque, _NEARLY if first_order else by_rates(problem.circle_radius)) == 0:
+            if _balance(work, torque, by_rates(problem.circle_radius)) == 0:
                 break
         moved = 0
         for j in range(work.drives.size):
@@ -585,7 +536,6 @@ def sweep_drives(
     guide: Guide,
     thetas: Array,
     torque: float,
-    first_order: bool,
     deviation: Array,
     stiffness: Array,
     pressure: Array,
@@ -600,8 +550,6 @@ def sweep_drives(
         The drives, and their memory, which holds the crank angles before.
     thetas, torque
         Crank angles, shape (angles,), rad; N·m, not 0.
-    first_order
-        Whether contacts are taken to first order in the errors, not solved.
     deviation, stiffness, pressure
         Overwritten, shape (drives, angles): rad, N·m/rad, and the largest contact pressure (Pa); NaN where a drive has
         to be solved alone.
@@ -610,9 +558,9 @@ def sweep_drives(
     stress = 1.0 / (math.pi * problem.slice_width * (problem.compliance_gear + problem.compliance_pin))
     for number in range(guide.deviation.size):
         i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
-        _displace(rows, pins, first_order, work)
+        _displace(rows, pins, work)
         _begin(rows, at, math.copysign(1.0, torque), work)
-        _settle(problem, drives, rows, at, thetas[i], torque, first_order, work)
+        _settle(problem, drives, rows, at, thetas[i], torque, work)
         for j in range(count):
             one = work.drives[j]
             if one.state != _FOUND:
@@ -638,7 +586,6 @@ def _reach(
     at: float,
     theta: float,
     direction: float,
-    first_order: bool,
     work: Memory,
 ) -> None:
     """Find the end of the play in a direction (±1)."""
@@ -646,7 +593,7 @@ def _reach(
     for j in range(work.drives.size):
         work.x[j], work.drives[j].state = at + direction * work.touch[j], _SOUGHT
     for _ in range(_PLACED):
-        _place(problem, drives, rows, at, theta, first_order, work)
+        _place(problem, drives, rows, at, theta, work)
         moved = 0
         for j in range(work.drives.size):
             one = work.drives[j]
@@ -667,7 +614,6 @@ def sweep_play_of_drives(
     work: Memory,
     guide: Guide,
     thetas: Array,
-    first_order: bool,
     low: Array,
     high: Array,
 ) -> None:
@@ -679,11 +625,11 @@ def sweep_play_of_drives(
     pins, count = problem.teeth + 1, work.drives.size
     for number in range(guide.deviation.size):
         i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
-        _displace(rows, pins, first_order, work)
-        _reach(problem, drives, rows, at, thetas[i], -1.0, first_order, work)
+        _displace(rows, pins, work)
+        _reach(problem, drives, rows, at, thetas[i], -1.0, work)
         for j in range(count):
             low[j, i] = work.x[j] if work.drives[j].state == _FOUND else math.nan
-        _reach(problem, drives, rows, at, thetas[i], 1.0, first_order, work)
+        _reach(problem, drives, rows, at, thetas[i], 1.0, work)
         for j in range(count):
             high[j, i] = work.x[j] if work.drives[j].state == _FOUND else math.nan
             # Without errors and modification the ends are the same but for rounding.
@@ -691,59 +637,3 @@ def sweep_play_of_drives(
                 low[j, i] = high[j, i] = math.nan
             elif low[j, i] > high[j, i]:
                 low[j, i] = high[j, i] = 0.5 * (low[j, i] + high[j, i])
-
-
-@compiled
-def sweep_near_sensitivities(
-    problem: Problem,
-    drives: Drives,
-    work: Memory,
-    guide: Guide,
-    thetas: Array,
-    torque: Array,
-    deviation: Array,
-    each: Array,
-    by_torque: Array,
-) -> None:
-    """Solve one drive to first order at the crank angles of a guide, with the derivatives of its deviation.
-
-    Parameters
-    ----------
-    problem, drives, work, guide, thetas
-        As for `sweep_drives`.
-    torque
-        Shape (angles,), N·m, not 0.
-    deviation, each, by_torque
-        Overwritten: rad, shape (angles,); by each displacement, shape (angles, displacements); rad/(N·m).
-    """
-    pins = problem.teeth + 1
-    teeth = BODY_COUNT + 3 * pins
-    one = work.drives[0]
-    for number in range(guide.deviation.size):
-        i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
-        _displace(rows, pins, True, work)
-        _begin(rows, at, math.copysign(1.0, torque[i]), work)
-        _settle(problem, drives, rows, at, thetas[i], torque[i], True, work)
-        _end(one, work.x[0], at)
-        deviation[i] = work.x[0]
-        out = each[i]
-        for column in range(out.size):
-            out[column] = 0.0
-        for n in range(int(one.count)):
-            near = work.near[0, n]
-            if near.force <= 0.0:
-                continue
-            k = int(near.contact)
-            row, pin, opened = rows[k], k % pins, near.stiffness * near.arm / one.stiffness
-            out[CENTRE_X] -= opened * row[_X]
-            out[CENTRE_Y] -= opened * row[_Y]
-            out[TILT_X] -= opened * row[_X] * row[_HEIGHT]
-            out[TILT_Y] -= opened * row[_Y] * row[_HEIGHT]
-            out[CRANK_THROW] -= opened * row[_CRANK]
-            out[PIN_GENERATING] += opened
-            out[CIRCLE_GENERATING] -= opened * row[_FACING]
-            out[BODY_COUNT + pin] += opened * row[_RADIAL]
-            out[BODY_COUNT + pins + pin] += opened * row[_TANGENTIAL]
-            out[BODY_COUNT + 2 * pins + pin] -= opened
-            out[teeth + int(row[_TOOTH])] += opened * row[_TURN]
-        by_torque[i] = 1.0 / one.stiffness

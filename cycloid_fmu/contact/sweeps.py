@@ -180,10 +180,8 @@ def sweep_sensitivities(
     problem: Problem,
     thetas: Array,
     torque: Array,
-    columns: Array,
     deviation: Array,
     each: Array,
-    jacobian: Array,
     by_angle: Array,
     by_torque: Array,
 ) -> None:
@@ -193,12 +191,9 @@ def sweep_sensitivities(
     ----------
     thetas, torque
         Crank angles (rad) and the torque at each (N·m, not 0), shape (angles,).
-    columns
-        Displacements by each error, shape (displacements, errors).
-    deviation, each, jacobian, by_angle, by_torque
-        Overwritten: x (rad), shape (angles,); rows of `sensitivities`, shape (angles, displacements), and their product
-        with `columns`, shape (angles, errors); the output angle's derivatives by crank angle (1) and torque
-        (rad/(N·m)), shape (angles,).
+    deviation, each, by_angle, by_torque
+        Overwritten: x (rad), shape (angles,); rows of `sensitivities`, shape (angles, displacements); the output
+        angle's derivatives by crank angle (1) and torque (rad/(N·m)), shape (angles,).
     """
     contacts = contact_rows(problem)
     for i in range(thetas.size):
@@ -206,14 +201,6 @@ def sweep_sensitivities(
         deviation[i] = x
         stiffness, by_angle[i] = derivatives(problem, thetas[i], x, contacts, each[i])
         by_torque[i] = 1.0 / stiffness
-        for error in range(columns.shape[1]):
-            jacobian[i, error] = 0.0
-        # Most displacements are of pins and teeth that do not touch.
-        for displaced in range(columns.shape[0]):
-            rate = each[i, displaced]
-            if rate != 0.0:
-                for error in range(columns.shape[1]):
-                    jacobian[i, error] += rate * columns[displaced, error]
 
 
 @compiled

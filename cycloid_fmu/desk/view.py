@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import LARGEST_PRESSURE, Transmission, notes, slices_needed, statistics
+from cycloid_fmu.analysis import LARGEST_PRESSURE, notes, series_compliance, solve, statistics
+from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.draw.drive_picture import CloseUp, caption_of, close_up
 from cycloid_fmu.draw.drive_svg import drive_svg, tooth_svg
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge.quantities import EXAMPLES
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import FORMAT, Modification, Pair, pair_of_tables
 from cycloid_fmu.motion import Motion, mesh_angles, motion_of
-from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies.limits import (
     Requirements,
     Verdict,
@@ -37,6 +38,7 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 
 Array = NDArray[np.float64]
 _EACH_PITCH = 24  # crank angles of the curves in a pin pitch
+_WITHOUT_FIELD = ("contact_law",)  # for comparison with papers
 _TABLES = ("modification", "material", "supports", "temperature", "expansion", "errors")
 _PLACE = re.compile(r"(\[(?:pair|modification)\] )?(\w+)(?: = | is missing)")
 
@@ -76,7 +78,7 @@ def _fields() -> dict[str, Field]:
     found = {}
     for table, model in (("pair", Pair), ("modification", Modification)):
         for name, field in model.model_fields.items():
-            if table == "pair" and name in ("pins", *_TABLES):
+            if table == "pair" and name in ("pins", *_WITHOUT_FIELD, *_TABLES):
                 continue
             key, unit = f"{table}.{name}", edge.unit_of_field(field)
             choices = get_args(field.annotation) if isinstance(field.default, str) else ()
@@ -120,8 +122,9 @@ class Desk:
 
     @property
     def kept(self) -> list[str]:
-        """Names of the file's tables without fields; they remain part of the drive and of the saved file."""
-        return [name for name in self.tables if name in _TABLES and name != "modification"]
+        """What the file states without fields: names and [tables]. It remains part of the drive and the saved file."""
+        names = [name for name in _WITHOUT_FIELD if name in self.tables["pair"]]
+        return names + [f"[{name}]" for name in self.tables if name in _TABLES and name != "modification"]
 
 
 def open_desk(path: str | os.PathLike[str], limits: str | os.PathLike[str] | None = None) -> Desk:
@@ -318,10 +321,10 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
     asked = Requirements() if desk.requirements is None else desk.requirements
     loads = tuple(loads_of(asked, torque, pair))
     # That of the file: what is stated of its bodies holds for variants too.
-    series = series_compliance(pair_of_tables(desk.tables, desk.source), None)
+    series = series_compliance(DriveValue.as_stated(pair_of_tables(desk.tables, desk.source)))
     found, curves, judged = _swept(pair, asked, loads, series)
     surface = surface_of_pair(pair)
-    motion = motion_of(pair, surface, loads[:1], angle, with_curve=False)
+    motion = motion_of(DriveValue(pair, surface), loads[:1], angle, with_curve=False)
     return View(
         {},
         pair,
@@ -333,7 +336,7 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
         _figures(pair, found, series),
         judged.verdicts,
         judged.not_judged,
-        tuple(notes(pair, surface, found)),
+        tuple(notes(DriveValue(pair, surface), found)),
         drive_svg(motion),
         tooth_svg(motion),
         _caption(motion),
@@ -348,11 +351,14 @@ def _swept(
     """Results for figures and verdicts, results for the curves, and the verdicts."""
     surface, workers = surface_of_pair(pair), os.cpu_count() or 1
     turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
-    found = solve(pair, surface, None, loads, turn, slices_needed(surface), workers=workers)
+    found = solve(DriveValue(pair, surface), loads, turn, workers=workers)
     curves = solve(
-        pair, surface, None, loads[:1], mesh_angles(pair.pins, _EACH_PITCH), slices_needed(surface), workers=workers
+        DriveValue(pair, surface),
+        loads[:1],
+        mesh_angles(pair.pins, _EACH_PITCH),
+        workers=workers,
     )
-    return found, curves, judge_sweep(pair, surface, None, asked, found, workers, series)
+    return found, curves, judge_sweep(DriveValue(pair, surface), asked, found, workers, series)
 
 
 def _caption(motion: Motion) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.draw.figure import at_least, new_figure, show_legend
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ARCSEC
 
 if TYPE_CHECKING:
@@ -19,13 +20,13 @@ if TYPE_CHECKING:
 
 def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures: Mapping[str, Any]) -> Figure:
     """Contact of one pin when new, wear depth over both bodies, and depth and accuracy over life."""
-    from cycloid_fmu.contact.tooth_contact import loaded_contacts
-    from cycloid_fmu.contact.transmission import drive_of
+    from cycloid_fmu.contact.loaded_contacts import loaded_contacts
+    from cycloid_fmu.contact.transmission import rigid_problem
     from cycloid_fmu.wear.progress import contact_coefficients
     from cycloid_fmu.wear.sliding import velocities
 
     figure, axes = new_figure(4, 3)
-    drive = drive_of(model.pair, model.surface, model.unworn.gear.shape[3])
+    drive = rigid_problem(DriveValue(model.pair, model.surface), model.unworn.gear.shape[3])
     torque = model.heaviest_torque
     if torque != 0.0:
         contacts = loaded_contacts(drive, model.sweep.crank_angle, torque)

@@ -89,9 +89,9 @@ def kind_of(path: str | os.PathLike[str]) -> str:
 
 def hdf5_format(path: str) -> str:
     """Return the format that an HDF5 file states, or ""; to be called by `call_limited`."""
-    import pyfive
+    import h5py
 
-    with pyfive.File(path) as data:
+    with h5py.File(path, "r", locking=False) as data:
         stated = data.attrs.get("format", b"")
     return stated.decode() if isinstance(stated, bytes) else str(stated)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,10 +15,9 @@ from cycloid_fmu.edge.limited import call_limited, limits_of
 from cycloid_fmu.edge.problems import InputError, parsed_by_others, shown
 
 if TYPE_CHECKING:
+    import h5py
     import numpy.typing as npt
     import xarray as xr
-
-_CONTIGUOUS, _NOWHERE = 1, (1 << 64) - 1  # HDF5's code for contiguous layout, and its undefined address
 
 
 class Variable(NamedTuple):
@@ -59,9 +58,7 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> Netcdf:
 
 
 def parsed_netcdf(path: str, most_bytes: float) -> Netcdf:
-    """Return the content of a netCDF file; to be called by `call_limited`.
-
-    It is read in pure Python: what HDF5's own library does on a damaged file, nobody knows.
+    """Return the content of a netCDF file; to be called by `call_limited`: HDF5's library may crash.
 
     Raises
     ------
@@ -69,12 +66,14 @@ def parsed_netcdf(path: str, most_bytes: float) -> Netcdf:
         If a variable is packed, its data are in another file, or they take more than `most_bytes`.
     """
     import h5netcdf
+    import h5py
     import numpy as np
 
-    with h5netcdf.File(path, "r", backend="pyfive") as file:
-        _check_contained(path, file.variables, most_bytes)
-        variables = {n: Variable(v.dimensions, v[...], dict(v.attrs)) for n, v in file.variables.items()}
-        attributes = dict(file.attrs)
+    with h5py.File(path, "r", locking=False) as stored:  # many network drives have no locks
+        _check_contained(path, stored, most_bytes)
+        with h5netcdf.File(stored, "r", decode_vlen_strings=True) as file:
+            variables = {n: Variable(v.dimensions, v[...], dict(v.attrs)) for n, v in file.variables.items()}
+            attributes = dict(file.attrs)
     for name, (_, values, about) in variables.items():
         if packed := {"scale_factor", "add_offset"} & about.keys():
             raise InputError(f"{path}: {name} has a {min(packed)}; write its values themselves.")
@@ -83,18 +82,16 @@ def parsed_netcdf(path: str, most_bytes: float) -> Netcdf:
     return Netcdf(attributes, variables)
 
 
-def _check_contained(path: str, names: Collection[str], most_bytes: float) -> None:
-    """Refuse variables whose data are not in the file, which would be read as zeros, and implausibly large ones."""
-    import pyfive
+def _check_contained(path: str, file: h5py.File, most_bytes: float) -> None:
+    """Refuse data in other files, which HDF5's library would open, and implausibly large variables."""
+    import h5py
 
-    total = 0
-    with pyfive.File(path) as file:
-        for name in names:
-            stored = file[name]
-            if stored.size and stored.id.layout_class == _CONTIGUOUS and stored.id.data_offset == _NOWHERE:
-                raise InputError(f"{path}: it holds no data of {name}; data in other files are not read.")
-            total += stored.size * stored.dtype.itemsize
-    if total > most_bytes:
+    elsewhere = file.visititems_links(lambda name, link: None if isinstance(link, h5py.HardLink) else name)
+    variables = {} if elsewhere else {n: one for n, one in file.items() if isinstance(one, h5py.Dataset)}
+    elsewhere = elsewhere or next((n for n, one in variables.items() if one.external or one.is_virtual), None)
+    if elsewhere:
+        raise InputError(f"{path}: it holds no data of {elsewhere}; data in other files and behind links are not read.")
+    if sum((one.size or 0) * one.dtype.itemsize for one in variables.values()) > most_bytes:
         raise InputError(f"{path}: its variables take more than {most_bytes / 1e9:.1f} GB.")
 
 

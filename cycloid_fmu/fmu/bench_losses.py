@@ -36,6 +36,15 @@ class BenchLosses:
     reference_temperature: float
     misfit: float
 
+    @property
+    def told(self) -> str:
+        """How well the table agrees, and its temperature coefficient."""
+        text = f"the loss table's residual is {100.0 * self.misfit:.2g} % of the losses (rms)"
+        if self.temperature_coefficient == 0.0:
+            return text
+        coefficient, reference = self.temperature_coefficient, self.reference_temperature
+        return f"{text}, proportional to exp(-{coefficient:.4g}/K (T - {reference:.5g} K))"
+
 
 def fitted_losses(
     speed: NDArray[np.float64],

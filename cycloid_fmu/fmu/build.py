@@ -9,35 +9,28 @@ import os
 import tempfile
 import zipfile
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from cycloid_fmu import __version__, edge
-from cycloid_fmu.contact.transmission import slices_needed
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.chain import with_chain
 from cycloid_fmu.fmu.constants import DAMPING_TIME
-from cycloid_fmu.fmu.core import DRAWS, FORMAT, NUMBERS, SUMS, SURFACE, sums_of, variables_hash
+from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SUMS, SURFACE, sums_of, variables_hash
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
-from cycloid_fmu.fmu.reference_run import reference_files
 from cycloid_fmu.fmu.variables import INTERFACES, Interface, InterfaceKind, LossRow, variables
-from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.reducer.description import Reducer
-from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.lost_motion import parts_of
-from cycloid_fmu.supports.transmission import play_loads, solve
+from cycloid_fmu.supports.transmission import play_loads
 from cycloid_fmu.surfaces.files import write_surface
-from cycloid_fmu.surfaces.posterior import displacements_of, drawn_surfaces
-from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
+from cycloid_fmu.surfaces.surface import DEVIATIONS
 
 _LIBRARIES = {"2.0": "pythonfmu", "3.0": "pythonfmu3"}
 _SCRIPTS = {"2.0": "cycloid_drive.py", "3.0": "cycloid_drive3.py"}
-MOST_DRAWS = 10000
 # The FMI 2.0 library wraps pythonfmu's, which does not decode the URI of the resources (front/front.c).
 _FRONT = Path(__file__).with_name("front")
 _FRONTS = {
@@ -46,81 +39,39 @@ _FRONTS = {
 }
 
 
-class DriveWithErrors(Protocol):
-    """A gear pair together with its errors."""
-
-    @property
-    def pair(self) -> Pair:
-        """The nominal pair."""
-
-    @property
-    def surface(self) -> ErrorSurface:
-        """Its errors."""
-
-    @property
-    def first_stage(self) -> FirstStage | None:
-        """The first stage of an RV reducer."""
-
-
-AnyDrive = Pair | Reducer | DriveWithErrors
-
-
-def whole_drive(drive: AnyDrive, surface: ErrorSurface | None) -> tuple[Pair, ErrorSurface, FirstStage | None]:
-    """Return the pair, its errors (the given ones, otherwise the drive's own), and the first stage of a reducer."""
-    if isinstance(drive, Reducer):
-        pair, made, first_stage = parts_of(drive)
-        return pair, surface or made, first_stage
-    if isinstance(drive, Pair):
-        return drive, surface or surface_of_pair(drive), None
-    return drive.pair, surface or drive.surface, drive.first_stage
-
-
-def ratio_of(pair: Pair, first_stage: FirstStage | None) -> float:
-    """Return the ratio of the driven shaft's angle (crank or sun) to the output's, signed."""
-    return pair.ratio if first_stage is None else first_stage.ratio(pair.gear_teeth)
-
-
 def build_fmu(
-    drive: AnyDrive,
+    drive: DriveValue,
     path: str | os.PathLike[str],
-    surface: ErrorSurface | None = None,
     *,
     interface: InterfaceKind | Interface = "kinematic",
     fmi_version: Version = "2.0",
-    draws: int = 0,
-    seed: int = 0,
 ) -> None:
     """Write a Co-Simulation FMU of the drive that runs in a Python host; never a partial file.
 
     Parameters
     ----------
     drive
-        A gear pair, or an RV reducer, whose FMU has the sun as its input instead of the crank.
+        The drive; one with a life is that at the age of its surface. Behind a first stage the FMU's input is the sun
+        instead of the crank.
     path
         The FMU file.
-    surface
-        Errors of the pair, or of a reducer's cycloid stage; by default those of the drive.
     interface
         The interface: "kinematic", "compliant", or an `Interface`.
     fmi_version
         "2.0" or "3.0".
-    draws, seed
-        Number of drives in the FMU besides this one, drawn from the covariance of its fit; its parameter `draw` selects
-        one. The same seed draws the same drives.
 
     Raises
     ------
     edge.InputError
-        If the folder does not exist, the loss table is invalid, the interface is not available for this drive, or there
-        is no covariance to draw from.
+        If the folder does not exist, the loss table is invalid, or the interface is not available for this drive.
     """
-    pair, surface, first_stage = whole_drive(drive, surface)
-    interface = completed(interface, pair, surface, first_stage)
+    drive = drive.at_own_age
+    pair, surface, first_stage = drive.pair, drive.surface, drive.first_stage
+    interface = completed(interface, drive)
     if fmi_version not in _LIBRARIES:
         raise ArgumentError("fmi_version", "it must be 2.0 or 3.0", fmi_version)
     library = _LIBRARIES[fmi_version]
-    drawn = surfaces_of_draws(pair, surface, draws, seed)
-    table = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage), draws)
+    table = variables(drive, interface, fmi_version)
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(path) as temporary:
         place = Path(folder)
         numbers: dict[str, object] = {
@@ -133,23 +84,15 @@ def build_fmu(
             },
             "variables": variables_hash(table),
         }
-        if draws > 0:
-            numbers["draws"] = draws
-        if surface.life is not None and surface.life.ageing is not None:
-            numbers["ageing"] = vars(surface.life.ageing)
         if first_stage is not None:
             numbers["first_stage"] = json.loads(first_stage.text)
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
         with (place / SURFACE).open("wb") as file:
             arrays = {**surface.errors, **{name: getattr(surface, name) for name in DEVIATIONS}}
-            if surface.life is not None:
-                arrays.update({f"life_{n}": a for n, a in surface.life.arrays.items()})
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
-        if draws > 0:
-            np.savez(place / DRAWS, allow_pickle=False, **displacements_of(surface, drawn))
         write_surface(surface, place / "surface.nc")
         script = Path(__file__).with_name(_SCRIPTS[fmi_version])
-        files = [place / name for name in (NUMBERS, SURFACE, *([DRAWS] if draws > 0 else []), "surface.nc")]
+        files = [place / name for name in (NUMBERS, SURFACE, "surface.nc")]
         (place / SUMS).write_bytes(sums_of({path.name: path.read_bytes() for path in (*files, script)}))
         archive = build_archive(library, script, [*files, place / SUMS], place)
         fronts = _FRONTS if fmi_version == "2.0" else {}
@@ -158,30 +101,12 @@ def build_fmu(
         for name, behind in fronts.items():
             if behind in contents:
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
-        contents |= parts(pair, surface, interface, table, fmi_version, [library])
-        contents |= reference_files(pair, surface, interface, first_stage)
+        contents |= parts(drive, interface, table, fmi_version, [library])
         # Sorted, because the library's order depends on the file system.
         write_archive(temporary, dict(sorted(contents.items())))
 
 
-def surfaces_of_draws(pair: Pair, surface: ErrorSurface, draws: int, seed: int) -> list[ErrorSurface]:
-    """Return the surfaces that an FMU's parameter `draw` selects, from 1 on.
-
-    Raises
-    ------
-    edge.ArgumentError
-        If there are too many draws, or the surface has no covariance.
-    """
-    if not 0 <= draws <= MOST_DRAWS:
-        raise ArgumentError("draws", f"it must be between 0 and {MOST_DRAWS}", draws)
-    if draws > 0 and surface.covariance is None:
-        raise ArgumentError(
-            "draws", "the drive's errors have no covariance to draw from; give a surface written by identify", draws
-        )
-    return drawn_surfaces(pair, surface, draws, seed) if draws > 0 else []
-
-
-def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstStage | None) -> Interface:
+def checked_interface(interface: InterfaceKind | Interface, drive: DriveValue) -> Interface:
     """Return the interface for an FMU of this drive; raise an `InputError` that names contradictions."""
     interface = Interface(interface) if isinstance(interface, str) else interface
     if interface.kind not in INTERFACES:
@@ -197,12 +122,10 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
         check_losses(interface.losses)
     except ValueError as problem:
         raise edge.InputError(f"{problem}.") from None
-    return interface if first_stage is None else dataclasses.replace(interface, driven="sun")
+    return interface if drive.first_stage is None else dataclasses.replace(interface, driven="sun")
 
 
-def completed(
-    interface: InterfaceKind | Interface, pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None
-) -> Interface:
+def completed(interface: InterfaceKind | Interface, drive: DriveValue) -> Interface:
     """Return the interface of an FMU of this drive with all values determined during the build.
 
     Raises
@@ -210,17 +133,17 @@ def completed(
     edge.InputError
         As `checked_interface` and `chain.with_chain` do.
     """
-    checked = checked_interface(interface, first_stage)
-    if pair.supports is not None:
-        play_loads(pair)  # raises without a rated torque
-    return with_damping(with_chain(checked, pair, surface, first_stage), pair, surface)
+    checked = checked_interface(interface, drive)
+    if drive.pair.supports is not None:
+        play_loads(drive.pair)  # raises without a rated torque
+    return with_damping(with_chain(checked, drive), drive)
 
 
-def with_damping(interface: Interface, pair: Pair, surface: ErrorSurface) -> Interface:
+def with_damping(interface: Interface, drive: DriveValue) -> Interface:
     """Return a compliant interface with the default mesh damping if none is stated."""
     if interface.kind == "kinematic" or interface.mesh_damping is not None:
         return interface
-    stiffness = solve(pair, surface, [pair.rated_torque or 100.0], [0.0], slices_needed(surface)).torsional_stiffness
+    stiffness = solve(drive.stage, [drive.pair.rated_torque or 100.0], [0.0]).torsional_stiffness
     whole = 1.0 / (1.0 / float(stiffness[0, 0]) + interface.series_compliance)
     return dataclasses.replace(interface, mesh_damping=DAMPING_TIME * whole)
 

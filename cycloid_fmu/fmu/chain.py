@@ -9,39 +9,34 @@ import os
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import slices_needed
+from cycloid_fmu.analysis import series_compliance, solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.variables import Interface
-from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
-from cycloid_fmu.reducer.transmission import series_compliance, solve
+from cycloid_fmu.geometry.first_stage import sun_locked_share
 from cycloid_fmu.supports.figures import LOADS
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 FIGURES = "cycloid-figures/1"
 _ANGLES = 90
 _SAME = 1e-6  # share by which the drive may be softer than stated, for rounding
 
 
-def own_stiffness(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None = None) -> float:
+def own_stiffness(drive: DriveValue) -> float:
     """Return the stiffness between half and full rated torque, averaged over the crank angle, N·m/rad.
 
     Catalogues define it in this way; with a first stage the sun is locked. NaN without a rated torque.
     """
+    pair = drive.pair
     if pair.rated_torque is None:
         return math.nan
     loads = [share * pair.rated_torque for share in LOADS]
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
-    found = solve(
-        pair, surface, first_stage, loads, angles, slices_needed(surface), with_play=False, with_stiffness=False
-    )
+    found = solve(drive, loads, angles, with_play=False, with_stiffness=False)
     low, high = found.transmission_error.mean(axis=1)
     return float((loads[1] - loads[0]) / (high - low))
 
 
-def with_chain(
-    interface: Interface, pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None = None
-) -> Interface:
+def with_chain(interface: Interface, drive: DriveValue) -> Interface:
     """Return an interface with the drive's own stiffness and the compliance in series with it.
 
     Where neither is stated, the compliance is that up to the pair's `catalogue_stiffness`. A compliant first stage is
@@ -57,12 +52,14 @@ def with_chain(
     if not 0.0 <= series < math.inf:
         raise ArgumentError("series_compliance", "it must be finite and not below zero (rad/(N*m))", series)
     if series == 0.0 and interface.stiffness is None:
-        series = series_compliance(pair, first_stage)
+        series = series_compliance(drive)
+    first_stage, teeth = drive.first_stage, drive.pair.gear_teeth
     if first_stage is not None and math.isfinite(first_stage.crank_stiffness):
-        share = sun_locked_share(first_stage.crank_share, pair.gear_teeth) / pair.gear_teeth
+        share = sun_locked_share(first_stage.crank_share, teeth) / teeth
         series += share**2 / first_stage.crank_stiffness
-        first_stage = dataclasses.replace(first_stage, crank_stiffness=math.inf)
-    own = own_stiffness(pair, surface, first_stage)
+        rigid = dataclasses.replace(first_stage, crank_stiffness=math.inf)
+        drive = DriveValue(drive.pair, drive.surface, rigid)
+    own = own_stiffness(drive)
     if interface.stiffness is not None:
         if interface.series_compliance > 0.0:
             raise ArgumentError("stiffness", "give either this or series_compliance: one follows from the other")

@@ -13,6 +13,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.constants import (
     CRANK_STEP,
     DEVIATION_STEP,
@@ -36,17 +37,11 @@ from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
 from cycloid_fmu.fmu.variables import LARGEST_STEP, LOSSLESS
-from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 # Fields of the state that are copied to a quasi-static drive at the same position.
 _SHARED = (
     "errors",
     "pin_arrays",
-    "_crank_turns_worn",
-    "_age",
-    "_wear_factor",
-    "_draw",
     "crank_angle",
     "crank_speed",
     "series_compliance",
@@ -135,13 +130,12 @@ class CompliantModel(SteppedModel, CompliantState):
 
     def __init__(
         self,
-        pair: Pair,
-        surface: ErrorSurface,
+        drive: DriveValue,
         losses: Sequence[Sequence[float]] = LOSSLESS,
         output_inertia: float = 0.0,
         crank_inertia: float = 0.0,
     ) -> None:
-        super().__init__(pair, surface, losses)
+        super().__init__(drive, losses)
         self._held, self._led = output_inertia == 0.0, crank_inertia == 0.0
         self._geared = 1.0  # turns of the crank per turn of the driven shaft
         self.output_inertia, self.crank_inertia = output_inertia, crank_inertia
@@ -170,7 +164,7 @@ class CompliantModel(SteppedModel, CompliantState):
 
     def _still(self) -> DriveModel:
         """Return the quasi-static drive."""
-        return DriveModel(self.pair, self.surface)
+        return DriveModel(DriveValue(self.pair, self.surface))
 
     def _contact(self, theta: float, deviation: float) -> tuple[float, float, float]:
         """Energy of contacts and series compliance (J), with its derivatives by crank and output angle (N·m)."""
@@ -235,7 +229,6 @@ class CompliantModel(SteppedModel, CompliantState):
                 self.crank_speed = self.crank_speed_start - self._support_speed
             self._turned = self.crank_angle
             still = self._still()
-            still.draws = self.draws
             shared = {name: getattr(self, name) for name in _SHARED}
             still.restore({**still.state(), **shared, "torque": self._load_torque})
             still.advance()

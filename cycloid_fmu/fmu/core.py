@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import __version__
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
@@ -31,13 +32,13 @@ from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
 from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, Interface, Variable, stiffness_text, variables
-from cycloid_fmu.geometry.pair import Pair, parse_pair
-from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.surfaces.surface import Ageing, ErrorSurface, Life
+from cycloid_fmu.geometry.first_stage import FirstStage
+from cycloid_fmu.geometry.pair import parse_pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
-NUMBERS, SURFACE, DRAWS, SUMS = "pair.json", "surface.npz", "draws.npz", "SHA256SUMS"
-FORMAT = 3  # of the resource files
-MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 7
+NUMBERS, SURFACE, SUMS = "pair.json", "surface.npz", "SHA256SUMS"
+FORMAT = 4  # of the resource files
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 8
 # Phases of an instance as named in messages; the native FMU has the same (native/sources/instance.c).
 INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
     "before initialization",
@@ -90,22 +91,21 @@ def interface_from(numbers: dict[str, Any]) -> Interface:
     return Interface(**{**numbers, **made, "losses": tuple(tuple(row) for row in numbers["losses"])})
 
 
-def model_of(
-    pair: Pair, surface: ErrorSurface, interface: Interface, first_stage: FirstStage | None = None
-) -> DriveModel | CompliantModel:
+def model_of(drive: DriveValue, interface: Interface) -> DriveModel | CompliantModel:
     """Return the model behind an interface."""
+    first_stage = drive.first_stage
     model: DriveModel | CompliantModel
     if interface.kind == "compliant":
         inertias = interface.output_inertia, interface.crank_inertia
         if first_stage is None:
-            model = CompliantModel(pair, surface, interface.losses, *inertias)
+            model = CompliantModel(drive, interface.losses, *inertias)
         else:
-            model = CompliantReducer(pair, surface, first_stage, interface.losses, *inertias)
+            model = CompliantReducer(drive, interface.losses, *inertias)
         model.mesh_damping = interface.mesh_damping or 0.0
     elif first_stage is not None:
-        model = ReducerModel(pair, surface, first_stage, interface.losses)
+        model = ReducerModel(drive, interface.losses)
     else:
-        model = DriveModel(pair, surface, interface.losses)
+        model = DriveModel(drive, interface.losses)
     model.series_compliance = interface.series_compliance
     for flange, law in enumerate(interface.laws):
         model.set_friction(flange, **law._asdict())
@@ -152,16 +152,11 @@ class Core:
             raise RuntimeError(f"{built} in format {numbers.get('format')}, this reads format {FORMAT}: {again}")
         with np.load(io.BytesIO(files[SURFACE])) as arrays:
             values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
-            states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}
         pair, stage = parse_pair(numbers["pair"], "the FMU's drive"), numbers.get("first_stage")
-        ageing = None if "ageing" not in numbers else Ageing(**numbers["ageing"])
-        surface = ErrorSurface(pair, **values, life=Life(**states, ageing=ageing) if states else None)
+        drive = DriveValue(pair, ErrorSurface(pair, **values), None if stage is None else FirstStage(**stage))
         self.interface = interface = interface_from(numbers["interface"])
-        self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
-        if DRAWS in files:
-            with np.load(io.BytesIO(files[DRAWS])) as arrays:
-                self.model.draws = dict(arrays)
-        table = variables(pair, surface, interface, version, self.model.ratio, numbers.get("draws", 0))
+        self.model = model_of(drive, interface)
+        table = variables(drive, interface, version)
         if variables_hash(table) != numbers["variables"]:
             raise RuntimeError(f"{built}, whose variables are others: {again}")
         self.table = dict(enumerate(table))
@@ -169,7 +164,7 @@ class Core:
         self.phase = INSTANTIATED
         self.faults: dict[int, str] = {}
         self.time = 0.0
-        self._hash = hashlib.sha256(files[NUMBERS] + files[SURFACE] + files.get(DRAWS, b"")).digest()
+        self._hash = hashlib.sha256(files[NUMBERS] + files[SURFACE]).digest()
         accesses = {reference: self._access(variable) for reference, variable in self.table.items()}
         self.getters = {reference: getter for reference, (getter, _) in accesses.items()}
         self._setters = {reference: setter for reference, (_, setter) in accesses.items()}

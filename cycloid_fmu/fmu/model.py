@@ -12,13 +12,12 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.constants import FRICTION_ROUNDING, FRICTION_SHARE, MOST_LOAD_SHARE
 from cycloid_fmu.fmu.friction import UNSTRAINED, Pressed, balanced, held_strains
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.stepped_model import State, SteppedModel, Teeth, state_fields
 from cycloid_fmu.fmu.variables import LOSSLESS
-from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 
 @state_fields
@@ -40,8 +39,8 @@ class DriveState(State):
 class DriveModel(SteppedModel, DriveState):
     """A quasi-static cycloid-pin drive with history, stepped by `advance`."""
 
-    def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
-        super().__init__(pair, surface, losses)
+    def __init__(self, drive: DriveValue, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
+        super().__init__(drive, losses)
         self._lever = 1.0  # torque at the driven shaft per torque at the crank
 
     def _rebuild(self) -> None:

@@ -10,13 +10,13 @@ from typing import Any, Self
 import numpy as np
 
 from cycloid_fmu import contact
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.mesh import StepError
-from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.supports import energy
-from cycloid_fmu.supports.balance import work_of
+from cycloid_fmu.supports.balance import Load
 from cycloid_fmu.supports.bearing import CENTRING
+from cycloid_fmu.supports.joints import work_of
 from cycloid_fmu.supports.transmission import assembly_of, play_loads, problem_of
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _STIFFEST = 1e12  # N·m/rad: in place of a flange without compliance; it turns by some 1e-5″
 _PRESSED_CENTRING = 1e4  # N/m: with two prescribed flanges the discs cross their clearances at every reversal
@@ -29,13 +29,14 @@ _PLACE = ("place", "pose", "moved")
 class _Stand:
     """The last solution of the drive, from which the next one starts."""
 
-    def __init__(self, pair: Pair, surface: ErrorSurface, slices: int) -> None:
+    def __init__(self, drive: DriveValue, slices: int) -> None:
+        pair = drive.pair
         shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
-        self._drive = problem_of(pair, surface, slices)._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
-        assembly = assembly_of(pair, surface)
+        self._drive = problem_of(drive, slices)._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
+        assembly = assembly_of(drive)
         self._assembly = assembly._replace(balanced=max(assembly.balanced, _BALANCED))
         self.rows, self.found, self.theta = contact.contact_rows(self._drive), np.zeros(energy.FOUND), math.nan
-        self._make(work_of(3 + 3 * pair.discs + 2 * assembly.throw.shape[1], pair.discs))
+        self._make(work_of(assembly))
 
     def _make(self, work: Any) -> None:
         self.work, room = work, energy.room(work.place.size)
@@ -50,9 +51,9 @@ class _Stand:
     ) -> bool:
         """Solve a position of the flanges; return whether a solution was found."""
         cold = not abs(theta - self.theta) < _NEAR
-        centring = _PRESSED_CENTRING if pressed else CENTRING
+        pull = Load(torque, spring, flange, _PRESSED_CENTRING if pressed else CENTRING)
         self.theta = theta
-        if not energy.stand(self.box, theta, torque, spring, flange, centring, self.rows, cold, self.found):
+        if not energy.stand(self.box, theta, pull, self.rows, cold, self.found):
             self.theta = math.nan
         return self.theta == theta
 
@@ -105,10 +106,11 @@ class SupportedTeeth:
         If the pair has no rated torque.
     """
 
-    def __init__(self, pair: Pair, surface: ErrorSurface, slices: int) -> None:
+    def __init__(self, drive: DriveValue, slices: int) -> None:
+        pair = drive.pair
         self._load = play_loads(pair)[1]
         self._ratio = pair.ratio
-        self._main = _Stand(pair, surface, slices)
+        self._main = _Stand(drive, slices)
         self._ends = {-1.0: self._main.copy(), 1.0: self._main.copy()}
         self._side, self._share = 0.0, 1.0  # side (±1) of the tangent in use, 0 for none; fraction of its torque
         self._pin_force, self._pin_pressure = (np.zeros((pair.discs, pair.pins)) for _ in range(2))

@@ -12,12 +12,11 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from cycloid_fmu import __version__
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.variables import Interface, Variable
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import flank_points
-from cycloid_fmu.surfaces.provenance import drive_hash, drive_text
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
 _SUPPORT = "Modelica.Mechanics.Rotational.Interfaces.Support"
@@ -126,8 +125,7 @@ def licences(packages: Sequence[str]) -> str:
 
 
 def parts(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: DriveValue,
     interface: Interface,
     table: Sequence[Variable],
     version: Version,
@@ -137,14 +135,15 @@ def parts(
 
     Parameters
     ----------
-    pair, surface, interface, table, version
+    drive, interface, table, version
         Content of the FMU.
     packages
         Installed packages with files in the FMU, for their licences.
     """
+    pair = drive.pair
     found = {
         "documentation/index.html": documentation(pair, interface, table).encode(),
-        DRIVE: f"# drive {drive_hash(pair, surface)}\n{drive_text(pair, surface)}".encode(),
+        DRIVE: f"# drive {drive.hash}\n{drive.text}".encode(),
         "documentation/licenses/license.txt": licences(packages).encode(),
     }
     if version == "2.0":

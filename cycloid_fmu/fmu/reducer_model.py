@@ -13,14 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.compliant_model import CompliantModel, Place
 from cycloid_fmu.fmu.constants import STAGE_DIFFERENCE, STAGE_ITERATIONS, STAGE_SHARE, STAGE_STEP
 from cycloid_fmu.fmu.model import DriveModel, DriveState
 from cycloid_fmu.fmu.stepped_model import SteppedModel, state_fields
 from cycloid_fmu.fmu.variables import LOSSLESS
-from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
-from cycloid_fmu.surfaces.surface import ErrorSurface
+from cycloid_fmu.geometry.first_stage import FirstStage, sun_locked_share
 
 _FREE = 1e-7  # J: largest stored energy of gears that are free in the plays around them
 
@@ -30,7 +29,8 @@ class _Staged(SteppedModel):
 
     _stage: FirstStage
 
-    def _stand_behind(self, first_stage: FirstStage) -> None:
+    def _stand_behind(self, first_stage: FirstStage | None) -> None:
+        assert first_stage is not None
         self._stage = first_stage
         self._a, self._b = first_stage.crank_share, first_stage.sun_share
         self._s = sun_locked_share(self._a, self.pair.gear_teeth)
@@ -95,12 +95,11 @@ class ReducerModel(_Staged, DriveModel, ReducerState):
 
     def __init__(
         self,
-        pair: Pair,
-        surface: ErrorSurface,
-        first_stage: FirstStage,
+        drive: DriveValue,
         losses: Sequence[Sequence[float]] = LOSSLESS,
     ) -> None:
-        super().__init__(pair, surface, losses)
+        first_stage = drive.first_stage
+        super().__init__(drive.stage, losses)
         self._stand_behind(first_stage)
         self._lever = -self._b
 
@@ -203,19 +202,18 @@ class CompliantReducer(_Staged, CompliantModel):
 
     def __init__(
         self,
-        pair: Pair,
-        surface: ErrorSurface,
-        first_stage: FirstStage,
+        drive: DriveValue,
         losses: Sequence[Sequence[float]] = LOSSLESS,
         output_inertia: float = 0.0,
         crank_inertia: float = 0.0,
     ) -> None:
-        super().__init__(pair, surface, losses, output_inertia, crank_inertia)
+        pair, first_stage = drive.pair, drive.first_stage
+        super().__init__(drive.stage, losses, output_inertia, crank_inertia)
         self._stand_behind(first_stage)
         self._geared = pair.gear_teeth / self._ratio
 
     def _still(self) -> DriveModel:
-        return ReducerModel(self.pair, self.surface, self._stage)
+        return ReducerModel(DriveValue(self.pair, self.surface, self._stage))
 
     def _gear_compliance(self) -> float:
         return self.series_compliance / self._s**2

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cycloid_fmu.contact.transmission import drive_of, slices_needed
+from cycloid_fmu.contact.transmission import rigid_problem
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import names_of
 from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE, UNRATED_LOAD
 from cycloid_fmu.fmu.friction import NO_FRICTION, UNSTRAINED, FrictionState, Law
@@ -20,10 +20,7 @@ from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
 from cycloid_fmu.fmu.on_bearings import SupportedTeeth
 from cycloid_fmu.fmu.variables import LOSSLESS
-from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.posterior import displaced
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
-from cycloid_fmu.surfaces.surface import Ageing, ErrorSurface, surface_after
 
 _Kind = TypeVar("_Kind")
 Teeth = ContactTeeth | SupportedTeeth
@@ -79,10 +76,6 @@ class State:
     _crank_seen: float = 0.0  # crank angle up to which friction is evaluated, rad
     _support_angle: float = 0.0  # of the housing, to which all other angles are relative, rad
     _support_speed: float = 0.0
-    _crank_turns_worn: float = 0.0
-    _age: float = 0.0  # s, for a surface with a forecast
-    _wear_factor: float = 1.0
-    _draw: int = 0
     _theta: float = 0.0  # crank angle, reduced, rad
     _x: float = 0.0  # deviation of the flange due to the teeth only, rad
     _stiffness: float = 0.0  # of the teeth, N·m/rad; 0 without contact
@@ -122,15 +115,10 @@ class SteppedModel(State, FrictionState):
 
     Parameters
     ----------
-    pair, surface
-        The nominal pair and its errors.
+    drive
+        The drive.
     losses
         Rows of the loss table (`variables.Interface.losses`).
-
-    Attributes
-    ----------
-    draws
-        Deviations added to the errors by each draw from a fit's distribution (`posterior.displacements_of`).
     """
 
     absolute_crank_angle = _absolute("crank_angle", "_support_angle")
@@ -138,7 +126,8 @@ class SteppedModel(State, FrictionState):
     absolute_output_angle = _absolute("output_angle", "_support_angle")
     absolute_output_speed = _absolute("output_speed", "_support_speed")
 
-    def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
+    def __init__(self, drive: DriveValue, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
+        pair, surface = drive.pair, drive.surface
         super().__init__()
         self._step = 0.0  # being made, s, for its message; 0 outside a step
         self._fields = tuple(one.name for one in dataclasses.fields(self))
@@ -148,11 +137,6 @@ class SteppedModel(State, FrictionState):
         self._as_built = surface
         self._stated = self._structured()
         self.errors = dict(self._stated)
-        self.draws: Mapping[str, NDArray[np.float64]] = {}
-        self._crank_turns_worn = 0.0 if surface.life is None else float(surface.life.crank_turns[-1])
-        if (ageing := self._ageing) is not None:
-            self._age, self._wear_factor = ageing.age, 1.0
-            self._crank_turns_worn = ageing.age * ageing.crank_turns_per_second
         self._ratio = pair.ratio
         # Everything repeats after one turn of the gear in the ring; reducing the angle preserves its precision.
         self._period = 2.0 * math.pi * (pair.gear_teeth if pair.output == "gear" else pair.pins)
@@ -160,7 +144,7 @@ class SteppedModel(State, FrictionState):
         self._rebuild()
 
     def _structured(self) -> dict[str, float]:
-        return {name: structured_value(self.pair, self.surface, name) for name in names_of(self.pair)}
+        return {name: structured_value(self.surface, name) for name in names_of(self.pair)}
 
     def _changed(self) -> dict[str, float]:
         return {n: v for n, v in self.errors.items() if v != self._stated[n]}
@@ -176,12 +160,10 @@ class SteppedModel(State, FrictionState):
         self._forget()
 
     def _made_teeth(self) -> Teeth:
-        worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
-        surface = displaced(with_structured(self.pair, worn, self._changed()), self.draws, self._draw)
-        slices = slices_needed(surface)
+        drive = DriveValue(self.pair, with_structured(self.surface, self._changed()))
         if self.pair.supports is not None:
-            return SupportedTeeth(self._aged(self.pair), surface, slices)
-        return ContactTeeth(drive_of(self.pair, surface, slices), (self.pair.discs, self.pair.pins))
+            return SupportedTeeth(drive, drive.slices)
+        return ContactTeeth(rigid_problem(drive, drive.slices), (self.pair.discs, self.pair.pins))
 
     def _forget(self) -> None:
         self._play = self._crank = self._sharing = None
@@ -194,7 +176,7 @@ class SteppedModel(State, FrictionState):
 
     def pin_errors(self, name: str) -> list[float]:
         """Return the errors of each pin (m) for a kind of pin errors, including structured errors set since."""
-        values: list[float] = getattr(with_structured(self.pair, self.surface, self._changed()), name).tolist()
+        values: list[float] = getattr(with_structured(self.surface, self._changed()), name).tolist()
         return values
 
     def set_pin_errors(self, name: str, values: Sequence[float]) -> None:
@@ -252,69 +234,6 @@ class SteppedModel(State, FrictionState):
     @friction_torque.setter
     def friction_torque(self, value: float) -> None:
         self.set_friction(1, coulomb=value)
-
-    @property
-    def crank_turns_worn(self) -> float:
-        """Crank turns since new, for a surface with a life; they determine the wear from the next step on."""
-        return self._crank_turns_worn
-
-    @crank_turns_worn.setter
-    def crank_turns_worn(self, turns: float) -> None:
-        if turns != self._crank_turns_worn:
-            surface_after(self.surface, turns)
-            self._crank_turns_worn = turns
-            self._rebuild()
-
-    @property
-    def _ageing(self) -> Ageing | None:
-        return None if self.surface.life is None else self.surface.life.ageing
-
-    def _aged(self, pair: Pair) -> Pair:
-        """The pair with the clearance of the wearing bearing at this age."""
-        ageing = self._ageing
-        if ageing is None or not ageing.bearing or pair.supports is None:
-            return pair
-        return pair.replace(supports=pair.supports.grown(ageing.bearing, ageing.clearance_per_second * self._age))
-
-    @property
-    def age(self) -> float:
-        """Running time of the drive since new, s, for a surface with a forecast; effective from the next step on."""
-        return self._age
-
-    @age.setter
-    def age(self, seconds: float) -> None:
-        self._grow_old(seconds, self._wear_factor)
-
-    @property
-    def wear_factor(self) -> float:
-        """Ratio of the wear coefficient to the forecast's median; effective from the next step on."""
-        return self._wear_factor
-
-    @wear_factor.setter
-    def wear_factor(self, factor: float) -> None:
-        self._grow_old(self._age, factor)
-
-    def _grow_old(self, seconds: float, factor: float) -> None:
-        life, ageing = self.surface.life, self._ageing
-        if life is None or ageing is None:
-            raise ValueError("age and wear_factor need a surface with a forecast")
-        if (seconds, factor) != (self._age, self._wear_factor):
-            # Rounding must not exceed the life's end.
-            turns = min(seconds * ageing.crank_turns_per_second * factor, float(life.crank_turns[-1]))
-            surface_after(self.surface, turns)
-            self._age, self._wear_factor, self._crank_turns_worn = seconds, factor, turns
-            self._rebuild()
-
-    @property
-    def draw(self) -> int:
-        """Number of the active draw, from 1, or 0 for none; effective from the next step on."""
-        return self._draw
-
-    @draw.setter
-    def draw(self, number: int) -> None:
-        if number != self._draw:
-            self._draw = number
-            self._rebuild()
 
     @property
     def support_angle(self) -> float:
@@ -468,7 +387,7 @@ class SteppedModel(State, FrictionState):
         """Restore a state returned by `state`."""
         if state["pin_arrays"] != self.pin_arrays:
             self._put_pin_errors(state["pin_arrays"])
-        errors = ("errors", "pin_arrays", "_crank_turns_worn", "_age", "_wear_factor", "_draw")
+        errors = ("errors", "pin_arrays")
         remade = any(state[name] != getattr(self, name) for name in errors)
         if remade:
             for name in errors:

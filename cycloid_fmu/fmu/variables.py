@@ -14,13 +14,13 @@ from typing import Literal
 
 import numpy as np
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of, wave_of
 from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, REFERENCE_TEMPERATURE, SUGGESTED_STEP
 from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.friction_file import LIMITS, Friction
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 InterfaceKind = Literal["kinematic", "compliant"]
 Kind = Literal["real", "integer", "boolean"]
@@ -304,7 +304,8 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     return [*taken, *given]
 
 
-def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list[Variable]:
+def _parameters(drive: DriveValue, interface: Interface) -> list[Variable]:
+    pair, surface = drive.pair, drive.surface
     found = []
     for name in names_of(pair):
         kind, wave = kind_of(name), wave_of(name)
@@ -323,7 +324,7 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
                 -kind.limit,
                 kind.limit,
                 1e-4 if kind.unit == "rad" else 1e-6,
-                structured_value(pair, surface, name),
+                structured_value(surface, name),
                 baked=True,
             )
         )
@@ -350,47 +351,6 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
             start=interface.series_compliance,
         ),
     ]
-    if surface.life is not None and (ageing := surface.life.ageing) is not None:
-        found += [
-            Variable(
-                "age",
-                "running time since new, which determines the wear",
-                "parameter",
-                "tunable",
-                "s",
-                "h",
-                0.0,
-                ageing.largest_age,
-                ageing.largest_age,
-                ageing.age,
-                baked=True,
-            ),
-            Variable(
-                "wear_factor",
-                "ratio of the wear coefficient to the forecast's median",
-                "parameter",
-                "tunable",
-                least=ageing.smallest_wear_factor,
-                most=ageing.largest_wear_factor,
-                start=1.0,
-                baked=True,
-            ),
-        ]
-    elif surface.life is not None:
-        turns = float(surface.life.crank_turns[-1])
-        found.append(
-            Variable(
-                "crank_turns_worn",
-                "crank turns since new, which determine the wear",
-                "parameter",
-                "tunable",
-                least=0.0,
-                most=turns,
-                nominal=turns,
-                start=turns,
-                baked=True,
-            )
-        )
     return found
 
 
@@ -644,7 +604,8 @@ def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
     ]
 
 
-def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[Variable]:
+def _arrays(drive: DriveValue, placed: tuple[str, ...]) -> list[Variable]:
+    pair, surface = drive.pair, drive.surface
     shape = (pair.discs, pair.pins)
     found = [Variable("time", "time", "independent", unit="s")]
     for name, text, unit, display, nominal in (
@@ -686,28 +647,22 @@ def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[
 
 
 def variables(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: DriveValue,
     interface: Interface,
     fmi_version: Literal["2.0", "3.0"],
-    ratio: float | None = None,
-    draws: int = 0,
 ) -> tuple[Variable, ...]:
     """Return the FMU's variables; the index of each is its value reference.
 
     Parameters
     ----------
-    pair, surface
-        The nominal pair and its errors, the start values of the parameters.
+    drive
+        The drive, whose errors are the start values of the parameters.
     interface
         The interface of the FMU.
     fmi_version
         With "3.0" `time` and the arrays follow the scalars of both versions.
-    ratio
-        Ratio of the angles of `flange_a` and `flange_b`; None for that of the pair.
-    draws
-        Number of drives in the FMU besides the most likely one.
     """
+    pair = drive.pair
     flanges = _flanges(pair, interface)
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
     count = Variable(
@@ -720,8 +675,8 @@ def variables(
         most=float(pair.pins * pair.discs),
         depends=shape,
     )
-    found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
-    found += [*_told(pair, shape, pair.ratio if ratio is None else ratio), *_friction(interface)]
+    found = [*flanges, count, *_parameters(drive, interface), *_further(interface)]
+    found += [*_told(pair, shape, drive.ratio), *_friction(interface)]
     if interface.support_flange:
         found = _with_support(found, interface.output_inertia > 0.0)
     if interface.warms:
@@ -732,24 +687,10 @@ def variables(
             else v
             for v in found
         ]
-    if draws > 0:
-        found.append(
-            Variable(
-                "draw",
-                "0: the most likely drive; above 0: a drive drawn from the fit's distribution, whose errors are "
-                "added to those stated",
-                "parameter",
-                "fixed",
-                least=0.0,
-                most=float(draws),
-                start=0.0,
-                kind="integer",
-            )
-        )
     shape = next(v.depends for v in found if v.name == "transmission_error")
     if fmi_version == "3.0":
-        found += _arrays(pair, surface, shape)
-    errors = tuple(v.name for v in found if v.causality == "parameter" and (v.baked or v.name == "draw"))
+        found += _arrays(drive, shape)
+    errors = tuple(v.name for v in found if v.causality == "parameter" and v.baked)
     shaping = (*errors, "series_compliance", "backlash_on")
     rubbing = tuple(v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction")))
     lossy = (*shaping, *rubbing, "friction_torque")
@@ -769,20 +710,16 @@ def variables(
     )
 
 
-def from_tables(table: Sequence[Variable], *, ages: bool = False) -> dict[int, Variable]:
+def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
     """Return the variables of a native FMU, by value reference.
 
-    Values that are fixed in its tables are constants, and there are no values of single pins. With tables of several
-    `ages`, age and wear factor are set before initialisation.
+    Values that are fixed in its tables are constants, and there are no values of single pins.
     """
-    free = ("age", "wear_factor") if ages else ()
-    constants = {v.name for v in table if v.baked and v.name not in free}
+    constants = {v.name for v in table if v.baked}
 
     def kept(v: Variable) -> Variable:
         if v.name in constants:
             return dataclasses.replace(v, causality="local", variability="constant")
-        if v.name in free:
-            return dataclasses.replace(v, variability="fixed", baked=False)
         return dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants))
 
     return {reference: kept(v) for reference, v in enumerate(table) if not v.dimensions}

@@ -20,12 +20,12 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
-from cycloid_fmu.edge import ArgumentError, InputError, missing_package
-from cycloid_fmu.fmu.build import AnyDrive, completed, ratio_of, surfaces_of_draws, whole_drive
+from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.edge import ArgumentError, missing_package
+from cycloid_fmu.fmu.build import completed
 from cycloid_fmu.fmu.constants import EVENT_INDICATORS, MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
-from cycloid_fmu.fmu.reference_run import reference_files
 from cycloid_fmu.fmu.variables import (
     Interface,
     InterfaceKind,
@@ -36,12 +36,9 @@ from cycloid_fmu.fmu.variables import (
     variables,
 )
 from cycloid_fmu.fmu.variables import states as continuous_states
-from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.native import tables
-from cycloid_fmu.native.ages import ages_of, drive_at
 from cycloid_fmu.native.table_cache import tables_of
-from cycloid_fmu.native.table_file import constants_header, named, numbered, write
-from cycloid_fmu.surfaces.surface import ErrorSurface
+from cycloid_fmu.native.table_file import TABLE, constants_header, named, write
 
 IDENTIFIER = "CycloidDrive"
 SOURCES = (
@@ -63,7 +60,6 @@ SOURCES = (
 )
 SOURCE_FOLDER = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
-MOST_BYTES = 1_000_000_000  # of all tables of an FMU with draws or ages
 _UCRT = Path(__file__).with_name("windows") / "ucrt.c"
 
 
@@ -291,11 +287,9 @@ def _description(
     interface: Interface,
     made: tables.Tables,
     stiffness: str,
-    states: int,
 ) -> Element:
     listed = list(kept.values())
-    aged = f" at any age, between {states} states of its life" if states else ""
-    text = f"Cycloid-pin gear drive{aged}, {interface.kind}, {made.told}; {stiffness}"
+    text = f"Cycloid-pin gear drive, {interface.kind}, {made.told}; {stiffness}"
     common = {
         "fmiVersion": version,
         "modelName": IDENTIFIER,
@@ -360,53 +354,25 @@ def build_description(identifier: str, sources: Sequence[str]) -> Element:
     return root
 
 
-def _check_size(draws: int, size: int) -> None:
-    """Refuse draws whose tables, each of `size` bytes, take more than `MOST_BYTES`."""
-    if (1 + draws) * size > MOST_BYTES:
-        text = f"tables of {size / 1e6:.3g} MB each would take more than {MOST_BYTES / 1e6:.0f} MB"
-        raise ArgumentError("draws", f"{text}; this drive's FMU has room for {MOST_BYTES // size - 1}", draws)
-
-
-def _larger(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
-    return max(a[0], b[0]), max(a[1], b[1])
-
-
-def _erring_as_both(made: tables.Tables, other: tables.Tables) -> tables.Tables:
-    """Return tables that state the larger errors of both."""
-    errors, others = made.errors, other.errors
-    if errors is not None and others is not None:
-        errors = tables.Errors(
-            _larger(errors.stiffness, others.stiffness),
-            _larger(errors.pressure, others.pressure),
-            max(errors.speed, others.speed),
-            _larger(errors.crank_torque, others.crank_torque),
-        )
-    return dataclasses.replace(made, largest_error=max(made.largest_error, other.largest_error), errors=errors)
-
-
 def build_native(
-    drive: AnyDrive,
+    drive: DriveValue,
     path: str | os.PathLike[str],
-    surface: ErrorSurface | None = None,
     *,
     interface: InterfaceKind | Interface = "kinematic",
     fmi_version: Version = "2.0",
     platforms: Sequence[str] = (),
     largest_torque: float | None = None,
-    draws: int = 0,
-    seed: int = 0,
     made: tables.Tables | None = None,
     workers: int = 1,
     total: Callable[[int], None] = lambda angles: None,
     progress: Callable[[int], None] = lambda angles: None,
     compiled: Callable[[str], None] = lambda name: None,
-    drawing: Callable[[int], None] = lambda number: None,
 ) -> tables.Tables:
     """Write an FMU for Model Exchange and Co-Simulation that needs no Python, never a partial file; return its tables.
 
     Parameters
     ----------
-    drive, path, surface, interface, fmi_version, draws, seed
+    drive, path, interface, fmi_version
         As in `cycloid_fmu.fmu.build.build_fmu`.
     platforms
         Keys of `PLATFORMS`; if empty, all of the FMI version.
@@ -418,71 +384,35 @@ def build_native(
         As in `tables.compute`.
     compiled
         Called with each platform whose library is ready.
-    drawing
-        Called with the number of each draw, or state of an ageing drive's life, before its tables are computed.
 
     Raises
     ------
     edge.InputError
-        If the folder does not exist, a platform can't be built for, the interface is not available for this drive, or
-        its draws can't be made or would take more than `MOST_BYTES`.
+        If the folder does not exist, a platform can't be built for, or the interface is not available for this drive.
     """
-    pair, surface, first_stage = whole_drive(drive, surface)
-    life = surface.life if surface.life is not None and surface.life.ageing is not None else None
-    aged, new = draws == 0 and life is not None, pair
-    if life is not None and life.ageing is not None:
-        # Everything except the tables of several ages belongs to the surface's own age.
-        pair, _ = drive_at(pair, surface, 0.0, life.ageing.clearance_per_second * life.ageing.age)
-    interface = completed(interface, pair, surface, first_stage)
+    drive = drive.at_own_age
+    interface = completed(interface, drive)
     if len(interface.losses) > MOST_LOSS_ROWS:
         raise ArgumentError("losses", f"has {len(interface.losses)} rows; a native FMU has {MOST_LOSS_ROWS} at most")
     names = checked_platforms(platforms, fmi_version)
     if largest_torque is not None and not 0.0 < largest_torque < math.inf:
         raise ArgumentError("largest_torque", "it must be finite and above zero (N*m)", largest_torque)
-    drawn = surfaces_of_draws(pair, surface, draws, seed)
     with edge.written_whole(path) as temporary:
         libraries = binaries(fmi_version, names, compiled, IDENTIFIER, binary)
-        every = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage), draws)
-        kept = exchanged(from_tables(every, ages=aged), interface, fmi_version)
-        files: list[bytes] = []
-
-        def of_state(pair: Pair, surface: ErrorSurface, number: int) -> tables.Tables:
-            drawing(number)
-            return tables_of(
-                pair, surface, largest_load=largest_torque, workers=workers, total=total, progress=progress
-            )
-
-        ages = ages_of(new, surface, of_state) if aged else None
-        if ages is not None:
-            made = ages.tables[0]
-            for number, found in enumerate(ages.tables):
-                files.append(write(found, interface, kept, first_stage=first_stage, ages=None if number else ages))
-            if sum(map(len, files)) > MOST_BYTES:
-                text = f"its life needs tables of {sum(map(len, files)) / 1e6:.0f} MB"
-                raise InputError(f"{path}: {text}; an FMU has room for {MOST_BYTES / 1e6:.0f} MB.")
-        else:
-            for number, one in enumerate((surface, *drawn)):
-                found = of_state(pair, one, number) if number or made is None else made
-                files.append(write(found, interface, kept, first_stage=first_stage))
-                made = found if made is None else _erring_as_both(made, found)
-                if number == 0:
-                    _check_size(draws, len(files[0]))
-        assert made is not None
-        token = token_of(__version__ + hashlib.sha256(b"".join(files)).hexdigest())
+        every = variables(drive, interface, fmi_version)
+        kept = exchanged(from_tables(every), interface, fmi_version)
+        if made is None:
+            made = tables_of(drive.stage, largest_load=largest_torque, workers=workers, total=total, progress=progress)
+        table = write(made, interface, kept, first_stage=drive.first_stage)
+        token = token_of(__version__ + hashlib.sha256(table).hexdigest())
         contents = {
             "modelDescription.xml": xml_bytes(
-                _description(
-                    fmi_version, token, kept, interface, made, stiffness_text(pair, interface), len(files) * aged
-                )
+                _description(fmi_version, token, kept, interface, made, stiffness_text(drive.pair, interface))
             ),
-            **{
-                f"resources/{numbered(number)}": named(file, f"{token}{f' {number}' if number else ''}")
-                for number, file in enumerate(files)
-            },
+            f"resources/{TABLE}": named(table, token),
             **{f"sources/{name}": data for name, data in _source_files().items()},
             **libraries,
-            **parts(pair, surface, interface, list(kept.values()), fmi_version, ()),
-            **reference_files(pair, surface, interface, first_stage),
+            **parts(drive, interface, list(kept.values()), fmi_version, ()),
         }
         if fmi_version == "3.0":
             contents["sources/buildDescription.xml"] = xml_bytes(build_description(IDENTIFIER, SOURCES))

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.transmission import drive_of, slices_needed
-from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.supports.transmission import solve
-from cycloid_fmu.surfaces.surface import ErrorSurface
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.transmission import rigid_problem
+from cycloid_fmu.drive_value import DriveValue
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -57,17 +56,16 @@ class Rest(NamedTuple):
     crank_torque: Array
 
 
-def at_rest(pair: Pair, surface: ErrorSurface, angles: Array, workers: int = 1) -> Rest:
+def at_rest(drive: DriveValue, angles: Array, workers: int = 1) -> Rest:
     """Solve the play, and the drive at rest where there is none: once for both directions."""
-    slices = slices_needed(surface)
-    free = solve(pair, surface, [], angles, slices, workers=workers)
+    slices = drive.slices
+    free = solve(drive, [], angles, slices, workers=workers)
     rest = Rest(free.play_low, free.play_high, np.isnan(free.play_low), *np.zeros((5, angles.size)))
     here = np.flatnonzero(rest.pressed)
     if here.size:
-        one = solve(pair, surface, [0.0], angles[here], slices, with_play=False, workers=workers)
-        drive = drive_of(pair, surface, slices)
-        crank_torque = np.empty(here.size)
-        contact.sweep_crank_side(drive, angles[here], one.transmission_error[0], crank_torque, np.empty(here.size))
+        one = solve(drive, [0.0], angles[here], slices, with_play=False, workers=workers)
+        problem, crank_torque = rigid_problem(drive, slices), np.empty(here.size)
+        contact.sweep_crank_side(problem, angles[here], one.transmission_error[0], crank_torque, np.empty(here.size))
         rest.crank_torque[here] = crank_torque
         rest.deviation[here], rest.stiffness[here] = one.transmission_error[0], one.torsional_stiffness[0]
         rest.pressure[here], rest.contact_count[here] = one.max_contact_pressure[0], one.contact_count[0]
@@ -75,8 +73,7 @@ def at_rest(pair: Pair, surface: ErrorSurface, angles: Array, workers: int = 1) 
 
 
 def solved(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: DriveValue,
     direction: float,
     loads: Array,
     angles: Array,
@@ -87,13 +84,12 @@ def solved(
 ) -> Solved:
     """Solve the model at every load and crank angle; other arguments are those of `solved_at`."""
     load, angle = np.divmod(np.arange(loads.size * angles.size), angles.size)
-    found = solved_at(pair, surface, direction, loads, angles, load, angle, rest, workers, progress, following)
+    found = solved_at(drive, direction, loads, angles, load, angle, rest, workers, progress, following)
     return Solved(*(channel.reshape(loads.size, angles.size) for channel in found))
 
 
 def solved_at(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: DriveValue,
     direction: float,
     loads: Array,
     angles: Array,
@@ -113,6 +109,7 @@ def solved_at(
     following
         The slope at load 0 is taken towards this load, by default the second one.
     """
+    pair = drive.pair
     at = loads.copy()
     if loads[0] == 0.0:
         # On bearings the tangent at the first load ends at the play.
@@ -122,14 +119,13 @@ def solved_at(
         order = np.lexsort((np.where(angle % 2 == 0, load, -load), angle))
     else:
         order = np.arange(load.size)
-    slices = slices_needed(surface)
+    slices = drive.slices
     # Far finer than the tables' error; a drive whose pins and teeth all differ takes a gigabyte otherwise.
     found = Solved(*np.empty((len(Solved._fields), load.size), dtype=np.float32))
     for first in range(0, order.size, _AT_ONCE):
         some = order[first : first + _AT_ONCE]
         one = solve(
-            pair,
-            surface,
+            drive,
             direction * at[load[some]][None],
             angles[angle[some]],
             slices,

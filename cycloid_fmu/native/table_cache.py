@@ -18,35 +18,36 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.native import tables
 from cycloid_fmu.native.tables import Errors, Side, Tables
-from cycloid_fmu.surfaces.provenance import drive_hash
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _PACKAGE = Path(__file__).parents[1]
-_MAKERS = ("contact", "errors", "geometry", "supports", "surfaces", "native/nodes.py", "native/tables.py")
+_MAKERS = (
+    *("analysis", "contact", "drive_value.py", "errors", "geometry", "supports", "surfaces"),
+    *("native/nodes.py", "native/tables.py"),
+)
 _MOST_BYTES = 400_000_000  # of all tables in the cache
 _DIGEST = hashlib.sha256().digest_size
 _SIDE = ("load", "deviation", "compliance", "told_load", "contact_count", "pressure")
 _SCALARS = ("ratio", "period", "allowed", "largest_error")
 
 
-def tables_of(pair: Pair, surface: ErrorSurface, *, largest_load: float | None = None, **making: Any) -> Tables:
+def tables_of(drive: DriveValue, *, largest_load: float | None = None, **making: Any) -> Tables:
     """Return the tables of a drive from the cache, or by `tables.compute`, which are then stored.
 
     Parameters are those of `tables.compute`.
     """
     import platformdirs
 
-    asked = f"{drive_hash(pair, surface)} {largest_load} {making.get('accuracy', tables.ACCURACY)!r} {_makers()}"
+    asked = f"{drive.hash} {largest_load} {making.get('accuracy', tables.ACCURACY)!r} {_makers()}"
     kept = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "tables"
     path = kept / f"{hashlib.sha256(asked.encode()).hexdigest()}.tables"
     with contextlib.suppress(Exception):  # a damaged file is made again, whatever the damage
         found = _read(path.read_bytes())
         os.utime(path)
         return found
-    made = tables.compute(pair, surface, largest_load=largest_load, **making)
+    made = tables.compute(drive, largest_load=largest_load, **making)
     with contextlib.suppress(OSError, edge.InputError):  # without a writable cache, tables are not stored
         kept.mkdir(parents=True, exist_ok=True)
         with edge.written_whole(path) as temporary:

@@ -1,7 +1,7 @@
 """Data shared by the C code of a native FMU and this package: the file of tables, and the numbers of `constants.h`.
 
 The file, little endian: magic, version, size of the rest and two sums of its words; then the FMU's token, interface and
-variables; ratio, period, first stage, torques, states of a life; and for each direction, crank angle and load the
+variables; ratio, period, first stage, torques; and for each direction, crank angle and load the
 deviation, its derivative with respect to the load, the square of the largest pressure (each in whole steps of 16 bits)
 and the contact count. The C code uses them in place, after summing the deviation's differences from angle to angle.
 """
@@ -21,11 +21,10 @@ from numpy.typing import NDArray
 from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
-from cycloid_fmu.native.ages import Ages
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.native.tables import Tables
-from cycloid_fmu.reducer.first_stage import FirstStage
 
-TABLE = "drive.table"  # in an FMU's resources; followed by the number of a draw or of a state of the life
+TABLE = "drive.table"  # in an FMU's resources
 HEAD = struct.Struct("<8sIIQQ")
 _MAGIC = "cycltab\n"
 _KINDS = ("real", "integer", "boolean")
@@ -60,9 +59,6 @@ _FIELDS = (
     "support_speed",
     "support_torque",
     "time",
-    "draw",
-    "age",
-    "wear_factor",
     "crank_acceleration",
     "output_acceleration",
     "transmission_error_rate",
@@ -72,11 +68,6 @@ _FIELDS = (
     *(f"{flange}_friction_{name}" for flange in FLANGES for name in Law._fields),
     "loss_table",
 )
-
-
-def numbered(number: int) -> str:
-    """Return the name of the file of a draw or of a state of the life in the resources; 0 for the first."""
-    return f"{TABLE}{number or ''}"
 
 
 def constants_header() -> bytes:
@@ -114,7 +105,6 @@ def write(
     variables: Mapping[int, Variable],
     token: str = "",
     first_stage: FirstStage | None = None,
-    ages: Ages | None = None,
 ) -> bytes:
     """Return the file of tables.
 
@@ -128,8 +118,6 @@ def write(
         The FMU's `guid` or `instantiationToken`.
     first_stage
         The first stage of an RV reducer.
-    ages
-        For the first file of an ageing drive: the states of its life that all its files belong to.
 
     Raises
     ------
@@ -157,10 +145,6 @@ def write(
     counts = [count for s in sides for count in (s.load.size + 1, s.told_load.size)]
     body += struct.pack("<7d", tables.ratio, tables.period, tables.allowed, *stage)
     body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)
-    nodes = (np.empty(0), np.empty(0)) if ages is None else (ages.crank_turns, ages.clearance)
-    rates = (0.0, 0.0) if ages is None else (ages.crank_turns_per_second, ages.clearance_per_second)
-    body += struct.pack("<2I2d", *(n.size for n in nodes), *rates)
-    body += b"".join(n.astype("<f8").tobytes() for n in nodes)
     body += _padding(body)
     for side in sides:
         far, far_deviation, far_compliance = side.far

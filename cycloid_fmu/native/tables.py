@@ -19,7 +19,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -27,14 +27,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.transmission import drive_of, slices_needed
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.transmission import rigid_problem
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import InputError
 from cycloid_fmu.errors.kinds import EACH_SUPPORT, kinds_of
 from cycloid_fmu.fmu.constants import LARGEST_LOAD, LEAST_COMPLIANCE, MOST_LOADS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.native import nodes
 from cycloid_fmu.native.nodes import Array, Array32, Rest, Solved
-from cycloid_fmu.supports.transmission import play_loads, solve
+from cycloid_fmu.supports.transmission import play_loads
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 
 ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: allowed error of the deviation
@@ -199,11 +201,12 @@ class Tables:
         )
 
 
-def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
+def mesh_pitches(drive: DriveValue) -> int:
     """Return the period of the drive in mesh pitches: 1 for equal parts, up to z_c z_p for different ones.
 
     Cranks or output rollers repeat after z_c over the greatest common divisor of their count and z_c.
     """
+    pair, surface = drive.pair, drive.surface
     teeth_alike, pins_alike = alike(surface)
     turn = 1 if teeth_alike else pair.gear_teeth
     if teeth_alike and pair.supports is not None:
@@ -253,12 +256,13 @@ def _middle(low: float, high: float) -> float:
 
 
 def _chosen_loads(
-    pair: Pair, surface: ErrorSurface, direction: float, largest: float, angles: Array, rest: Rest, allowed: float
+    drive: DriveValue, direction: float, largest: float, angles: Array, rest: Rest, allowed: float
 ) -> Array:
     """Return loads between which Hermite interpolation is within the allowed error, by bisection of cells."""
+    pair = drive.pair
 
     def solve_at(loads: Sequence[float], following: float | None = None) -> None:
-        one = nodes.solved(pair, surface, direction, np.array(loads), angles, rest, following=following)
+        one = nodes.solved(drive, direction, np.array(loads), angles, rest, following=following)
         known.update(zip(loads, zip(one.deviation, one.compliance, strict=True), strict=True))
 
     def halved(cells: list[tuple[float, float]]) -> list[tuple[float, float, float, float]]:
@@ -320,12 +324,12 @@ def _side(loads: Array, exact: Solved, far: tuple[float, Solved], step: float) -
     )
     p_fine = steps[2][:, None]
     x, c = _coefficients(exact.deviation), _coefficients(exact.compliance)
-    make_monotone(loads, x, c, steps)
+    _make_monotone(loads, x, c, steps)
     p = np.maximum(np.round(_coefficients(square) / p_fine), 0.0) * p_fine
     return Side(loads, x, c, loads[some], count.astype(np.uint8), p, steps, _far_end(loads[-1], x[-1], c[-1], *far))
 
 
-def make_monotone(loads: Array, deviation: Array, compliance: Array, steps: Sequence[Array]) -> None:
+def _make_monotone(loads: Array, deviation: Array, compliance: Array, steps: Sequence[Array]) -> None:
     """Round coefficients of deviation and compliance to their steps, in place, such that they rise with the load."""
     # Row by row, which the processor's cache holds: 5 times as fast as all at once.
     for k, fine in enumerate(steps[0]):
@@ -358,8 +362,7 @@ def _rest_step(rest: Array) -> float:
 
 
 def compute(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: DriveValue,
     *,
     accuracy: float = ACCURACY,
     largest_load: float | None = None,
@@ -371,8 +374,8 @@ def compute(
 
     Parameters
     ----------
-    pair, surface
-        The nominal pair and its errors.
+    drive
+        The drive.
     accuracy
         Allowed error of the deviation, rad; or `RANGE_SHARE` of its range over the crank angle, if that is more. The
         allowed errors of stiffness and speed, `STIFFNESS_SHARE` and `SPEED_SHARE`, are in proportion.
@@ -389,116 +392,210 @@ def compute(
     ValueError
         If the pair states no rated torque and no largest load is given.
     """
+    pair = drive.pair
     if largest_load is None:
         if pair.rated_torque is None:
             raise ValueError("the pair has no rated_torque, which determines the range of the tables")
         largest_load = LARGEST_LOAD * pair.rated_torque
-    g = pair
-    pitches = mesh_pitches(pair, surface)
-    pitch = 2.0 * math.pi / (g.pins if g.output == "gear" else g.gear_teeth)
-    period = pitches * pitch
-    random = np.random.default_rng(1)
-    spread = np.sort(random.uniform(0.0, period, _SPREAD))
-    rest = nodes.at_rest(pair, surface, spread, workers)
-    ends = nodes.solved(pair, surface, 1.0, np.array([0.0, largest_load]), spread, rest)
+    allowed, loads = _first_loads(drive, accuracy, largest_load, workers)
+    return _refined(_Grid(drive, allowed, loads, workers, total, progress), largest_load, accuracy / ACCURACY)
+
+
+def _pitch(pair: Pair) -> float:
+    """Return the crank angle from one pin's contact to the next one's, rad."""
+    return 2.0 * math.pi / (pair.pins if pair.output == "gear" else pair.gear_teeth)
+
+
+def _first_loads(drive: DriveValue, accuracy: float, largest: float, workers: int) -> tuple[float, list[Array]]:
+    """Return the allowed error of the deviation, and loads of both directions chosen at random crank angles."""
+    pair = drive.pair
+    period = mesh_pitches(drive) * _pitch(pair)
+    spread = np.sort(np.random.default_rng(1).uniform(0.0, period, _SPREAD))
+    rest = nodes.at_rest(drive, spread, workers)
+    ends = nodes.solved(drive, 1.0, np.array([0.0, largest]), spread, rest)
     allowed = max(accuracy, RANGE_SHARE * float(np.ptp(ends.deviation, axis=1).max()))
 
     def chosen_loads(direction: float) -> Array:
-        return _chosen_loads(pair, surface, direction, largest_load, spread, rest, _SHARE * allowed)
+        return _chosen_loads(drive, direction, largest, spread, rest, _SHARE * allowed)
 
     with ThreadPoolExecutor(min(workers, len(_DIRECTIONS))) as pool:
-        loads = list(pool.map(chosen_loads, _DIRECTIONS))
-    samples, most = _SAMPLES[0], max(_SAMPLES[1], min(_SAMPLES[2], _MOST_ANGLES // pitches))
-    fewest = pitches * samples
-    angles = pitch / samples * np.arange(fewest, dtype=float)
-    rest = nodes.at_rest(pair, surface, angles, workers)
+        return allowed, list(pool.map(chosen_loads, _DIRECTIONS))
 
-    def between(coarse: Solved, direction: float, at: Array) -> Solved:
+
+@dataclass
+class _Grid:
+    """The exact model at loads of both directions and at equidistant crank angles; both become more.
+
+    Attributes
+    ----------
+    drive
+        The drive.
+    allowed
+        Allowed error of the deviation, rad.
+    loads, exact, far
+        Of both directions: loads, the model at them, and at a load far beyond the last.
+    workers, total, progress
+        As in `compute`.
+    samples, angles
+        Crank angles per mesh pitch, and all of a period, rad.
+    rest
+        The drive without a load at these angles.
+    """
+
+    drive: DriveValue
+    allowed: float
+    loads: list[Array]
+    workers: int
+    total: Callable[[int], None]
+    progress: Callable[[int], None]
+    samples: int = _SAMPLES[0]
+    angles: Array = field(init=False)
+    rest: Rest = field(init=False)
+    exact: list[Solved] = field(init=False)
+    far: list[tuple[float, Solved]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.pitches = mesh_pitches(self.drive)
+        self.angles = self._equidistant()
+        self.rest = nodes.at_rest(self.drive, self.angles, self.workers)
+        self.exact = [self._solved(d, n) for d, n in zip(_DIRECTIONS, self.loads, strict=True)]
+        self.far = [
+            _far(self.drive, d, n[-1], self.angles, one, self.workers)
+            for d, n, one in zip(_DIRECTIONS, self.loads, self.exact, strict=True)
+        ]
+
+    @property
+    def period(self) -> float:
+        """Crank angle after which the drive repeats, rad."""
+        return self.pitches * _pitch(self.drive.pair)
+
+    @property
+    def spacing(self) -> float:
+        """Distance of the crank angles, rad."""
+        return _pitch(self.drive.pair) / self.samples
+
+    @property
+    def most_samples(self) -> int:
+        """Largest number of crank angles per mesh pitch."""
+        return max(_SAMPLES[1], min(_SAMPLES[2], _MOST_ANGLES // self.pitches))
+
+    @property
+    def load_count(self) -> int:
+        """Number of loads of both directions."""
+        return sum(n.size for n in self.loads)
+
+    def _equidistant(self) -> Array:
+        return self.spacing * np.arange(self.pitches * self.samples, dtype=float)
+
+    def _between(self, coarse: Solved, direction: float, at: Array) -> Solved:
         """Insert the crank angles midway, solved where interpolation between neighbours is not accurate enough."""
         found = [np.empty_like(channel) for channel in coarse[:2]]
         needed = np.empty(found[0].shape, dtype=bool)
         for k in range(at.size):  # a row at a time stays in the processor's cache
             (found[0][k], off), (found[1][k], bent) = (nodes.midway(channel[k]) for channel in coarse[:2])
-            needed[k] = (off > _MIDWAY * allowed) | (bent > _MIDWAY_COMPLIANCE * coarse.compliance[k])
+            needed[k] = (off > _MIDWAY * self.allowed) | (bent > _MIDWAY_COMPLIANCE * coarse.compliance[k])
         load, angle = np.nonzero(needed)
         if load.size:
-            total(load.size)
-        step = angles.size // (2 * coarse.deviation.shape[1])
-        here = Rest._make(channel[step :: 2 * step] for channel in rest)
-        one = nodes.solved_at(
-            pair, surface, direction, at, angles[step :: 2 * step], load, angle, here, workers, progress
-        )
+            self.total(load.size)
+        step = self.angles.size // (2 * coarse.deviation.shape[1])
+        middles = self.angles[step :: 2 * step]
+        here = Rest._make(channel[step :: 2 * step] for channel in self.rest)
+        solver = functools.partial(nodes.solved_at, self.drive, direction, at, middles)
+        one = solver(load, angle, here, self.workers, self.progress)
         found[0][needed], found[1][needed] = one.deviation, one.compliance
         finer = [np.stack(both, axis=-1).reshape(at.size, -1) for both in zip(coarse[:2], found, strict=True)]
         return coarse._replace(deviation=finer[0], compliance=finer[1])
 
-    def solved(direction: float, at: Array) -> Solved:
-        total(fewest * at.size)
-        step = angles.size // fewest
-        here = Rest._make(channel[::step] for channel in rest)
-        one = nodes.solved(pair, surface, direction, at, angles[::step], here, workers, progress)
-        while one.deviation.shape[1] < angles.size:
-            one = between(one, direction, at)
+    def _solved(self, direction: float, at: Array) -> Solved:
+        """Solve loads at the fewest crank angles, and between them."""
+        fewest = self.pitches * _SAMPLES[0]
+        self.total(fewest * at.size)
+        step = self.angles.size // fewest
+        here = Rest._make(channel[::step] for channel in self.rest)
+        solver = functools.partial(nodes.solved, self.drive, direction, at)
+        one = solver(self.angles[::step], here, self.workers, self.progress)
+        while one.deviation.shape[1] < self.angles.size:
+            one = self._between(one, direction, at)
         return one
 
-    def closer() -> None:
+    def add_angles(self) -> None:
         """Insert the crank angles midway."""
-        nonlocal samples, angles, rest
-        samples *= 2
-        angles = pitch / samples * np.arange(pitches * samples, dtype=float)
-        here = nodes.at_rest(pair, surface, angles[1::2], workers)
-        rest = Rest._make(np.ravel(channels, "F") for channels in zip(rest, here, strict=True))
+        self.samples *= 2
+        self.angles = self._equidistant()
+        here = nodes.at_rest(self.drive, self.angles[1::2], self.workers)
+        self.rest = Rest._make(np.ravel(channels, "F") for channels in zip(self.rest, here, strict=True))
         for k, direction in enumerate(_DIRECTIONS):
-            exact[k] = between(exact[k], direction, loads[k])
-            last, beyond = far[k]
-            far[k] = last, between(beyond, direction, np.array([last]))
+            self.exact[k] = self._between(self.exact[k], direction, self.loads[k])
+            last, beyond = self.far[k]
+            self.far[k] = last, self._between(beyond, direction, np.array([last]))
 
-    def with_more(further: Sequence[Array]) -> None:
-        """Insert loads."""
-        # The slope at zero load is taken towards the first load: with a new first load it is solved again.
-        again = [int(new.size > 0 and new[0] < at[1]) for new, at in zip(further, loads, strict=True)]
-        more = [np.append(at[:first], new) for at, first, new in zip(loads, again, further, strict=True)]
-        for k, direction in enumerate(_DIRECTIONS):
-            if more[k].size:
-                kept = Solved(*(channel[again[k] :] for channel in exact[k]))
-                exact[k] = _with_loads(kept, loads[k][again[k] :], solved(direction, more[k]), more[k])
-                loads[k] = np.union1d(loads[k], more[k])
+    def add_loads(self, further: Sequence[Array]) -> None:
+        """Insert loads of both directions."""
+        for k, (direction, new) in enumerate(zip(_DIRECTIONS, further, strict=True)):
+            at = self.loads[k]
+            # The slope at zero load is taken towards the first load: with a new first load it is solved again.
+            again = int(new.size > 0 and new[0] < at[1])
+            more = np.append(at[:again], new)
+            if more.size:
+                kept = Solved(*(channel[again:] for channel in self.exact[k]))
+                self.exact[k] = _with_loads(kept, at[again:], self._solved(direction, more), more)
+                self.loads[k] = np.union1d(at, more)
+
+    def tables(self) -> Tables:
+        """Return the tables through these nodes."""
+        spread = max(float(np.ptp(one.deviation, axis=1).max()) for one in self.exact)
+        step = max(self.allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
+        with ThreadPoolExecutor(min(self.workers, len(_DIRECTIONS))) as pool:
+            positive, negative = pool.map(functools.partial(_side, step=step), self.loads, self.exact, self.far)
+        # A mean crank torque at rest is not the derivative of a periodic energy.
+        rest = _coefficients(self.rest.crank_torque - self.rest.crank_torque.mean())
+        rest_step = _rest_step(rest)
+        # Where there is hardly any play the splines of its two ends must not cross.
+        negative.deviation[0] = np.maximum(negative.deviation[0], -positive.deviation[0])
+        for lower, higher in itertools.pairwise(negative.deviation):
+            np.maximum(lower, higher, out=higher)
+        rest = np.round(rest / rest_step) * rest_step
+        return Tables(self.drive.pair.ratio, self.period, positive, negative, rest, self.allowed)
+
+
+def _refined(grid: _Grid, largest: float, looser: float) -> Tables:
+    """Add nodes to a grid until its tables are within the allowed errors, `looser` times the default ones; return them.
+
+    They are compared with the model at random places, of torques up to the largest.
+    """
+    drive, workers, allowed = grid.drive, grid.workers, grid.allowed
 
     def random_places(seed: int) -> _Probed:
-        return _probed(pair, surface, *_places(period, largest_load, PROBES, seed), workers)
+        return _probed(drive, *_places(grid.period, largest, PROBES, seed), workers)
 
-    exact = [solved(d, n) for d, n in zip(_DIRECTIONS, loads, strict=True)]
-    far = [
-        _far(pair, surface, d, n[-1], angles, one, workers) for d, n, one in zip(_DIRECTIONS, loads, exact, strict=True)
-    ]
     drawn = 1
     chosen = random_places(drawn)
-    tables = _assembled(pair, surface, period, loads, exact, rest.crank_torque, allowed, far, workers)
-    probed = _around_the_worst(tables, pair, surface, chosen, pitch / samples, drawn, workers)
+    tables = grid.tables()
+    probed = _around_the_worst(tables, drive, chosen, grid.spacing, drawn, workers)
     while True:
         off = np.abs(_off(tables, probed))
         coarse = off.max() > allowed
-        room = _MOST_VALUES // (2 * angles.size) - sum(n.size for n in loads)
+        room = _MOST_VALUES // (2 * grid.angles.size) - grid.load_count
         further, by_angle = (
-            _missing_loads(pair, surface, loads, probed, off, allowed)
+            _missing_loads(drive, grid.loads, probed, off, allowed)
             if coarse
-            else _missing_elsewhere(pair, surface, tables, chosen, room, accuracy / ACCURACY)
+            else _missing_elsewhere(drive, tables, chosen, room, looser)
         )
-        enough = max(a.size + b.size for a, b in zip(loads, further, strict=True)) >= MOST_LOADS
-        if by_angle and 2 * samples <= most and (coarse or room >= sum(n.size for n in loads)):
-            closer()
+        enough = max(a.size + b.size for a, b in zip(grid.loads, further, strict=True)) >= MOST_LOADS
+        if by_angle and 2 * grid.samples <= grid.most_samples and (coarse or room >= grid.load_count):
+            grid.add_angles()
         elif any(n.size for n in further) and not enough:
-            with_more(further)
+            grid.add_loads(further)
         else:
             # Compared at places that refined nothing; where these have larger errors, they are used for refinement too.
             drawn += 1
             fresh = random_places(drawn)
-            near = _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn, workers)
+            near = _around_the_worst(tables, drive, fresh, grid.spacing, drawn, workers)
             probed = _together(probed, near)
             if coarse or np.abs(_off(tables, near)).max() <= allowed:
                 break
             continue
-        tables = _assembled(pair, surface, period, loads, exact, rest.crank_torque, allowed, far, workers)
+        tables = grid.tables()
     found = interpolated(tables, fresh.crank_angle, fresh.torque)
     return dataclasses.replace(
         tables,
@@ -508,46 +605,19 @@ def compute(
 
 
 def _far(
-    pair: Pair, surface: ErrorSurface, direction: float, last: float, angles: Array, exact: Solved, workers: int
+    drive: DriveValue, direction: float, last: float, angles: Array, exact: Solved, workers: int
 ) -> tuple[float, Solved]:
     """Solve the model at a load far beyond the last."""
     for times in _FAR:
         with contextlib.suppress(InputError):  # contacts can't balance every load
-            return times * last, nodes.solved(
-                pair, surface, direction, np.array([times * last]), angles, workers=workers
-            )
+            return times * last, nodes.solved(drive, direction, np.array([times * last]), angles, workers=workers)
     end = Solved(*(channel[-1:] for channel in exact))
     beyond = (_FAR[-1] - 1.0) * last
     return _FAR[-1] * last, end._replace(deviation=end.deviation + np.float32(beyond) * end.compliance)
 
 
-def _assembled(
-    pair: Pair,
-    surface: ErrorSurface,
-    period: float,
-    loads: Sequence[Array],
-    exact: Sequence[Solved],
-    rest: Array,
-    allowed: float,
-    far: Sequence[tuple[float, Solved]],
-    workers: int,
-) -> Tables:
-    spread = max(float(np.ptp(one.deviation, axis=1).max()) for one in exact)
-    step = max(allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
-    with ThreadPoolExecutor(min(workers, len(_DIRECTIONS))) as pool:
-        made = list(pool.map(functools.partial(_side, step=step), loads, exact, far))
-    # A mean crank torque at rest is not the derivative of a periodic energy.
-    rest = _coefficients(rest - rest.mean())
-    rest_step = _rest_step(rest)
-    # Where there is hardly any play the splines of its two ends must not cross.
-    made[1].deviation[0] = np.maximum(made[1].deviation[0], -made[0].deviation[0])
-    for lower, higher in itertools.pairwise(made[1].deviation):
-        np.maximum(lower, higher, out=higher)
-    return Tables(pair.ratio, period, made[0], made[1], np.round(rest / rest_step) * rest_step, allowed)
-
-
 def _missing_loads(
-    pair: Pair, surface: ErrorSurface, loads: Sequence[Array], probed: _Probed, off: Array, allowed: float
+    drive: DriveValue, loads: Sequence[Array], probed: _Probed, off: Array, allowed: float
 ) -> tuple[list[Array], bool]:
     """Return the middles of cells too wide for the allowed error, and whether the angles are too wide instead.
 
@@ -555,7 +625,7 @@ def _missing_loads(
     """
     worst = np.argsort(-np.abs(off))[: min(int(np.sum(np.abs(off) > allowed)), _WORST)]
     theta, torque = probed.crank_angle[worst], probed.torque[worst]
-    found, _ = _between_loads(pair, surface, loads, theta, torque)
+    found, _ = _between_loads(drive, loads, theta, torque)
     by_load = np.abs(found - probed.exact.deviation[worst]) > 0.5 * np.abs(off[worst])
     further = []
     for at, direction in zip(loads, _DIRECTIONS, strict=True):
@@ -564,9 +634,7 @@ def _missing_loads(
     return further, bool(2 * by_load.sum() < worst.size)
 
 
-def _between_loads(
-    pair: Pair, surface: ErrorSurface, loads: Sequence[Array], theta: Array, torque: Array
-) -> tuple[Array, Array]:
+def _between_loads(drive: DriveValue, loads: Sequence[Array], theta: Array, torque: Array) -> tuple[Array, Array]:
     """Interpolate deviation and stiffness between exact nodes of the loads at the very crank angles."""
     deviation, stiffness = np.empty((2, theta.size))
     for at, direction in zip(loads, _DIRECTIONS, strict=True):
@@ -575,8 +643,8 @@ def _between_loads(
         cells, shares, widths = _cells(at, np.abs(torque[side]))
         for j in np.unique(cells):
             here = side[cells == j]
-            rest = nodes.at_rest(pair, surface, theta[here]) if j == 0 else None
-            ends = nodes.solved(pair, surface, direction, at[j : j + 2], theta[here], rest)
+            rest = nodes.at_rest(drive, theta[here]) if j == 0 else None
+            ends = nodes.solved(drive, direction, at[j : j + 2], theta[here], rest)
             u, h = shares[cells == j], widths[cells == j]
             deviation[here] = direction * _hermite(u, h, ends.deviation, ends.compliance)
             stiffness[here] = 1.0 / _slope(u, h, ends.deviation, ends.compliance)
@@ -584,13 +652,14 @@ def _between_loads(
 
 
 def _missing_elsewhere(
-    pair: Pair, surface: ErrorSurface, tables: Tables, probed: _Probed, room: int, looser: float
+    drive: DriveValue, tables: Tables, probed: _Probed, room: int, looser: float
 ) -> tuple[list[Array], bool]:
     """Return the middles of the cells with the largest errors of stiffness and speed, as many as there is room for.
 
     None if both are within `looser` times their allowed errors, and on bearings, whose states take longer to solve; and
     whether angles are too wide for the stiffness.
     """
+    pair = drive.pair
     if pair.supports is not None:
         return [np.empty(0) for _ in _DIRECTIONS], False
     theta, torque, e = probed
@@ -614,7 +683,7 @@ def _missing_elsewhere(
     kept = cells[: max(min(int(until), room), 0)]
     further = [np.array(sorted(middle for _, side, middle in kept if side == k)) for k in range(len(_DIRECTIONS))]
     some = np.flatnonzero(stiff)[:: max(int(stiff.sum()) // _WORST, 1)] if too_stiff else np.empty(0, dtype=int)
-    _, found = _between_loads(pair, surface, [side.load for side in sides], theta[some], torque[some])
+    _, found = _between_loads(drive, [side.load for side in sides], theta[some], torque[some])
     by_load = np.abs(e.stiffness[some] / found - 1.0) > allowed
     return further, bool(2 * by_load.sum() < some.size)
 
@@ -738,7 +807,7 @@ def _places(period: float, largest: float, probes: int, seed: int) -> tuple[Arra
 
 
 def _around_the_worst(
-    tables: Tables, pair: Pair, surface: ErrorSurface, probed: _Probed, spacing: float, seed: int, workers: int
+    tables: Tables, drive: DriveValue, probed: _Probed, spacing: float, seed: int, workers: int
 ) -> _Probed:
     """Add places increasingly close to the largest errors, which are narrower than the distance between probes."""
     random, found = np.random.default_rng(seed), probed
@@ -747,7 +816,7 @@ def _around_the_worst(
         worst = np.repeat(np.argsort(-np.abs(_off(tables, found)))[:_WORST], _NEIGHBOURS)
         theta = found.crank_angle[worst] + reach * spacing * random.uniform(-1.0, 1.0, worst.size)
         torque = found.torque[worst] * (1.0 + 0.1 * reach * random.uniform(-1.0, 1.0, worst.size))
-        near = _probed(pair, surface, np.mod(theta, tables.period), np.clip(torque, -largest, largest), workers)
+        near = _probed(drive, np.mod(theta, tables.period), np.clip(torque, -largest, largest), workers)
         found = _together(found, near)
     return found
 
@@ -758,8 +827,9 @@ def _together(*parts: _Probed) -> _Probed:
     return _Probed(np.concatenate(angles), np.concatenate(torques), exact)
 
 
-def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array, workers: int = 1) -> _Probed:
-    slices = slices_needed(surface)
+def _probed(drive: DriveValue, theta: Array, torque: Array, workers: int = 1) -> _Probed:
+    pair = drive.pair
+    slices = drive.slices
     if pair.supports is not None:
         # Smaller torques are on a tangent.
         torque = np.copysign(np.maximum(np.abs(torque), play_loads(pair)[1]), torque)
@@ -767,27 +837,12 @@ def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array, work
     rank = np.argsort(np.argsort(torque)) // _LIKE
     order = np.lexsort((theta, rank))
     theta, torque = theta[order], torque[order]
-    one = solve(pair, surface, torque[None], theta, slices, with_play=False, workers=workers)
+    one = solve(drive, torque[None], theta, slices, with_play=False, workers=workers)
     crank_torque, rate = np.full((2, theta.size), math.nan)
     if pair.supports is None:
-        drive = drive_of(pair, surface, slices)
-        contact.sweep_crank_side(drive, theta, one.transmission_error[0], crank_torque, rate)
+        problem = rigid_problem(drive, slices)
+        contact.sweep_crank_side(problem, theta, one.transmission_error[0], crank_torque, rate)
     stiffness, pressure = one.torsional_stiffness[0], one.max_contact_pressure[0]
     return _Probed(
         theta, torque, States(one.transmission_error[0], stiffness, rate - 1.0 / pair.ratio, crank_torque, pressure)
     )
-
-
-def probed_at(pair: Pair, surface: ErrorSurface, largest: float, probes: int, seed: int = 1) -> _Probed:
-    """Solve the exact model at random crank angles and torques, the latter up to a largest (N·m)."""
-    pitch = 2.0 * math.pi / (pair.pins if pair.output == "gear" else pair.gear_teeth)
-    return _probed(pair, surface, *_places(mesh_pitches(pair, surface) * pitch, largest, probes, seed))
-
-
-def at_loads(side: Side, loads: Array) -> tuple[Array, Array]:
-    """Return a side's coefficients of deviation and compliance at loads up to its far one, (loads, angles)."""
-    own = np.append(side.load, side.far[0])
-    ends = (np.vstack([side.deviation, side.far[1]]), np.vstack([side.compliance, side.far[2]]))
-    j, u, width = _cells(own, loads)
-    x, c = (values[np.stack([j, j + 1])] for values in ends)
-    return _hermite(u[:, None], width[:, None], x, c), _slope(u[:, None], width[:, None], x, c)

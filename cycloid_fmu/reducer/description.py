@@ -19,9 +19,9 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
 from cycloid_fmu.geometry import sizes
+from cycloid_fmu.geometry.first_stage import sun_locked_share
 from cycloid_fmu.geometry.pair import Pair, pair_of_tables
 from cycloid_fmu.geometry.supports import Stiffness
-from cycloid_fmu.reducer.first_stage import sun_locked_share
 from cycloid_fmu.surfaces.sampling import Distribution
 from cycloid_fmu.surfaces.structured import dimensions
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair

@@ -6,9 +6,9 @@ import os
 import warnings
 
 from cycloid_fmu import edge
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.reducer.description import FORMAT, contradictions, read_reducer
-from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.lost_motion import parts_of
 from cycloid_fmu.surfaces.structured import dimensions
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair

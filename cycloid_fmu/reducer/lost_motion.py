@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.transmission import mesh_of
+from cycloid_fmu.contact.transmission import Options, mesh_of
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ARCMIN
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.supports import Bearing
 from cycloid_fmu.reducer.description import Reducer, Stated, surface_of_reducer, values_of
-from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.supports.transmission import solve
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
@@ -185,7 +186,7 @@ def contact_play(reducer: Reducer, surface: ErrorSurface, angles: int) -> Play:
     teeth = reducer.stage.gear_teeth
     low, high, gap = np.empty(angles), np.empty(angles), np.empty(angles)
     crank = 2.0 * np.pi * teeth * np.arange(angles) / angles
-    contact.sweep_play(mesh_of(reducer.stage, surface), crank, 0, angles, low, high, gap)
+    contact.sweep_play(mesh_of(DriveValue(reducer.stage, surface)), crank, 0, angles, low, high, gap)
     free = np.where(np.isnan(high), 0.0, high - low)
     return Play(free, gap, 0.5 * (low + high))
 
@@ -263,7 +264,9 @@ def bearing_share(reducer: Reducer, surface: ErrorSurface) -> float:
     plays = []
     for clearance in (values["crank_bearing_clearance"], 0.0):
         held = pair.replace(supports=supports.replace(turning_arm=arm.replace(clearance=clearance)))
-        plays.append(float(solve(held, surface.replace(pair=held), [], crank).backlash.mean()))
+        plays.append(
+            float(solve(DriveValue(held, surface.replace(pair=held)), np.zeros(0), crank, Options()).backlash.mean())
+        )
     closed = outer_stages(reducer, values, reducer.involute.sun_base_radius)["crank_bearing_clearance"]
     return (plays[0] - plays[1]) / float(closed)
 

@@ -1,4 +1,4 @@
-"""Figures of the solved drives of a study: in memory, or on disk until the study is written."""
+"""Figures of the solved drives of a study, in memory and in a file that a killed study resumes from."""
 
 from __future__ import annotations
 
@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 
 Array = NDArray[np.float64]
-FORMAT = "cycloid-study-checkpoint/2"
-_NUMBER = np.dtype("<f8")
-_BLOCK = 1 << 16  # drives that are checked at a time
-_THERE = 1 << 32  # beside the CRC-32 of a drive, so that no drive's check word is 0
+FORMAT = "cycloid-study-checkpoint/3"
+_LONG = 60  # characters of a value that a message does not show
 
 
 def checkpoint_of(output: str | os.PathLike[str]) -> Path:
@@ -75,37 +73,27 @@ class Kept(Protocol):
         """Return its identity."""
 
 
-class InMemory:
-    """Solved drives of a study, in memory.
+class Checkpoint:
+    """Solved drives of a study, in memory and in a file.
+
+    The file has a line of JSON with its CRC-32 for the study and one for each solved drive, which are only appended: a
+    kill damages the last line at most. Lines that are damaged are not read, and their drives are solved again.
+
+    Parameters
+    ----------
+    path
+        The file; a missing one is created. None: in memory only.
+    study
+        The study.
 
     Attributes
     ----------
     done
         Mask of the solved drives, shape (drives,).
     values
-        Their figures, shape (drives, columns).
+        Their figures, shape (drives, columns), NaN where there are none.
     notes
         Notes on drives, by their numbers.
-    """
-
-    def __init__(self, study: Kept) -> None:
-        self.done = np.zeros(study.drives, dtype=bool)
-        self.values: Array = np.full((study.drives, len(study.columns)), np.nan)
-        self.notes: dict[int, str] = {}
-
-    def add(self, first: int, values: Array, notes: Sequence[str] = ()) -> None:
-        """Keep the figures of the drives from `first` on, NaN if there are none, and the notes on them."""
-        self.values[first : first + len(values)] = values
-        self.notes |= {first + k: note for k, note in enumerate(notes) if note}
-        self.done[first : first + len(values)] = True
-
-
-class Checkpoint:
-    """Solved drives of a study, on disk; only the mask of the solved drives and the notes are in memory.
-
-    The file begins with a line of JSON with its CRC-32. A check word of each drive follows, then the first figure of
-    each drive, the second one and so on, as little-endian numbers of 8 bytes; then the notes, one line each in the form
-    of the first line. A drive with a wrong check word was being written at a kill, and is solved again.
 
     Raises
     ------
@@ -113,98 +101,66 @@ class Checkpoint:
         If the file is not a checkpoint, or that of another study.
     """
 
-    def __init__(self, path: Path, study: Kept) -> None:
+    def __init__(self, path: Path | None, study: Kept) -> None:
         self.path = path
-        self.notes: dict[int, str] = {}
+        is_there = path is not None and edge.writable(path).exists()
         identity = study.identity()
-        there = edge.writable(path).exists()
-        self._shape = (1 + len(study.columns), study.drives)
-        if there:
-            self._start = self._read_header(identity)
-        else:
-            header = _line({"format": FORMAT, "study": identity, "shape": self._shape})
-            self._start = len(header)
-            with edge.written_whole(path) as temporary, temporary.open("wb") as file:
-                file.write(header)
-                file.truncate(self._start + 8 * self._shape[0] * self._shape[1])
-        self.done: NDArray[np.bool_] = np.zeros(self._shape[1], dtype=bool)
-        if there:
-            self._read()
+        if path is not None and not is_there:
+            with edge.written_whole(path) as temporary:
+                temporary.write_bytes(_line({"format": FORMAT, "study": identity}))
+        self.done: NDArray[np.bool_] = np.zeros(study.drives, dtype=bool)
+        self.values: Array = np.full((study.drives, len(study.columns)), np.nan)
+        self.notes: dict[int, str] = {}
+        if path is not None and is_there:
+            self._read(path, identity)
 
-    def _read_header(self, identity: dict[str, Any]) -> int:
-        with self.path.open("rb") as file:
-            line = file.readline()
-        header = _content(line)
-        if header is None:
-            raise edge.InputError(f"{self.path}: this is not a checkpoint of a study; move it away.")
-        edge.check_format(header.get("format"), FORMAT, str(self.path))
-        with edge.parsed_by_others(self.path, "this checkpoint is damaged; move it away"):
-            stated = dict(header["study"])
-        for name in {**identity, **stated}:
-            mine, theirs = identity.get(name), stated.get(name)
-            if theirs != mine:
-                long = isinstance(mine or theirs, str | dict) and name != "design"
-                values = "" if long else f": {theirs} there, {mine} here"
-                raise edge.InputError(
-                    f"{self.path}: this checkpoint belongs to another study, its {name} differs{values}; finish that "
-                    "study, or remove the file to start again."
-                )
-        if header.get("shape") != [*self._shape]:
-            raise edge.InputError(f"{self.path}: this checkpoint is damaged; move it away.")
-        return len(line)
+    def _read(self, path: Path, identity: dict[str, Any]) -> None:
+        with path.open("rb") as file:
+            _check_header(path, _content(file.readline()), identity)
+            for record in filter(None, map(_content, file)):
+                with edge.parsed_by_others(path, "this checkpoint is damaged; move it away"):
+                    self._keep(range(self.done.size)[record["drive"]], record["figures"], str(record["note"]))
 
-    def _read(self) -> None:
-        end = self._start + 8 * self._shape[0] * self._shape[1]
-        with self.path.open("r+b") as file:
-            if self.path.stat().st_size < end:
-                file.truncate(end)
-            file.seek(end)
-            records = [record for record in map(_content, file) if record is not None]
-        with edge.parsed_by_others(self.path, "this checkpoint is damaged; move it away"):
-            self.notes = {int(one["drive"]): str(one["note"]) for one in records}
-        check, values = self._mapped(), self.values
-        for first in range(0, self._shape[1], _BLOCK):
-            block = slice(first, first + _BLOCK)
-            self.done[block] = check[0, block].view("<u8") == _check_words(first, values[block])
+    def _keep(self, number: int, figures: Any, note: str) -> None:
+        self.values[number] = np.asarray(figures, dtype=float).reshape(self.values.shape[1:])
+        self.done[number] = True
+        self.notes |= {number: note} if note else {}
 
-    def _mapped(self) -> Array:
-        return np.memmap(self.path, _NUMBER, "r", self._start, self._shape)
-
-    @property
-    def values(self) -> Array:
-        """Their figures, shape (drives, columns), a view of the file."""
-        return self._mapped()[1:].T
-
-    def add(self, first: int, values: Array, notes: Sequence[str] = ()) -> None:
-        """Keep the figures of the drives from `first` on, NaN if there are none, and the notes on them."""
-        said = {first + k: note for k, note in enumerate(notes) if note}
-        self.notes |= said
-        with edge.naming(self.path), edge.writable(self.path).open("r+b", buffering=0) as file:
-            if said:
-                file.seek(0, 2)
-                # A newline first: a line that a kill cut short must not spoil these.
-                _write(file, b"\n" + b"".join(_line({"drive": n, "note": note}) for n, note in said.items()))
-            for row, column in enumerate((*values.T, _check_words(first, values)), 1):
-                file.seek(self._start + 8 * (row % self._shape[0] * self._shape[1] + first))
-                _write(file, column.astype(column.dtype.newbyteorder("<")).tobytes())
-        self.done[first : first + len(values)] = True
+    def add(self, numbers: NDArray[np.int64], values: Array, notes: Sequence[str] = ()) -> None:
+        """Keep the figures of drives, shape (drives, columns), NaN if there are none, and a note on each, or none."""
+        rows = [*zip(numbers.tolist(), values.tolist(), notes or [""] * len(numbers), strict=True)]
+        if self.path is not None:
+            # Each line begins where another process may have been killed within one.
+            text = b"".join(b"\n" + _line({"drive": n, "figures": row, "note": note}) for n, row, note in rows)
+            with edge.naming(self.path), edge.writable(self.path).open("ab") as file:
+                file.write(text)
+        for row in rows:
+            self._keep(*row)
 
 
-def _write(file: Any, data: bytes) -> None:
-    rest = memoryview(data)
-    while rest:
-        rest = rest[file.write(rest) :]
-
-
-def _check_words(first: int, values: Array) -> NDArray[np.uint64]:
-    """Return the CRC-32 of each drive's figures, started with its number, with a bit that marks them as present."""
-    rows = np.ascontiguousarray(values, dtype=_NUMBER)
-    return np.array([zlib.crc32(row, first + k) | _THERE for k, row in enumerate(rows)], dtype=np.uint64)
+def _check_header(path: Path, header: dict[str, Any] | None, identity: dict[str, Any]) -> None:
+    """Refuse what is not a checkpoint of this study."""
+    if header is None:
+        raise edge.InputError(f"{path}: this is not a checkpoint of a study; move it away.")
+    edge.check_format(header.get("format"), FORMAT, str(path))
+    with edge.parsed_by_others(path, "this checkpoint is damaged; move it away"):
+        stated = dict(header["study"])
+    for name in {**identity, **stated}:
+        mine, theirs = identity.get(name), stated.get(name)
+        if theirs != mine:
+            what = name if name.isidentifier() else "definition"
+            texts = [str(value) for value in (theirs, mine)]
+            is_short = all(len(text) < _LONG and text.isprintable() for text in texts)
+            values = ": {} there, {} here".format(*texts) if is_short else ""
+            raise edge.InputError(
+                f"{path}: this checkpoint belongs to another study, its {what} differs{values}; finish that "
+                "study, or remove the file to start again."
+            )
 
 
 def _line(record: dict[str, Any]) -> bytes:
-    text = json.dumps(record, allow_nan=False)
-    return f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
+    text = json.dumps(record)
+    return f"{zlib.crc32(text.encode()):08x} {text}".encode()
 
 
 def _content(line: bytes) -> dict[str, Any] | None:

@@ -26,11 +26,12 @@ import pydantic
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.analysis import series_compliance, solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
 from cycloid_fmu.reducer.drive_file import parts_of_file
-from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies.limits import (
     LOWER,
     SHOWN,
@@ -80,6 +81,7 @@ _EVALUATIONS = 200  # largest number in a search, per variable
 _STEP = 1e-3  # of differences, relative to the range
 _SPARE = 1e-4  # margin of the search relative to a limit, because it ends slightly off
 _BINDS = 5e-3  # a limit with a smaller relative margin is binding
+_AT_END = 1e-6  # of a range: its end binds
 _DIGITS = {"m": 9, "rad": 6}  # decimals of a drawing's values: whole nanometres, whole microradians
 _ROUNDS, _SETTLED = 6, 0.02  # rounds of tightening, and the relative change of a limit that ends them
 _GIVEN_WAY = 1e-3
@@ -260,7 +262,7 @@ def values_over_sweep(
     """
     pair, limits = one.pair, set(names)
     loads = np.array(loads_of(task, None, pair))
-    found = solve(pair, one.surface, None, loads, angles, with_play=bool(limits & {"backlash", "interference"}))
+    found = solve(DriveValue(pair, one.surface), loads, angles, with_play=bool(limits & {"backlash", "interference"}))
     loaded = loads != 0.0
     every: dict[str, list[Array]] = {"angular_transmission_error": list(found.transmission_error)}
     every["backlash"] = [np.nan_to_num(found.backlash)]
@@ -274,7 +276,7 @@ def values_over_sweep(
     every["smallest_curvature_radius"] = [np.array([flank_curvature_radius(pair)])]
     if "lost_motion" in limits:
         up, down = solve(
-            pair, one.surface, None, pair.lost_motion_loads, angles, with_play=False, with_stiffness=False
+            DriveValue(pair, one.surface), pair.lost_motion_loads, angles, with_play=False, with_stiffness=False
         ).transmission_error
         every["lost_motion"] = [up - down + series_lost_motion(pair, series)]
     turning = [(load, int(np.flatnonzero(loads == load.torque)[0])) for load in task.duty if load.output_speed > 0.0]
@@ -338,16 +340,13 @@ class Relaxed:
         The limit, or the variable; SI.
     value
         The limit or the end of the range.
-    gain
-        Gain of the first goal per unit of relaxation, > 0; to first order.
     of_a_tenth
-        Gain for a relaxation by a tenth of the limit or of the range.
+        Gain of the first goal, > 0, for a relaxation by a tenth of the limit or of the range; to first order.
     """
 
     name: str
     unit: str
     value: float
-    gain: float
     of_a_tenth: float
 
 
@@ -416,16 +415,29 @@ class Design:
 
 
 class Search:
-    """One goal, with limits on the others, over the unit cube of the ranges."""
+    """A task's search over the unit cube of the ranges: one goal at a time, with limits and levels of the other goal.
 
-    def __init__(self, pair: Pair, task: DesignTask, allowance: Mapping[str, float]) -> None:
-        self.pair, self.task, self.allowance = pair, task, dict(allowance)
+    Parameters are those of `search`. `levels` of its methods are {goal: the worst value that is allowed}, SI.
+    """
+
+    def __init__(
+        self,
+        pair: Pair,
+        task: DesignTask,
+        tolerances: Tolerances | None,
+        seed: int,
+        workers: int,
+        progress: Callable[[str], None],
+    ) -> None:
+        self.pair, self.task, self.tolerances = pair, task, tolerances
+        self.seed, self.workers, self.progress = seed, workers, progress
+        self.allowance: dict[str, float] = {}
         self.names = list(task.vary)
         self.low, high = np.array([task.vary[n] for n in self.names]).T
         self.width = high - self.low
         self.limits = {n: v for n, v in task.limits.stated().items() if n in GOALS}
         self.angles = np.linspace(0.0, 2.0 * np.pi / pair.pins, _PITCH_ANGLES, endpoint=False)
-        self.series = series_compliance(pair, None)
+        self.series = series_compliance(DriveValue.as_stated(pair))
         self.evaluations = 0
         self.refused = ""  # reason of the first invalid drive
         self._kept: dict[tuple[bytes, float], dict[str, float] | None] = {}
@@ -590,35 +602,95 @@ class Search:
         if figures is None:
             return ()
         sign = -1.0 if goal in LOWER else 1.0
-        slope = self.gradients(place, lambda f: np.array([sign * f[goal]]))[0]
-        names = [*self.limits, *levels]
-        held = self.margins(figures, levels)
-        rows, labels = [], list[tuple[str, str, float, float]]()
-        if names:
-            slopes = self.gradients(place, lambda f: self.margins(f, levels))
-            for name, margin, row in zip(names, held, slopes, strict=True):
-                if margin < _BINDS:
-                    limit = levels.get(name, self.limits.get(name, 0.0))
-                    rows.append(row)
-                    labels.append((name, _unit_of(name), limit, 1.0 / size_of(name, limit)))
-        for k, name in enumerate(self.names):
-            for end, way in ((0.0, 1.0), (1.0, -1.0)):
-                if abs(place[k] - end) < 1e-6:
-                    rows.append(way * (np.arange(place.size) == k))
-                    value = float(self.low[k] + end * self.width[k])
-                    labels.append((name, VARIABLES[name], value, 1.0 / float(self.width[k])))
+        slope, *slopes = self.gradients(place, lambda f: np.array([sign * f[goal], *self.margins(f, levels)]))
+        limits, margins = {**self.limits, **levels}, self.margins(figures, levels)
+        rows = [
+            (name, limit, row)
+            for (name, limit), margin, row in zip(limits.items(), margins, slopes, strict=True)
+            if margin < _BINDS
+        ]
+        for name, at, row in zip(self.names, place, np.eye(place.size), strict=True):
+            low, high = self.task.vary[name]
+            rows += [(name, low, row)] if at < _AT_END else [(name, high, -row)] if at > 1.0 - _AT_END else []
         if not rows:
             return ()
         # Columns of one size, so that none is preferred.
-        matrix = np.array(rows, dtype=float).T
+        matrix = np.array([row for *_, row in rows]).T
         lengths = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
-        shares, _ = nnls(matrix / lengths, slope)
+        gains = 0.1 * nnls(matrix / lengths, slope)[0] / lengths
         found = [
-            Relaxed(name, unit, value, float(share / length) * per, 0.1 * float(share / length))
-            for (name, unit, value, per), share, length in zip(labels, shares, lengths, strict=True)
-            if share > 0.0
+            Relaxed(name, _unit_of(name), value, gain)
+            for (name, value, _), gain in zip(rows, gains.tolist(), strict=True)
+            if gain > 0.0
         ]
         return tuple(sorted(found, key=lambda one: -one.of_a_tenth))
+
+    def sampled(self, one: Candidate, seed: int) -> dict[str, Array]:
+        """Return the limits' figures of drives within tolerances about a drawn one: {limit: shape (samples,)}, SI."""
+        assert self.task.robust is not None
+        assert self.tolerances is not None
+        torque = tuple(load for load in loads_of(self.task, None, one.pair) if load != 0.0)
+        study = Study(one.pair, self.tolerances, samples=self.task.robust.samples, seed=seed, torque=torque)
+        check_study(study, self.task.drive, self.task.robust.tolerances)
+        angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
+
+        def figures(point: Array) -> list[float]:
+            made = _with_form(surface_of(study, point), one.surface)
+            swept = values_over_sweep(self.task, Candidate(one.pair, made), [*self.limits], angles, self.series)
+            return [worst_of(n, swept[n]) for n in self.limits]
+
+        with ThreadPoolExecutor(self.workers) as pool:
+            found = np.array(list(pool.map(figures, points_of(study))))
+        return dict(zip(self.limits, found.T, strict=True))
+
+    def best_within_tolerances(self, places: Sequence[Array], goal: str) -> Array:
+        """Return the best point; for a yield with limits that are tightened until they converge."""
+        best = self.best(places, goal, {})
+        for number in range(_ROUNDS if self.tolerances is not None and self.limits else 0):
+            self.progress(f"tightening the limits, round {number + 1} of at most {_ROUNDS}")
+            figures = self.sampled(candidate(self.pair, self.values_at(best)), self.seed)
+            before, self.allowance = self.allowance, allowances(self.task, self.exact(best), figures)
+            best = self.best([best, *places[:1]], goal, {})
+            changes = [abs(v - before.get(n, math.inf)) / size_of(n, self.limits[n]) for n, v in self.allowance.items()]
+            if max(changes) < _SETTLED:
+                break
+        return best
+
+    def designed(self, place: Array, levels: Mapping[str, float]) -> Design:
+        """Return the drive at a point as a drawing states it, judged over a whole crank turn."""
+        values = self.drawn(place)
+        place = (np.array([*values.values()]) - self.low) / self.width
+        one = candidate(self.pair, values)
+        angles = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
+        judged = judge_drive(DriveValue(one.pair, one.surface), self.task, None, angles, series=self.series)
+        figures, limits, seen = self.exact(place), self.limits, dict[str, dict[str, float]]()
+        if self.tolerances is not None and limits:
+            fresh = self.sampled(one, self.seed + 1)
+            seen = shares_kept({n: v >= limits[n] if n in LOWER else v <= limits[n] for n, v in fresh.items()})
+        return Design(
+            one.pair,
+            one.surface,
+            values,
+            {n: max(figures[n], 0.0) for n in self.task.goals},
+            judged.verdicts,
+            self.binding(place, self.task.goals[0], levels),
+            dict(self.allowance),
+            seen,
+            self.task.robust.required_yield if seen and self.task.robust else None,
+            self.evaluations,
+        )
+
+
+def _with_form(made: ErrorSurface, drawn: ErrorSurface) -> ErrorSurface:
+    """Return a sampled surface with the drawn form of all flanks as well."""
+    form = drawn.gear_deviation
+    if form is None:
+        return made
+    if made.gear_deviation is not None:
+        # Both along the profile at the middles of their own elements.
+        at, known = ((np.arange(size) + 0.5) / size for size in (made.gear_deviation.shape[2], form.shape[2]))
+        form = made.gear_deviation + np.interp(at, known, form[0, 0, :, 0])[:, None]
+    return made.replace(gear_deviation=form)
 
 
 def _kept_by(name: str, value: float, allowed: float, size: float) -> float:
@@ -646,43 +718,6 @@ def _starts(search: Search, count: int, seed: int) -> list[Array]:
         if search.figures(place, _SHARPNESS) is not None:
             found.append(place)
     return found
-
-
-def sampled_figures(
-    task: DesignTask, pair: Pair, form: ErrorSurface, tolerances: Tolerances, seed: int, workers: int, series: float
-) -> dict[str, Array]:
-    """Return the limits' figures of drives within tolerances: {limit: shape (samples,)}, SI.
-
-    Parameters
-    ----------
-    pair, form
-        The drive as drawn, and the form of its flanks.
-    series
-        As in `values_over_sweep`.
-    """
-    assert task.robust is not None
-    torque = tuple(load for load in loads_of(task, None, pair) if load != 0.0)
-    study = Study(pair, tolerances, samples=task.robust.samples, seed=seed, torque=torque)
-    check_study(study, task.drive, task.robust.tolerances)
-    angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
-    names = [n for n in task.limits.stated() if n in GOALS]
-
-    def one(point: Array) -> list[float]:
-        made = surface_of(study, point)
-        if form.gear_deviation is not None:
-            drawn = form.gear_deviation
-            if made.gear_deviation is not None:
-                # Both along the profile at the middles of their own elements.
-                places = [(np.arange(size) + 0.5) / size for size in (made.gear_deviation.shape[2], drawn.shape[2])]
-                along = np.interp(places[0], places[1], drawn[0, 0, :, 0])
-                drawn = made.gear_deviation + along[:, None]
-            made = made.replace(gear_deviation=drawn)
-        swept = values_over_sweep(task, Candidate(pair, made), names, angles, series)
-        return [worst_of(n, swept[n]) for n in names]
-
-    with ThreadPoolExecutor(workers) as pool:
-        found = np.array(list(pool.map(one, points_of(study))))
-    return dict(zip(names, found.T, strict=True))
 
 
 def allowances(task: DesignTask, drawn: Mapping[str, float], figures: Mapping[str, Array]) -> dict[str, float]:
@@ -748,27 +783,33 @@ def search(
         If no drive within the ranges is valid, or a goal or limit needs a missing value.
     """
     _check(pair, task)
-    one = Search(pair, task, {})
+    one = Search(pair, task, tolerances, seed, workers, progress)
     places = _starts(one, starts, seed)
     first, *others = task.goals
     progress(f"searching the best {_words(first)}")
-    best = _tightened_best(one, task, tolerances, places, first, {}, seed, workers, progress)
+    best = one.best_within_tolerances(places, first)
     ends = [(best, dict[str, float]())]
-    for second in others:
-        progress(f"searching the best {_words(second)}")
-        other = one.best([best, *places], second, {})
-        # Among drives equally good in one goal, the best in the other.
-        best = one.best([best], second, {first: _eased(first, one.exact(best)[first])})
-        level = _eased(second, one.exact(other)[second])
-        other = one.best([other], first, {second: level})
-        ends, near = [(best, {})], best
-        for number, between in enumerate(np.linspace(one.exact(best)[second], level, points)[1:-1].tolist()):
-            progress(f"point {number + 2} of {points} of the front")
-            near = one.best([near, other], first, {second: between})
-            ends.append((near, {second: between}))
-        ends.append((other, {second: level}))
+    if others:
+        ends = _front(one, best, places, points)
     progress("judging")
-    return [_designed(one, task, tolerances, *end, seed=seed, workers=workers) for end in ends]
+    return [one.designed(*end) for end in ends]
+
+
+def _front(one: Search, best: Array, places: Sequence[Array], points: int) -> list[tuple[Array, dict[str, float]]]:
+    """Return the points of a Pareto front from the best by the first goal, each with its level of the second one."""
+    first, second = one.task.goals
+    one.progress(f"searching the best {_words(second)}")
+    other = one.best([best, *places], second, {})
+    # Among drives equally good in one goal, the best in the other.
+    best = one.best([best], second, {first: _eased(first, one.exact(best)[first])})
+    level = _eased(second, one.exact(other)[second])
+    other = one.best([other], first, {second: level})
+    ends, near = [(best, dict[str, float]())], best
+    for number, between in enumerate(np.linspace(one.exact(best)[second], level, points)[1:-1].tolist()):
+        one.progress(f"point {number + 2} of {points} of the front")
+        near = one.best([near, other], first, {second: between})
+        ends.append((near, {second: between}))
+    return [*ends, (other, {second: level})]
 
 
 def _eased(name: str, value: float) -> float:
@@ -825,69 +866,6 @@ def _check(pair: Pair, task: DesignTask) -> None:
                 "[limits] bearing_life: no bearing of the pair's [supports] states its dynamic_capacity; state it, or "
                 "remove the limit."
             )
-
-
-def _tightened_best(
-    search: Search,
-    task: DesignTask,
-    tolerances: Tolerances | None,
-    places: Sequence[Array],
-    goal: str,
-    levels: Mapping[str, float],
-    seed: int,
-    workers: int,
-    progress: Callable[[str], None],
-) -> Array:
-    """Return the best point; for a yield with limits that are tightened until they converge."""
-    best = search.best(places, goal, levels)
-    if tolerances is None or not search.limits:
-        return best
-    for number in range(_ROUNDS):
-        progress(f"tightening the limits, round {number + 1} of at most {_ROUNDS}")
-        one = candidate(search.pair, search.values_at(best))
-        figures = sampled_figures(task, one.pair, one.surface, tolerances, seed, workers, search.series)
-        found = allowances(task, search.exact(best), figures)
-        before, search.allowance = search.allowance, found
-        best = search.best([best, *places[:1]], goal, levels)
-        if before and all(abs(v - before[n]) < _SETTLED * size_of(n, search.limits[n]) for n, v in found.items()):
-            break
-    return best
-
-
-def _designed(
-    search: Search,
-    task: DesignTask,
-    tolerances: Tolerances | None,
-    place: Array,
-    levels: Mapping[str, float],
-    *,
-    seed: int,
-    workers: int,
-) -> Design:
-    values = search.drawn(place)
-    place = (np.array([*values.values()]) - search.low) / search.width
-    one = candidate(search.pair, values)
-    angles = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
-    judged = judge_drive(one.pair, one.surface, None, task, None, angles, series=search.series)
-    figures = search.exact(place)
-    goals = {n: max(figures[n], 0.0) for n in task.goals}
-    seen: dict[str, dict[str, float]] = {}
-    if tolerances is not None and search.limits:
-        fresh = sampled_figures(task, one.pair, one.surface, tolerances, seed + 1, workers, search.series)
-        limits = search.limits
-        seen = shares_kept({n: v >= limits[n] if n in LOWER else v <= limits[n] for n, v in fresh.items()})
-    return Design(
-        one.pair,
-        one.surface,
-        values,
-        goals,
-        judged.verdicts,
-        search.binding(place, task.goals[0], levels),
-        dict(search.allowance),
-        seen,
-        task.robust.required_yield if seen and task.robust else None,
-        search.evaluations,
-    )
 
 
 def shown(name: str, value: float) -> tuple[str, str]:

@@ -18,7 +18,7 @@ import pydantic
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import LARGEST_PRESSURE
+from cycloid_fmu.analysis import LARGEST_PRESSURE
 from cycloid_fmu.geometry.pair import Material, Pair, smallest_convex_radius
 from cycloid_fmu.supports.figures import DutyLife
 from cycloid_fmu.surfaces import sampling
@@ -318,7 +318,7 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any], series: float = 0
         (torque, crank_angle, disc, pin). With `lost_motion` (crank_angle) it is judged too.
     series
         Compliance in series with contacts and bearings, rad/(N·m), for stiffness and lost motion
-        (`reducer.transmission.series_compliance`).
+        (`analysis.series_compliance`).
 
     Examples
     --------

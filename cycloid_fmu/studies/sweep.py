@@ -16,18 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import slices_needed
+from cycloid_fmu.analysis import series_compliance, solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
-from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.transmission import series_compliance, solve
-from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory, checkpoint_of
+from cycloid_fmu.studies.checkpoint import Checkpoint, checkpoint_of
 from cycloid_fmu.studies.limits import whole_stiffness
-from cycloid_fmu.studies.machines import Solved, complete, versions
+from cycloid_fmu.studies.machines import Numbers, Solved, complete, versions
 from cycloid_fmu.studies.tolerance import FIGURES as OF_STUDIES
 from cycloid_fmu.studies.tolerance import free_figures, loaded_figures
 from cycloid_fmu.studies.varied import Varied, drive_with, varied
-from cycloid_fmu.surfaces.surface import ErrorSurface
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -52,8 +49,8 @@ class Sweep:
 
     Attributes
     ----------
-    pair, surface, first_stage
-        The drive whose values vary.
+    drive
+        The drive whose values vary; its pair states its errors.
     vary
         The varied values; the last one varies fastest.
     torque
@@ -62,9 +59,7 @@ class Sweep:
         Crank angles evenly from 0 over so many crank turns, end excluded.
     """
 
-    pair: Pair
-    surface: ErrorSurface
-    first_stage: FirstStage | None
+    drive: DriveValue
     vary: tuple[Varied, ...]
     torque: tuple[float, ...]
     angles: int = ANGLES
@@ -92,15 +87,16 @@ class Sweep:
 
     def identity(self) -> dict[str, Any]:
         """Return the identity of this sweep, for a checkpoint."""
+        first = self.drive.first_stage
         return {
-            "pair": self.pair.text,
-            "surface": self.surface.hash,
+            "pair": self.drive.pair.text,
+            "surface": self.drive.surface.hash,
             "vary": {one.name: list(one.texts) for one in self.vary},
             "torque": list(self.torque),
             "angles": self.angles,
             "turns": self.turns,
             "versions": versions(),
-            **({} if self.first_stage is None else {"first_stage": self.first_stage.text}),
+            **({} if first is None else {"first_stage": first.text}),
         }
 
 
@@ -127,7 +123,7 @@ def check_sweep(sweep: Sweep) -> None:
     reason = ""
     for number in range(sweep.drives):
         try:
-            drive_with(sweep.pair, sweep.surface, sweep.stated(number))
+            drive_with(sweep.drive, sweep.stated(number))
         except edge.InputError as problem:
             reason = reason or str(problem).rstrip(".")
         else:
@@ -142,10 +138,11 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
     found: dict[str, Any] = {name: np.full(loads, math.nan) for name in LOADED} | dict.fromkeys(FREE, math.nan)
     reasons: list[str] = []
     try:
-        pair, surface = drive_with(sweep.pair, sweep.surface, sweep.stated(number))
+        drive = drive_with(sweep.drive, sweep.stated(number))
+        pair = drive.pair
         angle = np.linspace(0.0, 2.0 * np.pi * sweep.turns, sweep.angles, endpoint=False)
-        series = series_compliance(sweep.pair, sweep.first_stage)
-        found.update(free_figures(pair, surface, sweep.first_stage, angle, series))
+        series = series_compliance(sweep.drive)
+        found.update(free_figures(drive, angle, series))
         if found["interference"] > 0.0:
             reasons.append(f"no free position: interference of {found['interference'] * 1e6:.3g} um")
             if pair.supports is None:  # in clearances of bearings the output moves all the same
@@ -153,7 +150,7 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
                 reasons[-1] += ", so no backlash"
         for k, torque in enumerate(sweep.torque):
             try:
-                one = solve(pair, surface, sweep.first_stage, torque, angle, slices_needed(surface), with_play=False)
+                one = solve(drive, torque, angle, with_play=False)
             except edge.InputError as problem:  # of this load only
                 reasons.append(str(problem).rstrip("."))
                 continue
@@ -170,10 +167,10 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
     return np.array([found[n] if k is None else found[n][k] for n, k in sweep.columns]), "; ".join(reasons)
 
 
-def _task(sweep: Sweep, first: int, points: Array) -> Solved:
+def _task(sweep: Sweep, numbers: Numbers) -> Solved:
     """Solve some drives in any process."""
-    values, reasons = zip(*(figures_of(sweep, first + k) for k in range(len(points))), strict=True)
-    return Solved(first, np.array(values), reasons)
+    values, reasons = zip(*(figures_of(sweep, number) for number in numbers.tolist()), strict=True)
+    return numbers, np.array(values), reasons
 
 
 class Interrupted(KeyboardInterrupt):
@@ -207,18 +204,16 @@ def run(
         At a KeyboardInterrupt; its text states the kept results.
     """
     check_sweep(sweep)
-    kept = InMemory(sweep) if output is None else Checkpoint(checkpoint_of(output), sweep)
+    kept = Checkpoint(None if output is None else checkpoint_of(output), sweep)
     try:
-        complete(
-            sweep, lambda first, last: np.empty((last - first, 0)), kept, _task, workers=workers, progress=progress
-        )
+        complete(kept, _task, lambda numbers: (sweep, numbers), together=1, workers=workers, progress=progress)
     except KeyboardInterrupt:
         where = "nothing is kept without an output"
-        if isinstance(kept, Checkpoint):
+        if kept.path is not None:
             where = f"{kept.path} keeps them; the same sweep goes on from there"
         done = np.count_nonzero(kept.done)
         raise Interrupted(f"Interrupted: {done} of {sweep.drives} drives are done; {where}.") from None
-    return _dataset(sweep, np.array(kept.values), [kept.notes.get(k, "") for k in range(sweep.drives)])
+    return _dataset(sweep, kept.values, [kept.notes.get(k, "") for k in range(sweep.drives)])
 
 
 def _dataset(sweep: Sweep, values: Array, reasons: list[str]) -> xr.Dataset:

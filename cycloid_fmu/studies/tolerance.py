@@ -12,22 +12,24 @@ import functools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.analysis import series_compliance, solve
+from cycloid_fmu.contact.lanes import LANES
 from cycloid_fmu.contact.near_drives import NearDrives
-from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, Transmission, slices_needed
+from cycloid_fmu.contact.transmission import Transmission
+from cycloid_fmu.drive_value import SLICES_MISALIGNED, DriveValue
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.geometry import ANGLES
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
-from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.transmission import series_compliance, solve
-from cycloid_fmu.studies.checkpoint import Checkpoint, InMemory
+from cycloid_fmu.studies.checkpoint import Checkpoint
 from cycloid_fmu.studies.limits import series_lost_motion
-from cycloid_fmu.studies.machines import Points, Solved, complete, solved, versions
+from cycloid_fmu.studies.machines import Numbers, Solved, complete, versions
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import Elements, ErrorSurface, nominal_surface
@@ -39,6 +41,7 @@ Array = NDArray[np.float64]
 Design = Literal["sobol", "latin-hypercube", "saltelli"]
 DESIGNS: tuple[Design, ...] = ("sobol", "latin-hypercube", "saltelli")
 FORMAT = "cycloid-tolerance-study/1"
+TOGETHER = 8 * LANES  # drives of a task on a cluster, where a task costs as much as several drives
 PLAY_STEP = 10  # play and lost motion, which cost most and vary slowly, are taken at each tenth crank angle
 FORM = Elements(profile=50, width=5, angle=25)  # of sampled form deviations
 PER_TORQUE = ("angular_transmission_error", "mean_transmission_error", "max_contact_pressure")
@@ -99,6 +102,15 @@ class Study:
         if self.pair.rated_torque is None:
             single.remove(("lost_motion", None))
         return (*((n, k) for n in PER_TORQUE for k in range(len(self.torque))), *single)
+
+    @property
+    def drive(self) -> DriveValue:
+        """The drive as stated."""
+        return DriveValue.as_stated(self.pair, self.first_stage)
+
+    def drive_of(self, surface: ErrorSurface) -> DriveValue:
+        """Return the drive with other errors."""
+        return DriveValue(self.pair, surface, self.first_stage)
 
     def identity(self) -> dict[str, Any]:
         """Return the identity of this study, for a checkpoint."""
@@ -166,32 +178,10 @@ def points(study: Study) -> Array:
         return np.asarray(sobol.sample(_problem(study), base, calc_second_order=False, seed=study.seed))
     if study.design == "latin-hypercube":
         return np.asarray(qmc.LatinHypercube(size, rng=np.random.default_rng(study.seed)).random(study.samples))
-    return points_of(study)(0, study.samples)
-
-
-def points_of(study: Study) -> Points:
-    """Return a function of (first sample, last sample + 1) that returns their points.
-
-    Sobol points are computed on request; the other designs compute all points at once.
-    """
-    from scipy.stats import qmc
-
-    if study.design != "sobol":
-        place = points(study)
-        return lambda first, last: place[first:last]
-    engine = qmc.Sobol(len(study.factors), rng=np.random.default_rng(study.seed))
-
-    def some(first: int, last: int) -> Array:
-        if first < engine.num_generated:
-            engine.reset()
-        if first > engine.num_generated:
-            engine.fast_forward(first - engine.num_generated)
-        with warnings.catch_warnings():
-            # Without a power of two of points the sequence is no longer balanced, but still even.
-            warnings.filterwarnings("ignore", message="The balance properties")
-            return np.asarray(engine.random(last - first))
-
-    return some
+    with warnings.catch_warnings():
+        # Without a power of two of points the sequence is no longer balanced, but still even.
+        warnings.filterwarnings("ignore", message="The balance properties")
+        return np.asarray(qmc.Sobol(size, rng=np.random.default_rng(study.seed)).random(study.samples))
 
 
 def saltelli_base(study: Study) -> int:
@@ -231,21 +221,17 @@ def loaded_figures(found: Transmission) -> dict[str, Array]:
     }
 
 
-def free_figures(
-    pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None, angles: Array, series: float
-) -> dict[str, float]:
+def free_figures(drive: DriveValue, angles: Array, series: float) -> dict[str, float]:
     """Return the figures of play and lost motion, by their names in `FIGURES`, at one of `PLAY_STEP` angles (rad).
 
     There is no lost motion without a rated torque; a compliance in series with contacts and bearings, rad/(N·m), adds
     to it.
     """
+    pair = drive.pair
     free = solve(
-        pair,
-        surface,
-        first_stage,
+        drive,
         pair.lost_motion_loads,
         angles[::PLAY_STEP],
-        slices_needed(surface),
         with_stiffness=False,
     )
     backlash = np.where(np.isnan(free.backlash), 0.0, free.backlash)
@@ -269,16 +255,22 @@ def exact_figures(study: Study, surfaces: Sequence[ErrorSurface]) -> Array:
     figures do not depend on the others.
     """
     slices = _slices(study)
-    alone = study.first_stage is not None or study.pair.supports is not None
-    beside = np.array([not (alone or _has_form(s)) and slices_needed(s) <= slices for s in surfaces], dtype=bool)
+    alone = _is_alone(study)
+    beside = np.array(
+        [not (alone or _has_form(s)) and study.drive_of(s).slices <= slices for s in surfaces], dtype=bool
+    )
     found = np.empty((len(surfaces), len(study.columns)))
     for number in np.flatnonzero(~beside).tolist():
         found[number] = _figures_alone(study, surfaces[number])
     if beside.any():
-        exact = near_drives(study)
-        errors = [displacement_vector(study.pair, surfaces[number]) for number in np.flatnonzero(beside).tolist()]
-        found[beside] = figures_near(study, exact, exact.made(np.array(errors)))
+        found[beside] = _figures_side_by_side(study, [surfaces[number] for number in np.flatnonzero(beside).tolist()])
     return found
+
+
+def _is_alone(study: Study) -> bool:
+    """Whether each drive of the study is solved by itself: on bearings, behind a first stage, with form."""
+    has_form = any(name.endswith("_profile") for name in study.factors)
+    return study.first_stage is not None or study.pair.supports is not None or has_form
 
 
 def _has_form(surface: ErrorSurface) -> bool:
@@ -286,24 +278,14 @@ def _has_form(surface: ErrorSurface) -> bool:
 
 
 def _figures_alone(study: Study, surface: ErrorSurface) -> Array:
-    angles, first = crank_angles(study), study.first_stage
-    loaded = solve(
-        study.pair, surface, first, study.torque, angles, slices_needed(surface), with_play=False, with_stiffness=False
-    )
-    series = series_compliance(study.pair, first)
-    found: dict[str, Any] = {**loaded_figures(loaded), **free_figures(study.pair, surface, first, angles, series)}
+    angles = crank_angles(study)
+    loaded = solve(study.drive_of(surface), study.torque, angles, with_play=False, with_stiffness=False)
+    series = series_compliance(study.drive)
+    found: dict[str, Any] = {
+        **loaded_figures(loaded),
+        **free_figures(study.drive_of(surface), angles, series),
+    }
     return np.array([found[name] if k is None else found[name][k] for name, k in study.columns])
-
-
-def check_first_order(study: Study, tolerances_source: str) -> None:
-    """Raise `edge.InputError` for studies that first order does not support: form deviations, a first stage."""
-    if study.first_stage is not None:
-        raise edge.InputError("[involute]: first order does not include a first stage; solve the drives exactly.")
-    for name in study.factors:
-        if name.endswith("_profile"):
-            raise edge.InputError(
-                f"{tolerances_source}: [{name}]: form deviations need the exact model; remove the table."
-            )
 
 
 def _loads(pair: Pair, torque: Sequence[float], angles: Array) -> list[tuple[float, Array]]:
@@ -323,29 +305,9 @@ def _slices(study: Study) -> int:
     return SLICES_MISALIGNED if displaced & {"tilt_x", "tilt_y"} else 1
 
 
-_Drives = TypeVar("_Drives", contravariant=True)
-
-
-class Sweeps(Protocol[_Drives]):
-    """Sweeps of drives at a study's loads, then ± lost motion, then the play."""
-
-    def loaded(self, sweep_number: int, drives: _Drives, /) -> tuple[Array, Array]:
-        """Return transmission error (rad) and largest pressure (Pa), each (drives, angles)."""
-
-    def play(self, sweep_number: int, drives: _Drives, /) -> tuple[Array, Array]:
-        """Return backlash (rad, NaN without a free position) and interference (m), each (drives, angles)."""
-
-
-def figures_near(study: Study, near: Sweeps[_Drives], drives: _Drives) -> Array:
-    """Return the figures of drives in the order of `Study.columns`, shape (drives, columns).
-
-    Parameters
-    ----------
-    near
-        The sweeps.
-    drives
-        Errors, or what stands for them, as `near` takes them.
-    """
+def _figures_side_by_side(study: Study, surfaces: Sequence[ErrorSurface]) -> Array:
+    near = _near_drives(study.pair, study.torque, study.angles, study.turns, _slices(study))
+    drives = near.made(np.array([displacement_vector(study.pair, surface) for surface in surfaces]))
     loads = len(study.torque)
     solutions = [near.loaded(k, drives) for k in range(loads)]
     has_rated = study.pair.rated_torque is not None
@@ -366,29 +328,15 @@ def figures_near(study: Study, near: Sweeps[_Drives], drives: _Drives) -> Array:
 
 
 @functools.lru_cache(maxsize=2)
-def _near_drives(
-    pair: Pair, torque: tuple[float, ...], angles: int, turns: int, slices: int, first_order: bool
-) -> NearDrives:
+def _near_drives(pair: Pair, torque: tuple[float, ...], angles: int, turns: int, slices: int) -> NearDrives:
     return NearDrives(
-        pair, nominal_surface(pair), _loads(pair, torque, _crank_angles(angles, turns)), slices, first_order
+        DriveValue(pair, nominal_surface(pair)), _loads(pair, torque, _crank_angles(angles, turns)), slices
     )
 
 
-def near_drives(study: Study, first_order: bool = False) -> NearDrives:
-    """Return what solves a study's drives beside the error-free pair, exactly or to first order in their errors."""
-    return _near_drives(study.pair, study.torque, study.angles, study.turns, _slices(study), first_order)
-
-
-def _screening_task(study: Study, first: int, rows: Array) -> Solved:
-    """Solve some samples to first order, as `_task` does exactly."""
-    errors = np.array([displacement_vector(study.pair, surface_of(study, row)) for row in rows])
-    near = near_drives(study, first_order=True)
-    return Solved(first, figures_near(study, near, near.made(errors)))
-
-
-def _task(study: Study, first: int, rows: Array) -> Solved:
+def _task(study: Study, numbers: Numbers, rows: Array) -> Solved:
     """Solve some samples in any process."""
-    return Solved(first, exact_figures(study, [surface_of(study, row) for row in rows]))
+    return numbers, exact_figures(study, [surface_of(study, row) for row in rows]), ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -441,7 +389,7 @@ def run(
     checkpoint
         Storage of finished samples.
     workers, scheduler
-        As in `machines.solved`; the result does not depend on them.
+        As in `machines.complete`; the result does not depend on them.
     progress
         Called with the number of samples just finished, first those of the checkpoint.
 
@@ -450,89 +398,25 @@ def run(
     Interrupted
         At a KeyboardInterrupt; it holds the samples that were finished.
     """
-    kept = InMemory(study) if checkpoint is None else checkpoint
+    kept = checkpoint or Checkpoint(None, study)
+    place = points(study)
 
     def result() -> Result:
-        if kept.done.all():
-            return Result(study, kept.values, np.arange(study.drives))
-        sample = np.flatnonzero(kept.done)
-        return Result(study, kept.values[sample], sample)
+        return Result(study, kept.values[kept.done], np.flatnonzero(kept.done))
 
     try:
-        complete(study, points_of(study), kept, _task, workers=workers, scheduler=scheduler, progress=progress)
+        complete(
+            kept,
+            _task,
+            lambda numbers: (study, numbers, place[numbers]),
+            together=1 if _is_alone(study) else LANES if scheduler is None else TOGETHER,
+            workers=workers,
+            scheduler=scheduler,
+            progress=progress,
+        )
     except KeyboardInterrupt:
         raise Interrupted(result(), study.drives, checkpoint) from None
     return result()
-
-
-@dataclasses.dataclass(frozen=True)
-class Screened:
-    """A study to first order with a share of its drives solved exactly.
-
-    Attributes
-    ----------
-    result
-        All samples, the confirmed ones by the exact model.
-    confirmed
-        Numbers of the samples solved exactly.
-    difference
-        {figure: largest difference between both kernels over the confirmed samples, SI}.
-    changed
-        Number of confirmed samples with different verdicts of the two kernels.
-    """
-
-    result: Result
-    confirmed: NDArray[np.int64]
-    difference: dict[str, float]
-    changed: int
-
-
-def screened(
-    study: Study,
-    share: float,
-    *,
-    workers: int = 1,
-    scheduler: str | None = None,
-    progress: Callable[[int], None] = lambda samples: None,
-) -> Screened:
-    """Solve a study to first order and confirm a share of it by the exact model.
-
-    The samples nearest to the limits are confirmed, where a difference would change the verdict; without limits the
-    first ones.
-
-    Parameters
-    ----------
-    share
-        Of the samples, above 0 and at most 1.
-    workers, scheduler, progress
-        As in `run`; each confirmed sample is counted once more. An `edge.InputError` refuses a pair with supports.
-    """
-    if study.pair.supports is not None:
-        problem = "first order does not include opening and closing clearances of bearings; leave it out with supports"
-        raise edge.ArgumentError("screen", problem, share)
-    screening = InMemory(study)
-    complete(
-        study, points_of(study), screening, _screening_task, workers=workers, scheduler=scheduler, progress=progress
-    )
-    values = screening.values
-    taken = demand(study, values)
-    worst = np.max([*taken.values()], axis=0) if taken else np.arange(study.drives, dtype=float)
-    nearest = np.argsort(np.abs(worst - 1.0) if taken else worst, kind="stable")
-    confirmed = np.sort(nearest[: max(1, math.ceil(share * study.drives))])
-    place = points(study)[confirmed]
-    exact = np.empty((confirmed.size, values.shape[1]))
-    waiting = np.ones(confirmed.size, dtype=bool)
-    for first, found, _ in solved(study, waiting, lambda a, b: place[a:b], _task, workers, scheduler):
-        exact[first : first + len(found)] = found
-        progress(len(found))
-    difference = {
-        name: float(np.abs(exact - values[confirmed])[:, [n == name for n, _ in study.columns]].max())
-        for name in dict.fromkeys(n for n, _ in study.columns)
-    }
-    good = [np.logical_and.reduce([d <= 1.0 for d in demand(study, v).values()]) for v in (exact, values[confirmed])]
-    values[confirmed] = exact
-    result = Result(study, values, np.arange(study.drives))
-    return Screened(result, confirmed, difference, int(np.count_nonzero(good[0] != good[1])) if taken else 0)
 
 
 class Interrupted(KeyboardInterrupt):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import Config
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.geometry.pair import Pair, pair_of_tables
@@ -170,13 +171,13 @@ def _value(text: str, si: str, whole: bool) -> float:
     return value
 
 
-def drive_with(pair: Pair, surface: ErrorSurface, stated: Mapping[str, str]) -> tuple[Pair, ErrorSurface]:
-    """Return the pair and the surface of a drive with other values of the pair file.
+def drive_with(drive: DriveValue, stated: Mapping[str, str]) -> DriveValue:
+    """Return the drive with other values of the pair file.
 
     Parameters
     ----------
-    pair, surface
-        The drive; the pair states the surface's errors. Form and wear of the elements are kept.
+    drive
+        The drive; its pair states the surface's errors. Form and wear of the elements are kept.
     stated
         {name: the value as a file has it}.
 
@@ -185,6 +186,7 @@ def drive_with(pair: Pair, surface: ErrorSurface, stated: Mapping[str, str]) -> 
     edge.InputError
         If these values are not a valid drive; one sentence.
     """
+    pair, surface = drive.pair, drive.surface
     tables: dict[str, Any] = tomllib.loads(pair.text)
     tables.pop("format")
     for name, text in stated.items():
@@ -213,4 +215,4 @@ def drive_with(pair: Pair, surface: ErrorSurface, stated: Mapping[str, str]) -> 
         dimensions(made, kept, f"{_SOURCE}: errors")
     except edge.InputError as problem:
         raise edge.InputError(str(problem).splitlines()[0].removeprefix(f"{_SOURCE}: ")) from None
-    return made, kept
+    return DriveValue(made, kept, drive.first_stage)

@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import Transmission, slices_needed
+from cycloid_fmu.analysis import series_compliance, solve
+from cycloid_fmu.contact.transmission import Transmission
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies import limits as judging
 from cycloid_fmu.studies.limits import DutyLoad, Requirements, Verdict
 from cycloid_fmu.supports.figures import DutyLife, bearing_loads, lives_over_duty
-from cycloid_fmu.surfaces.surface import ErrorSurface
 from cycloid_fmu.wear.friction import Sliding, sliding_of
 from cycloid_fmu.wear.life import WearRun
 
@@ -128,9 +127,7 @@ def check(requirements: Requirements, pair: Pair, source: str, pair_source: str)
 
 
 def judge_sweep(
-    pair: Pair,
-    surface: ErrorSurface,
-    first_stage: FirstStage | None,
+    drive: DriveValue,
     requirements: Requirements,
     found: Transmission,
     workers: int = 1,
@@ -150,20 +147,18 @@ def judge_sweep(
         Threads for the lost motion, which is solved here if it has a limit.
     series
         Compliance in series with contacts and bearings, rad/(N·m); None for that of this drive
-        (`reducer.transmission.series_compliance`).
+        (`analysis.series_compliance`).
     """
+    pair = drive.pair
     if series is None:
-        series = series_compliance(pair, first_stage)
+        series = series_compliance(drive)
     data: dict[str, Any] = {**vars(found), "backlash": found.backlash}
     if requirements.limits.lost_motion is not None:
-        loads, slices = pair.lost_motion_loads, slices_needed(surface)
+        loads = pair.lost_motion_loads
         up, down = solve(
-            pair,
-            surface,
-            first_stage,
+            drive,
             loads,
             found.crank_angle,
-            slices,
             with_play=False,
             with_stiffness=False,
             workers=workers,
@@ -198,9 +193,7 @@ def judge_sweep(
 
 
 def judge_drive(
-    pair: Pair,
-    surface: ErrorSurface,
-    first_stage: FirstStage | None,
+    drive: DriveValue,
     requirements: Requirements,
     torque: Sequence[float] | None,
     crank_angle: Array,
@@ -216,12 +209,11 @@ def judge_drive(
     edge.InputError
         If there is no torque, or the pair lacks something that a limit needs.
     """
+    pair = drive.pair
     check(requirements, pair, "the requirements", "the pair")
     loads = loads_of(requirements, torque, pair)
-    found = solve(
-        pair, surface, first_stage, loads, crank_angle, slices_needed(surface), workers=workers, progress=progress
-    )
-    return judge_sweep(pair, surface, first_stage, requirements, found, workers, series)
+    found = solve(drive, loads, crank_angle, workers=workers, progress=progress)
+    return judge_sweep(drive, requirements, found, workers, series)
 
 
 def judge_worn(
@@ -235,7 +227,7 @@ def judge_worn(
     torque = list(dict.fromkeys(load.torque for load in model.loads if load.torque != 0.0))
     angle = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     judged = judge_drive(
-        model.pair, run.surface, None, requirements.of_wear, torque, angle, workers=workers, progress=progress
+        DriveValue(model.pair, run.surface), requirements.of_wear, torque, angle, workers=workers, progress=progress
     )
     turns = np.array([state.crank_turns for state in run.states])
     deepest = np.array([state.depth.largest for state in run.states])

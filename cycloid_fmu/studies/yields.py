@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import slices_needed
+from cycloid_fmu.analysis import series_compliance, solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.reducer.drive_file import parts_of_file
-from cycloid_fmu.reducer.transmission import series_compliance, solve
 from cycloid_fmu.studies import limits as judging
 from cycloid_fmu.studies.checkpoint import Checkpoint, checkpoint_of, reserved
 from cycloid_fmu.studies.tolerance import (
@@ -21,14 +18,11 @@ from cycloid_fmu.studies.tolerance import (
     PLAY_STEP,
     Array,
     Result,
-    Screened,
     Study,
-    check_first_order,
     check_study,
     crank_angles,
     dataset_of,
     run,
-    screened,
     sobol_indices,
     statistics,
     surface_of,
@@ -47,25 +41,15 @@ class Findings:
         The solved samples.
     statistics, yields, indices
         As `tolerance.statistics`, `yields` and `sobol_indices` return them; no indices but with Saltelli's design.
-    screened
-        The samples confirmed by the exact model, if the study was solved to first order.
     """
 
     result: Result
     statistics: Mapping[str, Mapping[str, Any]]
     yields: Mapping[str, Mapping[str, float]]
     indices: Mapping[str, Mapping[str, Array]]
-    screened: Screened | None
 
     def numbers(self) -> dict[str, Any]:
         """Return the figures in SI units, for scripts."""
-        screening = None
-        if self.screened is not None:
-            screening = {
-                "confirmed": self.screened.confirmed.size,
-                "difference": self.screened.difference,
-                "changed": self.screened.changed,
-            }
         return {
             "samples": self.result.sample.size,
             "torque": list(self.result.study.torque),
@@ -73,7 +57,6 @@ class Findings:
             "statistics": self.statistics,
             "yields": self.yields,
             "indices": self.indices,
-            "screening": screening,
         }
 
 
@@ -81,42 +64,41 @@ def read_study(
     pair_file: str | os.PathLike[str],
     tolerances_file: str | os.PathLike[str],
     torque: Sequence[float] | None = None,
+    limits: tuple[judging.Limits, str] | None = None,
     **settings: Any,
 ) -> Study:
-    """Return the study of a pair file and a tolerance file.
+    """Return the study of a pair file and a tolerance file, checked.
 
     Parameters
     ----------
     torque
         Loads on the output, N·m; plus and minus the pair's rated torque where None.
+    limits
+        Those of a requirements file, and its name, to judge in place of those of the tolerance file, as far as a study
+        has their figures.
     settings
         Further fields of `Study`.
 
     Raises
     ------
     edge.InputError
-        If a file can't be read, or there is neither a torque nor a rated torque.
+        If a file can't be read, there is neither a torque nor a rated torque, both files state limits, or the study is
+        one that `check_study` refuses.
     """
     (pair, _, first_stage), tolerances = parts_of_file(pair_file), read_tolerances(tolerances_file)
     if not torque:
         rated = pair.rated_load(str(pair_file))
         torque = (rated, -rated)
-    return Study(pair, tolerances, torque=tuple(torque), first_stage=first_stage, **settings)
-
-
-def with_limits(study: Study, limits: judging.Limits, source: str, tolerances_source: str) -> Study:
-    """Return a study that judges the limits of a requirements file, as far as a study has their figures.
-
-    Raises
-    ------
-    edge.InputError
-        If the tolerances file states limits of its own.
-    """
-    if study.tolerances.limits.stated():
-        raise edge.InputError(
-            f"{tolerances_source}: [limits] is stated here and in {source}; state the limits in one of them."
-        )
-    return dataclasses.replace(study, tolerances=study.tolerances.replace(limits=limits.of_study))
+    if limits is not None:
+        asked, source = limits
+        if tolerances.limits.stated():
+            raise edge.InputError(
+                f"{tolerances_file}: [limits] is stated here and in {source}; state the limits in one of them."
+            )
+        tolerances = tolerances.replace(limits=asked.of_study)
+    study = Study(pair, tolerances, torque=tuple(torque), first_stage=first_stage, **settings)
+    check_study(study, str(pair_file), str(tolerances_file))
+    return study
 
 
 def judged(result: Result) -> list[judging.Verdict]:
@@ -131,34 +113,20 @@ def judged(result: Result) -> list[judging.Verdict]:
         surface = surface_of(study, result.point[row])
         loaded = name in PER_TORQUE
         angle = crank_angles(study)[:: 1 if loaded else PLAY_STEP]
-        slices, loads = slices_needed(surface), study.torque if loaded else study.pair.lost_motion_loads
-        again = solve(study.pair, surface, study.first_stage, loads, angle, slices, with_stiffness=False)
+        loads = study.torque if loaded else study.pair.lost_motion_loads
+        again = solve(DriveValue(study.pair, surface, study.first_stage), loads, angle, with_stiffness=False)
         data = {**vars(again), "backlash": again.backlash}
         if name == "lost_motion":
             data["lost_motion"] = again.transmission_error[0] - again.transmission_error[1]
-        series = series_compliance(study.pair, study.first_stage)
+        series = series_compliance(study.drive)
         (place,) = judging.judge(judging.Limits(**{name: limit}), study.pair, data, series)
         where = {"sample": int(result.sample[row]), **place.where}
         found.append(judging.verdict(name, float(values.max()), limit, where, place.basis))
     return found
 
 
-def check(study: Study, pair_source: str, tolerances_source: str, *, to_first_order: bool = False) -> None:
-    """Raise `edge.InputError` for an invalid study, or one that first order does not support; it names the files."""
-    check_study(study, pair_source, tolerances_source)
-    if to_first_order:
-        check_first_order(study, tolerances_source)
-
-
-def drives(study: Study, screen: float | None = None) -> int:
-    """Return how many drives `conduct` solves: the samples, and the share of them that is confirmed."""
-    size = study.drives
-    return size if screen is None else size + math.ceil(screen * size)
-
-
 def conduct(
     study: Study,
-    screen: float | None = None,
     output: str | os.PathLike[str] | None = None,
     *,
     workers: int = 1,
@@ -169,36 +137,25 @@ def conduct(
 
     Parameters
     ----------
-    screen
-        Solve to first order, and confirm this share of the samples by the exact model.
     output
-        A netCDF file, format `cycloid-tolerance-study/1`. Until it is written, samples solved by the exact model are
-        kept in `output` with `.checkpoint` appended; the same study continues from there.
+        A netCDF file, format `cycloid-tolerance-study/1`. Until it is written, solved samples are kept in `output` with
+        `.checkpoint` appended; the same study continues from there.
     workers, scheduler, progress
         As of `tolerance.run`.
 
     Raises
     ------
     edge.InputError
-        If the share is not between 0 and 1, or the checkpoint is of another study.
+        If the checkpoint is of another study.
     Interrupted
         At a KeyboardInterrupt; its text states the kept results.
     """
-    if screen is not None and not 0.0 < screen <= 1.0:
-        raise edge.ArgumentError("screen", "the share must be between 0 and 1", screen)
-    machines: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "progress": progress}
-    confirmed = kept = None
+    kept = None
     with reserved(output):
-        if screen is not None:
-            confirmed = screened(study, screen, **machines)
-            result = confirmed.result
-        else:
-            if output is not None:
-                kept = Checkpoint(checkpoint_of(output), study)
-            result = run(study, kept, **machines)
+        if output is not None:
+            kept = Checkpoint(checkpoint_of(output), study)
+        result = run(study, kept, workers=workers, scheduler=scheduler, progress=progress)
         if output is not None:
             edge.write_netcdf(dataset_of(result), output)
-        if kept is not None and os.name == "nt":  # a file that is mapped can't be removed there
-            result = dataclasses.replace(result, values=np.array(result.values))
     indices = sobol_indices(result) if study.design == "saltelli" else {}
-    return Findings(result, statistics(result), yields(result), indices, confirmed)
+    return Findings(result, statistics(result), yields(result), indices)

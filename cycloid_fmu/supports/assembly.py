@@ -1,60 +1,231 @@
-"""Supports of the discs: bearings, cranks and holes as numbers and arrays."""
+"""The kinds of joints of a drive, from its file to the list that the kernels take, and back."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import functools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
-from cycloid_fmu.contact import Array
-from cycloid_fmu.supports.bearing import Bearing
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cycloid_fmu.errors.kinds import EACH_SUPPORT
+from cycloid_fmu.geometry import supports as stated
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.supports.bearing import LAW, RIGID, Law, linear, rollers
+from cycloid_fmu.supports.joints import (
+    BODY,
+    CARRIER,
+    FIRST_DISC,
+    FIRST_DISC_BODY,
+    HOUSING,
+    JOINT,
+    Assembly,
+)
+from cycloid_fmu.supports.sensitivity import CLEARANCE, PARAMETERS, STIFFNESS
+from cycloid_fmu.surfaces.structured import displacement_layout
+
+Array = NDArray[np.float64]
 
 
-class Assembly(NamedTuple):
-    """The parts that hold discs and carrier, SI; axes and angles as in docs/theory/supports.md.
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """A kind of joint: joints of one law, one at each place of a grid.
 
     Attributes
     ----------
-    cranks
-        Whether cranks hold the discs and transmit the load to the carrier; otherwise one eccentric holds them and
-        rollers in their holes transmit the load.
-    eccentricity
-        Nominal eccentricity e, m.
-    place_x, place_y
-        Position of each crank or output roller in the carrier, and of its holes in the discs, as drawn, shape (count,),
-        m.
-    crank_x, crank_y
-        Errors of these positions in the carrier, shape (count,), m.
-    hole_x, hole_y
-        Position errors of the holes in each disc, shape (discs, count), m.
-    hole_play
-        For output rollers: free motion of a roller in its hole beyond e, shape (discs, count), m.
-    throw, phase
-        Errors of each eccentric's throw (m) and phase (rad), shape (discs, cranks), with one crank for output rollers.
-    seat_x, seat_y
-        Position of the housing's seats of main bearing and central crank, m.
-    turning_arm, crank_shaft, main, output_roller
-        The bearings; an output roller's clearance is in `hole_play`.
-    rotation_scale
-        Radius that converts a rotation to a displacement, m, for convergence limits.
-    balanced
-        Tolerance of the balance, N.
+    name, law
+        Its table in a file's `[supports]`, and its law.
+    grid
+        Number of joints along each axis, such as {"disc": 2, "crank": 3}.
+    outer, inner
+        Numbers of the two bodies, as those of `BODY`'s records.
+    values
+        Fields of `JOINT`'s records that are not zero as drawn.
+    errors
+        Displacements (`surfaces.structured.displacement_layout`) that add to each field.
     """
 
-    cranks: bool
-    eccentricity: float
-    place_x: Array
-    place_y: Array
-    crank_x: Array
-    crank_y: Array
-    hole_x: Array
-    hole_y: Array
-    hole_play: Array
-    throw: Array
-    phase: Array
-    seat_x: float
-    seat_y: float
-    turning_arm: Bearing
-    crank_shaft: Bearing
-    main: Bearing
-    output_roller: float
-    rotation_scale: float
-    balanced: float
+    name: str
+    law: Law
+    grid: Mapping[str, int]
+    outer: NDArray[np.int64] | int
+    inner: NDArray[np.int64] | int
+    values: Mapping[str, ArrayLike] = field(default_factory=dict)
+    errors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of results and errors."""
+        return tuple(self.grid.values())
+
+    @property
+    def size(self) -> int:
+        """Number of joints."""
+        return math.prod(self.shape)
+
+
+def _law(supports: stated.Supports, name: str) -> Law:
+    part = getattr(supports, name) or stated.OutputRoller()
+    if isinstance(part, stated.Bearing) and part.rollers is not None and part.roller_length is not None:
+        return rollers(part.rollers, part.roller_length, part.clearance)
+    return linear(RIGID if part.stiffness is None else part.stiffness, part.clearance)
+
+
+@functools.lru_cache(maxsize=16)
+def kinds_of(pair: Pair) -> tuple[Kind, ...]:
+    """Return the kinds of joints of a pair with supports, as drawn."""
+    supports = pair.supports
+    assert supports is not None
+    discs, cranks, count = pair.discs, supports.cranks, supports.count
+    has_cranks = supports.kind == "cranks"
+    disc, crank = FIRST_DISC_BODY + np.arange(discs)[:, None], FIRST_DISC_BODY + discs + np.arange(cranks)
+    angle = supports.first_angle + 2.0 * np.pi * np.arange(count) / count
+    places = {
+        "place_x": supports.circle_radius * np.cos(angle),
+        "place_y": supports.circle_radius * np.sin(angle),
+    }
+    of_places = {
+        "outer_x": ("hole_x",),
+        "outer_y": ("hole_y",),
+        "inner_x": ("carrier_x",),
+        "inner_y": ("carrier_y",),
+    }
+    of_eccentrics = {"throw": ("eccentric_throw", "crank_throw"), "phase": ("eccentric_phase",)}
+    seats = {"outer_x": ("centre_x",), "outer_y": ("centre_y",)}
+    return (
+        Kind(
+            "turning_arm",
+            _law(supports, "turning_arm"),
+            {"disc": discs, "crank": cranks},
+            disc,
+            crank,
+            {**(places if has_cranks else {}), "eccentricity": pair.eccentricity},
+            {**(of_places if has_cranks else {}), **of_eccentrics},
+        ),
+        Kind(
+            "crank_shaft",
+            _law(supports, "crank_shaft"),
+            {"crank": cranks},
+            CARRIER if has_cranks else HOUSING,
+            crank,
+            errors={} if has_cranks else seats,
+        ),
+        Kind("main", _law(supports, "main"), {}, HOUSING, CARRIER, errors=seats),
+        Kind(
+            "output_roller",
+            _law(supports, "output_roller"),
+            {"disc": discs, "roller": 0 if has_cranks else count},
+            disc,
+            CARRIER,
+            {} if has_cranks else {**places, "reach": pair.eccentricity},
+            {} if has_cranks else {**of_places, "play": ("hole_play",)},
+        ),
+    )
+
+
+def bodies_of(pair: Pair) -> NDArray[np.void]:
+    """Return housing, carrier, discs and cranks of a pair with supports, as `BODY`'s records."""
+    assert pair.supports is not None
+    rate, first_crank = -1.0 / pair.gear_teeth, FIRST_DISC + 3 * pair.discs
+    carried = CARRIER if pair.supports.kind == "cranks" else HOUSING
+    bodies = [(-1, -1, -1, 0.0, 0.0), (1, 0, -1, rate, 0.0)]
+    for disc in range(pair.discs):
+        at = FIRST_DISC + 3 * disc
+        bodies.append((at, at + 2, -1, rate, 2.0 * np.pi * disc / pair.discs))
+    bodies += [(first_crank + 2 * crank, -1, carried, 1.0, 0.0) for crank in range(pair.supports.cranks)]
+    return np.array(bodies, BODY)
+
+
+def joint_list(pair: Pair, kinds: Sequence[Kind], displacements: Mapping[str, Any]) -> Assembly:
+    """Return the joints of a pair for the kernels.
+
+    Parameters
+    ----------
+    pair
+        The pair at its temperatures, with supports.
+    kinds
+        The kinds of joints, such as `kinds_of` this pair.
+    displacements
+        Displacements by errors and temperatures, as of `surfaces.structured.displacements`.
+
+    Raises
+    ------
+    ValueError
+        If a joint off the centre connects bodies that do not rotate alike.
+    """
+    bodies, joints = bodies_of(pair), np.zeros(sum(kind.size for kind in kinds), JOINT)
+    for law, (kind, each) in enumerate(by_kind(kinds, joints)):
+        each["law"], each["outer"], each["inner"] = law, kind.outer, kind.inner
+        for name, value in kind.values.items():
+            each[name] = value
+        for name, errors in kind.errors.items():
+            for error in errors:
+                each[name] += displacements[error]
+    laws = np.array([tuple(kind.law) for kind in kinds], LAW)
+    on = bodies["on"][joints["inner"]]
+    joints["seat"] = np.where(on >= 0, on, joints["inner"])
+    apart = bodies["rate"][joints["outer"]] != bodies["rate"][joints["seat"]]
+    if (joints["place_x"][apart] != 0.0).any() or (joints["place_y"][apart] != 0.0).any():
+        raise ValueError("place_x and place_y must be 0 for a joint of bodies that do not rotate alike")
+    throw, phase = joints["throw"], joints["phase"]
+    # From small terms: (e + de) cos ψ - e.
+    joints["throw_along"] = throw * np.cos(phase) - 2.0 * joints["eccentricity"] * np.sin(0.5 * phase) ** 2
+    joints["throw_across"] = (joints["eccentricity"] + throw) * np.sin(phase)
+    rigid = RIGID in laws["stiffness"][joints["law"]]
+    mesh = pair.face_width / (pair.material.gear.compliance + pair.material.pin.compliance)
+    # Rounding of a rotation moves a crank by 1e-19 m, rounding of a gap is 1e-17 m.
+    balanced = max(1e-3 if rigid else 1e-7, 1e-17 * mesh)
+    return Assembly(bodies, joints, laws, pair.pin_circle_radius, balanced)
+
+
+def by_kind(kinds: Sequence[Kind], values: NDArray[Any], axis: int = -1) -> Iterator[tuple[Kind, NDArray[Any]]]:
+    """Yield each kind with a view of its part of an axis of joints, which becomes axes of its grid."""
+    axis, start = axis % values.ndim, 0
+    before, after, here = values.shape[:axis], values.shape[axis + 1 :], (slice(None),) * axis
+    for kind in kinds:
+        shape = kind.shape
+        end = start + math.prod(shape)
+        yield kind, values[(*here, slice(start, end))].reshape((*before, *shape, *after))
+        start = end
+
+
+@functools.lru_cache(maxsize=16)
+def _displaced(pair: Pair) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return which of all joints' parameters are displaced, and the displacements that do so."""
+    layout, kinds = displacement_layout(pair), kinds_of(pair)
+    numbers = np.arange(sum(kind.size for kind in kinds) * len(PARAMETERS)).reshape(-1, len(PARAMETERS))
+    parameters, columns = [], []
+    for kind, each in by_kind(kinds, numbers, axis=0):
+        for name, errors in kind.errors.items():
+            for error in errors:
+                shape = pair.places[EACH_SUPPORT[error]] if error in EACH_SUPPORT else ()
+                column = np.arange(layout[error].start, layout[error].stop).reshape(shape)
+                columns.append(np.broadcast_to(column, kind.shape).ravel())
+                parameters.append(each[..., PARAMETERS.index(name)].ravel())
+    return np.concatenate(parameters), np.concatenate(columns)
+
+
+def add_by_displacements(pair: Pair, by_joint: Array, out: Array) -> Array:
+    """Add the joints' derivatives to those by all displacements; return those by the laws.
+
+    Parameters
+    ----------
+    by_joint
+        Derivatives by the `sensitivity.PARAMETERS` of each joint of the pair, shape (angles, joints, parameters).
+    out
+        Derivatives by displacements, shape (angles, displacements).
+
+    Returns
+    -------
+    Array
+        Derivatives by the logarithm of each kind's stiffness (rad) and by its clearance (rad/m), shape (angles, 2 ·
+        kinds).
+    """
+    parameters, columns = _displaced(pair)
+    np.add.at(out.T, columns, by_joint.reshape(len(by_joint), -1)[:, parameters].T)
+    laws = by_joint[..., [STIFFNESS, CLEARANCE]]
+    each = [law.reshape(len(law), -1, 2).sum(axis=1) for _, law in by_kind(kinds_of(pair), laws, axis=1)]
+    return np.concatenate(each, axis=1)

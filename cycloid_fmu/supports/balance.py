@@ -11,16 +11,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, part, spliced
 from cycloid_fmu.contact.equilibrium import load
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
-from cycloid_fmu.supports.assembly import Assembly
-from cycloid_fmu.supports.bearing import Bearing, push
+from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, orient, reaction
 
-FIRST_DISC = 3
 NEIGHBOUR = 0.1  # rad: a solution farther away is no useful start
 _EXACT = 1e-14  # m: a step within rounding
 _LONGEST = 25e-6  # m: largest step
@@ -28,11 +24,13 @@ _REACH = 4e-6  # m: pins closer than this are solved at every step, the others a
 HELD = 1e-3  # N/m: limits a rotation that nothing holds yet; it pulls to the start of the step
 _ITERATIONS = 60
 _JUMP = 1e-10  # m: steps that end this close show a jump of forces, as where a pin leaves one of two teeth at a root
+_CHATTER = 1e-12  # m: steps shorter than this, `_CHATTERING` in turn, go to and fro across a jump of less than some mN
+_CHATTERING = 20
 _LAST_ITERATIONS = 600  # a drive loose in its clearances converges in small steps
 
 
 class Load(NamedTuple):
-    """Load on the carrier: a torque, and a spring from its rotation x to a held flange.
+    """Load on the carrier: a torque, and a spring from its rotation x to a held flange; and the centring springs.
 
     Attributes
     ----------
@@ -42,66 +40,20 @@ class Load(NamedTuple):
         Stiffness of the spring, N·m/rad; 0 without a held flange.
     flange
         Rotation of the flange from its ideal angle, rad.
+    centring
+        Stiffness of a spring in each bearing, for parts that are free in their clearance, N/m.
     """
 
     torque: float
     spring: float
     flange: float
-
-
-class Work(NamedTuple):
-    """Arrays that solving overwrites.
-
-    Attributes
-    ----------
-    place, residual, step, before, jump
-        Shape (unknowns,): last solution, residual, step, start of the step, and last jump within a step.
-    jacobian, matrix
-        Derivatives of the residual, and the matrix of the linear solution, shape (unknowns, unknowns).
-    bearing
-        Derivatives of one bearing's displacement by its unknowns, shape (2, 8).
-    at
-        Indices of these unknowns, shape (8,).
-    pose, moved
-        Last position of each disc, shape (discs, 3), and motion of the discs since all pins were solved, shape (1,), m.
-    """
-
-    place: Array
-    residual: Array
-    step: Array
-    before: Array
-    jump: Array
-    jacobian: Array
-    matrix: Array
-    bearing: Array
-    at: Array
-    pose: Array
-    moved: Array
-
-
-def work_of(unknowns: int, discs: int) -> Work:
-    """Return uninitialized work arrays."""
-    place, residual, step, before, jump = np.zeros((5, unknowns))
-    jacobian, matrix = np.zeros((2, unknowns, unknowns))
-    return Work(
-        place,
-        residual,
-        step,
-        before,
-        jump,
-        jacobian,
-        matrix,
-        np.zeros((2, 8)),
-        np.zeros(8),
-        np.zeros((discs, 3)),
-        np.full(1, np.inf),
-    )
+    centring: float
 
 
 @spliced
-def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, contacts: Rows, work: Work) -> None:
-    """Place the discs according to q and solve the gaps that may close."""
-    x = q[0]
+def _place_discs(problem: Problem, assembly: Assembly, theta: float, contacts: Rows, work: Work) -> None:
+    """Place the discs according to the unknowns and solve the gaps that may close."""
+    q, x = work.place, work.place[0]
     furthest = 0.0
     for disc in range(problem.shift_x.size):
         at = FIRST_DISC + 3 * disc
@@ -119,7 +71,7 @@ def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, c
 
 
 @spliced
-def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Work) -> None:
+def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work) -> None:
     """Add the pins' forces on the discs and the derivatives of these forces."""
     residual, jacobian = work.residual, work.jacobian
     for row in range(contacts.shape[0]):
@@ -127,7 +79,7 @@ def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Wo
         force = contact_.force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, theta, x, contacts, row)
+        local = contact.local_frame(problem, theta, work.place[0], contacts, row)
         nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
         # Derivatives of the gap by u, v, y, and the sliding of the pin's axis along the flank for each.
         du, dv, dy = -nx, -ny, nx * py - ny * px
@@ -152,198 +104,50 @@ def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Wo
         jacobian[at + 2, at + 2] -= force * ay
 
 
-@part
-def _add_bearing(work: Work, count: int, dx: float, dy: float, force: float, stiffness: float, r: float) -> None:
-    """Add a bearing displaced by d, |d| = r, whose derivatives by `count` unknowns are in `work`."""
-    residual, jacobian, by, at = work.residual, work.jacobian, work.bearing, work.at
-    if r > 0.0:
-        nx, ny, across = dx / r, dy / r, force / r
-    else:
-        nx, ny, across = 1.0, 0.0, stiffness
-    kxx = stiffness * nx * nx + across * ny * ny
-    kyy = stiffness * ny * ny + across * nx * nx
-    kxy = (stiffness - across) * nx * ny
-    for i in range(count):
-        bx, by_ = by[0, i], by[1, i]
-        row = int(at[i])
-        residual[row] += force * (nx * bx + ny * by_)
-        kx, ky = kxx * bx + kxy * by_, kxy * bx + kyy * by_
-        for j in range(count):
-            jacobian[row, int(at[j])] += kx * by[0, j] + ky * by[1, j]
-
-
-@part
-def _spring(bearing: Bearing, r: float, centring: float) -> tuple[float, float]:
-    force, stiffness = push(bearing, r)
-    return force + centring * r, stiffness + centring
-
-
-@part
-def _shift(work: Work, first: int, sign: float, column: int) -> None:
-    """Set the derivatives by two unknowns that shift the displacement directly."""
-    work.at[column], work.at[column + 1] = first, first + 1
-    work.bearing[0, column], work.bearing[1, column] = sign, 0.0
-    work.bearing[0, column + 1], work.bearing[1, column + 1] = 0.0, sign
-
-
-@part
-def eccentric(assembly: Assembly, crank: float, disc: int, k: int) -> tuple[float, float]:
-    """Ideal eccentric e u(A) minus the actual one (e + de) u(A + dψ), m.
-
-    Computed from small terms, without cancellation.
-    """
-    phase, throw = assembly.phase[disc, k], assembly.throw[disc, k]
-    half = 2.0 * assembly.eccentricity * math.sin(0.5 * phase)
-    between, made = crank + 0.5 * phase, crank + phase
-    return (
-        half * math.sin(between) - throw * math.cos(made),
-        -half * math.cos(between) - throw * math.sin(made),
-    )
-
-
-@part
-def _hole_from_place(
-    assembly: Assembly, carrier: float, q: Array, disc: int, k: int
-) -> tuple[float, float, float, float, float, float]:
-    """Displacement of a disc's hole from its crank or roller in the carrier, without the ideal eccentricity.
-
-    It is followed by the lever arms of disc and carrier there; all in m, in axes that do not rotate.
-    """
-    at = FIRST_DISC + 3 * disc
-    x, y = q[0], q[at + 2]
-    cx, sx, cy, sy = math.cos(carrier + x), math.sin(carrier + x), math.cos(carrier + y), math.sin(carrier + y)
-    px, py = assembly.place_x[k], assembly.place_y[k]
-    ax, ay = px + assembly.crank_x[k], py + assembly.crank_y[k]
-    hx, hy = px + assembly.hole_x[disc, k], py + assembly.hole_y[disc, k]
-    # Both positions rotated; R(γ + y) p - R(γ + x) p as a rotation about their mean.
-    turn, mean = 2.0 * math.sin(0.5 * (y - x)), carrier + 0.5 * (x + y)
-    cm, sm = math.cos(mean), math.sin(mean)
-    dx = turn * (-sm * px - cm * py) + cy * assembly.hole_x[disc, k] - sy * assembly.hole_y[disc, k]
-    dy = turn * (cm * px - sm * py) + sy * assembly.hole_x[disc, k] + cy * assembly.hole_y[disc, k]
-    dx += -cx * assembly.crank_x[k] + sx * assembly.crank_y[k] + q[at] - q[1]
-    dy += -sx * assembly.crank_x[k] - cx * assembly.crank_y[k] + q[at + 1] - q[2]
-    return dx, dy, cy * hx - sy * hy, sy * hx + cy * hy, cx * ax - sx * ay, sx * ax + cx * ay
-
-
-@part
-def crank_displacement(
-    assembly: Assembly, carrier: float, theta: float, phase: float, q: Array, disc: int, k: int
-) -> tuple[float, float, float, float, float, float]:
-    """Displacement of a crank's eccentric in its disc's hole, and the lever arms of disc and carrier there, m.
-
-    `carrier` is the carrier's ideal rotation γ, rad.
-    """
-    shaft = FIRST_DISC + 3 * assembly.hole_x.shape[0] + 2 * k
-    dx, dy, hx, hy, ax, ay = _hole_from_place(assembly, carrier, q, disc, k)
-    ex, ey = eccentric(assembly, theta + phase, disc, k)
-    return dx - q[shaft] + ex, dy - q[shaft + 1] + ey, hx, hy, ax, ay
-
-
 @spliced
-def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, centring: float, work: Work) -> None:
-    jacobian = work.jacobian
-    discs = problem.shift_x.size
-    carrier = -theta / problem.teeth
-    for k in range(assembly.place_x.size):
-        shaft = FIRST_DISC + 3 * discs + 2 * k
-        for disc in range(discs):
-            dx, dy, hx, hy, ax, ay = crank_displacement(assembly, carrier, theta, problem.crank_phase[disc], q, disc, k)
-            at = FIRST_DISC + 3 * disc
-            _shift(work, at, 1.0, 0)
-            _shift(work, 1, -1.0, 2)
-            _shift(work, shaft, -1.0, 4)
-            work.at[6], work.bearing[0, 6], work.bearing[1, 6] = at + 2, -hy, hx
-            work.at[7], work.bearing[0, 7], work.bearing[1, 7] = 0, ay, -ax
-            r = math.hypot(dx, dy)
-            force, stiffness = _spring(assembly.turning_arm, r, centring)
-            _add_bearing(work, 8, dx, dy, force, stiffness, r)
-            if r > 0.0:
-                jacobian[at + 2, at + 2] -= force * (dx * hx + dy * hy) / r
-                jacobian[0, 0] += force * (dx * ax + dy * ay) / r
-        sx, sy = q[shaft], q[shaft + 1]
-        r = math.hypot(sx, sy)
-        force, stiffness = _spring(assembly.crank_shaft, r, centring)
-        _shift(work, shaft, 1.0, 0)
-        _add_bearing(work, 2, sx, sy, force, stiffness, r)
+def _add_joints(assembly: Assembly, theta: float, centring: float, work: Work) -> None:
+    """Add the joints' forces on their two bodies and the derivatives of these forces."""
+    residual, jacobian, by, at = work.residual, work.jacobian, work.by, work.at
+    orient(assembly, theta, work)
+    for number in range(assembly.joints.size):
+        joint = assembly.joints[number]
+        d = displacement(assembly, joint, work)
+        acting = reaction(assembly, joint, d, centring)
+        if acting.stiffness == 0.0:
+            continue
+        unknowns = derivatives(assembly, joint, d, work)
+        nx, ny, force, across = d.normal_x, d.normal_y, acting.force, acting.across
+        kxx = acting.stiffness * nx * nx + across * ny * ny
+        kyy = acting.stiffness * ny * ny + across * nx * nx
+        kxy = (acting.stiffness - across) * nx * ny
+        for i in range(unknowns):
+            bx, by_ = by[0, i], by[1, i]
+            row = at[i]
+            residual[row] += force * (nx * bx + ny * by_)
+            kx, ky = kxx * bx + kxy * by_, kxy * bx + kyy * by_
+            for j in range(unknowns):
+                jacobian[row, at[j]] += kx * by[0, j] + ky * by[1, j]
+        # The lever arms rotate as well.
+        turn = assembly.bodies[joint.outer].rotation
+        if turn >= 0:
+            jacobian[turn, turn] -= force * (nx * d.outer_x + ny * d.outer_y)
+        turn = assembly.bodies[joint.seat].rotation
+        if turn >= 0:
+            jacobian[turn, turn] += force * (nx * d.inner_x + ny * d.inner_y)
 
 
 @part
-def roller_displacement(
-    assembly: Assembly, carrier: float, crank: float, q: Array, disc: int, i: int
-) -> tuple[float, float, float, float, float, float, float]:
-    """Displacement of a hole from its output roller, lever arms of disc and carrier there, and excess over e, m."""
-    dx, dy, hx, hy, ax, ay = _hole_from_place(assembly, carrier, q, disc, i)
-    e = assembly.eccentricity
-    ox, oy = e * math.cos(crank), e * math.sin(crank)
-    wx, wy = ox + dx, oy + dy
-    beyond = (2.0 * (ox * dx + oy * dy) + dx * dx + dy * dy) / (math.hypot(wx, wy) + e)
-    return wx, wy, hx, hy, ax, ay, beyond
-
-
-@spliced
-def _add_rollers(problem: Problem, assembly: Assembly, theta: float, q: Array, centring: float, work: Work) -> None:
-    jacobian = work.jacobian
-    discs = problem.shift_x.size
-    carrier = -theta / problem.teeth
-    shaft = FIRST_DISC + 3 * discs
-    for disc in range(discs):
-        crank, at = theta + problem.crank_phase[disc], FIRST_DISC + 3 * disc
-        ex, ey = eccentric(assembly, crank, disc, 0)
-        dx, dy = q[at] - q[shaft] + ex, q[at + 1] - q[shaft + 1] + ey
-        _shift(work, at, 1.0, 0)
-        _shift(work, shaft, -1.0, 2)
-        r = math.hypot(dx, dy)
-        force, stiffness = _spring(assembly.turning_arm, r, centring)
-        _add_bearing(work, 4, dx, dy, force, stiffness, r)
-        for i in range(assembly.place_x.size):
-            wx, wy, hx, hy, ax, ay, beyond = roller_displacement(assembly, carrier, crank, q, disc, i)
-            beyond -= assembly.hole_play[disc, i]
-            if beyond <= 0.0:
-                continue
-            _shift(work, at, 1.0, 0)
-            _shift(work, 1, -1.0, 2)
-            work.at[4], work.bearing[0, 4], work.bearing[1, 4] = at + 2, -hy, hx
-            work.at[5], work.bearing[0, 5], work.bearing[1, 5] = 0, ay, -ax
-            r, force = math.hypot(wx, wy), assembly.output_roller * beyond
-            _add_bearing(work, 6, wx, wy, force, assembly.output_roller, r)
-            jacobian[at + 2, at + 2] -= force * (wx * hx + wy * hy) / r
-            jacobian[0, 0] += force * (wx * ax + wy * ay) / r
-    sx, sy = q[shaft] - assembly.seat_x, q[shaft + 1] - assembly.seat_y
-    r = math.hypot(sx, sy)
-    force, stiffness = _spring(assembly.crank_shaft, r, centring)
-    _shift(work, shaft, 1.0, 0)
-    _add_bearing(work, 2, sx, sy, force, stiffness, r)
-
-
-@part
-def assemble(
-    problem: Problem,
-    assembly: Assembly,
-    theta: float,
-    pull: Load,
-    centring: float,
-    q: Array,
-    contacts: Rows,
-    work: Work,
-) -> None:
-    """Write the residual of the balance at q, and its derivatives."""
-    _place_discs(problem, assembly, theta, q, contacts, work)
+def assemble(problem: Problem, assembly: Assembly, theta: float, pull: Load, contacts: Rows, work: Work) -> None:
+    """Write the residual of the balance at `work.place`, and its derivatives."""
+    _place_discs(problem, assembly, theta, contacts, work)
     load(problem, contacts)
     for i in range(work.residual.size):
         work.residual[i] = 0.0
         for j in range(work.residual.size):
             work.jacobian[i, j] = 0.0
-    _add_mesh(problem, theta, q[0], contacts, work)
-    if assembly.cranks:
-        _add_cranks(problem, assembly, theta, q, centring, work)
-    else:
-        _add_rollers(problem, assembly, theta, q, centring, work)
-    mx, my = q[1] - assembly.seat_x, q[2] - assembly.seat_y
-    r = math.hypot(mx, my)
-    force, stiffness = _spring(assembly.main, r, centring)
-    _shift(work, 1, 1.0, 0)
-    _add_bearing(work, 2, mx, my, force, stiffness, r)
-    work.residual[0] += pull.spring * (q[0] - pull.flange) - pull.torque
+    _add_mesh(problem, theta, contacts, work)
+    _add_joints(assembly, theta, pull.centring, work)
+    work.residual[0] += pull.spring * (work.place[0] - pull.flange) - pull.torque
     work.jacobian[0, 0] += pull.spring
 
 
@@ -404,6 +208,16 @@ def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
             work.matrix[i, i] += held
 
 
+@part
+def solve_transposed(problem: Problem, assembly: Assembly, work: Work, right: Array, held: float) -> bool:
+    """Solve with the transposed derivatives of the balance, `held` as in `hold`; return False if singular."""
+    hold(problem, assembly, work, held)
+    for i in range(right.size):
+        for j in range(i):
+            work.matrix[i, j], work.matrix[j, i] = work.matrix[j, i], work.matrix[i, j]
+    return solve_linear(work.matrix, right)
+
+
 @spliced
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
     """Torsional stiffness dT/dx = 1/(H⁻¹)_xx at the balance, N·m/rad; NaN if the carrier is free."""
@@ -452,23 +266,16 @@ def _between(work: Work, share: float, now: float, low: float, high: float) -> f
 
 @spliced
 def balance(
-    problem: Problem,
-    assembly: Assembly,
-    theta: float,
-    pull: Load,
-    centring: float,
-    q: Array,
-    contacts: Rows,
-    work: Work,
-    iterations: int,
+    problem: Problem, assembly: Assembly, theta: float, pull: Load, contacts: Rows, work: Work, iterations: int
 ) -> int:
-    """Solve the balance from q, which is overwritten; return the number of steps, 0 if it was not found.
+    """Solve the balance from `work.place`, which is overwritten; return the number of steps, 0 if it was not found.
 
     If the work along a step has changed its sign at the end, the step is shortened until the work is at most half as
     large, with either sign: energies are convex for small rotations. Otherwise a contact that closes within the step
     would be missed, and the next step would overshoot too.
     """
-    assemble(problem, assembly, theta, pull, centring, q, contacts, work)
+    assemble(problem, assembly, theta, pull, contacts, work)
+    q, short = work.place, 0
     for iteration in range(iterations):
         left = _longest(problem, assembly, work.residual, -1.0)
         if left < assembly.balanced:
@@ -477,7 +284,8 @@ def balance(
         if share == 0.0:
             return 0
         step, longest = work.step, _longest(problem, assembly, work.step, 1.0)
-        if longest < _EXACT:
+        short = short + 1 if longest < _CHATTER else 0
+        if longest < _EXACT or short > _CHATTERING:
             return iteration + 1
         downhill = 0.0
         for i in range(step.size):
@@ -487,7 +295,7 @@ def balance(
         for _ in range(36 if iterations == _LAST_ITERATIONS else 12):
             for i in range(step.size):
                 q[i] = work.before[i] + share * step[i]
-            assemble(problem, assembly, theta, pull, centring, q, contacts, work)
+            assemble(problem, assembly, theta, pull, contacts, work)
             now = 0.0
             for i in range(step.size):
                 now += step[i] * work.residual[i]
@@ -510,34 +318,27 @@ def balance(
 
 @spliced
 def settle(
-    problem: Problem,
-    assembly: Assembly,
-    theta: float,
-    pull: Load,
-    centring: float,
-    q: Array,
-    contacts: Rows,
-    work: Work,
-    cold: bool,
+    problem: Problem, assembly: Assembly, theta: float, pull: Load, contacts: Rows, work: Work, cold: bool
 ) -> int:
-    """Solve the balance from q or, if `cold` or not found, from the ideal position with ever softer springs (N/m).
+    """Solve the balance from `work.place` or, if `cold` or not found, from the ideal position with softening springs.
 
     Return the number of steps, 0 without a balance.
     """
     total = 0
     for stage in range(1 if cold else 0, 3):
         if stage > 0:
-            for i in range(q.size):
-                q[i] = 0.0
+            for i in range(work.place.size):
+                work.place[i] = 0.0
             work.moved[0] = math.inf
-        spring, found = 1e8 if stage == 2 else centring, 0
+        spring, found = 1e8 if stage == 2 else pull.centring, 0
         while True:
-            most = _LAST_ITERATIONS if stage == 2 and spring == centring else _ITERATIONS
-            found = balance(problem, assembly, theta, pull, spring, q, contacts, work, most)
+            most = _LAST_ITERATIONS if stage == 2 and spring == pull.centring else _ITERATIONS
+            stage_pull = Load(pull.torque, pull.spring, pull.flange, spring)
+            found = balance(problem, assembly, theta, stage_pull, contacts, work, most)
             total += found if found > 0 else most
-            if spring == centring:
+            if spring == pull.centring:
                 break
-            spring = max(0.1 * spring, centring)
+            spring = max(0.1 * spring, pull.centring)
         if found > 0:
             return total
     return 0

@@ -1,4 +1,4 @@
-"""Force law of a bearing beyond its clearance: linear, or a continuum of rollers."""
+"""Force law of a joint beyond its clearance: a power of the displacement, or a continuum of rollers."""
 
 from __future__ import annotations
 
@@ -19,17 +19,19 @@ _EXPONENT = 10.0 / 9.0  # of a roller's load over its approach (Palmgren)
 _ORDER = 24
 
 
-class Bearing(NamedTuple):
-    """A radial bearing: a force F(r) along the displacement r of its inner ring.
+class Law(NamedTuple):
+    """A law: a force F(r) along the displacement r, such as that of a bearing's inner ring.
 
     Attributes
     ----------
     half_clearance
         Half of the diametral clearance, m.
     stiffness
-        Stiffness, N/m; for rollers Z K_l/(2π), N/m^(10/9).
+        Stiffness, N/m^exponent; for rollers Z K_l/(2π), N/m^(10/9).
+    exponent
+        Exponent of the force over the displacement beyond the clearance.
     rollers
-        Whether it is a roller bearing, otherwise a linear spring.
+        Whether it is a roller bearing, otherwise the force is stiffness · (r - half_clearance)^exponent.
     factor
         For rollers: coefficients of g(s) in `_roller_factor`.
     energy_factor
@@ -38,24 +40,36 @@ class Bearing(NamedTuple):
 
     half_clearance: float
     stiffness: float
+    exponent: float
     rollers: bool
     factor: Array
     energy_factor: Array
 
 
-def linear(stiffness: float, clearance: float = 0.0) -> Bearing:
-    """Return a bearing that is a linear spring (N/m) beyond its diametral clearance (m)."""
-    return Bearing(0.5 * clearance, float(stiffness), False, *_roller_factors())
+_SERIES = (_ORDER + 1,)
+LAW = np.dtype(
+    (
+        np.record,
+        [(name, np.float64) for name in ("half_clearance", "stiffness", "exponent")]
+        + [("rollers", np.bool_), ("factor", np.float64, _SERIES), ("energy_factor", np.float64, _SERIES)],
+    )
+)
+"""A `Law` as a record."""
 
 
-def rollers(number: int, length: float, clearance: float = 0.0) -> Bearing:
+def linear(stiffness: float, clearance: float = 0.0, exponent: float = 1.0) -> Law:
+    """Return a bearing that is a spring beyond its diametral clearance (m): linear (N/m), or with another exponent."""
+    return Law(0.5 * clearance, float(stiffness), exponent, False, *_roller_factors())
+
+
+def rollers(number: int, length: float, clearance: float = 0.0) -> Law:
     """Return a steel roller bearing from the number of rollers, their effective length and the diametral clearance, m.
 
     A line contact carries 8.06e4 N/mm^(10/9) (l/mm)^(8/9) δ^(10/9) (Palmgren, Grundlagen der Wälzlagertechnik, for
     steel); a roller has two contacts.
     """
     each = 8.06e4 / 2.0**_EXPONENT * (1e3 * length) ** (8.0 / 9.0) * 1e3**_EXPONENT
-    return Bearing(0.5 * clearance, number * each / (2.0 * math.pi), True, *_roller_factors())
+    return Law(0.5 * clearance, number * each / (2.0 * math.pi), _EXPONENT, True, *_roller_factors())
 
 
 @functools.cache
@@ -97,16 +111,19 @@ def _chebyshev(coefficients: Array, s: float) -> tuple[float, float]:
 
 
 @part
-def push(bearing: Bearing, r: float) -> tuple[float, float]:
+def push(law: Law | np.record, r: float) -> tuple[float, float]:
     """Force (N) and stiffness dF/dr (N/m) of a bearing displaced by r ≥ 0 (m)."""
-    beyond = r - bearing.half_clearance
+    beyond = r - law.half_clearance
     if beyond <= 0.0:
         return 0.0, 0.0
-    if not bearing.rollers:
-        return bearing.stiffness * beyond, bearing.stiffness
-    s = bearing.half_clearance / r
-    value, rise = _chebyshev(bearing.factor, s)
-    root = bearing.stiffness * r ** (1.0 / 9.0)
+    if not law.rollers:
+        secant = law.stiffness
+        if law.exponent != 1.0:
+            secant *= beyond ** (law.exponent - 1.0)
+        return secant * beyond, law.exponent * secant
+    s = law.half_clearance / r
+    value, rise = _chebyshev(law.factor, s)
+    root = law.stiffness * r ** (1.0 / 9.0)
     narrow = (1.0 - s) ** (11.0 / 18.0)
     whole = (1.0 - s) * narrow * value
     by_share = narrow * ((1.0 - s) * rise - 29.0 / 18.0 * value)
@@ -114,26 +131,26 @@ def push(bearing: Bearing, r: float) -> tuple[float, float]:
 
 
 @part
-def stored(bearing: Bearing, r: float) -> float:
+def stored(law: Law | np.record, r: float) -> float:
     """Energy of a bearing displaced by r, ∫ F dr, J."""
-    beyond = r - bearing.half_clearance
+    beyond = r - law.half_clearance
     if beyond <= 0.0:
         return 0.0
-    if not bearing.rollers:
-        return 0.5 * bearing.stiffness * beyond * beyond
-    s = bearing.half_clearance / r
-    value, _ = _chebyshev(bearing.energy_factor, s)
-    return float(bearing.stiffness / (_EXPONENT + 1.0) * r ** (19.0 / 9.0) * (1.0 - s) ** (47.0 / 18.0) * value)
+    if not law.rollers:
+        return float(push(law, r)[0] * beyond / (law.exponent + 1.0))
+    s = law.half_clearance / r
+    value, _ = _chebyshev(law.energy_factor, s)
+    return float(law.stiffness / (_EXPONENT + 1.0) * r ** (19.0 / 9.0) * (1.0 - s) ** (47.0 / 18.0) * value)
 
 
 @part
-def by_clearance(bearing: Bearing, r: float) -> float:
+def by_clearance(law: Law | np.record, r: float) -> float:
     """Derivative of a bearing's force by its diametral clearance, N/m."""
-    if r <= bearing.half_clearance:
+    if r <= law.half_clearance:
         return 0.0
-    if not bearing.rollers:
-        return -0.5 * bearing.stiffness
-    s = bearing.half_clearance / r
-    value, rise = _chebyshev(bearing.factor, s)
+    if not law.rollers:
+        return -0.5 * push(law, r)[1]
+    s = law.half_clearance / r
+    value, rise = _chebyshev(law.factor, s)
     by_share = (1.0 - s) ** (11.0 / 18.0) * ((1.0 - s) * rise - 29.0 / 18.0 * value)
-    return float(0.5 * bearing.stiffness * r ** (1.0 / 9.0) * by_share)
+    return float(0.5 * law.stiffness * r ** (1.0 / 9.0) * by_share)

@@ -14,22 +14,19 @@ from numba import types
 from numba.experimental import structref
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled, spliced
 from cycloid_fmu.contact.load_sharing import load_sharing
-from cycloid_fmu.supports.assembly import Assembly
-from cycloid_fmu.supports.balance import (
+from cycloid_fmu.supports.balance import HELD, Load, settle, solve_transposed
+from cycloid_fmu.supports.joints import (
     FIRST_DISC,
-    HELD,
-    Load,
+    Assembly,
     Work,
-    crank_displacement,
-    eccentric,
-    hold,
-    roller_displacement,
-    settle,
-    solve_linear,
+    add_turning,
+    derivatives,
+    displacement,
+    reaction,
+    stored_energy,
 )
-from cycloid_fmu.supports.bearing import Bearing, push, stored
 
 # Indices of the results of `stand`, and their number.
 X, STIFFNESS, ENERGY, BY_FLANGE, BY_ANGLE, CRANK_TORQUE, RATE, TORQUE = range(8)
@@ -97,168 +94,32 @@ def _mesh(
     return energy, turning, bent_by
 
 
-@part
-def _joint(
-    drive: Problem,
-    disc: int,
-    force: float,
-    stiffness: float,
-    dx: float,
-    dy: float,
-    r: float,
-    hx: float,
-    hy: float,
-    ax: float,
-    ay: float,
-    vx: float,
-    vy: float,
-    by_angle: Array,
-) -> tuple[float, float, float]:
-    """Add a joint of disc and carrier with displacement d, whose derivative by θ beyond their rotation is v.
-
-    Return the derivatives of its force and of its energy by θ.
-    """
-    teeth, at = drive.teeth, FIRST_DISC + 3 * disc
-    vx, vy = vx + (hy - ay) / teeth, vy - (hx - ax) / teeth
-    nx, ny = (dx / r, dy / r) if r > 0.0 else (1.0, 0.0)
-    across = force / r if r > 0.0 else stiffness
-    normal = (stiffness - across) * (nx * vx + ny * vy)
-    gx, gy = normal * nx + across * vx, normal * ny + across * vy
-    fx, fy = force * nx, force * ny
-    by_angle[at] += gx
-    by_angle[at + 1] += gy
-    by_angle[at + 2] += -hy * gx + hx * gy + (fx * hx + fy * hy) / teeth
-    return gx, gy, fx * vx + fy * vy
-
-
-@part
-def _sprung(bearing: Bearing, r: float, centring: float) -> tuple[float, float, float]:
-    """Energy, force and stiffness of a bearing with its centring spring."""
-    force, stiffness = push(bearing, r)
-    return stored(bearing, r) + 0.5 * centring * r * r, force + centring * r, stiffness + centring
-
-
 @spliced
-def _cranks(
-    drive: Problem, assembly: Assembly, theta: float, q: Array, centring: float, by_angle: Array
-) -> tuple[float, float]:
-    discs, teeth, e = drive.shift_x.size, drive.teeth, assembly.eccentricity
-    energy = turning = 0.0
-    for k in range(assembly.place_x.size):
-        shaft = FIRST_DISC + 3 * discs + 2 * k
-        for disc in range(discs):
-            phase = drive.crank_phase[disc]
-            dx, dy, hx, hy, ax, ay = crank_displacement(assembly, -theta / teeth, theta, phase, q, disc, k)
-            r = math.hypot(dx, dy)
-            stored_, force, stiffness = _sprung(assembly.turning_arm, r, centring)
-            crank, angle = theta + phase, theta + phase + assembly.phase[disc, k]
-            throw = e + assembly.throw[disc, k]
-            vx, vy = throw * math.sin(angle) - e * math.sin(crank), e * math.cos(crank) - throw * math.cos(angle)
-            gx, gy, turned = _joint(drive, disc, force, stiffness, dx, dy, r, hx, hy, ax, ay, vx, vy, by_angle)
-            _carried(by_angle, force, dx, dy, r, ax, ay, gx, gy, teeth)
-            by_angle[shaft] -= gx
-            by_angle[shaft + 1] -= gy
-            energy += stored_
-            turning += turned
-        energy += _sprung(assembly.crank_shaft, math.hypot(q[shaft], q[shaft + 1]), centring)[0]
-    return energy, turning
-
-
-@part
-def _carried(
-    by_angle: Array,
-    force: float,
-    dx: float,
-    dy: float,
-    r: float,
-    ax: float,
-    ay: float,
-    gx: float,
-    gy: float,
-    teeth: int,
-) -> None:
-    """Add a joint's contribution to the carrier."""
-    by_angle[1] -= gx
-    by_angle[2] -= gy
-    by_angle[0] += ay * gx - ax * gy
-    if r > 0.0:
-        by_angle[0] -= force * (dx * ax + dy * ay) / (r * teeth)
-
-
-@spliced
-def _rollers(
-    drive: Problem, assembly: Assembly, theta: float, q: Array, centring: float, by_angle: Array
-) -> tuple[float, float]:
-    discs, teeth, e = drive.shift_x.size, drive.teeth, assembly.eccentricity
-    shaft = FIRST_DISC + 3 * discs
-    energy = turning = 0.0
-    for disc in range(discs):
-        at, crank = FIRST_DISC + 3 * disc, theta + drive.crank_phase[disc]
-        ex, ey = eccentric(assembly, crank, disc, 0)
-        dx, dy = q[at] - q[shaft] + ex, q[at + 1] - q[shaft + 1] + ey
-        r = math.hypot(dx, dy)
-        stored_, force, stiffness = _sprung(assembly.turning_arm, r, centring)
-        angle, throw = crank + assembly.phase[disc, 0], e + assembly.throw[disc, 0]
-        vx, vy = throw * math.sin(angle) - e * math.sin(crank), e * math.cos(crank) - throw * math.cos(angle)
-        # A disc on its eccentric only shifts: no lever arms and no carrier.
-        gx, gy, turned = _joint(drive, disc, force, stiffness, dx, dy, r, 0.0, 0.0, 0.0, 0.0, vx, vy, by_angle)
-        by_angle[shaft] -= gx
-        by_angle[shaft + 1] -= gy
-        energy += stored_
-        turning += turned
-        for i in range(assembly.place_x.size):
-            wx, wy, hx, hy, ax, ay, beyond = roller_displacement(assembly, -theta / teeth, crank, q, disc, i)
-            beyond -= assembly.hole_play[disc, i]
-            if beyond <= 0.0:
-                continue
-            r, force = math.hypot(wx, wy), assembly.output_roller * beyond
-            gx, gy, turned = _joint(
-                drive,
-                disc,
-                force,
-                assembly.output_roller,
-                wx,
-                wy,
-                r,
-                hx,
-                hy,
-                ax,
-                ay,
-                -e * math.sin(crank),
-                e * math.cos(crank),
-                by_angle,
-            )
-            _carried(by_angle, force, wx, wy, r, ax, ay, gx, gy, teeth)
-            energy += 0.5 * force * beyond
-            turning += turned
-    energy += _sprung(
-        assembly.crank_shaft, math.hypot(q[shaft] - assembly.seat_x, q[shaft + 1] - assembly.seat_y), centring
-    )[0]
-    return energy, turning
+def _joints(assembly: Assembly, centring: float, work: Work, by_angle: Array) -> tuple[float, float]:
+    """Add the joints at the solved place; returns their energy and its derivative by θ at fixed unknowns."""
+    stored = turning = 0.0
+    for number in range(assembly.joints.size):
+        joint = assembly.joints[number]
+        d = displacement(assembly, joint, work)
+        acting = reaction(assembly, joint, d, centring)
+        if acting.stiffness == 0.0:
+            continue
+        unknowns = derivatives(assembly, joint, d, work)
+        stored += stored_energy(assembly, joint, d, centring)
+        turning += add_turning(assembly, joint, d, acting, work, unknowns, by_angle)
+    return stored, turning
 
 
 @compiled
-def stand(
-    box: Held,
-    theta: float,
-    torque: float,
-    spring: float,
-    flange: float,
-    centring: float,
-    rows: Rows,
-    cold: bool,
-    out: Array,
-) -> int:
+def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Array) -> int:
     """Solve the balance at a crank angle from the last solution; return the number of steps, 0 if not found.
 
     Parameters
     ----------
     box
         The drive; its unknowns are in `work.place`.
-    theta, torque, spring, flange
-        Crank angle (rad), and the load as in `balance.Load` (N·m, N·m/rad, rad).
-    centring
-        Springs that hold parts free in their clearance, N/m.
+    theta, pull
+        Crank angle, rad, and the load.
     rows, cold
         Contact rows, and whether to start without a neighbouring solution.
     out
@@ -269,53 +130,40 @@ def stand(
     """
     drive, assembly, work, by_energy, by_angle = box.drive, box.assembly, box.work, box.by_energy, box.by_angle
     q, teeth, n = work.place, drive.teeth, work.step.size
+    spring, flange = pull.spring, pull.flange
     if spring > 0.0:
         # Discs start with the carrier's rotation, or they would be pressed immediately.
         for i in range(FIRST_DISC + 2, FIRST_DISC + 3 * drive.shift_x.size, 3):
             q[i] += flange - q[0]
         q[0] = flange
-    steps = settle(drive, assembly, theta, Load(torque, spring, flange), centring, q, rows, work, cold)
+    steps = settle(drive, assembly, theta, pull, rows, work, cold)
     if steps == 0:
         return 0
     for i in range(n):
         by_energy[i] = by_angle[i] = 0.0
-    energy, by_theta, bending = _mesh(drive, theta, q[0], rows, by_energy, by_angle)
-    if assembly.cranks:
-        joints, turning = _cranks(drive, assembly, theta, q, centring, by_angle)
-    else:
-        joints, turning = _rollers(drive, assembly, theta, q, centring, by_angle)
-    by_theta += turning
-    energy += joints + _sprung(assembly.main, math.hypot(q[1] - assembly.seat_x, q[2] - assembly.seat_y), centring)[0]
+    of_mesh, mesh_turning, bending = _mesh(drive, theta, q[0], rows, by_energy, by_angle)
+    of_joints, joints_turning = _joints(assembly, pull.centring, work, by_angle)
+    by_theta = mesh_turning + joints_turning
     # Rows of the inverse for the carrier's rotation and for b, without the flange's spring.
     work.jacobian[0, 0] -= spring
     for i in range(n):
         work.before[i] = by_energy[i]
         work.residual[i] = 1.0 if i == 0 else 0.0
-    if not (_transposed(drive, assembly, work, work.residual) and _transposed(drive, assembly, work, work.before)):
-        return 0
     row, bent = work.residual, work.before
+    if not (solve_transposed(drive, assembly, work, row, HELD) and solve_transposed(drive, assembly, work, bent, HELD)):
+        return 0
     share = spring / (1.0 + spring * row[0])
     rate, energy_rate = 0.0, by_theta + bending
     for i in range(n):
         rate -= row[i] * by_angle[i]
         energy_rate -= (bent[i] - row[i] * share * bent[0]) * by_angle[i]
-    carried = spring * (flange - q[0]) + torque
+    carried = spring * (flange - q[0]) + pull.torque
     by_flange = carried + bent[0] * share if spring > 0.0 else carried
     out[X], out[STIFFNESS] = q[0], 1.0 / row[0]
-    out[ENERGY] = energy + (0.5 * (flange - q[0]) ** 2 * spring if spring > 0.0 else 0.0)
+    out[ENERGY] = of_mesh + of_joints + (0.5 * (flange - q[0]) ** 2 * spring if spring > 0.0 else 0.0)
     out[BY_FLANGE], out[BY_ANGLE] = by_flange, energy_rate + by_flange / teeth
     out[CRANK_TORQUE], out[RATE], out[TORQUE] = by_theta + carried / teeth, rate - 1.0 / teeth, carried
     return steps
-
-
-@part
-def _transposed(drive: Problem, assembly: Assembly, work: Work, right: Array) -> bool:
-    """Solve with the transposed derivatives of the balance; return False if singular."""
-    hold(drive, assembly, work, HELD)
-    for i in range(right.size):
-        for j in range(i):
-            work.matrix[i, j], work.matrix[j, i] = work.matrix[j, i], work.matrix[i, j]
-    return solve_linear(work.matrix, right)
 
 
 @compiled

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import Transmission
+from cycloid_fmu.contact.transmission import Options, Transmission
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.geometry.supports import Bearing, OutputRoller, PinSeat, Supports
+from cycloid_fmu.supports.assembly import bodies_of, kinds_of
 from cycloid_fmu.supports.transmission import OnBearings, solve
 from cycloid_fmu.surfaces.surface import nominal_surface
 
@@ -109,11 +111,12 @@ def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: N
     if pair.rated_torque is None:
         raise edge.InputError("rated_torque is missing; the compliance is that between half and full rated torque.")
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
-    loads = [share * pair.rated_torque for share in (*LOADS, LOST_MOTION_LOAD, -LOST_MOTION_LOAD)]
+    loads = pair.rated_torque * np.array([*LOADS, LOST_MOTION_LOAD, -LOST_MOTION_LOAD])
     shares, soft, lost = [], 0.0, 0.0
     for name, supports in [("mesh", None), *_stages(pair.supports)]:
         one = pair.replace(supports=supports)
-        place = solve(one, nominal_surface(one), loads, angles, with_play=False).transmission_error.mean(axis=1)
+        found = solve(DriveValue(one, nominal_surface(one)), loads, angles, Options(with_play=False))
+        place = found.transmission_error.mean(axis=1)
         now_soft, now_lost = float((place[1] - place[0]) / (loads[1] - loads[0])), float(place[2] - place[3])
         shares.append(Share(name, now_soft - soft, now_lost - lost))
         soft, lost = now_soft, now_lost
@@ -165,29 +168,29 @@ def bearing_loads(pair: Pair, found: Transmission, load: int = 0) -> list[Bearin
     if supports is None:
         raise edge.InputError("the pair has no [supports]: it has no bearings to compute loads for.")
     assert isinstance(found, OnBearings)
-    # Turns of the inner ring relative to the outer ring per crank turn.
-    in_disc = 1.0 + 1.0 / pair.gear_teeth
-    at_shaft = in_disc if supports.kind == "cranks" else 1.0
     arm = "turning arm" if supports.kind == "cranks" else "eccentric bearing"
-    rows = []
-
-    def add(name: str, force: Array, bearing: Bearing, turns: float) -> None:
-        equivalent = float(equivalent_load(force))
-        life = math.nan
-        if bearing.dynamic_capacity is not None:
-            share = bearing.dynamic_capacity / equivalent if equivalent > 0.0 else math.inf
-            life = 1e6 * share**LIFE_EXPONENT / turns
-        rows.append(BearingLoad(name, float(force.max()), equivalent, life))
-
-    for disc in range(pair.discs):
-        for crank in range(supports.cranks):
-            where = f", crank {crank}" if supports.kind == "cranks" else ""
-            force = found.turning_arm_force[load, :, disc, crank]
-            add(f"{arm}, disc {disc}{where}", force, supports.turning_arm, in_disc)
-    for crank in range(supports.cranks):
-        where = f", crank {crank}" if supports.kind == "cranks" else ""
-        add(f"crank bearing{where}", found.crank_bearing_force[load, :, crank], supports.crank_shaft, at_shaft)
-    add("main bearing", found.main_bearing_force[load], supports.main, 1.0 / pair.gear_teeth)
+    names = {"turning_arm": arm, "crank_shaft": "crank bearing", "main": "main bearing"}
+    forces = {
+        "turning_arm": found.turning_arm_force,
+        "crank_shaft": found.crank_bearing_force,
+        "main": found.main_bearing_force,
+    }
+    numbered = ("disc", "crank") if supports.kind == "cranks" else ("disc",)
+    rate, rows = bodies_of(pair)["rate"], []
+    for kind in kinds_of(pair):
+        if kind.name not in names:
+            continue
+        # Turns of the inner ring relative to the outer ring per crank turn.
+        turns = np.broadcast_to(np.abs(rate[kind.outer] - rate[kind.inner]), kind.shape)
+        capacity = getattr(supports, kind.name).dynamic_capacity
+        for place in np.ndindex(kind.shape):
+            force = forces[kind.name][(load, slice(None), *place)]
+            equivalent, life = float(equivalent_load(force)), math.nan
+            if capacity is not None:
+                share = capacity / equivalent if equivalent > 0.0 else math.inf
+                life = 1e6 * share**LIFE_EXPONENT / float(turns[place])
+            at = [f"{axis} {i}" for axis, i in zip(kind.grid, place, strict=True) if axis in numbered]
+            rows.append(BearingLoad(", ".join([names[kind.name], *at]), float(force.max()), equivalent, life))
     return rows
 
 

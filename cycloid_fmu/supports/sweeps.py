@@ -11,23 +11,13 @@ from numpy.typing import NDArray
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, compiled, spliced
 from cycloid_fmu.contact.load_sharing import write_contact_lines
-from cycloid_fmu.supports.assembly import Assembly
-from cycloid_fmu.supports.balance import (
-    FIRST_DISC,
-    NEIGHBOUR,
-    Load,
-    Work,
-    crank_displacement,
-    eccentric,
-    roller_displacement,
-    settle,
-    torsional_stiffness,
-)
-from cycloid_fmu.supports.bearing import CENTRING, push
+from cycloid_fmu.supports.balance import NEIGHBOUR, Load, settle, torsional_stiffness
+from cycloid_fmu.supports.bearing import CENTRING
+from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, displacement, eccentric, reaction
 
 
 class Found(NamedTuple):
-    """Results of a sweep, SI; the first axis is the crank angle."""
+    """Results of a sweep, SI; the first axis is the crank angle. `force` is of each joint, shape (angles, joints)."""
 
     steps: NDArray[np.int64]
     place: Array
@@ -37,45 +27,19 @@ class Found(NamedTuple):
     max_contact_pressure: Array
     pin_force: Array
     pin_pressure: Array
-    turning_arm: Array
-    crank_bearing: Array
-    main_bearing: Array
-    output_roller: Array
+    force: Array
 
 
 @spliced
-def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found: Found, i: int) -> float:
-    """Write the force of every bearing (N); return the crank torque (N·m)."""
-    discs = problem.shift_x.size
-    carrier = -theta / problem.teeth
+def _forces(assembly: Assembly, work: Work, force: Array) -> float:
+    """Write the force of every joint (N) at the solved place; return the crank torque (N·m)."""
     crank_torque = 0.0
-    first = FIRST_DISC + 3 * discs
-    for disc in range(discs):
-        crank = theta + problem.crank_phase[disc]
-        for k in range(assembly.throw.shape[1]):
-            if assembly.cranks:
-                dx, dy, _, _, _, _ = crank_displacement(assembly, carrier, theta, problem.crank_phase[disc], q, disc, k)
-            else:
-                at = FIRST_DISC + 3 * disc
-                ex, ey = eccentric(assembly, crank, disc, 0)
-                dx, dy = q[at] - q[first] + ex, q[at + 1] - q[first + 1] + ey
-            r = math.hypot(dx, dy)
-            force, _ = push(assembly.turning_arm, r)
-            found.turning_arm[i, disc, k] = force
-            if force > 0.0:
-                throw, angle = assembly.eccentricity + assembly.throw[disc, k], crank + assembly.phase[disc, k]
-                crank_torque -= throw * force * (math.cos(angle) * dy - math.sin(angle) * dx) / r
-        if not assembly.cranks:
-            for k in range(assembly.place_x.size):
-                _, _, _, _, _, _, beyond = roller_displacement(assembly, carrier, crank, q, disc, k)
-                beyond -= assembly.hole_play[disc, k]
-                found.output_roller[i, disc, k] = assembly.output_roller * max(beyond, 0.0)
-    for k in range(found.crank_bearing.shape[1]):
-        sx, sy = q[first + 2 * k], q[first + 2 * k + 1]
-        if not assembly.cranks:
-            sx, sy = sx - assembly.seat_x, sy - assembly.seat_y
-        found.crank_bearing[i, k], _ = push(assembly.crank_shaft, math.hypot(sx, sy))
-    found.main_bearing[i], _ = push(assembly.main, math.hypot(q[1] - assembly.seat_x, q[2] - assembly.seat_y))
+    for number in range(assembly.joints.size):
+        joint = assembly.joints[number]
+        d = displacement(assembly, joint, work)
+        force[number] = reaction(assembly, joint, d, 0.0).force
+        ex, ey = eccentric(joint, work)
+        crank_torque -= force[number] * (ex * d.normal_y - ey * d.normal_x)
     return crank_torque
 
 
@@ -99,13 +63,12 @@ def sweep_supported(
             share = (theta - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
             for k in range(q.size):
                 q[k] += share * (q[k] - found.place[i - 2, k])
-        found.steps[i] = settle(
-            problem, assembly, theta, Load(torques[i], 0.0, 0.0), CENTRING, q, contacts, work, not step < NEIGHBOUR
-        )
+        pull = Load(torques[i], 0.0, 0.0, CENTRING)
+        found.steps[i] = settle(problem, assembly, theta, pull, contacts, work, not step < NEIGHBOUR)
         for k in range(q.size):
             found.place[i, k] = q[k]
         found.stiffness[i] = torsional_stiffness(problem, assembly, work)
-        found.crank_torque[i] = _forces(problem, assembly, theta, q, found, i)
+        found.crank_torque[i] = _forces(assembly, work, found.force[i])
         count, pressure = contact.load_sharing(problem, contacts, found.pin_force[i], found.pin_pressure[i])
         found.contact_count[i], found.max_contact_pressure[i] = count, pressure
         if lines.slice_force.size > 0:

@@ -3,95 +3,40 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact import ContactLines, Problem, transmission
 from cycloid_fmu.contact.parts import Stopped, solve_in_parts
-from cycloid_fmu.contact.transmission import Interrupted, Transmission
+from cycloid_fmu.contact.transmission import Interrupted, Options, Sensitivity, Transmission
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.geometry.supports import Bearing
 from cycloid_fmu.supports import bearing
-from cycloid_fmu.supports.assembly import Assembly
-from cycloid_fmu.supports.balance import work_of
-from cycloid_fmu.supports.sensitivity import sweep_supported_sensitivities
+from cycloid_fmu.supports.assembly import add_by_displacements, by_kind, joint_list, kinds_of
+from cycloid_fmu.supports.joints import Assembly, work_of
+from cycloid_fmu.supports.sensitivity import PARAMETERS, Derivatives, sweep_supported_sensitivities
 from cycloid_fmu.supports.sweeps import Found, sweep_interference, sweep_supported
-from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacements, profile_wave
-from cycloid_fmu.surfaces.surface import ErrorSurface
-
-if TYPE_CHECKING:
-    import xarray as xr
+from cycloid_fmu.surfaces.structured import displacement_size
 
 Array = NDArray[np.float64]
 PLAY_LOAD = 1e-3  # of the rated torque: the play is that between the tangents at this torque in both directions
 _CENTRED = 1e-4 * bearing.CENTRING  # N: at most what the centring springs press without a torque
 _PART = 64  # crank angles that one thread solves at a time
 
-_LABELS = {
-    "disc_shift_x": (("disc",), "m", "shift of each disc's centre from its ideal position along x"),
-    "disc_shift_y": (("disc",), "m", "shift of each disc's centre from its ideal position along y"),
-    "turning_arm_force": (("disc", "crank"), "N", "force of each crank's or the eccentric's bearing in each disc"),
-    "crank_bearing_force": (("crank",), "N", "force of each crank's bearings in carrier or housing"),
-    "main_bearing_force": ((), "N", "force of the carrier's bearing in the ring"),
-    "output_roller_force": (("disc", "roller"), "N", "force of each output roller in each disc's hole"),
-    "crank_torque": ((), "N*m", "torque of the environment on the crank"),
-}
+
+def assembly_of(drive: DriveValue) -> Assembly:
+    """Return the joints of a drive as the list for the kernels, at its temperatures."""
+    grown = drive.pair.at_temperature
+    return joint_list(grown, kinds_of(grown), drive.displacements)
 
 
-def _law(stated: Bearing) -> bearing.Bearing:
-    if stated.rollers is not None and stated.roller_length is not None:
-        return bearing.rollers(stated.rollers, stated.roller_length, stated.clearance)
-    return bearing.linear(bearing.RIGID if stated.stiffness is None else stated.stiffness, stated.clearance)
-
-
-def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
-    """Return the supports of a pair as numbers and arrays, at its temperatures."""
-    made = displacements(pair, surface, {})
-    pair = pair.at_temperature
-    supports = pair.supports
-    assert supports is not None
-    angle = supports.first_angle + 2.0 * np.pi * np.arange(supports.count) / supports.count
-    roller = supports.output_roller
-    play = np.zeros((pair.discs, supports.count)) if roller is None else made["hole_play"] + 0.5 * roller.clearance
-    stiffness = 0.0 if supports.kind == "cranks" else bearing.RIGID
-    if roller is not None and roller.stiffness is not None:
-        stiffness = roller.stiffness
-    arm, shaft, main = (_law(getattr(supports, name)) for name in ("turning_arm", "crank_shaft", "main"))
-    rigid = bearing.RIGID in (arm.stiffness, shaft.stiffness, main.stiffness, stiffness)
-    mesh = pair.face_width / (pair.material.gear.compliance + pair.material.pin.compliance)
-    return Assembly(
-        cranks=supports.kind == "cranks",
-        eccentricity=pair.eccentricity,
-        place_x=supports.circle_radius * np.cos(angle),
-        place_y=supports.circle_radius * np.sin(angle),
-        crank_x=made["carrier_x"],
-        crank_y=made["carrier_y"],
-        hole_x=made["hole_x"],
-        hole_y=made["hole_y"],
-        hole_play=play,
-        throw=made["eccentric_throw"] + made["crank_throw"],
-        phase=made["eccentric_phase"],
-        seat_x=float(made["centre_x"]),
-        seat_y=float(made["centre_y"]),
-        turning_arm=arm,
-        crank_shaft=shaft,
-        main=main,
-        output_roller=stiffness,
-        rotation_scale=pair.pin_circle_radius,
-        # Rounding of a rotation moves a crank by 1e-19 m, rounding of a gap is 1e-17 m.
-        balanced=max(1e-3 if rigid else 1e-7, 1e-17 * mesh),
-    )
-
-
-def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
+def problem_of(drive: DriveValue, slices: int = 1) -> Problem:
     """Return the mesh of a pair with supports: bearings position the discs, and pins are compliant in their seats."""
-    mesh = transmission.mesh_of(pair, surface, slices)
-    pair = pair.at_temperature
+    mesh, pair = transmission.mesh_of(drive, slices), drive.pair.at_temperature
     supports = pair.supports
     assert supports is not None
     seat = supports.pin_seat
@@ -142,7 +87,7 @@ class OnBearings(Transmission):
 def _empty(pair: Pair, loads: int, angles: int) -> Found:
     supports = pair.supports
     assert supports is not None
-    discs, cranks, rollers = pair.discs, supports.cranks, supports.count if supports.kind == "output_rollers" else 0
+    discs, cranks = pair.discs, supports.cranks
     grid = (loads, angles)
     pins = (*grid, discs, pair.pins)
     return Found(
@@ -154,10 +99,7 @@ def _empty(pair: Pair, loads: int, angles: int) -> Found:
         max_contact_pressure=np.zeros(grid),
         pin_force=np.zeros(pins),
         pin_pressure=np.zeros(pins),
-        turning_arm=np.zeros((*grid, discs, cranks)),
-        crank_bearing=np.zeros((*grid, cranks)),
-        main_bearing=np.zeros(grid),
-        output_roller=np.zeros((*grid, discs, rollers)),
+        force=np.zeros((*grid, sum(kind.size for kind in kinds_of(pair)))),
     )
 
 
@@ -165,55 +107,25 @@ def _of(found: Found, part: Any) -> Found:
     return Found(*(array[part] for array in cast(tuple[Any, ...], found)))
 
 
-def solve(
-    pair: Pair,
-    surface: ErrorSurface,
-    torque: ArrayLike,
-    crank_angle: ArrayLike,
-    slices: int = 1,
-    *,
-    with_play: bool = True,
-    with_elements: bool = False,
-    workers: int = 1,
-    progress: Callable[[int], None] = lambda angles: None,
-) -> Transmission:
-    """Solve a drive at every torque and crank angle, on rigid bearings or on the stated ones.
-
-    Parameters and errors are those of `contact.transmission.solve`.
+def solve(drive: DriveValue, torque: Array, crank_angle: Array, options: Options) -> Transmission:
+    """Solve a drive on rigid or stated bearings; see `cycloid_fmu.analysis.solve`.
 
     Returns
     -------
     Transmission
         For a pair with supports an `OnBearings`.
-
-    Raises
-    ------
-    edge.InputError
-        If a torque can't be carried.
     """
-    if pair.supports is None:
-        return transmission.solve(
-            pair,
-            surface,
-            torque,
-            crank_angle,
-            slices,
-            with_play=with_play,
-            with_elements=with_elements,
-            workers=workers,
-            progress=progress,
-        )
-    torques, angles = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
-    if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
-        raise ValueError("torque and crank_angle must be finite")
+    if drive.pair.supports is None:
+        return transmission.solve(drive, torque, crank_angle, options)
+    pair, torques, angles = drive.pair, np.array(torque, dtype=float), np.array(crank_angle, dtype=float)
     at_angles = transmission.along_sweep(torques, angles)
-    rest = [0.0, *play_loads(pair)] if with_play or 0.0 in at_angles else []
+    rest = [0.0, *play_loads(pair)] if options.with_play or 0.0 in at_angles else []
     at_angles = np.concatenate([transmission.along_sweep(np.array(rest), angles), at_angles])
 
-    places = (len(torques), angles.size, pair.discs, pair.pins)
     lines = transmission.no_lines(len(torques))
-    if with_elements:
-        lines = transmission.empty_lines(pair, surface, slices, places)
+    if options.with_elements:
+        places = (len(torques), angles.size, pair.discs, pair.pins)
+        lines = transmission.empty_lines(drive, options.slices, places)
     found = _empty(pair, len(at_angles), angles.size)
 
     def result(done: slice) -> OnBearings:
@@ -222,43 +134,30 @@ def solve(
         _clear_centred(of_done, at_angles[:, done])
         interference = np.full(of_done.steps.shape[1], np.nan)
         if rest:
-            interference = _interference(problem_of(pair, surface, slices), angles[done], of_done)
+            interference = _interference(problem_of(drive, options.slices), angles[done], of_done)
         return _result(pair, torques, angles[done], at_angles[:, done], len(rest), of_done, kept, interference)
 
     try:
-        _solve(
-            pair,
-            surface,
-            at_angles,
-            angles,
-            slices,
-            found,
-            len(rest),
-            workers,
-            lambda size: progress(size * len(torques)),
-            lines,
-        )
+        _solve(drive, at_angles, angles, found, options, len(rest), lines)
     except Stopped as stopped:
         raise Interrupted(result(slice(0, stopped.finished))) from None
     return result(slice(None))
 
 
 def _solve(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: DriveValue,
     torques: Array,
     angles: Array,
-    slices: int,
     found: Found,
+    options: Options,
     first: int = 0,
-    workers: int = 1,
-    progress: Callable[[int], None] = lambda angles: None,
     lines: ContactLines | None = None,
 ) -> None:
     """Find solutions at every torque, shape (torques, angles); contact lines of the torques from `first` on."""
+    pair = drive.pair
     merging, none = threading.Lock(), transmission.no_lines(1)
-    assembly = assembly_of(pair, surface)
-    mesh = problem_of(pair, surface, slices)
+    assembly = assembly_of(drive)
+    mesh = problem_of(drive, options.slices)
 
     def part(start: int, last: int) -> None:
         # Each thread needs its own discs.
@@ -266,7 +165,7 @@ def _solve(
         problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
         for k, torque in enumerate(torques):
             here = _of(found, np.s_[k, start:last])
-            work = work_of(here.place.shape[-1], pair.discs)
+            work = work_of(assembly)
             mine = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
             sweep_supported(problem, assembly, angles[start:last], torque[start:last], here, work, mine)
             if lines is not None and k >= first:
@@ -275,7 +174,9 @@ def _solve(
                     np.maximum(gear, mine.gear_pressure[0], out=gear)
                     np.maximum(pin, mine.pin_pressure[0], out=pin)
 
-    solve_in_parts(part, angles.size, _PART, workers, progress)
+    solve_in_parts(
+        part, angles.size, _PART, options.workers, lambda size: options.progress(size * (len(torques) - first))
+    )
     for k, torque in enumerate(torques):
         if not found.steps[k].all():
             at = int(np.argmin(found.steps[k]))
@@ -354,7 +255,7 @@ def _result(
         stiffness = np.where((at_angles == 0.0) & (interference == 0.0), 0.0, stiffness)
         preload, count = found.pin_force[0].max(axis=(-1, -2)), found.contact_count[0].copy()
     kept = _of(found, np.s_[first:])
-    discs = pair.discs
+    discs, force = pair.discs, {kind.name: force for kind, force in by_kind(kinds_of(pair), kept.force)}
     return OnBearings(
         torques,
         angles,
@@ -373,10 +274,10 @@ def _result(
         disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
         disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
         disc_turn=kept.place[..., 5 : 3 + 3 * discs : 3] - kept.place[..., :1],
-        turning_arm_force=kept.turning_arm,
-        crank_bearing_force=kept.crank_bearing,
-        main_bearing_force=kept.main_bearing,
-        output_roller_force=kept.output_roller,
+        turning_arm_force=force["turning_arm"],
+        crank_bearing_force=force["crank_shaft"],
+        main_bearing_force=force["main"],
+        output_roller_force=force["output_roller"],
         crank_torque=kept.crank_torque,
     )
 
@@ -389,115 +290,29 @@ LAWS = tuple(
 """Columns of the sensitivity to bearings: to the logarithm of a stiffness (rad), to a clearance (rad/m)."""
 
 
-@dataclass(frozen=True)
-class Sensitivity:
-    """Transmission error of a drive on its bearings, with its derivatives.
+def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: int) -> Sensitivity:
+    """Return transmission error and derivatives of a drive on rigid or stated bearings.
 
-    Attributes
-    ----------
-    transmission_error
-        Transmission error, shape (angles,), rad.
-    by_displacement
-        Derivative by all displacements (`structured.displacement_layout`), shape (angles, displacements), rad/m, for
-        angles rad/rad.
-    by_bearing
-        Derivative by the parameters of `LAWS`, shape (angles, 8).
-    by_crank_angle, by_torque
-        Derivatives by crank angle (dimensionless) and torque (rad/(N·m)), shape (angles,).
+    See `cycloid_fmu.analysis.sensitivity`; `torque` has shape (angles,).
     """
-
-    transmission_error: Array
-    by_displacement: Array
-    by_bearing: Array
-    by_crank_angle: Array
-    by_torque: Array
-
-
-def sensitivity(
-    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, slices: int = 1
-) -> Sensitivity:
-    """Return transmission error and derivatives of a drive on its bearings at one torque, or one per crank angle.
-
-    Raises
-    ------
-    edge.InputError
-        If a torque can't be carried.
-    """
-    angles = np.array(crank_angle, dtype=float, ndmin=1)
-    at_angles = transmission.along_sweep(np.array(torque, dtype=float, ndmin=2), angles)
+    if drive.pair.supports is None:
+        return transmission.sensitivity(drive, torque, crank_angle, slices)
+    pair, angles, at_angles = drive.pair, np.array(crank_angle, dtype=float), np.array(torque, dtype=float)
     found = _empty(pair, 1, angles.size)
-    _solve(pair, surface, at_angles, angles, slices, found)
-    size = max(place.stop for place in displacement_layout(pair).values())
-    each, laws = np.zeros((angles.size, size)), np.zeros((angles.size, len(LAWS)))
+    _solve(drive, at_angles[None], angles, found, Options(slices))
+    assembly = assembly_of(drive)
+    each = np.zeros((angles.size, displacement_size(pair)))
+    by_joint = np.zeros((*found.force.shape[1:], len(PARAMETERS)))
     by_angle, by_torque = (np.zeros(angles.size) for _ in range(2))
     if not sweep_supported_sensitivities(
-        problem_of(pair, surface, slices),
-        assembly_of(pair, surface),
+        problem_of(drive, slices),
+        assembly,
         angles,
-        at_angles[0],
+        at_angles,
         found.place[0],
-        each,
-        laws,
-        by_angle,
-        by_torque,
-        work_of(found.place.shape[-1], pair.discs),
+        Derivatives(each, by_joint, by_angle, by_torque),
+        work_of(assembly),
     ):
-        raise _unbalanced(float(at_angles[0, 0]), angles[0])
-    return Sensitivity(found.place[0, :, 0].copy(), each, laws, by_angle, by_torque)
-
-
-def error_sensitivity(
-    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, names: list[str], slices: int = 1
-) -> tuple[Array, Array]:
-    """Return the transmission error at one torque, or one per angle, and its derivatives by errors or bearings.
-
-    Parameters
-    ----------
-    names
-        Names of structured errors, and of bearing stiffnesses and clearances from `LAWS`.
-
-    Returns
-    -------
-    transmission_error, jacobian
-        Shapes (angles,) and (angles, names): rad; rad/m, rad/rad for angles, rad for logarithms of stiffness.
-
-    Raises
-    ------
-    edge.InputError
-        If a torque can't be carried, or a derivative by a profile deviation is requested.
-    """
-    if pair.supports is None:
-        return transmission.error_sensitivity(pair, surface, torque, crank_angle, names, slices)[:2]
-    for name in names:
-        if profile_wave(name, 1) is not None:
-            raise edge.ArgumentError("errors", "derivatives by the flank profile are not available with supports", name)
-    found = sensitivity(pair, surface, torque, crank_angle, slices)
-    errors = [name for name in names if name not in LAWS]
-    columns = dict(zip(errors, (found.by_displacement @ displacement_columns(pair, errors)).T, strict=True))
-    columns |= {name: found.by_bearing[:, LAWS.index(name)] for name in names if name in LAWS}
-    return found.transmission_error, np.array([columns[name] for name in names]).T
-
-
-def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int, *, complete: bool) -> xr.Dataset:
-    """Return results as a dataset (format `cycloid-analysis/1`), with the additional results of `OnBearings`."""
-    data = transmission.labelled(pair, surface, found, slices, complete=complete)
-    if found.preload is not None:
-        label = {"units": "N", "long_name": "largest pin force without a torque"}
-        data["preload"] = ("crank_angle", found.preload, label)
-    if isinstance(found, OnBearings):
-        for name, (dimensions, unit, text) in _LABELS.items():
-            values = getattr(found, name)
-            if values.shape[-1] > 0:
-                each = ("torque", "crank_angle", *dimensions)
-                # Output rollers have one crank.
-                one = "crank" in dimensions and pair.supports is not None and pair.supports.kind == "output_rollers"
-                data[name] = (each[:-1], values[..., 0]) if one else (each, values)
-                data[name].attrs.update(units=unit, long_name=text)
-        data["backlash"].attrs["long_name"] = (
-            f"play at zero torque, extrapolated from {PLAY_LOAD:g} of the rated torque"
-        )
-        data["interference"].attrs["long_name"] = (
-            "overlap of flanks and pins that no rotation frees, the discs where they stand without a torque"
-        )
-        data["torsional_stiffness"].attrs["long_name"] += ", contacts and bearings alone"
-    return data
+        raise _unbalanced(float(at_angles[0]), angles[0])
+    laws = add_by_displacements(pair, by_joint, each)
+    return Sensitivity(found.place[0, :, 0].copy(), each, by_angle, by_torque, laws)

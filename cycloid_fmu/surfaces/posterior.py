@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 Array = NDArray[np.float64]
 DISC_PHASE = "disc_phase"
 """Name in a covariance of the position of another disc's teeth relative to the first disc's, m at the pin circle."""
-_FLANKS = "gear_deviation"  # the errors displaced by a profile deviation
 _PLACE = re.compile(r"(\w+)_at_(\d+)")  # name of a single pin or tooth in a surface's covariance
 
 
@@ -57,8 +56,8 @@ def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> 
 
 def _shifted(pair: Pair, surface: ErrorSurface, shifts: Mapping[str, float]) -> ErrorSurface:
     places = {name: found for name in shifts if (found := _PLACE.fullmatch(name))}
-    moved = {n: structured_value(pair, surface, n) + s for n, s in shifts.items() if n not in places}
-    made = with_structured(pair, surface, moved)
+    moved = {n: structured_value(surface, n) + s for n, s in shifts.items() if n not in places}
+    made = with_structured(surface, moved)
     scatter: dict[str, Any] = {}
     for name, place in places.items():
         # All teeth of another disc together.
@@ -69,23 +68,3 @@ def _shifted(pair: Pair, surface: ErrorSurface, shifts: Mapping[str, float]) -> 
         else:
             values.flat[int(place[2])] += shifts[name]
     return made.replace(**scatter)
-
-
-def displacements_of(surface: ErrorSurface, drawn: Sequence[ErrorSurface]) -> dict[str, Array]:
-    """Return the differences of surfaces from one: {kind or deviation: array (surfaces, …), m or rad}."""
-    found = {name: np.array([one.errors[name] - values for one in drawn]) for name, values in surface.errors.items()}
-    if any(one.gear_deviation is not None for one in drawn):
-        flanks = 0.0 if surface.gear_deviation is None else surface.gear_deviation
-        found[_FLANKS] = np.array([one.gear_deviation - flanks for one in drawn])  # type: ignore[operator]
-    return {name: values for name, values in found.items() if values.any()}
-
-
-def displaced(surface: ErrorSurface, displacements: Mapping[str, Array], number: int) -> ErrorSurface:
-    """Return a surface displaced by draw `number`, counted from 1; unchanged for 0."""
-    if number == 0:
-        return surface
-    changes: dict[str, Any] = {n: d[number - 1] + surface.errors[n] for n, d in displacements.items() if n != _FLANKS}
-    if _FLANKS in displacements:
-        flanks = 0.0 if surface.gear_deviation is None else surface.gear_deviation
-        changes[_FLANKS] = displacements[_FLANKS][number - 1] + flanks
-    return surface.replace(**changes)

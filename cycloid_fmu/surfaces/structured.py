@@ -67,7 +67,7 @@ def _is_number(name: str) -> bool:
     return name in KINDS and KINDS[name].of == "drive"
 
 
-def structured_value(pair: Pair, surface: ErrorSurface, name: str) -> float:
+def structured_value(surface: ErrorSurface, name: str) -> float:
     """Value of a structured error in a surface, m or rad; errors of teeth are averaged over teeth and discs."""
     if _is_number(name):
         return float(surface.errors[name])
@@ -75,11 +75,11 @@ def structured_value(pair: Pair, surface: ErrorSurface, name: str) -> float:
     profile = profile_wave(name, PROFILE_POINTS if flanks is None else flanks.shape[2])
     if profile is not None:
         return 0.0 if flanks is None else float(2.0 * (flanks * profile[:, None]).mean())
-    kind, wave = _wave(pair, name)
+    kind, wave = _wave(surface.pair, name)
     return float((surface.errors[kind.name] * wave).mean() / np.mean(wave**2)) if wave.any() else 0.0
 
 
-def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, float]) -> ErrorSurface:
+def with_structured(surface: ErrorSurface, values: Mapping[str, float]) -> ErrorSurface:
     """Return a surface with given values (m or rad) of the named structured errors; all others are kept.
 
     Raises
@@ -87,6 +87,7 @@ def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, floa
     ValueError
         If a name is not a structured error of this pair.
     """
+    pair = surface.pair
     changes: dict[str, Any] = {}
     for name, value in values.items():
         if _is_number(name):
@@ -96,7 +97,7 @@ def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, floa
             name, PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
         )
         if profile is not None:
-            before = structured_value(pair, surface, name)
+            before = structured_value(surface, name)
             blank = np.zeros((pair.discs, pair.gear_teeth, profile.size, 1)) if value != before else None
             flanks = changes.get("gear_deviation", surface.gear_deviation)
             flanks = blank if flanks is None else flanks
@@ -104,7 +105,7 @@ def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, floa
             continue
         kind, wave = _wave(pair, name)
         held = changes.get(kind.name, surface.errors[kind.name])
-        changes[kind.name] = held + (value - structured_value(pair, surface, name)) * wave
+        changes[kind.name] = held + (value - structured_value(surface, name)) * wave
     return surface.replace(**changes)
 
 
@@ -124,6 +125,11 @@ def displacement_layout(pair: Pair) -> dict[str, slice]:
             found[name] = slice(start, start + size)
             start += size
     return found
+
+
+def displacement_size(pair: Pair) -> int:
+    """Return the number of all displacements."""
+    return int(max(place.stop for place in displacement_layout(pair).values()))
 
 
 def displacements(pair: Pair, surface: ErrorSurface, nominal: Mapping[str, Any]) -> dict[str, Any]:

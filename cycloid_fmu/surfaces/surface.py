@@ -431,15 +431,61 @@ def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
         raise ValueError("this surface has no life")
     turns, last = life.crank_turns, life.crank_turns.size - 1
     if not 0.0 <= crank_turns <= turns[-1]:
-        raise ValueError(
-            f"crank_turns_worn = {crank_turns:g}: it must be between 0 and {turns[-1]:g}, the end of the life"
-        )
+        raise ValueError(f"crank_turns = {crank_turns:g}: it must be between 0 and {turns[-1]:g}, the end of the life")
     after = min(max(int(np.searchsorted(turns, crank_turns)), 1), last)
     before = min(after - 1, last)
     span = turns[after] - turns[before]
     share = (crank_turns - turns[before]) / span if span > 0.0 else 0.0
     mixed = {n: (1.0 - share) * getattr(life, n)[before] + share * getattr(life, n)[after] for n in DEVIATIONS}
     return surface.replace(**mixed)
+
+
+def at_age(pair: Pair, surface: ErrorSurface, age: float, wear_factor: float = 1.0) -> tuple[Pair, ErrorSurface]:
+    """Return a drive with a forecast at an age: the pair with its grown clearance, and the worn surface without life.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair, and its errors with a life and its `Ageing`.
+    age
+        Running time since new, s.
+    wear_factor
+        Ratio of the wear coefficient to the forecast's median.
+
+    Raises
+    ------
+    edge.ArgumentError
+        If the surface has no forecast, or the age or the factor is outside of it.
+    """
+    ageing = None if surface.life is None else surface.life.ageing
+    if surface.life is None or ageing is None:
+        problem = "needs a drive with a forecast; give a surface written by cycloid-fit forecast --twin"
+        raise edge.ArgumentError("age", problem, age)
+    low, high = ageing.smallest_wear_factor, ageing.largest_wear_factor
+    if not 0.0 <= age <= ageing.largest_age:
+        last = ageing.largest_age
+        limit = f"it must be between 0 and {last:g} s ({last / 3600.0:g} h), the end of the forecast"
+        raise edge.ArgumentError("age", limit, age)
+    if not low <= wear_factor <= high:
+        raise edge.ArgumentError("wear_factor", f"it must be between {low:g} and {high:g}", wear_factor)
+    # Rounding must not exceed the life's end.
+    turns = min(age * ageing.crank_turns_per_second * wear_factor, float(surface.life.crank_turns[-1]))
+    return _with_clearance(pair, surface_after(surface, turns), ageing, age)
+
+
+def at_own_age(pair: Pair, surface: ErrorSurface) -> tuple[Pair, ErrorSurface]:
+    """Return a drive as its surface is now, without life; with a forecast, the pair has the clearance of this age."""
+    if surface.life is None:
+        return pair, surface
+    if surface.life.ageing is None:
+        return pair, surface.replace(life=None)
+    return _with_clearance(pair, surface, surface.life.ageing, surface.life.ageing.age)
+
+
+def _with_clearance(pair: Pair, surface: ErrorSurface, ageing: Ageing, age: float) -> tuple[Pair, ErrorSurface]:
+    if ageing.bearing and pair.supports is not None:
+        pair = pair.replace(supports=pair.supports.grown(ageing.bearing, ageing.clearance_per_second * age))
+    return pair, surface.replace(pair=pair.nominal, life=None)
 
 
 def alike(surface: ErrorSurface) -> tuple[bool, bool]:

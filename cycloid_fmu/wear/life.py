@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.tooth_contact import contact_ratio
-from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.contact.loaded_contacts import contact_ratio
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, Life
 from cycloid_fmu.wear.law import Load, WearLaw
 from cycloid_fmu.wear.progress import (
@@ -66,8 +66,7 @@ class WearRun:
 
 
 def run_wear(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: DriveValue,
     law: WearLaw,
     loads: tuple[Load, ...],
     crank_turns: float,
@@ -98,7 +97,8 @@ def run_wear(
     KeyboardInterrupt
         Its text states the progress of the run.
     """
-    model = wear_model(pair, surface, law, loads)
+    pair = drive.pair
+    model = wear_model(drive, law, loads)
     new = wear_rate(model, model.surface, workers)
     thickness = tooth_thickness(pair)
     if new.depth.largest * crank_turns > thickness:

@@ -19,8 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.tooth_contact import LoadedContacts, loaded_contacts
-from cycloid_fmu.contact.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS, drive_of, slices_needed, solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.loaded_contacts import LoadedContacts, loaded_contacts
+from cycloid_fmu.contact.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS, rigid_problem
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge.kernels import kept_njit
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.geometry.profile import flank_points, flank_speed
@@ -90,8 +92,9 @@ class Sweep:
     pins_alike: bool
 
 
-def sweep_of(pair: Pair, surface: ErrorSurface) -> Sweep:
+def sweep_of(drive: DriveValue) -> Sweep:
     """Return the shortest sweep of a pair with its errors: one pin pitch, one turn, or a whole turn of the output."""
+    pair, surface = drive.pair, drive.surface
     g = pair
     teeth, pins = alike(surface)
     fixed, moving = (g.pins, g.gear_teeth) if g.output == "gear" else (g.gear_teeth, g.pins)
@@ -208,8 +211,7 @@ class WearModel:
 
 
 def wear_model(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: DriveValue,
     law: WearLaw,
     loads: Sequence[Load],
     profile: int = PROFILE_ELEMENTS,
@@ -226,8 +228,9 @@ def wear_model(
     profile, angle
         Elements along a tooth and round the half of a pin, where the surface has fewer.
     """
+    pair, surface = drive.pair, drive.surface
     g = pair
-    width = slices_needed(surface)
+    width = drive.slices
     gear = np.zeros((g.discs, g.gear_teeth, 1, 1)) if surface.gear_deviation is None else surface.gear_deviation
     pin = np.zeros((g.pins, 1, 1)) if surface.pin_deviation is None else surface.pin_deviation
     refined = dataclasses.replace(
@@ -239,7 +242,7 @@ def wear_model(
     arc = float(np.trapezoid(flank_speed(pair, alpha), alpha))
     total = sum(load.crank_turns for load in loads)
     shares = tuple(load.replace(crank_turns=load.crank_turns / total) for load in loads) if total > 0.0 else ()
-    return WearModel(pair, refined, law, shares, total, sweep_of(pair, surface), arc)
+    return WearModel(pair, refined, law, shares, total, sweep_of(drive), arc)
 
 
 def _finer(values: Array, axis: int, count: int) -> Array:
@@ -320,7 +323,7 @@ def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> Wear
         Threads; the result is the same bits for any number.
     """
     width = model.unworn.gear.shape[3]
-    drive = drive_of(model.pair, surface, width)
+    drive = rigid_problem(DriveValue(model.pair, surface), width)
     angle = model.sweep.crank_angle
     parts = [
         (load, part)
@@ -554,7 +557,7 @@ def depth_as_printed(model: WearModel, crank_turns: float) -> tuple[LoadedContac
     loaded-contact-wear equations 21 and 22. The paper does not state which pressure p is; with the mean one the gear's
     largest depth is nearest to its 60 µm.
     """
-    drive = drive_of(model.pair, model.surface, model.unworn.gear.shape[3])
+    drive = rigid_problem(DriveValue(model.pair, model.surface), model.unworn.gear.shape[3])
     contacts = loaded_contacts(drive, model.sweep.crank_angle, model.heaviest_torque)
     speed = velocities(drive, contacts)
     each = crank_turns * contact_coefficients(model.law, drive, contacts) * contacts.force / drive.slice_width
@@ -585,7 +588,7 @@ def accuracy(model: WearModel, depths: Sequence[Depth], workers: int = 1) -> Acc
     rows = []
     for depth in depths:
         surface = worn_surface(model, depth)
-        found = solve(model.pair, surface, torques, angle, model.unworn.gear.shape[3], workers=workers)
+        found = solve(DriveValue(model.pair, surface), torques, angle, model.unworn.gear.shape[3], workers=workers)
         error, up, down = found.transmission_error
         backlash = np.nan_to_num(found.backlash)
         # Without any load the lost motion is the play.

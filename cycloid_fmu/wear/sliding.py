@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.tooth_contact import LoadedContacts
+from cycloid_fmu.contact.loaded_contacts import LoadedContacts
 from cycloid_fmu.geometry.pair import Pair
 
 Array = NDArray[np.float64]

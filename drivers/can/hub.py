@@ -15,14 +15,17 @@ import time
 from typing import Any
 
 import can
-import canopen
 import numpy as np
 
+from cycloid_fmu import edge
 from drivers.can.bus import SYNC_ID, frame_key, open_bus
 from drivers.counts import Pace, wraps
 from drivers.encoder import BusConfig, EncoderConnectionError, EncoderSetupError
 from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, drained, reason
 from drivers.recording_format import CLOCK_JUMP, Event, FloatArray, IntArray
+
+with edge.needs_extra("bench"):
+    import canopen
 
 SYNC_COUNTER_MAX = 240
 BLOCK_FRAMES = 4096

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import can
-import canopen
 import numpy as np
 import pydantic
 
@@ -31,6 +30,9 @@ from drivers.encoder import (
     device_counts,
 )
 from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
+
+with edge.needs_extra("bench"):
+    import canopen
 
 POSITION, SPEED, COUNTS_PER_TURN, TURNS = 0x6004, 0x6030, 0x6501, 0x6502
 HEARTBEAT_TIME = 0x1017

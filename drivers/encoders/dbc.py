@@ -8,7 +8,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import cantools
 import numpy as np
 import numpy.typing as npt
 
@@ -20,6 +19,9 @@ from drivers.can.hub import CanHub
 from drivers.counts import Pace, counted, extract_bits, judge_sequence
 from drivers.encoder import BusConfig, ChannelConfig, Wiring, channel_of
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, FloatArray, IntArray, Samples
+
+with edge.needs_extra("bench"):
+    import cantools
 
 _NEWTON_METRE = re.compile(r"([kmu]?)Nm")
 _SI = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}

@@ -15,7 +15,7 @@ from drivers.recording_format import ROLLOVER, FloatArray, IntArray, Samples
 from drivers.serial.polled import PolledEncoder
 from drivers.serial.port import MIDDLE, PortHub, ask
 
-with edge.needs_extra("modbus"):
+with edge.needs_extra("bench"):
     from pymodbus.framer import FramerRTU
     from pymodbus.pdu import DecodePDU
     from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest

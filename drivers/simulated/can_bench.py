@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import can
-import canopen
 import numpy as np
-from canopen.objectdictionary import UNSIGNED8, UNSIGNED16, UNSIGNED32, ODRecord, ODVariable
 
 from cycloid_fmu import edge
 from drivers.can.bus import SYNC_ID, open_bus
@@ -24,6 +22,10 @@ from drivers.recording_format import FloatArray
 from drivers.simulated.bench import SimulatedBench
 from drivers.simulated.faults import NODE_FAULTS, Fault, Frame, faulty_frames
 from drivers.simulated.motion import Motion, quantised
+
+with edge.needs_extra("bench"):
+    import canopen
+    from canopen.objectdictionary import UNSIGNED8, UNSIGNED16, UNSIGNED32, ODRecord, ODVariable
 
 _END_SECONDS = 2.0  # without an operational node: nobody is listening
 _UP_SECONDS = 1000.0  # since power-up of an interface with its own clock

@@ -237,7 +237,7 @@ class SimulatedModbusBench(_PtyBench):
         baud_rate: int = 115_200,
         faults: Sequence[Fault] = (),
     ) -> None:
-        with edge.needs_extra("modbus"):
+        with edge.needs_extra("bench"):
             import pymodbus  # noqa: F401  # in the thread of `_run` the error would be lost
         super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
         self.devices, self.counts_per_turn = devices, counts_per_turn

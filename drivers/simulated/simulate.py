@@ -11,7 +11,6 @@ from cycloid_fmu import edge
 from drivers.arguments import in_si
 from drivers.simulated.ads_bench import SimulatedAdsBench
 from drivers.simulated.bench import SimulatedBench
-from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import read_faults
 from drivers.simulated.motion import (
     OutputAngle,
@@ -77,9 +76,10 @@ def simulate_bench(
         Lock the input and cycle the torque 0, +T, 0, -T, 0.
     interface, channel, trigger
         Interface and channel of the CAN bus in python-can ("loopback" reaches other processes on this machine,
-        "virtual" only this process), and the trigger of its encoders, see `SimulatedCanBench`.
+        "virtual" only this process), and the trigger of its encoders, see `SimulatedCanBench`; it needs the extra
+        `bench`.
     serial
-        Encoders on a pseudo-terminal instead of CAN; "modbus" needs the extra `modbus`.
+        Encoders on a pseudo-terminal instead of CAN; "modbus" needs the extra `bench`.
     plc
         A Beckhoff PLC at this address of this machine, such as "127.0.0.1", instead of CAN; recording it needs the
         extra `ads`.
@@ -146,6 +146,8 @@ def simulate_bench(
             motion, host=plc, speed_factor=speed_factor or 1.0, clock_drift=clock_drift, faults=script
         )
     elif serial is None:
+        from drivers.simulated.can_bench import SimulatedCanBench  # needs the extra `bench`
+
         group = "239.74.163.2" if interface == "loopback" else "bench"
         bench = SimulatedCanBench(
             motion,

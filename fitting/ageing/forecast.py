@@ -14,6 +14,7 @@ from scipy.special import log_ndtr
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.posterior import drawn_surfaces
 from cycloid_fmu.wear.law import WearLaw, duty_cycle
 from fitting.ageing.history import HOUR, History
@@ -135,7 +136,7 @@ class Forecast:
     def aged(self) -> Drive:
         """The twin: the drive at the last recording, with its life from new to the forecast's end.
 
-        FMUs that `Drive.build_fmu` makes of it have the parameters `age` and `wear_factor`.
+        `Drive.at_age` returns the drive at any age, and `Drive.build_fmu` builds it at the last recording.
         """
         surface = aged_surface(
             self.posterior,
@@ -295,7 +296,7 @@ def _left_open(drive: Drive, torque: float, workers: int | None) -> dict[str, fl
     if drive.surface.covariance is None:
         return dict.fromkeys(FIGURES, 0.0)
     drawn = drawn_surfaces(drive.pair, drive.surface, _DRAWS, 0)
-    found = [mean_figures(figures_of(drive.pair, one, torque, workers or 1)) for one in drawn]
+    found = [mean_figures(figures_of(DriveValue(drive.pair, one), torque, workers or 1)) for one in drawn]
     return {name: float(np.std([one[name] for one in found], ddof=1)) for name in FIGURES}
 
 

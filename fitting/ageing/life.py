@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import slices_needed
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive, refuse_first_stage
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import kinds_of
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.supports.transmission import solve
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, alike
 from cycloid_fmu.wear.law import Load, WearLaw
 from cycloid_fmu.wear.progress import WearState, wear_model, wear_states, worn_surface
@@ -90,7 +90,7 @@ def largest_growth(pair: Pair, bearing: str) -> float:
     return float(pair.supports.largest_clearance - getattr(pair.supports, bearing).clearance)
 
 
-def figures_of(pair: Pair, surface: ErrorSurface, torque: float, workers: int = 1) -> dict[str, Array]:
+def figures_of(drive: DriveValue, torque: float, workers: int = 1) -> dict[str, Array]:
     """Return lost motion, backlash and transmission error of a drive over crank angles, rad, each of shape (angles,).
 
     Parameters
@@ -100,6 +100,7 @@ def figures_of(pair: Pair, surface: ErrorSurface, torque: float, workers: int = 
     torque
         On the output, for the transmission error, N·m.
     """
+    pair, surface = drive.pair, drive.surface
     both = all(alike(surface))
     g, count = pair, _ANGLES[not both]
     angle = np.linspace(0.0, 2.0 * np.pi * (1.0 / g.pins if both else g.gear_teeth), count, endpoint=False)
@@ -107,7 +108,7 @@ def figures_of(pair: Pair, surface: ErrorSurface, torque: float, workers: int = 
         turns = 1 if both else g.gear_teeth
         angle = np.linspace(0.0, 2.0 * np.pi * turns, _OF_BEARINGS[not both], endpoint=False)
     torques = [torque, *pair.lost_motion_loads]
-    found = solve(pair, surface, torques, angle, slices_needed(surface), workers=workers)
+    found = solve(drive, torques, angle, workers=workers)
     error, up, down = found.transmission_error
     return {
         "lost_motion": up - down,
@@ -174,7 +175,7 @@ def life_figures(
         with_clearance(pair, bearing, 0.0)  # refused before anything is computed
     unit = law if law.coefficient is None else law.replace(coefficient=_UNIT)
     scale = 1.0 if law.coefficient is None else _UNIT
-    bare, made = _on_rigid_bearings(pair, drive.surface)
+    bare, made = _on_rigid_bearings(DriveValue(pair, drive.surface))
     heaviest = max((load.torque for load in loads), key=abs)
     # Shares of a turn: the cycle's order can't matter, as nobody knows where in it a recording was made.
     total = sum(load.crank_turns for load in loads)
@@ -183,7 +184,7 @@ def life_figures(
     def run(
         step: float, most: float, share: float
     ) -> tuple[list[WearState], list[ErrorSurface], list[dict[str, Array]]]:
-        model = wear_model(bare, made, unit.replace(largest_step=step), shares)
+        model = wear_model(DriveValue(bare, made), unit.replace(largest_step=step), shares)
         states: list[WearState] = []
         surfaces: list[ErrorSurface] = []
         found: list[dict[str, Array]] = []
@@ -192,7 +193,7 @@ def life_figures(
                 worn = worn_surface(model, state.depth)
                 surfaces.append(drive.surface.replace(**{n: getattr(worn, n) for n in DEVIATIONS}, origin="worn"))
                 states.append(state)
-                found.append(figures_of(bare, worn, heaviest, cores))
+                found.append(figures_of(DriveValue(bare, worn), heaviest, cores))
                 grown = _value("lost_motion", found[-1]["lost_motion"]) - _value("lost_motion", found[0]["lost_motion"])
                 done = max(state.crank_turns * scale / most, grown / growth if growth < math.inf else 0.0)
                 progress(share + 0.4 * min(done, 1.0))
@@ -247,7 +248,7 @@ def _on_bearings(
         for j, growth in enumerate(nodes):
             on = pair if bearing is None else with_clearance(pair, bearing, float(growth))
             try:
-                curves = figures_of(on, _of_pair(surfaces[state], on), torque, workers)
+                curves = figures_of(DriveValue(on, _of_pair(surfaces[state], on)), torque, workers)
             except edge.InputError:
                 if i == 0:
                     raise
@@ -267,8 +268,9 @@ def _by_figure(rows: Sequence[Sequence[Mapping[str, float]]]) -> dict[str, Array
 _UNIT = 1e-18  # m²/N: any coefficient serves; this one keeps crank turns of the run usual numbers
 
 
-def _on_rigid_bearings(pair: Pair, surface: ErrorSurface) -> tuple[Pair, ErrorSurface]:
+def _on_rigid_bearings(drive: DriveValue) -> tuple[Pair, ErrorSurface]:
     """Return the drive without its supports and their errors."""
+    pair, surface = drive.pair, drive.surface
     if pair.supports is None:
         return pair, surface
     return (bare := pair.nominal.replace(supports=None)), _of_pair(surface, bare)

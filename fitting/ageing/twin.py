@@ -1,4 +1,4 @@
-"""Ageing twin: an error surface with a life over ages, for FMUs with the parameter `age`."""
+"""Ageing twin: an error surface with a life over ages, of which `Drive.at_age` makes the drive of an age."""
 
 from __future__ import annotations
 

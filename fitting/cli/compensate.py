@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cycloid_fmu import edge
-from cycloid_fmu.cli.shared import SurfaceFile, with_measured
+from cycloid_fmu.cli.shared import SurfaceFile
 from cycloid_fmu.edge import ARCSEC, commands
 from fitting.cli.options import separated
 
@@ -16,16 +16,14 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.description import Version
     from cycloid_fmu.fmu.friction_file import Friction
 
-ENDINGS = (".c", ".h", ".st", ".csv", ".fmu")
+ENDINGS = (".c", ".h", ".csv", ".fmu")
 
 
 def compensate(
     drive_file: Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The gear pair, or an RV reducer.")],
     output: Annotated[
         Path,
-        commands.output_option(
-            ENDINGS, "OUT.c|st|csv|fmu", "C99 source with header, IEC 61131-3 Structured Text, look-up table or FMU."
-        ),
+        commands.output_option(ENDINGS, "OUT.c|csv|fmu", "C99 source with header, look-up table or FMU."),
     ],
     surface_file: SurfaceFile = None,
     fit: Annotated[
@@ -162,6 +160,7 @@ def _chain(
     """Return friction at the output, stiffness of the whole drive, N*m/rad, and series compliance, rad/(N*m)."""
     from cycloid_fmu.fmu.chain import read_loop
     from cycloid_fmu.fmu.friction_file import FrictionTables, read_friction
+    from cycloid_fmu.fmu.interface_files import with_measured
     from fitting.estimation.result import read_chain
 
     friction = (FrictionTables() if friction_file is None else read_friction(friction_file)).output

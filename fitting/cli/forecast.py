@@ -43,7 +43,7 @@ def forecast(
     twin: Annotated[
         Path | None,
         commands.output_option(
-            (".nc",), "TWIN.nc", "Write the drive with its life (netCDF); its FMUs have the parameter age.", "--twin"
+            (".nc",), "TWIN.nc", "Write the drive with its life (netCDF); build --age makes FMUs of it.", "--twin"
         ),
     ] = None,
     as_json: commands.AsJson = False,

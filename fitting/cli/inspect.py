@@ -26,7 +26,8 @@ def inspect(
     [cyan]--mapping map.toml[/]
     """
     import fitting
-    from fitting.recordings.inspection import LOOKED_AT, inspection_json
+    from fitting.recordings.first_samples import INSPECTED
+    from fitting.recordings.inspection import inspection_json
 
     found = fitting.inspect(file, dbc)
     if output is not None:
@@ -53,7 +54,7 @@ def inspect(
     ]
     rows += [[name, "", "", "", "", "(text)"] for name in found.file.texts]
     commands.print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
-    if max(one.values.size for one in found.looks) >= LOOKED_AT:
-        typer.echo(f"Based on the first {LOOKED_AT} samples.")
+    if max(one.values.size for one in found.looks) >= INSPECTED:
+        typer.echo(f"Based on the first {INSPECTED} samples.")
     typer.echo("\n# A proposed mapping; check it and use it with --mapping.\n" + found.text)
     options.print_notes(found.file.problems)

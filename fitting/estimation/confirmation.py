@@ -171,7 +171,7 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
     parameters = {name: Confirmed(value, least, most, vary=True) for name, value, least, most in stated}
     for name in observed.errors:
         if name not in estimate.chosen:
-            parameters[name] = Confirmed(structured_value(pair, problem.prior, name), *possible(pair, name), vary=False)
+            parameters[name] = Confirmed(structured_value(problem.prior, name), *possible(pair, name), vary=False)
     found = dataclasses.replace(
         estimate,
         state=best.state,

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.near_drives import NearDrives
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, ErrorSurface, surface_of_pair
 from fitting.estimation.normal_equations import Factor
 from fitting.model.identifiability import UNKNOWN
+from fitting.model.near_drive import NearDrive
 from fitting.model.observations import (
     CHAIN,
     KNOWN_SIZES,
@@ -142,7 +142,7 @@ class Problem:
         pair: Pair,
         observed: Observations,
         chosen: Sequence[str],
-        around: Sequence[NearDrives] | None = None,
+        around: Sequence[NearDrive] | None = None,
         prior: ErrorSurface | None = None,
     ) -> None:
         self.pair, self.chosen, self.around = pair, list(chosen), around
@@ -199,8 +199,8 @@ class Problem:
 
     def unknowns(self, state: State) -> Array:
         """Return the vector of a state."""
-        plain = with_scatter(self.pair, state.surface, -state.scatter)
-        errors = [structured_value(self.pair, plain, n) for n in self.chosen]
+        plain = with_scatter(state.surface, -state.scatter)
+        errors = [structured_value(plain, n) for n in self.chosen]
         crank = [state.crank_offset] if self.fit_crank else []
         friction = [state.friction]
         friction += [state.loop_friction, state.loop_friction_per_load] if self.with_loops else []
@@ -223,7 +223,7 @@ class Problem:
         errors = dict(zip(self.chosen, values[: len(self.chosen)], strict=True))
         scatter = values[self.first_scatter :]
         return State(
-            surface=with_scatter(self.pair, with_structured(self.pair, self.prior, errors), scatter),
+            surface=with_scatter(with_structured(self.prior, errors), scatter),
             scatter=scatter,
             bench=values[self.bench],
             friction=float(values[self.bench.stop]),
@@ -287,7 +287,7 @@ def fit(
     scatter: Mapping[str, float],
     *,
     gain: float,
-    around: Sequence[NearDrives] | None = None,
+    around: Sequence[NearDrive] | None = None,
     linear: Linear | None = None,
     evaluations: int = EVALUATIONS,
     estimated: bool = True,
@@ -582,7 +582,7 @@ def profile_interval(
         )
 
     best = refitted(estimate.state, {})
-    centre = structured_value(pair, with_scatter(pair, best.state.surface, -best.state.scatter), name)
+    centre = structured_value(with_scatter(best.state.surface, -best.state.scatter), name)
     ends = []
     for way in (-1.0, 1.0):
         distance, state, found = standard_error * np.sqrt(rise), best.state, np.inf

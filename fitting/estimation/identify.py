@@ -246,7 +246,7 @@ def _described_otherwise(
     sizes = tolerances_of(found.chosen, found.observed.profile)
 
     def distance(one: Estimate) -> float:
-        off = [structured_value(pair, one.state.surface, n) - structured_value(pair, prior, n) for n in found.chosen]
+        off = [structured_value(one.state.surface, n) - structured_value(prior, n) for n in found.chosen]
         return round(float(np.sum((np.array(off) / sizes) ** 2)), 1)
 
     first, *others = sorted(every, key=distance)

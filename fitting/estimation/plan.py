@@ -248,7 +248,7 @@ class _Foretold:
         )
         # Pins and teeth that scatter share a small load unevenly, so that single ones show more of themselves.
         drawn = self.spread * np.random.default_rng(0).standard_normal(self.spread.size)
-        surface = with_scatter(pair, surface_of_pair(pair), drawn)
+        surface = with_scatter(surface_of_pair(pair), drawn)
         state = State(surface, np.zeros_like(self.spread), np.zeros(self.observed.bench.shape[1]))
         once = linearise(pair, self.observed.some(range(self.second)), state)
         self.linear = joined([once, once])

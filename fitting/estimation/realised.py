@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.special import stdtrit
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.posterior import DISC_PHASE
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
@@ -119,8 +120,8 @@ def displaced(pair: Pair, surface: ErrorSurface, radius_lever: float = 0.0) -> A
 
     Parameters
     ----------
-    pair, surface
-        The nominal pair and its errors.
+    drive
+        The drive.
     radius_lever
         Radial places are those of pins of the mean radius: minus this times each pin's radius deviation.
 
@@ -199,7 +200,7 @@ def errors_by_pattern(pair: Pair, covariance: Array) -> dict[str, float]:
     return {name: float(np.sqrt(variance[part].mean())) for name, part in estimated_parts(pair).items()}
 
 
-def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covariance: Array, spread: Array) -> Realised:
+def realised(drive: DriveValue, chosen: Sequence[str], covariance: Array, spread: Array) -> Realised:
     """Return every pin and tooth of an identified surface.
 
     Parameters
@@ -216,17 +217,17 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
     An order of pins that is known to 0.1 µm, and no scatter:
 
     >>> import cycloid_fmu as cy, numpy as np
-    >>> from cycloid_fmu.surfaces.structured import with_structured
-    >>> from cycloid_fmu.surfaces.surface import surface_of_pair
+    >>> from cycloid_fmu.drive_value import DriveValue
     >>> from fitting.estimation.realised import realised
     >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
-    >>> made = with_structured(pair, surface_of_pair(pair), {"pin_radial_2_cos": 3e-6})
+    >>> made = DriveValue.as_stated(pair).with_structured({"pin_radial_2_cos": 3e-6})
     >>> known = np.zeros((40, 40))
     >>> known[0, 0] = 1e-14
-    >>> found = realised(pair, made, ["pin_radial_2_cos"], known, np.zeros(39))
+    >>> found = realised(made, ["pin_radial_2_cos"], known, np.zeros(39))
     >>> [f"{p.name} {p.value:.1e} ± {p.standard_error:.1e}" for p in found.orders if p.name == "pin_radial_2_amplitude"]
     ['pin_radial_2_amplitude 3.0e-06 ± 1.0e-07']
     """
+    pair, surface = drive.pair, drive.surface
     lever = radius_lever_of(pair, chosen, covariance)
     values, variance = displaced(pair, surface, lever), displaced_covariance(pair, chosen, covariance, lever)
     unmeasured = np.diag(np.concatenate([tolerances_of(chosen), np.maximum(spread, NO_SCATTER)]) ** 2)

@@ -21,9 +21,10 @@ from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.sampling import Tolerances
 from cycloid_fmu.surfaces.structured import structured_value, unit_of
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
@@ -294,7 +295,7 @@ def result_of(
     covariance = every[: len(chosen), : len(chosen)]
     error = np.sqrt(np.diag(covariance))
     prior = surface_of_pair(pair)
-    plain = with_scatter(pair, state.surface, -state.scatter)
+    plain = with_scatter(state.surface, -state.scatter)
     lag = None
     if LAG_NAME in bench:
         lag = clock_lag_found(observed, linear, bench[LAG_NAME], float(stated[LAG_NAME].stderr or 0.0))
@@ -303,7 +304,7 @@ def result_of(
     for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
             sigma, quantile = float(error[chosen.index(name)]), float(quantiles[chosen.index(name)])
-            value = structured_value(pair, plain, name)
+            value = structured_value(plain, name)
             one = parameter(name, unit_of(name), value, sigma, float(tolerance), quantile=quantile)
             if name in profiled:
                 progress(f"profile of {name}")
@@ -311,10 +312,10 @@ def result_of(
                 one = dataclasses.replace(one, interval=interval)
             one = allowing(one, float(moved[name]), float(tolerance))
         else:
-            value, sigma = structured_value(pair, prior, name), float(tolerance)
+            value, sigma = structured_value(prior, name), float(tolerance)
             one = parameter(name, unit_of(name), value, sigma, sigma, reasons[name])
         parameters.append(one)
-    ring = realised(pair, state.surface, chosen, every, spread)
+    ring = realised(DriveValue(pair, state.surface), chosen, every, spread)
     run_out = run_outs_of(observed, stated)
     told = verdict.state != "not explained"
     if not told:
@@ -383,8 +384,8 @@ def result_of(
 
 
 def _structured(pair: Pair, fit: Estimate) -> dict[str, float]:
-    plain = with_scatter(pair, fit.state.surface, -fit.state.scatter)
-    return {name: structured_value(pair, plain, name) for name in fit.chosen}
+    plain = with_scatter(fit.state.surface, -fit.state.scatter)
+    return {name: structured_value(plain, name) for name in fit.chosen}
 
 
 def _of_discs(others: int) -> list[str]:
@@ -420,7 +421,7 @@ def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array
     for source in dict.fromkeys(observed.curves[i].source for i in branches):
         own = [i for i in branches if observed.curves[i].source == source]
         crank = float(np.mean([observed.curves[i].input_angle.mean() for i in own]))
-        play, by_error, each = play_of(pair, fit.state.surface, crank + fit.state.crank_offset, chosen)
+        play, by_error, each = play_of(DriveValue(pair, fit.state.surface), crank + fit.state.crank_offset, chosen)
         if stage is not None:
             s = share_of(stage, pair)
             play = s * (play + stage.bearing_play + stage.crank_play / pair.gear_teeth)

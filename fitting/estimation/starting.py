@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.near_drives import NearDrives
 from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
@@ -19,6 +18,7 @@ from fitting.estimation.fit import NO_SCATTER, Estimate, fit
 from fitting.estimation.result import is_uneven
 from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors
+from fitting.model.near_drive import NearDrive
 from fitting.model.observations import (
     CHAIN,
     CREEP,
@@ -88,7 +88,7 @@ def starting_estimate(
     size = spread_of(pair, {}).size
     prior = surface_of_pair(pair)
 
-    def zeroed(part: Observations, state: State, around: Sequence[NearDrives] | None) -> tuple[State, Linear]:
+    def zeroed(part: Observations, state: State, around: Sequence[NearDrive] | None) -> tuple[State, Linear]:
         """The state with the unknown zeros of these observations, and the model there."""
         state = dataclasses.replace(state, bench=np.zeros(part.bench.shape[1]))
         free = ~np.isfinite(part.bench_prior)
@@ -113,7 +113,7 @@ def starting_estimate(
     pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
 
     def ended(
-        part: Observations, state: State, scatter: Mapping[str, float], around: Sequence[NearDrives] | None
+        part: Observations, state: State, scatter: Mapping[str, float], around: Sequence[NearDrive] | None
     ) -> Estimate | None:
         try:
             state, linear = zeroed(part, state, around)
@@ -149,7 +149,7 @@ def starting_estimate(
     found: list[Estimate] = []
     singular: list[np.linalg.LinAlgError] = []
 
-    def around(surface: ErrorSurface) -> Sequence[NearDrives] | None:
+    def around(surface: ErrorSurface) -> Sequence[NearDrive] | None:
         try:
             return None if nominal is None else linearisation_point(pair, surface, few)
         except edge.InputError:
@@ -220,24 +220,24 @@ def _suspects(pair: Pair, fit: Estimate) -> list[int]:
 
 def described_by(pair: Pair, found: Estimate, surface: ErrorSurface) -> State:
     """The state of a fit with the errors of a surface."""
-    values = {n: structured_value(pair, surface, n) for n in found.chosen}
-    plain = with_structured(pair, surface_of_pair(pair), values)
-    scatter = scatter_between(pair, surface, plain)
-    return dataclasses.replace(found.state, surface=with_scatter(pair, plain, scatter), scatter=scatter)
+    values = {n: structured_value(surface, n) for n in found.chosen}
+    plain = with_structured(surface_of_pair(pair), values)
+    scatter = scatter_between(surface, plain)
+    return dataclasses.replace(found.state, surface=with_scatter(plain, scatter), scatter=scatter)
 
 
 def _negated(pair: Pair, state: State, order: int, chosen: Sequence[str]) -> State:
     """A state with the opposite sign of the errors of one order around the ring, without scatter."""
-    plain = with_scatter(pair, state.surface, -state.scatter)
+    plain = with_scatter(state.surface, -state.scatter)
     waves = {n: wave_of(n) for n in chosen}
     of_order = [
         name
         for name, wave in waves.items()
         if (wave and wave[0].of == "pin" and wave[1] == order) or (order == 1 and name.startswith("centre_distance"))
     ]
-    values = {n: structured_value(pair, plain, n) for n in chosen}
+    values = {n: structured_value(plain, n) for n in chosen}
     values |= {n: -values[n] for n in of_order}
-    surface = with_structured(pair, surface_of_pair(pair), values)
+    surface = with_structured(surface_of_pair(pair), values)
     return dataclasses.replace(state, surface=surface, scatter=np.zeros_like(state.scatter))
 
 
@@ -246,7 +246,7 @@ def _put_back(pair: Pair, state: State, pin: int, reach: int) -> State:
     window = np.mod(np.arange(pin - reach, pin + reach + 1), pair.pins)
     scatter = state.scatter.copy()
     scatter[np.concatenate([window, window + pair.pins])] = 0.0
-    surface = with_scatter(pair, state.surface, scatter - state.scatter)
+    surface = with_scatter(state.surface, scatter - state.scatter)
     return dataclasses.replace(state, surface=surface, scatter=scatter)
 
 
@@ -266,7 +266,7 @@ def _no_scatter(pair: Pair) -> dict[str, float]:
 
 def without_scatter(pair: Pair, found: Estimate) -> Estimate:
     """The same, starting again with zero scatter of pins and teeth."""
-    surface = with_scatter(pair, found.state.surface, -found.state.scatter)
+    surface = with_scatter(found.state.surface, -found.state.scatter)
     state = dataclasses.replace(found.state, surface=surface, scatter=np.zeros_like(found.state.scatter))
     sizes = {n: v for n, v in found.scatter.items() if n.startswith(MISFIT)}
     return dataclasses.replace(found, state=state, scatter={**_no_scatter(pair), **sizes})
@@ -356,18 +356,18 @@ def _carried_over(
     if not dropped:
         return state
     at, prior = observed.errors.index, surface_of_pair(pair)
-    plain = with_scatter(pair, state.surface, -state.scatter)
-    excess = {n: structured_value(pair, plain, n) - structured_value(pair, prior, n) for n in dropped}
+    plain = with_scatter(state.surface, -state.scatter)
+    excess = {n: structured_value(plain, n) - structured_value(prior, n) for n in dropped}
     size = tolerances_of(chosen, observed.profile)
     columns = np.hstack([linear.structured[:, [at(n) for n in chosen]] * size, observed.bench])
     lost = sum(linear.structured[:, at(n)] * value for n, value in excess.items())
     weight = observed.weight[:, None]
     share = np.linalg.lstsq(weight * columns, observed.weight * lost, rcond=1e-6)[0]
-    values = {n: structured_value(pair, plain, n) + d for n, d in zip(chosen, size * share[: size.size], strict=True)}
-    values |= {n: structured_value(pair, prior, n) for n in dropped}
-    plain = with_structured(pair, plain, values)
+    values = {n: structured_value(plain, n) + d for n, d in zip(chosen, size * share[: size.size], strict=True)}
+    values |= {n: structured_value(prior, n) for n in dropped}
+    plain = with_structured(plain, values)
     return dataclasses.replace(
-        state, surface=with_scatter(pair, plain, state.scatter), bench=state.bench + share[size.size :]
+        state, surface=with_scatter(plain, state.scatter), bench=state.bench + share[size.size :]
     )
 
 

@@ -452,8 +452,8 @@ def causes_of(
 def _form_of(pair: Pair, estimate: Estimate, residual: Residual) -> float:
     """Size of a form that all flanks share, rms of its contribution, rad; 0 if the data need none."""
     observed = estimate.observed
-    surface = with_scatter(pair, estimate.state.surface, -estimate.state.scatter)
-    values = np.array([structured_value(pair, surface, name) for name in observed.profile])
+    surface = with_scatter(estimate.state.surface, -estimate.state.scatter)
+    values = np.array([structured_value(surface, name) for name in observed.profile])
     if residual.is_zero([estimate.chosen.index(n) for n in observed.profile], values / [*observed.profile.values()]):
         return 0.0
     columns = estimate.linear.structured[:, [observed.errors.index(n) for n in observed.profile]]

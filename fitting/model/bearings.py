@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.supports import Bearing, OutputRoller
-from cycloid_fmu.reducer.first_stage import FirstStage
 
 Array = NDArray[np.float64]
 

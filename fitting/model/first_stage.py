@@ -2,7 +2,7 @@
 
 The angle of the cranks is θ = θ_ideal + a d + w, with θ_ideal that of ideal gears at the sun's angle. The output
 deviates by d = s (x(θ, sT) + ½ u sgn T - w/z_c): w is the rotation of the cranks from the first stage, half its play
-against the load plus its wind-up, and u the play of the carrier's bearings (`cycloid_fmu.reducer.transmission`,
+against the load plus its wind-up, and u the play of the carrier's bearings (`cycloid_fmu.reducer.behind_first_stage`,
 docs/theory/reducer.md). The rotation of the cranks by d itself, some 1e-3 rad, is to first order, and the torque
 of the cranks is its mean.
 """
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.geometry.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]

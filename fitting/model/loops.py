@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import error_sensitivity
+from cycloid_fmu.analysis import sensitivity, solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
-from cycloid_fmu.supports.transmission import play_loads, sensitivity, solve
+from cycloid_fmu.supports.transmission import play_loads
 from cycloid_fmu.surfaces.structured import displacement_columns
-from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.figures.friction_free import friction_free
 from fitting.figures.survey import Surveyed, survey
 from fitting.model.first_stage import of_cranks
@@ -251,13 +251,13 @@ def on_the_curves_zero(branches: Sequence[Curve], curves: Sequence[Curve]) -> li
     return found
 
 
-def play_of(pair: Pair, surface: ErrorSurface, crank_angle: float, names: Sequence[str]) -> tuple[float, Array, Array]:
+def play_of(drive: DriveValue, crank_angle: float, names: Sequence[str]) -> tuple[float, Array, Array]:
     """Return the play at a crank angle and its derivatives, from the two flanks in contact at its ends.
 
     Parameters
     ----------
-    pair, surface
-        The pair and its errors.
+    drive
+        The drive.
     crank_angle
         Angle of the locked input, rad.
     names
@@ -269,13 +269,11 @@ def play_of(pair: Pair, surface: ErrorSurface, crank_angle: float, names: Sequen
         rad, 0 where there is interference; its derivatives by the errors, shape (names,), and by every single
         one, columns as in `contact.sensitivities`.
     """
+    pair = drive.pair
     ends = sorted(play_loads(pair)) if pair.supports is not None else [-_NO_TORQUE, _NO_TORQUE]
-    if pair.supports is not None:
-        each = sensitivity(pair, surface, ends, [crank_angle] * 2).by_displacement
-        jacobian = each @ displacement_columns(pair, names)
-    else:
-        _, jacobian, each, _ = error_sensitivity(pair, surface, ends, [crank_angle] * 2, list(names))
-    play = float(np.nan_to_num(solve(pair, surface, ends[1], crank_angle).backlash[0]))
+    each = sensitivity(drive, ends, [crank_angle] * 2).by_displacement
+    jacobian = each @ displacement_columns(pair, names)
+    play = float(np.nan_to_num(solve(drive, ends[1], crank_angle).backlash[0]))
     return play, jacobian[1] - jacobian[0], each[1] - each[0]
 
 

@@ -17,24 +17,27 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.near_drives import NearDrives
-from cycloid_fmu.contact.transmission import error_sensitivity, form_sensitivity
+from cycloid_fmu.analysis import error_sensitivity, sensitivity, solve
+from cycloid_fmu.contact.transmission import form_sensitivity
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.supports.transmission import LAWS, sensitivity, solve
+from cycloid_fmu.supports.transmission import LAWS
 from cycloid_fmu.surfaces.posterior import DISC_PHASE
 from cycloid_fmu.surfaces.structured import (
     displacement_columns,
     displacement_layout,
     displacement_vector,
     profile_names,
+    profile_wave,
     structured_value,
     with_structured,
 )
-from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.model.bearings import lowest_of, pair_with, sizes_of, unknown_bearings
 from fitting.model.first_stage import share_of, turned
+from fitting.model.near_drive import NearDrive
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
@@ -363,7 +366,7 @@ def observations(
         columns.append(np.repeat([float(c.direction) * (i in turning) for i, c in enumerate(curves)], sizes))
         priors.append(NO_CREEP)
     largest = max(float(np.abs(torque).max()), 1e-9)
-    nominal = solve(pair, surface_of_pair(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
+    nominal = solve(DriveValue.as_stated(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
     names.append(CHAIN)
     columns.append(torque)
     priors.append(COMPLIANCE_SHARE / float(nominal.torsional_stiffness.mean()))
@@ -483,8 +486,9 @@ def spread_of(pair: Pair, deviations: Mapping[str, float]) -> Array:
     return np.concatenate([np.full(p.stop - p.start, sizes.get(n, 0.0)) for n, p in scatter_parts(pair).items()])
 
 
-def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurface:
+def with_scatter(surface: ErrorSurface, scatter: Array) -> ErrorSurface:
     """Return a surface with every single displacement of a scatter vector added."""
+    pair = surface.pair
     parts = scatter_parts(pair)
     values = {
         n: surface.errors[n] + scatter[p].reshape(surface.errors[n].shape) for n, p in parts.items() if n in KINDS
@@ -496,8 +500,9 @@ def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurf
     return surface.replace(**values)
 
 
-def scatter_between(pair: Pair, surface: ErrorSurface, plain: ErrorSurface) -> Array:
+def scatter_between(surface: ErrorSurface, plain: ErrorSurface) -> Array:
     """Return the scatter vector between two surfaces; a disc's phase is the mean over its teeth."""
+    pair = surface.pair
     parts, found = scatter_parts(pair), spread_of(pair, {})
     for name, part in parts.items():
         if name in KINDS:
@@ -528,18 +533,18 @@ def scatter_columns(pair: Pair, each: Array) -> Array:
     return np.concatenate(columns, axis=-1)
 
 
-def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> tuple[NearDrives, ...]:
+def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> tuple[NearDrive, ...]:
     """Solve a drive at every point of every curve; return what takes drives near it to first order, one a curve."""
 
-    def one(curve: Curve) -> NearDrives:
-        return NearDrives(pair, surface, [(curve.torque, curve.input_angle)], 1, first_order=True)
+    def one(curve: Curve) -> NearDrive:
+        return NearDrive(DriveValue(pair, surface), curve.torque, curve.input_angle)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return tuple(pool.map(one, observed.curves))
 
 
 def linearised_curve(
-    pair: Pair, observed: Observations, number: int, state: State, around: Sequence[NearDrives] | None = None
+    pair: Pair, observed: Observations, number: int, state: State, around: Sequence[NearDrive] | None = None
 ) -> Linear:
     """Evaluate the model and its analytic derivatives by every structured error at every point of one curve.
 
@@ -556,8 +561,8 @@ def linearised_curve(
     surface, crank = state.surface, state.crank_offset
     if observed.give is not None:
         *moved, advanced = observed.give[number]
-        values = {n: structured_value(pair, surface, n) + one for n, one in zip(GIVES, moved, strict=True)}
-        surface, crank = with_structured(pair, surface, values), crank + advanced
+        values = {n: structured_value(surface, n) + one for n, one in zip(GIVES, moved, strict=True)}
+        surface, crank = with_structured(surface, values), crank + advanced
     s, at = share_of(observed.first_stage, pair), curve.input_angle + crank
     bearings = state.bearings if state.bearings.size else np.zeros(len(observed.bearing_names))
     w, beside = np.zeros_like(torque), np.zeros_like(torque)
@@ -565,22 +570,24 @@ def linearised_curve(
         w = turned(observed.first_stage, pair, torque, bearings[-1])
         beside = 0.5 * np.sign(torque) * observed.first_stage.bearing_play - w / pair.gear_teeth
     by_bearing = np.zeros((torque.size, 0))
-    if pair.supports is not None:
-        found = sensitivity(pair_with(pair, bearings), surface, s * torque, at + w)
+    if around is None:
+        found = sensitivity(DriveValue(pair_with(pair, bearings), surface), s * torque, at + w)
         model, each, by_crank, by_torque = (
             found.transmission_error,
             found.by_displacement,
             found.by_crank_angle,
             found.by_torque,
         )
-        jacobian = each @ displacement_columns(pair, observed.errors)
-        by_bearing = found.by_bearing[:, [LAWS.index(n) for n in observed.bearing_names if n in LAWS]]
-    elif around is None:
-        model, jacobian, each, further = error_sensitivity(pair, surface, s * torque, at + w, list(observed.errors))
-        by_crank, by_torque = further.T
+        if pair.supports is not None:
+            by_bearing = found.by_bearing[:, [LAWS.index(n) for n in observed.bearing_names if n in LAWS]]
     else:
-        model, each, by_torque = around[number].sensitivities(0, displacement_vector(pair, surface), torque)
-        jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
+        model, each, by_torque = around[number].sensitivities(displacement_vector(pair, surface), torque)
+        by_crank = np.zeros_like(model)
+    jacobian = each @ displacement_columns(pair, observed.errors)
+    profiles = [i for i, name in enumerate(observed.errors) if profile_wave(name, 1) is not None]
+    if profiles and around is None and pair.supports is None:
+        of_form = [observed.errors[i] for i in profiles]
+        jacobian[:, profiles] = form_sensitivity(DriveValue(pair, surface), model, at + w, of_form)
     scatter = scatter_columns(pair, each)
     by_friction = against * by_torque_stated * by_torque
     by_growth = by_friction * np.abs(torque) * bool(curve.branch)
@@ -620,21 +627,23 @@ def form_columns(pair: Pair, observed: Observations, state: State, linear: Linea
         if floating is not None:
 
             def moved(name: str, by: float) -> Array:
-                values = {name: structured_value(pair, state.surface, name) + by}
-                formed = with_structured(pair, state.surface, values)
-                error: Array = solve(floating, formed, s * torque[None], angle, with_play=False).transmission_error[0]
+                values = {name: structured_value(state.surface, name) + by}
+                formed = with_structured(state.surface, values)
+                error: Array = solve(
+                    DriveValue(floating, formed), s * torque[None], angle, with_play=False
+                ).transmission_error[0]
                 return error
 
             return s * np.column_stack([(moved(n, size) - moved(n, -size)) / (2.0 * size) for n in names])
         if is_solved:
-            return form_sensitivity(pair, state.surface, model, angle, names)
-        return s * error_sensitivity(pair, state.surface, s * torque, angle, names)[1]
+            return form_sensitivity(DriveValue(pair, state.surface), model, angle, names)
+        return s * error_sensitivity(DriveValue(pair, state.surface), s * torque, angle, names)[1]
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return np.concatenate(list(pool.map(one, range(len(observed.curves)), np.split(linear.model, observed.ends))))
 
 
-def linearise(pair: Pair, observed: Observations, state: State, around: Sequence[NearDrives] | None = None) -> Linear:
+def linearise(pair: Pair, observed: Observations, state: State, around: Sequence[NearDrive] | None = None) -> Linear:
     """Evaluate the model and its analytic derivatives at every point of every curve, as `linearised_curve` does."""
     # The kernel works without Python's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -79,7 +79,8 @@ class CanLog(BenchFile):
 
 def read_dbc(path: str | os.PathLike[str]) -> Any:
     """Return the database of a DBC file; raise an `edge.InputError` if it can't be read."""
-    import cantools
+    with edge.needs_extra("bench-files", lambda said: edge.InputError(f"{path}: {said}.")):
+        import cantools
 
     text = edge.read_text(path)
     with edge.parsed_by_others(path, "this is not a DBC file"):

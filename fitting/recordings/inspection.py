@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from fitting.recordings.cleaning import Cleaning
-from fitting.recordings.formats import BenchFile, RawChannel, measures, open_bench_file, pieces_of, unit_text
+from fitting.recordings.first_samples import FirstSamples, first_samples
+from fitting.recordings.formats import BenchFile, measures, open_bench_file, unit_text
 from fitting.recordings.mapping import ANGLES, BESIDE, CHANNELS, FORMAT, OPTIONAL
 from fitting.recordings.proposal import ErrorRun, error_runs, name_patterns, stated_unit
 
 Array = NDArray[np.float64]
 
-LOOKED_AT = 1 << 20  # first samples of a channel that are inspected
 _NAMES = {
     "time": r"\btime|zeit|^t$|stamp|\bsec",
     "input_angle": r"input|\bin\b|motor|crank|antrieb|eingang|\ban\b|drive|sun|enc\w*1|phi_?1|servo",
@@ -44,68 +44,7 @@ _FEWEST = 20  # samples that show a ratio
 _APART = 0.02  # largest rms of the output about a straight line over the input, relative to its range
 
 
-@dataclass(frozen=True)
-class Look:
-    """The first samples of a channel: arrays of shape (samples,) in the file's unit.
-
-    Attributes
-    ----------
-    channel
-        Name and unit.
-    time
-        Times, s, or None if a channel is the time.
-    values
-        Values as stored.
-    """
-
-    channel: RawChannel
-    time: Array | None
-    values: Array
-
-    @property
-    def extremes(self) -> tuple[float, float]:
-        """Smallest and largest value; NaN without any."""
-        finite = self.values[np.isfinite(self.values)]
-        return (float(finite.min()), float(finite.max())) if finite.size else (np.nan, np.nan)
-
-    @property
-    def travel(self) -> float:
-        """Sum of the absolute steps, without those beyond half the range (rollovers)."""
-        steps = np.abs(np.diff(self.values[np.isfinite(self.values)]))
-        return float(steps[steps < 0.5 * np.ptp(self.values)].sum()) if steps.size else 0.0
-
-
-def look(file: BenchFile) -> list[Look]:
-    """Read the first samples of every channel of a file."""
-    names = [c.name for c in file.channels]
-    if not names:
-        return []
-    parts: dict[str, list[tuple[Array | None, Array]]] = {n: [] for n in names}
-    taken = dict.fromkeys(names, 0)
-    for piece in pieces_of(file, names):
-        for name, values in piece.values.items():
-            if taken[name] < LOOKED_AT:
-                parts[name].append((piece.time, values))
-                taken[name] += values.size
-        if min(taken.values()) >= LOOKED_AT:
-            break
-    found = []
-    for channel in file.channels:
-        mine = parts[channel.name]
-        if not mine:
-            continue
-        times = [t for t, _ in mine if t is not None]
-        found.append(
-            Look(
-                channel,
-                np.concatenate(times) if len(times) == len(mine) else None,
-                np.concatenate([v for _, v in mine]),
-            )
-        )
-    return found
-
-
-def is_commanded(one: Look) -> bool:
+def is_commanded(one: FirstSamples) -> bool:
     """Return whether a channel's name is that of a commanded value, which is no measurement."""
     return bool(re.search(_COMMANDED, one.channel.name, re.IGNORECASE))
 
@@ -116,7 +55,7 @@ def _rises(values: Array) -> bool:
     return finite.size > 1 and bool((np.diff(finite) >= 0.0).all()) and finite[-1] > finite[0]
 
 
-def _named(looks: Sequence[Look], role: str) -> list[Look]:
+def _named(looks: Sequence[FirstSamples], role: str) -> list[FirstSamples]:
     return [one for one in looks if re.search(_NAMES[role], one.channel.name, re.IGNORECASE)]
 
 
@@ -139,8 +78,8 @@ class Inspection:
     """
 
     file: BenchFile
-    looks: tuple[Look, ...]
-    roles: dict[str, Look]
+    looks: tuple[FirstSamples, ...]
+    roles: dict[str, FirstSamples]
     dbc: Path | None = None
     runs: tuple[ErrorRun, ...] = ()
 
@@ -189,7 +128,7 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
     {'time': 't', 'torque': 'Md', 'input_angle': 'Motor', 'output_angle': 'Flange'}
     """
     file = open_bench_file(path, dbc)
-    looks = look(file)
+    looks = first_samples(file)
     if not looks:
         raise edge.InputError(" ".join([*file.problems, f"{path}: it has no numeric channel with samples."]))
     runs = error_runs(looks)
@@ -233,15 +172,15 @@ def inspection_json(found: Inspection) -> dict[str, Any]:
     }
 
 
-def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
+def roles_of(file: BenchFile, looks: Sequence[FirstSamples]) -> dict[str, FirstSamples]:
     """Propose the roles of channels by names and units; of two angles the input is the one with more travel.
 
     Commanded values are not proposed: a figure from them would be that of the controller's wishes.
     """
     left = [one for one in looks if np.isfinite(one.values).any() and not is_commanded(one)]
-    roles: dict[str, Look] = {}
+    roles: dict[str, FirstSamples] = {}
 
-    def choose(role: str, candidates: Sequence[Look]) -> None:
+    def choose(role: str, candidates: Sequence[FirstSamples]) -> None:
         named = _named(candidates, role) or list(candidates)
         if named:
             roles[role] = named[0]
@@ -278,7 +217,7 @@ def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
     return roles
 
 
-def ratio_of(roles: Mapping[str, Look]) -> float | None:
+def ratio_of(roles: Mapping[str, FirstSamples]) -> float | None:
     """Return the signed ratio of the input's to the output's rotation in a file; None if it does not show one.
 
     It is a whole number if the rotation agrees with one; a drive with a first stage or a pulley before an encoder has
@@ -325,11 +264,11 @@ def _ratio_line(ratio: float | None, stated: bool) -> str:
 
 
 def _mapping_text(
-    roles: dict[str, Look],
+    roles: dict[str, FirstSamples],
     runs: Sequence[ErrorRun],
     file: BenchFile,
     ratio: float | None,
-    looks: Sequence[Look],
+    looks: Sequence[FirstSamples],
     dbc: str | None,
 ) -> str:
     named = {role: found for role, found in name_patterns(file.source).items() if role not in roles}
@@ -373,7 +312,7 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
-def _channel_lines(one: Look, role: str) -> list[str]:
+def _channel_lines(one: FirstSamples, role: str) -> list[str]:
     lines = [f"column = {_quoted(one.channel.name)}"]
     if role.endswith("angle"):
         return [*lines, _angle_unit(one)[0]]
@@ -384,7 +323,7 @@ def _channel_lines(one: Look, role: str) -> list[str]:
     return [*lines, f'unit = ""                   # not stated in the file; such as "{_UNITS.get(role, "rad")}"']
 
 
-def _angle_unit(one: Look) -> tuple[str, float | None]:
+def _angle_unit(one: FirstSamples) -> tuple[str, float | None]:
     """Return the line of a mapping with the unit of an angle, and one of these units in rad; None if it is unknown."""
     if measures(stated := stated_unit(one), "rad"):
         comment = "" if one.channel.unit else "               # from its name"

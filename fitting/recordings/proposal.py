@@ -10,15 +10,12 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cycloid_fmu import edge
+from fitting.recordings.first_samples import FirstSamples
 from fitting.recordings.formats import measures, stem_of, unit_text
-
-if TYPE_CHECKING:
-    from fitting.recordings.inspection import Look
 
 _ERROR = r"(?<![a-z])(a|m|s)?te(?![a-z])|transmi\w*[\s_.-]*err|error|fehler|deviation|abweich"
 _ANGLE = r"pos|angle|winkel|phi|theta|rot|out|abtrieb|flange|(?<![a-z])deg"
@@ -34,12 +31,12 @@ class ErrorRun:
     """One run of a table of transmission errors: name, the two channels and the order of its rows."""
 
     name: str
-    output_angle: Look
-    transmission_error: Look
+    output_angle: FirstSamples
+    transmission_error: FirstSamples
     last_row_first: bool = False
 
 
-def stated_unit(one: Look) -> str:
+def stated_unit(one: FirstSamples) -> str:
     """Return a channel's unit as stated by the file or by its name: `TE_arcsec`, `TE (arcsec) CW`."""
     if one.channel.unit:
         return unit_text(one.channel.unit)
@@ -61,7 +58,7 @@ def _way(name: str) -> str:
     return "" if forward == backward else "forward" if forward else "backward"
 
 
-def error_runs(looks: Sequence[Look]) -> list[ErrorRun]:
+def error_runs(looks: Sequence[FirstSamples]) -> list[ErrorRun]:
     """Return the runs that a table of output angles and transmission errors seems to contain; none for other tables.
 
     Each error belongs to the angle of the same direction (forward or backward), otherwise to the only angle, otherwise,
@@ -99,7 +96,7 @@ def error_runs(looks: Sequence[Look]) -> list[ErrorRun]:
     return runs
 
 
-def _is_error(one: Look, all_of_them: Sequence[Look]) -> bool:
+def _is_error(one: FirstSamples, all_of_them: Sequence[FirstSamples]) -> bool:
     unit = stated_unit(one)
     if unit and not measures(unit, "rad") and _known(unit):
         return False
@@ -110,7 +107,7 @@ def _is_error(one: Look, all_of_them: Sequence[Look]) -> bool:
     return (named or (unit in _SMALL and larger)) and float(np.ptp(finite)) <= reach
 
 
-def _grows(one: Look) -> bool:
+def _grows(one: FirstSamples) -> bool:
     """Whether an angle increases from row to row, except at rollovers."""
     steps = np.diff(one.values[np.isfinite(one.values)])
     return bool(np.median(np.sign(steps[steps != 0.0])) > 0.0) if steps.any() else True

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.draw.figure import new_figure, save, show_legend
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.surfaces.structured import unit_of
 from fitting.ageing.forecast import Forecast
@@ -28,7 +29,8 @@ from fitting.figures.metrics import Figures
 from fitting.model.prior import TOLERANCE
 from fitting.recalibration.plan import PlannedVisit
 from fitting.recalibration.recalibrate import Recalibration
-from fitting.recordings.inspection import Inspection, Look
+from fitting.recordings.first_samples import FirstSamples
+from fitting.recordings.inspection import Inspection
 from fitting.reports.forecast_plot import plot_forecast
 from fitting.reports.friction_panels import friction_panels
 from fitting.reports.life_plots import plot_recalibration, plot_visits
@@ -221,7 +223,7 @@ def plot_curves(curves: Sequence[Curve]) -> Figure:
     return figure
 
 
-def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
+def plot_channels(looks: Sequence[FirstSamples], roles: Mapping[str, FirstSamples]) -> Figure:
     """Plot channels of a bench file over time, those with a proposed role first."""
     role_of = {one.channel.name: role for role, one in roles.items()}
     clock = roles.get("time")
@@ -341,7 +343,9 @@ def plot_band(drive: Drive, drawn: Sequence[Drive], torque: float, path: str | o
     """Plot the transmission error of the identified drive at a torque, N·m, and the 95 % band of the drawn ones."""
 
     def error(one: Drive) -> Array:
-        found: Array = solve(one.pair, one.surface, torque, angle, with_play=False).transmission_error[0] * ARCSEC
+        found: Array = (
+            solve(DriveValue(one.pair, one.surface), torque, angle, with_play=False).transmission_error[0] * ARCSEC
+        )
         return found
 
     figure, axes = new_figure(2)

@@ -18,6 +18,7 @@ from scipy.special import ellipe
 import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.cad.profile import profile_of
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_points
 from cycloid_fmu.surfaces.surface import nominal_surface
@@ -132,7 +133,7 @@ def test_arcs_stay_within_the_chord_error_of_the_formula(teeth, k, thick, limit,
         ).replace(isometric=isometric, offset=offset)
     except edge.InputError:
         assume(False)
-    profile = profile_of(pair, nominal_surface(pair), 0, limit)
+    profile = profile_of(DriveValue(pair, nominal_surface(pair)), 0, limit)
     arcs = arcs_of(profile)
     assert off_formula(arcs.points(), pair) <= limit + 1e-13
     assert arcs.off(flank(pair)) <= limit + 1e-13

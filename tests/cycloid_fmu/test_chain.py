@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.cli import app
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu, completed
 from cycloid_fmu.fmu.chain import own_stiffness, read_loop, with_chain
 from cycloid_fmu.fmu.core import model_of
@@ -44,20 +45,20 @@ def windup(model, pair, turns=40):
 
 def test_the_whole_drive_has_the_stiffness_that_was_stated():
     catalogue = 49.0 * edge.ARCMIN
-    interface = completed(Interface(stiffness=catalogue), PAIR, SURFACE, None)
-    model = model_of(PAIR, SURFACE, interface)
+    interface = completed(Interface(stiffness=catalogue), DriveValue(PAIR, SURFACE))
+    model = model_of(DriveValue(PAIR, SURFACE), interface)
     assert 0.5 * PAIR.rated_torque / windup(model, PAIR, 90) == pytest.approx(catalogue, rel=1e-6)
 
 
 def test_a_drive_that_is_softer_than_stated_is_refused():
-    own = own_stiffness(PAIR, SURFACE)
+    own = own_stiffness(DriveValue(PAIR, SURFACE))
     with pytest.raises(edge.InputError, match=r"stiffness = .*must not be above the drive's own of \d+ N\*m/arcmin"):
-        with_chain(Interface(stiffness=1.01 * own), PAIR, SURFACE)
-    assert with_chain(Interface(stiffness=own), PAIR, SURFACE).series_compliance == 0.0
+        with_chain(Interface(stiffness=1.01 * own), DriveValue(PAIR, SURFACE))
+    assert with_chain(Interface(stiffness=own), DriveValue(PAIR, SURFACE)).series_compliance == 0.0
     with pytest.raises(edge.InputError, match="rated_torque is missing"):
-        with_chain(Interface(stiffness=1e5), PAIR.replace(rated_torque=None), SURFACE)
+        with_chain(Interface(stiffness=1e5), DriveValue(PAIR.replace(rated_torque=None), SURFACE))
     with pytest.raises(edge.InputError, match="one follows from the other"):
-        with_chain(Interface(stiffness=1e5, series_compliance=1e-6), PAIR, SURFACE)
+        with_chain(Interface(stiffness=1e5, series_compliance=1e-6), DriveValue(PAIR, SURFACE))
 
 
 def test_a_first_stage_that_gives_way_is_in_series():
@@ -66,12 +67,12 @@ def test_a_first_stage_that_gives_way_is_in_series():
     involute = reducer.involute.replace(face_width="8 mm", planets=2)
     pair, surface, soft = parts_of(reducer.replace(involute=involute))
     rigid = dataclasses.replace(soft, crank_stiffness=float("inf"))
-    with_it = with_chain(Interface(), pair, surface, soft)
+    with_it = with_chain(Interface(), DriveValue(pair, surface, soft))
     whole = 1.0 / (1.0 / with_it.own_stiffness + with_it.series_compliance)
     assert with_it.series_compliance > 0.0
-    assert with_it.own_stiffness == pytest.approx(own_stiffness(pair, surface, rigid), rel=1e-12)
-    assert whole == pytest.approx(own_stiffness(pair, surface, soft), rel=1e-3)
-    model = model_of(pair, surface, with_it, soft)
+    assert with_it.own_stiffness == pytest.approx(own_stiffness(DriveValue(pair, surface, rigid)), rel=1e-12)
+    assert whole == pytest.approx(own_stiffness(DriveValue(pair, surface, soft)), rel=1e-3)
+    model = model_of(DriveValue(pair, surface, soft), with_it)
     assert 0.5 * pair.rated_torque / windup(model, pair) == pytest.approx(whole, rel=5e-3)
 
 
@@ -112,7 +113,7 @@ def test_a_measured_loop_gives_stiffness_and_friction(tmp_path):
     assert done.exit_code == 0, done.output
     start = {v.name: v.start for v in fmpy.read_model_description(str(tmp_path / "drive.fmu")).modelVariables}
     assert float(start["friction_torque"]) == pytest.approx(friction, rel=1e-5)
-    whole = 1.0 / (1.0 / own_stiffness(PAIR, SURFACE) + float(start["series_compliance"]))
+    whole = 1.0 / (1.0 / own_stiffness(DriveValue(PAIR, SURFACE)) + float(start["series_compliance"]))
     assert whole == pytest.approx(stiffness, rel=1e-5)
 
 
@@ -147,9 +148,14 @@ def test_figures_without_a_loop_are_refused(tmp_path, given, said):
 
 @pytest.mark.slow(7)
 def test_every_fmu_says_how_stiff_it_is(tmp_path):
-    number = f"{own_stiffness(PAIR, SURFACE) / edge.ARCMIN:.4g} N.m/arcmin"
-    build_fmu(PAIR, tmp_path / "2.fmu")
-    build_fmu(PAIR, tmp_path / "3.fmu", fmi_version="3.0", interface=Interface("compliant", stiffness=1e5))
+    number = f"{own_stiffness(DriveValue(PAIR, SURFACE)) / edge.ARCMIN:.4g} N.m/arcmin"
+    build_fmu(DriveValue.as_stated(PAIR), tmp_path / "2.fmu")
+    build_fmu(
+        DriveValue.as_stated(PAIR),
+        tmp_path / "3.fmu",
+        fmi_version="3.0",
+        interface=Interface("compliant", stiffness=1e5),
+    )
     for name, more in (("2", ""), ("3", ", 29.09 with the start value of series_compliance")):
         description = fmpy.read_model_description(str(tmp_path / f"{name}.fmu"))
         text = f"mesh alone, rigid bodies: {number}{more}"
@@ -157,11 +163,11 @@ def test_every_fmu_says_how_stiff_it_is(tmp_path):
         (variable,) = (v for v in description.modelVariables if v.name == "torsional_stiffness")
         assert variable.description.endswith(text)
     held = read_pair(EXAMPLES / "drive-39-40-bearings.toml")
-    said = native_build.stiffness_text(held, completed("kinematic", held, surface_of_pair(held), None))
+    said = native_build.stiffness_text(held, completed("kinematic", DriveValue.as_stated(held)))
     assert said.startswith("contacts and bearings alone: ")
 
 
 def test_the_page_says_how_stiff_the_example_is():
     text = (EXAMPLES.parent / "docs" / "fmu.md").read_text(encoding="utf-8")
-    stiffness = own_stiffness(*parts_of(cy.read_reducer(EXAMPLES / "rv-20e.toml"))) / edge.ARCMIN
+    stiffness = own_stiffness(DriveValue(*parts_of(cy.read_reducer(EXAMPLES / "rv-20e.toml")))) / edge.ARCMIN
     assert f"{stiffness:.3g} N·m/arcmin of `examples/rv-20e.toml`" in " ".join(text.split())

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy import integrate, stats
 
 import cycloid_fmu as cy
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.compensation.compensator import LARGEST, Memory, step, torque_of_teeth
 from cycloid_fmu.compensation.index import find_index
 from cycloid_fmu.compensation.inverse import SURE, _normal_weights
-from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.friction import UNSTRAINED, element_stiffness, slide, yields
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -51,7 +51,7 @@ def compensator(drive):
 
 def output(drive, motor_angle, torque):
     angle = np.atleast_1d(motor_angle)
-    found = solve(drive.pair, drive.surface, torque, angle, with_play=False).transmission_error[0]
+    found = solve(drive.stage, torque, angle, with_play=False).transmission_error[0]
     return angle / drive.ratio + found
 
 

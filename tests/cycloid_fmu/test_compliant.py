@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import read_losses
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.constants import LARGEST_TRANSMISSION_ERROR, OUTPUT_PRESLIDING_ANGLE
@@ -31,7 +32,7 @@ STEPS = int(float(os.environ.get("CYCLOID_STEPS", "1e6")))
 
 
 def compliant(inertia=0.0, losses=((0.0, 1.0, 1.0, 0.0, 0.0),), **parameters):
-    model = CompliantModel(PLAY, SURFACE, losses, inertia)
+    model = CompliantModel(DriveValue(PLAY, SURFACE), losses, inertia)
     for name, value in parameters.items():
         setattr(model, name, value)
     return model
@@ -100,7 +101,7 @@ def test_both_torques_are_derivatives_of_the_stored_energy(compliance, backlash_
 
 def test_it_is_the_quasi_static_drive_seen_from_both_flanges():
     """The energy's torque and the balance of F L differ by the term of moving curvature, up to 2e-3."""
-    model, driven = compliant(), DriveModel(PLAY, SURFACE)
+    model, driven = compliant(), DriveModel(DriveValue(PLAY, SURFACE))
     for crank, torque in ((0.4, 100.0), (3.0, -60.0), (40.0, 150.0)):
         driven.crank_angle, driven.torque = crank, torque
         driven.advance()
@@ -341,7 +342,7 @@ def coupled(h, delayed, damping=0.0, periods=20):
     The damping is given in k h/2.
     """
     model = compliant()
-    rest = float(solve(PLAY, SURFACE, 100.0, 0.3).transmission_error[0, 0])
+    rest = float(solve(DriveValue(PLAY, SURFACE), 100.0, 0.3).transmission_error[0, 0])
     put(model, 0.3, rest)
     stiffness, load = model.torsional_stiffness, model.torque
     inertia, step = 0.05, h / math.sqrt(stiffness / 0.05)
@@ -439,7 +440,7 @@ def test_losses_are_those_of_modelica_s_lossy_gear():
 
 def test_power_is_balanced_with_losses_in_the_kinematic_drive():
     for torque in (80.0, -80.0):
-        model = DriveModel(PLAY, SURFACE, ((0.0, 0.9, 0.85, 0.1, 0.1),))
+        model = DriveModel(DriveValue(PLAY, SURFACE), ((0.0, 0.9, 0.85, 0.1, 0.1),))
         model.crank_speed, model.crank_angle, model.torque = 100.0, 0.5, torque
         model.advance()
         power = model.crank_torque * 100.0 + torque * model.output_speed
@@ -450,7 +451,7 @@ def test_power_is_balanced_with_losses_in_the_kinematic_drive():
 
 def test_without_backlash_the_drive_loses_its_play_and_keeps_its_stiffness():
     for torque in (60.0, -60.0):
-        model, closed = (DriveModel(PLAY, SURFACE) for _ in range(2))
+        model, closed = (DriveModel(DriveValue(PLAY, SURFACE)) for _ in range(2))
         closed.backlash_on = False
         for m in (model, closed):
             m.crank_angle, m.torque, m.crank_speed = 0.4, torque, 10.0
@@ -466,7 +467,7 @@ def test_without_backlash_the_drive_loses_its_play_and_keeps_its_stiffness():
         assert (closed.output_angle - before) / 1e-6 * 10.0 == pytest.approx(speed, rel=1e-4)
     closed.torque = 0.0
     closed.advance()
-    ends = solve(PLAY, SURFACE, 0.0, closed.crank_angle)
+    ends = solve(DriveValue(PLAY, SURFACE), 0.0, closed.crank_angle)
     assert closed.transmission_error == pytest.approx(0.5 * (ends.play_low[0] + ends.play_high[0]), abs=1e-11)
 
 
@@ -478,13 +479,13 @@ def test_play_against_the_event_exact_solution(step):
     reversals = (np.arange(0.5, 4.0 * last, 1.0)) * math.pi / omega
     both = np.union1d(time, reversals)
     crank = amplitude * np.sin(omega * both)
-    ends = solve(PLAY, SURFACE, 0.0, crank)
+    ends = solve(DriveValue(PLAY, SURFACE), 0.0, crank)
     low, high = crank / PLAY.ratio + ends.play_low, crank / PLAY.ratio + ends.play_high
     exact = np.empty(both.size)
     exact[0] = 0.5 * (low[0] + high[0])
     for i in range(1, both.size):
         exact[i] = min(max(exact[i - 1], low[i]), high[i])
-    model = DriveModel(PLAY, SURFACE)
+    model = DriveModel(DriveValue(PLAY, SURFACE))
     found = []
     for t in time:
         model.crank_angle = amplitude * math.sin(omega * t)

@@ -14,10 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import contact, edge
+from cycloid_fmu.analysis import error_sensitivity, notes, sensitivity, solve
+from cycloid_fmu.analysis.validity import tilt_error
 from cycloid_fmu.contact import compiling
 from cycloid_fmu.contact.deviations import Facing, added_curvature
-from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, notes, solve, tilt_error
+from cycloid_fmu.contact.transmission import rigid_problem
 from cycloid_fmu.drive import read_drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import parse_pair, read_pair, write_pair
@@ -66,7 +69,7 @@ def test_force_grows_without_end():
 
 def test_moment_arm_of_the_ideal_pair():
     """L = e z_c sin φ/S."""
-    drive = drive_of(make_pair(), nominal_surface(make_pair()))
+    drive = rigid_problem(DriveValue(make_pair(), nominal_surface(make_pair())))
     contacts = contact.contact_rows(drive)
     theta = 0.3
     contact.place(drive, theta, 0.0, contacts, True, np.inf, np.inf)
@@ -83,7 +86,7 @@ def test_linear_check_of_the_load_sharing():
     """
     for eccentricity, peak in (("1.0 mm", 2.560), ("1.3 mm", 1.974)):
         pair = make_pair(eccentricity=eccentricity)
-        drive = drive_of(pair, nominal_surface(pair))
+        drive = rigid_problem(DriveValue(pair, nominal_surface(pair)))
         contacts = contact.contact_rows(drive)
         contact.place(drive, 0.3, 0.0, contacts, True, np.inf, np.inf)
         arm = contacts["arm"][::2]
@@ -103,24 +106,25 @@ def test_sensitivities_are_the_derivatives(case, slices, output):
     surface = surface_of_pair(pair)
     names = structured_names((1, 2, 3))
     angles = np.random.default_rng(1).uniform(0.0, 200.0, 6)
-    _, jacobian, _, further = error_sensitivity(pair, surface, -150.0, angles, names, slices)
+    _, jacobian = error_sensitivity(DriveValue(pair, surface), -150.0, angles, names, slices)
+    found = sensitivity(DriveValue(pair, surface), -150.0, angles, slices)
 
     def deviation(surface, torque=-150.0, angles=angles):
-        return solve(pair, surface, torque, angles, slices, with_play=False).transmission_error[0]
+        return solve(DriveValue(pair, surface), torque, angles, slices, with_play=False).transmission_error[0]
 
     for column, name in enumerate(names):
         if name.startswith("misalignment") and slices == 1:
             assert not jacobian[:, column].any()
             continue
         step = 4e-7 if name.startswith("misalignment") else 4e-9
-        value = structured_value(pair, surface, name)
-        ends = [deviation(with_structured(pair, surface, {name: value + s})) for s in (-step, step)]
+        value = structured_value(surface, name)
+        ends = [deviation(with_structured(surface, {name: value + s})) for s in (-step, step)]
         wanted = (ends[1] - ends[0]) / (2 * step)
         assert jacobian[:, column] == pytest.approx(wanted, abs=2e-3 * np.abs(wanted).max()), name
     by_angle = (deviation(surface, angles=angles + 1e-7) - deviation(surface, angles=angles - 1e-7)) / 2e-7
-    assert further[:, 0] == pytest.approx(by_angle, abs=2e-3 * np.abs(by_angle).max())
+    assert found.by_crank_angle == pytest.approx(by_angle, abs=2e-3 * np.abs(by_angle).max())
     by_torque = (deviation(surface, -149.99) - deviation(surface, -150.01)) / 0.02
-    assert further[:, 1] == pytest.approx(by_torque, rel=1e-4)
+    assert found.by_torque == pytest.approx(by_torque, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +136,7 @@ def test_forces_balance_the_torque_and_the_crank_gets_the_power(case, output):
     It is so to 3e-4: a pin loads and unloads at different curvatures of the flank, so Hertz's force has no potential.
     """
     pair = parse_pair((CASES / f"{case}.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"'), case)
-    drive = drive_of(pair, surface_of_pair(pair))
+    drive = rigid_problem(DriveValue.as_stated(pair))
     contacts = contact.contact_rows(drive)
     x, cold, work = 0.0, True, 0.0
     angles = np.linspace(0.0, 2 * np.pi * abs(pair.ratio), 39 * 300, endpoint=False)
@@ -175,9 +179,11 @@ def test_any_pair_balances_from_any_start(seed, size, clearance, torque, sign, t
         pin_radius=-clearance,
     )
     angles = rng.uniform(0.0, 2 * np.pi) + np.linspace(0.0, 0.4, 12)
-    there = solve(pair, surface, sign * torque, angles)
-    back = solve(pair, surface, sign * torque, angles[::-1])
-    alone = [solve(pair, surface, sign * torque, a, with_play=False).transmission_error[0, 0] for a in angles]
+    there = solve(DriveValue(pair, surface), sign * torque, angles)
+    back = solve(DriveValue(pair, surface), sign * torque, angles[::-1])
+    alone = [
+        solve(DriveValue(pair, surface), sign * torque, a, with_play=False).transmission_error[0, 0] for a in angles
+    ]
     assert there.transmission_error[0] == pytest.approx(back.transmission_error[0, ::-1], abs=1e-9)
     assert there.transmission_error[0] == pytest.approx(alone, abs=1e-9)
     assert (np.isnan(there.backlash) == (there.interference > 0)).all()
@@ -236,7 +242,7 @@ def _assert_left_pins_clear(seed, teeth, k, size, step, sign, output):
         tooth_cumulative_pitch=rng.normal(0.0, size, (1, teeth)),
         **{name: rng.normal(0.0, size) for name in scalars},
     )
-    drive = drive_of(pair, surface)
+    drive = rigid_problem(DriveValue(pair, surface))
     kept, anew = contact.contact_rows(drive), contact.contact_rows(drive)
     theta, x, clear = rng.uniform(0.0, 40.0), rng.normal(0.0, 50.0 * size), 5e-7
     contact.place(drive, theta, x, kept, True, math.inf, math.inf)
@@ -262,7 +268,7 @@ def test_an_equilibrium_s_contacts_are_those_solved_at_its_deviation(case, outpu
     """Its last steps move the contacts by their rates; some pins are on the edge between two teeth here."""
     text = (CASES / f"{case}.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"')
     pair = parse_pair(text, case)
-    drive = drive_of(pair, surface_of_pair(pair))
+    drive = rigid_problem(DriveValue.as_stated(pair))
     rows, solved = contact.contact_rows(drive), contact.contact_rows(drive)
     edges = 0
     for theta in np.linspace(0.0, 44.0, 800):
@@ -283,11 +289,14 @@ def test_the_derivative_by_a_larger_flank_is_exact(output):
     """No contact comes or goes within the differences, which are of fifth order."""
     pair, _, _ = drive_and_rows("errors-39-40", output)
     surface, angles, step = surface_of_pair(pair), np.random.default_rng(1).uniform(0.0, 200.0, 6), 4e-8
-    _, jacobian, _, _ = error_sensitivity(pair, surface, -150.0, angles, ["offset"])
-    value = structured_value(pair, surface, "offset")
+    _, jacobian = error_sensitivity(DriveValue(pair, surface), -150.0, angles, ["offset"])
+    value = structured_value(surface, "offset")
     at = [
         solve(
-            pair, with_structured(pair, surface, {"offset": value + i * step}), -150.0, angles, with_play=False
+            DriveValue(pair, with_structured(surface, {"offset": value + i * step})),
+            -150.0,
+            angles,
+            with_play=False,
         ).transmission_error[0]
         for i in (-2, -1, 1, 2)
     ]
@@ -305,7 +314,7 @@ def test_curvature_between_two_elements_is_linear():
         pin_deviation=round_pins,
         pin_curvature=round_pins,
     )
-    deviations = drive_of(pair, surface).deviations
+    deviations = rigid_problem(DriveValue(pair, surface)).deviations
     for i in range(1, 8):
         alpha = 0.3 * deviations.flank_alpha[i] + 0.7 * deviations.flank_alpha[i + 1]
         found = added_curvature(deviations, Facing(0, 0, 5, 0, 0.0, 0.0, 1.0, 0.0), alpha, 0.0)
@@ -328,7 +337,7 @@ SMALL_PINS = PAIR + '[errors]\npin_radius = "-8 um"\n'
 def drive_and_rows(case, output):
     text = SMALL_PINS if case == "pins that are too small" else (CASES / f"{case}.toml").read_text()
     pair = parse_pair(text.replace("[pair]", f'[pair]\noutput = "{output}"'), case)
-    drive = drive_of(pair, surface_of_pair(pair))
+    drive = rigid_problem(DriveValue.as_stated(pair))
     return pair, drive, contact.contact_rows(drive)
 
 
@@ -469,7 +478,7 @@ def test_load_sharing_adds_up(case):
 def test_slices_between_five_are_as_they_are_alone(slices):
     """Across the width of a tilted drive with many slices most clear pins are interpolated, each to 1 nm."""
     pair, _, _ = drive_and_rows("errors-39-40", "gear")
-    drive = drive_of(pair, dataclasses.replace(surface_of_pair(pair), misalignment_xz=3e-4), slices)
+    drive = rigid_problem(DriveValue(pair, dataclasses.replace(surface_of_pair(pair), misalignment_xz=3e-4)), slices)
     together = contact.contact_rows(drive)
     contact.place(drive, 0.3, 0.0, together, True, np.inf, np.inf)
     together = together.reshape(slices, -1)
@@ -491,11 +500,12 @@ def test_slices_between_five_are_as_they_are_alone(slices):
 def test_a_form_of_all_teeth_moves_the_deviation_as_its_derivative_says(output):
     pair = make_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', output=output)
     angles, step = np.array([0.37, 1.93, 3.1]), 2e-8
-    jacobian = error_sensitivity(pair, nominal_surface(pair), 150.0, angles, ["profile_deviation_2"])[1][:, 0]
+    jacobian = error_sensitivity(DriveValue(pair, nominal_surface(pair)), 150.0, angles, ["profile_deviation_2"])[1][
+        :, 0
+    ]
     low, high = (
         solve(
-            pair,
-            with_structured(pair, nominal_surface(pair), {"profile_deviation_2": d}),
+            DriveValue(pair, with_structured(nominal_surface(pair), {"profile_deviation_2": d})),
             150.0,
             angles,
             with_play=False,
@@ -512,8 +522,10 @@ def test_equivalent_errors():
     angles = np.linspace(0.0, 6.0, 40)
 
     def te(**changes):
-        values = {n: structured_value(pair, base, n) + d for n, d in changes.items()}
-        return solve(pair, with_structured(pair, base, values), 120.0, angles, with_play=False).transmission_error[0]
+        values = {n: structured_value(base, n) + d for n, d in changes.items()}
+        return solve(
+            DriveValue(pair, with_structured(base, values)), 120.0, angles, with_play=False
+        ).transmission_error[0]
 
     assert te(isometric=5e-6) == pytest.approx(te(pin_radius=-5e-6), abs=5e-10)
     moved = te(pin_radial_1_cos=-5e-6, pin_tangential_1_sin=5e-6)
@@ -526,9 +538,9 @@ def test_two_discs_cancel_an_order_one_pin_error():
 
     def amplitude(discs):
         pair = make_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', discs=discs)
-        surface = with_structured(pair, nominal_surface(pair), {"pin_radial_1_cos": 1e-5})
+        surface = with_structured(nominal_surface(pair), {"pin_radial_1_cos": 1e-5})
         angles = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
-        te = solve(pair, surface, 100.0 * discs, angles, with_play=False).transmission_error[0]
+        te = solve(DriveValue(pair, surface), 100.0 * discs, angles, with_play=False).transmission_error[0]
         return np.abs(np.fft.rfft(te))[1] / 180 * 648000 / np.pi
 
     assert amplitude(1) == pytest.approx(24.3, abs=2.5)
@@ -542,8 +554,8 @@ def test_views_of_angles_and_torques_do_not_compile_the_kernels_again():
     surface, angles, torques = surface_of_pair(pair), np.linspace(0.0, 1.0, 4), np.array([50.0, -50.0])
 
     def compiled(angles, torques, torque):
-        solve(pair, surface, torques, angles)
-        error_sensitivity(pair, surface, torque, angles, ["offset"])
+        solve(DriveValue(pair, surface), torques, angles)
+        error_sensitivity(DriveValue(pair, surface), torque, angles, ["offset"])
         kernels = (contact.sweep, contact.sweep_sensitivities)
         return [list(kernel.dispatcher.signatures) for kernel in kernels]
 
@@ -621,10 +633,10 @@ def test_a_tiny_torque_rests_on_its_own_flank():
     """The balance of 1e-6 N·m is the limit of small torques, at each crank angle separately and after reverse load."""
     pair = make_pair().replace(offset=-70e-6, isometric=-25e-6, errors={"centre_distance_x": 30e-6})
     surface, angles = surface_of_pair(pair), np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
-    limit = solve(pair, surface, [1e-2], angles).transmission_error[0]
+    limit = solve(DriveValue(pair, surface), [1e-2], angles).transmission_error[0]
     for torque in (1e-6, 1e-5, 1e-4):
-        swept = solve(pair, surface, [-10.0, torque], angles).transmission_error[1]
-        alone = [solve(pair, surface, [torque], [angle]).transmission_error[0, 0] for angle in angles[::6]]
+        swept = solve(DriveValue(pair, surface), [-10.0, torque], angles).transmission_error[1]
+        alone = [solve(DriveValue(pair, surface), [torque], [angle]).transmission_error[0, 0] for angle in angles[::6]]
         assert swept == pytest.approx(limit, abs=0.01 * ARCSEC)
         assert alone == pytest.approx(limit[::6], abs=0.01 * ARCSEC)
 
@@ -644,7 +656,7 @@ def test_a_drive_that_can_not_have_been_made_is_refused(errors, sentence):
     if "isometric" in errors:
         pair = make_pair().replace(pin_radius="4.4 mm")
     with pytest.raises(edge.InputError, match=sentence):
-        drive_of(pair, surface_of_pair(pair.replace(errors=errors)))
+        rigid_problem(DriveValue(pair, surface_of_pair(pair.replace(errors=errors))))
 
 
 def test_the_file_whose_errors_can_not_have_been_made_is_named(tmp_path):
@@ -672,16 +684,19 @@ def test_the_file_whose_errors_can_not_have_been_made_is_named(tmp_path):
 def test_results_outside_the_model_say_so():
     pair = make_pair().replace(rated_torque=181.0)
     angles = np.linspace(0.0, 0.2, 4)
-    assert notes(pair, surface_of_pair(pair), solve(pair, surface_of_pair(pair), [150.0], angles)) == []
-    said = notes(pair, surface_of_pair(pair), solve(pair, surface_of_pair(pair), [1e5], angles))
+    assert notes(DriveValue.as_stated(pair), solve(DriveValue.as_stated(pair), [150.0], angles)) == []
+    said = notes(DriveValue.as_stated(pair), solve(DriveValue.as_stated(pair), [1e5], angles))
     assert [word in one for word, one in zip(("MPa", "half width", "rated"), said, strict=True)] == [True] * 3
     limited = pair.replace(pressure_limit="300 MPa")
     assert (
         "above 300 MPa"
-        in notes(limited, surface_of_pair(pair), solve(limited, surface_of_pair(pair), [150.0], angles))[0]
+        in notes(
+            DriveValue(limited, surface_of_pair(pair)),
+            solve(DriveValue(limited, surface_of_pair(pair)), [150.0], angles),
+        )[0]
     )
     wrong = make_pair().replace(offset=40e-6)
-    assert "no play" in notes(wrong, surface_of_pair(wrong), solve(wrong, surface_of_pair(wrong), [10.0], angles))[-1]
+    assert "no play" in notes(DriveValue.as_stated(wrong), solve(DriveValue.as_stated(wrong), [10.0], angles))[-1]
 
 
 @pytest.mark.parametrize(
@@ -700,10 +715,10 @@ def test_slices_of_a_tilted_gear_err_by_less_than_the_note_says(sizes, torque, d
         surface = surface_of_pair(pair).replace(
             misalignment_xz=(tilt * direction).real, misalignment_yz=(tilt * direction + 0j).imag
         )
-        found = solve(pair, surface, [torque], angles, 5)
+        found = solve(DriveValue(pair, surface), [torque], angles, 5)
         exact = [tilted_gear.transmission_error(made, angle, torque, tilt * direction, 5) for angle in angles]
         errors[tilt] = np.abs(found.transmission_error[0] - exact).max()
-        assert any("tilted by" in note for note in notes(pair, surface, found)) == (tilt > limit)
+        assert any("tilted by" in note for note in notes(DriveValue(pair, surface), found)) == (tilt > limit)
     assert errors[0.0] < 0.002 * ARCSEC
     assert 0.3 * tilt_error(pair, 1e-3) < errors[1e-3] < tilt_error(pair, 1e-3)
 
@@ -718,11 +733,11 @@ def test_a_crank_that_turns_back_or_rests_meets_the_same_deviations(steps, torqu
     """Each angle starts from those before it, which may be the same, in any order."""
     pair = read_pair(CASES / "errors-39-40.toml")
     surface, places = surface_of_pair(pair), 1.0 + 0.01 * np.arange(-60, 61)
-    wanted = solve(pair, surface, [torque], places, with_play=False).transmission_error[0]
+    wanted = solve(DriveValue(pair, surface), [torque], places, with_play=False).transmission_error[0]
     at = 60 + np.cumsum(steps)
-    found = solve(pair, surface, [torque], places[at], with_play=False).transmission_error[0]
+    found = solve(DriveValue(pair, surface), [torque], places[at], with_play=False).transmission_error[0]
     np.testing.assert_allclose(found, wanted[at], rtol=0.0, atol=1e-11)
-    derived = error_sensitivity(pair, surface, torque, places[at], ["eccentricity"])[0]
+    derived = error_sensitivity(DriveValue(pair, surface), torque, places[at], ["eccentricity"])[0]
     np.testing.assert_allclose(derived, wanted[at], rtol=0.0, atol=1e-11)
 
 
@@ -732,8 +747,8 @@ def test_a_crank_at_rest_under_changing_torques_deviates_as_under_each_alone(tor
     """Each torque starts from the one before it at the same angle, by its stiffness."""
     pair = read_pair(CASES / ("errors-39-40.toml" if with_errors else "error-free-39-40.toml"))
     surface, both = surface_of_pair(pair), np.repeat([0.3, 0.7], len(torques))
-    found = solve(pair, surface, np.tile(torques, 2)[None], both, with_play=False)
-    alone = [solve(pair, surface, [t], [0.3], with_play=False) for t in torques]
+    found = solve(DriveValue(pair, surface), np.tile(torques, 2)[None], both, with_play=False)
+    alone = [solve(DriveValue(pair, surface), [t], [0.3], with_play=False) for t in torques]
     wanted = np.array([one.transmission_error[0, 0] for one in alone])
     np.testing.assert_allclose(found.transmission_error[0, : wanted.size], wanted, rtol=0.0, atol=1e-10)
     stiffness = np.array([one.torsional_stiffness[0, 0] for one in alone])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from common import CASES
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.core import NUMBERS, SUMS, Core, state_from_bytes, state_to_bytes, sums_of
 from cycloid_fmu.fmu.friction_file import Friction
@@ -38,7 +39,7 @@ def resources(tmp_path_factory):
     def unpacked(kind):
         if kind not in made:
             folder = tmp_path_factory.mktemp(kind)
-            build_fmu(ERRORS, folder / "d.fmu", interface=KINDS[kind], fmi_version="3.0")
+            build_fmu(DriveValue.as_stated(ERRORS), folder / "d.fmu", interface=KINDS[kind], fmi_version="3.0")
             with zipfile.ZipFile(folder / "d.fmu") as archive:
                 archive.extractall(folder)
             made[kind] = folder / "resources"

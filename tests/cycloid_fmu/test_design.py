@@ -15,9 +15,10 @@ from typer.testing import CliRunner
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.cli import app
-from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.drive import read_drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
 from cycloid_fmu.studies.design import (
@@ -32,7 +33,6 @@ from cycloid_fmu.studies.design import (
 from cycloid_fmu.studies.limits import Requirements
 from cycloid_fmu.studies.tolerance import Study, run
 from cycloid_fmu.surfaces.sampling import read_tolerances
-from cycloid_fmu.surfaces.surface import surface_of_pair
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples"
 DUTY = [{"torque": "181 N*m", "output_speed": "15 rpm", "share": 1.0}]
@@ -102,7 +102,7 @@ def test_no_drive_of_a_grid_is_better(pair):
     for isometric in np.linspace(-30e-6, 20e-6, 31):
         for offset in np.linspace(-60e-6, 0.0, 31):
             one = pair.replace(isometric=isometric, offset=offset)
-            swept = solve(one, surface_of_pair(one), [181.0], angle)
+            swept = solve(DriveValue.as_stated(one), [181.0], angle)
             play = np.nan_to_num(swept.backlash)
             kept = np.ptp(swept.transmission_error) < 0.3 * np.pi / 648000 and swept.interference.max() <= 0.0
             if kept and play.max() < 0.5 * np.pi / 10800:
@@ -120,7 +120,6 @@ def test_relaxing_what_binds_brings_what_is_stated(pair):
     tight, loose = best(1.000e9), best(1.010e9)
     (binding,) = (b for b in tight.binding if b.name == "max_contact_pressure")
     gained = tight.goals["pin_circle_radius"] - loose.goals["pin_circle_radius"]
-    assert gained == pytest.approx(0.01e9 * binding.gain, rel=0.1)
     assert gained == pytest.approx(0.1 * binding.of_a_tenth, rel=0.1)
 
 
@@ -156,8 +155,8 @@ def test_a_rotated_profile_recedes_by_what_turned_flanks_do(pair):
         moved.append(away.real * normal_x + away.imag * normal_y)
     np.testing.assert_allclose(turn * rotation_form(pair, 50), np.min(moved, axis=0), atol=1e-5 * 1e-6)
     one = candidate(pair, {"profile_rotation": 1e-4})
-    opened = solve(one.pair, one.surface, [0.0], [0.1]).backlash
-    drawn = solve(pair, surface_of_pair(pair), [0.0], [0.1]).backlash
+    opened = solve(DriveValue(one.pair, one.surface), [0.0], [0.1]).backlash
+    drawn = solve(DriveValue.as_stated(pair), [0.0], [0.1]).backlash
     # Every flank recedes by the turn times its lever, on both sides.
     assert float(opened[0] - np.nan_to_num(drawn[0])) == pytest.approx(2e-4, rel=0.02)
 

@@ -50,6 +50,14 @@ def test_the_values_of_a_file_are_its_pair(desk):
     assert (again.pins, again.ratio) == (30, -29.0)
 
 
+def test_a_law_for_comparison_with_papers_has_no_field_and_stays_in_the_file(tmp_path):
+    desk = open_desk(EXAMPLES / "wear-39-40.toml")
+    assert "pair.contact_law" not in FIELDS
+    assert desk.kept[0] == "contact_law"
+    assert save(desk, {**desk.values, "pair.face_width": "12 mm"}, tmp_path, "new.toml") is None
+    assert cy.read_drive(tmp_path / "new.toml").pair.contact_law == "as_printed"
+
+
 def test_verdicts_are_those_of_judge(tmp_path):
     limits = tmp_path / "limits.toml"
     limits.write_text(

@@ -7,7 +7,8 @@ import pytest
 from common import ARCSEC, CASES
 from element_pairs import solve_elements
 
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
@@ -30,7 +31,7 @@ def raised(kind):
 def test_kernel_and_element_pairs_agree(kind, angle, torque):
     surface = raised(kind)
     wanted = solve_elements(PAIR, surface, angle, torque, contact="deepest", pairs="directed", sampling=16e-6)
-    found = solve(PAIR, surface, torque, angle)
+    found = solve(DriveValue(PAIR, surface), torque, angle)
     assert found.transmission_error[0, 0] == pytest.approx(wanted["transmission_error"], abs=0.01 * ARCSEC)
     assert found.backlash[0] == pytest.approx(wanted["backlash"], abs=0.01 * ARCSEC)
     assert found.pin_force[0, 0] == pytest.approx(wanted["pin_force"], abs=5e-3 * wanted["pin_force"].max())
@@ -44,6 +45,6 @@ def test_slices_and_the_paper_s_arcs_agree():
     pair = read_pair(CASES / "misaligned-31-32.toml")
     surface = surface_of_pair(pair)
     wanted = solve_elements(pair, surface, 1.0, 200.0, width_elements=20, pairs="directed", arcs=3, with_play=False)
-    found = solve(pair, surface, 200.0, 1.0, 20)
+    found = solve(DriveValue(pair, surface), 200.0, 1.0, 20)
     assert found.transmission_error[0, 0] == pytest.approx(wanted["transmission_error"], abs=0.01 * ARCSEC)
     assert found.pin_force[0, 0] == pytest.approx(wanted["pin_force"], abs=1e-2 * wanted["pin_force"].max())

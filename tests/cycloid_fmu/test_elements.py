@@ -15,7 +15,9 @@ import xarray as xr
 from common import ARCSEC, CASES, PAIR, make_pair
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import Interrupted, analyze, solve, statistics
+from cycloid_fmu.analysis import analyze, solve, statistics
+from cycloid_fmu.contact.transmission import Interrupted
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import simulate_fmu
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
@@ -41,8 +43,8 @@ def test_an_even_deviation_of_the_flanks_is_an_isometric_modification(case, outp
     """Raising every element by h gives the parallel curve: the gaps are those of ΔR_rp = -h exactly."""
     pair = parse_pair((CASES / f"{case}.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"'), case)
     surface = surface_of_pair(pair)
-    wanted = solve(pair, dataclasses.replace(surface, isometric=surface.isometric - 2e-6), -120.0, ANGLES)
-    found = solve(pair, flanks(surface, 200, 3, 2e-6), -120.0, ANGLES, 3)
+    wanted = solve(DriveValue(pair, dataclasses.replace(surface, isometric=surface.isometric - 2e-6)), -120.0, ANGLES)
+    found = solve(DriveValue(pair, flanks(surface, 200, 3, 2e-6)), -120.0, ANGLES, 3)
     assert found.backlash == pytest.approx(wanted.backlash, abs=1e-12, nan_ok=True)
     # Only the curvature in Hertz's law differs by h.
     assert found.transmission_error == pytest.approx(wanted.transmission_error, abs=0.005 * ARCSEC)
@@ -50,8 +52,12 @@ def test_an_even_deviation_of_the_flanks_is_an_isometric_modification(case, outp
 
 def test_an_even_deviation_of_the_pins_is_their_radius():
     surface = surface_of_pair(ERRORS)
-    wanted = solve(ERRORS, dataclasses.replace(surface, pin_radius=surface.pin_radius + 2e-6), -120.0, ANGLES)
-    found = solve(ERRORS, dataclasses.replace(surface, pin_deviation=np.full((40, 60, 3), 2e-6)), -120.0, ANGLES, 3)
+    wanted = solve(
+        DriveValue(ERRORS, dataclasses.replace(surface, pin_radius=surface.pin_radius + 2e-6)), -120.0, ANGLES
+    )
+    found = solve(
+        DriveValue(ERRORS, dataclasses.replace(surface, pin_deviation=np.full((40, 60, 3), 2e-6))), -120.0, ANGLES, 3
+    )
     assert found.backlash == pytest.approx(wanted.backlash, abs=1e-12)
     assert found.transmission_error == pytest.approx(wanted.transmission_error, abs=0.005 * ARCSEC)
 
@@ -61,8 +67,8 @@ def test_one_higher_pin_of_many_elements_is_that_pin_s_radius():
     pair = surface.pair
     deviation, radius = np.zeros((40, 90, 2)), np.zeros(40)
     deviation[11], radius[11] = 3e-6, 3e-6
-    wanted = solve(pair, dataclasses.replace(surface, pin_radius_deviation=radius), 0.0, ANGLES)
-    found = solve(pair, dataclasses.replace(surface, pin_deviation=deviation), 0.0, ANGLES, 2)
+    wanted = solve(DriveValue(pair, dataclasses.replace(surface, pin_radius_deviation=radius)), 0.0, ANGLES)
+    found = solve(DriveValue(pair, dataclasses.replace(surface, pin_deviation=deviation)), 0.0, ANGLES, 2)
     assert found.play_low == pytest.approx(wanted.play_low, abs=1e-12)
     assert found.play_high == pytest.approx(wanted.play_high, abs=1e-12)
 
@@ -72,8 +78,8 @@ def test_a_slope_across_the_face_is_a_turn_of_each_slice():
     pair = parse_pair(PAIR + '[modification]\noffset = "-60 um"\nisometric = "-20 um"\n', "p")
     surface = nominal_surface(pair)
     sloped = flanks(surface, 100, 2, np.array([[-2e-6, 2e-6]]))
-    wanted = solve(pair, dataclasses.replace(surface, isometric=-2e-6), 0.0, ANGLES)
-    found = solve(pair, sloped, 0.0, ANGLES, 2)
+    wanted = solve(DriveValue(pair, dataclasses.replace(surface, isometric=-2e-6)), 0.0, ANGLES)
+    found = solve(DriveValue(pair, sloped), 0.0, ANGLES, 2)
     assert found.backlash == pytest.approx(wanted.backlash, abs=1e-12)
 
 
@@ -85,7 +91,9 @@ def test_elements_converge():
     def error(profile):
         arc = (np.arange(profile) + 0.5) / profile
         heights = 3e-6 * np.cos(2 * np.pi * 3 * arc)[:, None]
-        return solve(pair, flanks(surface, profile, 1, heights), -120.0, ANGLES, with_play=False).transmission_error
+        return solve(
+            DriveValue(pair, flanks(surface, profile, 1, heights)), -120.0, ANGLES, with_play=False
+        ).transmission_error
 
     finest = error(3200)
     differences = [np.abs(error(n) - finest).max() / ARCSEC for n in (50, 100, 200, 400, 800)]
@@ -99,8 +107,8 @@ def test_slices_converge(tilt, slices):
     text = (CASES / "errors-39-40.toml").read_text().replace("[errors]", f'[errors]\nmisalignment_xz = "{tilt}"')
     pair = parse_pair(text, "tilted")
     surface = surface_of_pair(pair)
-    fine = solve(pair, surface, -120.0, ANGLES, 200, with_play=False)
-    coarse = solve(pair, surface, -120.0, ANGLES, slices, with_play=False)
+    fine = solve(DriveValue(pair, surface), -120.0, ANGLES, 200, with_play=False)
+    coarse = solve(DriveValue(pair, surface), -120.0, ANGLES, slices, with_play=False)
     difference = np.abs(coarse.transmission_error - fine.transmission_error).max()
     assert difference < 1e-3 * np.abs(fine.transmission_error).max()
 
@@ -108,15 +116,15 @@ def test_slices_converge(tilt, slices):
 def test_interpolated_slices_are_the_solved_ones():
     """Many slices (clear pins interpolated) against the same slices as a surface with elements (each one solved)."""
     surface = surface_of_pair(TILTED)
-    found = solve(TILTED, surface, -120.0, ANGLES, 40)
-    solved = solve(TILTED, flanks(surface, 50, 1, 0.0), -120.0, ANGLES, 40)
+    found = solve(DriveValue(TILTED, surface), -120.0, ANGLES, 40)
+    solved = solve(DriveValue(TILTED, flanks(surface, 50, 1, 0.0)), -120.0, ANGLES, 40)
     assert found.transmission_error == pytest.approx(solved.transmission_error, abs=1e-11)
     assert found.backlash == pytest.approx(solved.backlash, abs=1e-12)
     assert found.pin_force == pytest.approx(solved.pin_force, rel=1e-6, abs=1e-6)
 
 
 def test_lines_and_element_pressures():
-    data = analyze(TILTED, surface_of_pair(TILTED), [-120.0, 60.0], np.linspace(0, 6, 60), 25, with_elements=True)
+    data = analyze(DriveValue.as_stated(TILTED), [-120.0, 60.0], np.linspace(0, 6, 60), 25, with_elements=True)
     total = data["slice_force"].sum("slice")
     assert total.values == pytest.approx(data["pin_force"].values, rel=1e-5, abs=1e-3)
     largest = data["max_contact_pressure"].max("crank_angle").values
@@ -131,7 +139,9 @@ def test_lines_and_element_pressures():
 def test_the_paper_s_contact_range():
     """Error-surface paper, figure 7: half of each flank is engaged, a pin from zero to 54.45° (arcsin K = 54.341°)."""
     pair = make_pair()
-    data = analyze(pair, nominal_surface(pair), -181.0, np.linspace(0, 2 * np.pi, 3600), 1, with_elements=True)
+    data = analyze(
+        DriveValue(pair, nominal_surface(pair)), -181.0, np.linspace(0, 2 * np.pi, 3600), 1, with_elements=True
+    )
     flank = data["gear_element_pressure"].max(("torque", "disc", "tooth", "slice")).values > 0
     assert flank.mean() == pytest.approx(0.5, abs=0.01)
     assert not flank[400:].any()
@@ -144,7 +154,7 @@ def test_the_paper_s_contact_range():
 
 
 def test_statistics_are_the_paper_s():
-    data = analyze(ERRORS, surface_of_pair(ERRORS), [-120.0, 120.0], ANGLES)
+    data = analyze(DriveValue.as_stated(ERRORS), [-120.0, 120.0], ANGLES)
     figures = statistics(data)
     assert figures["MTE"] == pytest.approx(data["transmission_error"].mean("crank_angle").values)
     assert figures["PPB"] == pytest.approx(np.ptp(data["backlash"].values, axis=1))
@@ -154,7 +164,7 @@ def test_statistics_are_the_paper_s():
 def test_the_number_of_workers_changes_no_bit():
     surface = surface_of_pair(TILTED)
     angles = np.linspace(0, 6, 900)
-    one, two = (solve(TILTED, surface, [-120.0, 0.0], angles, 10, workers=n) for n in (1, 2))
+    one, two = (solve(DriveValue(TILTED, surface), [-120.0, 0.0], angles, 10, workers=n) for n in (1, 2))
     assert (one.transmission_error == two.transmission_error).all()
     assert (one.backlash == two.backlash).all()
     assert (one.pin_force == two.pin_force).all()
@@ -169,7 +179,7 @@ def test_a_surface_goes_through_its_file_bit_for_bit(tmp_path):
     )
     write_surface(surface, tmp_path / "s.nc")
     again = read_surface(tmp_path / "s.nc")
-    first, second = (solve(ERRORS, s, -120.0, ANGLES, 4).transmission_error for s in (surface, again))
+    first, second = (solve(DriveValue(ERRORS, s), -120.0, ANGLES, 4).transmission_error for s in (surface, again))
     assert (first == second).all()
 
 
@@ -226,8 +236,8 @@ def test_a_truncated_surface_file_is_one_sentence(tmp_path):
 def test_the_fmu_has_the_elements(tmp_path):
     rng = np.random.default_rng(1)
     surface = dataclasses.replace(surface_of_pair(ERRORS), gear_deviation=rng.normal(0, 1e-6, (1, 39, 80, 2)))
-    build_fmu(ERRORS, tmp_path / "d.fmu", surface)
-    wanted = solve(ERRORS, surface, 100.0, ANGLES, 2).transmission_error[0]
+    build_fmu(DriveValue(ERRORS, surface), tmp_path / "d.fmu")
+    wanted = solve(DriveValue(ERRORS, surface), 100.0, ANGLES, 2).transmission_error[0]
     found = simulate_fmu(tmp_path / "d.fmu", ANGLES, 100.0, ("transmission_error",))["transmission_error"]
     assert found == pytest.approx(wanted, abs=1e-9)
 
@@ -241,10 +251,10 @@ def test_an_interrupted_sweep_keeps_what_is_done():
     seen = []
     angles = np.linspace(0, 6, 2000)
     with pytest.raises(Interrupted) as interrupted:
-        solve(ERRORS, surface_of_pair(ERRORS), -120.0, angles, progress=stop)
+        solve(DriveValue.as_stated(ERRORS), -120.0, angles, progress=stop)
     kept = interrupted.value.result
     assert 0 < kept.crank_angle.size < 2000
-    whole = solve(ERRORS, surface_of_pair(ERRORS), -120.0, angles)
+    whole = solve(DriveValue.as_stated(ERRORS), -120.0, angles)
     assert (kept.transmission_error == whole.transmission_error[:, : kept.crank_angle.size]).all()
 
 

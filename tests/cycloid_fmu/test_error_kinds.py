@@ -11,7 +11,8 @@ from new_error_kind import RING_DISTORTION, distortion
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.analysis import error_sensitivity, solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors import kinds
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry.pair import parse_pair
@@ -63,9 +64,11 @@ def test_the_new_kind_is_the_pins_that_it_displaces(new_kind, tmp_path, command)
 def test_its_sensitivity_is_that_of_finite_differences(new_kind):
     pair = parse_pair(CLEARANCE, "p")
     surface, step = ErrorSurface(pair, ring_distortion=2e-6), 1e-9
-    _, jacobian, _, _ = error_sensitivity(pair, surface, 150.0, ANGLES, [new_kind])
+    _, jacobian = error_sensitivity(DriveValue(pair, surface), 150.0, ANGLES, [new_kind])
     ends = [
-        solve(pair, surface.replace(ring_distortion=2e-6 + s), 150.0, ANGLES, with_play=False).transmission_error[0]
+        solve(
+            DriveValue(pair, surface.replace(ring_distortion=2e-6 + s)), 150.0, ANGLES, with_play=False
+        ).transmission_error[0]
         for s in (step, -step)
     ]
     assert jacobian[:, 0] == pytest.approx(
@@ -103,9 +106,9 @@ def test_it_is_a_tunable_parameter_of_the_fmu(new_kind, tmp_path):
         output=["transmission_error"],
         start_values={new_kind: 3e-6, "flange_a.phi": 0.4, "flange_b.tau": 150.0},
     )
-    wanted = solve(pair, ErrorSurface(pair, ring_distortion=3e-6), 150.0, 0.4).transmission_error[0, 0]
+    wanted = solve(DriveValue(pair, ErrorSurface(pair, ring_distortion=3e-6)), 150.0, 0.4).transmission_error[0, 0]
     assert result["transmission_error"][-1] == pytest.approx(wanted, abs=1e-12)
-    without = solve(pair, ErrorSurface(pair), 150.0, 0.4).transmission_error[0, 0]
+    without = solve(DriveValue(pair, ErrorSurface(pair)), 150.0, 0.4).transmission_error[0, 0]
     assert abs(wanted - without) > 1e-6
 
 
@@ -143,8 +146,8 @@ def test_files_surfaces_and_structured_errors_agree_on_each_kind(kind):
     assert sum(np.any(v) for v in surface.errors.values()) == 1
     for name in kinds.structured_names([1, 2]):
         if kinds.kind_of(name) is kind:
-            moved = with_structured(pair, surface, {name: 7e-6})
-            assert structured_value(pair, moved, name) == pytest.approx(7e-6, rel=1e-12)
+            moved = with_structured(surface, {name: 7e-6})
+            assert structured_value(moved, name) == pytest.approx(7e-6, rel=1e-12)
 
 
 def test_what_it_displaces_must_exist():

@@ -19,7 +19,8 @@ from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import simulate_fmu
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
@@ -32,7 +33,7 @@ ERRORS = read_pair(CASES / "errors-39-40.toml")
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory):
     path = tmp_path_factory.mktemp("fmü with spaces") / "drive ü.fmu"
-    build_fmu(ERRORS, path)
+    build_fmu(DriveValue.as_stated(ERRORS), path)
     return path
 
 
@@ -120,7 +121,7 @@ def test_the_surface_lies_in_the_resources(fmu):
 @pytest.mark.parametrize("case", ["errors-39-40", "two-discs-39-40", "interference-21-22"])
 def test_it_says_what_the_independent_solver_says(case, tmp_path):
     pair = read_pair(CASES / f"{case}.toml")
-    build_fmu(pair, tmp_path / "d.fmu")
+    build_fmu(DriveValue.as_stated(pair), tmp_path / "d.fmu")
     wanted = json.loads((CASES / f"{case}.json").read_text())
     for result in wanted["results"]:
         found = simulate_fmu(tmp_path / "d.fmu", wanted["crank_angle"], result["torque"])
@@ -140,7 +141,7 @@ def test_tuned_parameters_act_at_the_next_step(fmu):
     import dataclasses
 
     changed = dataclasses.replace(surface_of_pair(ERRORS), centre_distance_x=0.0, centre_distance_y=0.0)
-    wanted = solve(ERRORS, changed, 100.0, 1.0).transmission_error[0, 0] + 1e-5
+    wanted = solve(DriveValue(ERRORS, changed), 100.0, 1.0).transmission_error[0, 0] + 1e-5
     assert found == pytest.approx(wanted, abs=1e-11)
 
 
@@ -207,7 +208,7 @@ gc.collect()
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_why_something_is_refused_is_in_the_log_whether_logging_is_on_or_not(tmp_path, version):
     path, said = tmp_path / "d.fmu", []
-    build_fmu(ERRORS, path, fmi_version=version)
+    build_fmu(DriveValue.as_stated(ERRORS), path, fmi_version=version)
     description, folder = fmpy.read_model_description(str(path)), Path(fmpy.extract(str(path), str(tmp_path / "fmu")))
 
     def opened():
@@ -334,7 +335,7 @@ from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import nominal_surface
 pair = read_pair({str(CASES / "errors-39-40.toml")!r})
-build_fmu(pair, "again.fmu", nominal_surface(pair))
+build_fmu(DriveValue(pair, nominal_surface(pair)), "again.fmu")
 names = zipfile.ZipFile("again.fmu").namelist()
 assert "binaries/linux64/CycloidDrive.so" in names, names
 assert "resources/pythonfmu/builder.py" in names, names

@@ -8,9 +8,9 @@ import pytest
 from common import ARCSEC
 
 from cycloid_fmu import edge
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import LEAST_TEETH, MOST_TEETH, Pair, smallest_convex_radius
-from cycloid_fmu.supports.transmission import solve
-from cycloid_fmu.surfaces.surface import surface_of_pair
 
 RADIUS = 64e-3
 
@@ -69,7 +69,7 @@ def test_any_teeth_and_size_against_the_second_solver(teeth, size, record_proper
     angle = generator.uniform(0.0, 2.0 * np.pi)
     torque = generator.choice([-1.0, 1.0]) * generator.uniform(20.0, 100.0) * size**3
     wanted = brute_force.solve(as_tables(pair), angle, torque, points=40)
-    found = solve(pair, surface_of_pair(pair), torque, angle)
+    found = solve(DriveValue.as_stated(pair), torque, angle)
     away = abs(found.transmission_error[0, 0] - wanted["transmission_error"]) / ARCSEC
     record_property(f"transmission error of {teeth} teeth, size {size:g}, away from the second solver", f"{away:.1g}″")
     assert away < 1e-3
@@ -106,7 +106,7 @@ def test_drives_of_all_sizes_are_similar(teeth, kind):
     def at(size):
         more = {} if kind is None else {"supports": held(kind, size)}
         pair = a_pair(np.random.default_rng(teeth), teeth, size, 0.7, rated_torque=100.0 * size**3, **more)
-        return solve(pair, surface_of_pair(pair), [100.0 * size**3, -7.0 * size**3], angle)
+        return solve(DriveValue.as_stated(pair), [100.0 * size**3, -7.0 * size**3], angle)
 
     one = at(1.0)
     for size in (0.3, 10.0):

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
+from cycloid_fmu.analysis import series_compliance
 from cycloid_fmu.contact.hertz import half_width
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.chain import with_chain
 from cycloid_fmu.geometry.profile import flank_points
-from cycloid_fmu.reducer.transmission import series_compliance
 from cycloid_fmu.studies import limits as asked
 from cycloid_fmu.studies.tolerance import Study, surface_of
-from cycloid_fmu.studies.yields import conduct, with_limits
+from cycloid_fmu.studies.yields import conduct
 from cycloid_fmu.studies.yields import judged as judged_of
 from cycloid_fmu.supports.figures import BearingLoad, lives_over_duty
-from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.wear.friction import sliding_of
 from cycloid_fmu.wear.law import Load, WearLaw
 from cycloid_fmu.wear.progress import wear_model, wear_rate
@@ -177,7 +177,7 @@ def test_friction_power_over_a_crank_turn_is_the_sliding_work_of_the_wear_model(
     """Its velocities are numerical, from contacts that it solves itself, of a modified pair: within 1 %."""
     pair = make_pair(WEAR_PAIR, output=output)
     law = WearLaw(pins="fixed", coefficient="1e-20 m^2/N")
-    model = wear_model(pair, surface_of_pair(pair), law, (Load(torque=200.0, crank_turns=1.0),))
+    model = wear_model(DriveValue.as_stated(pair), law, (Load(torque=200.0, crank_turns=1.0),))
     work = wear_rate(model, model.surface).sliding_work
     angle = np.linspace(0.0, 2.0 * np.pi, 367, endpoint=False)
     found = cy.Drive(pair).analyze(200.0, crank_angle=angle)
@@ -285,8 +285,7 @@ def test_a_study_s_verdict_is_on_its_worst_drive_at_its_angle_and_pin(tmp_path):
         angles=24,
     )
     wanted = asked.Limits(max_contact_pressure="9 GPa", backlash="9 arcmin", lost_motion="1 arcsec", static_safety=9.0)
-    judged = with_limits(study, wanted, "r.toml", "t.toml")
-    result = conduct(judged).result
+    result = conduct(dataclasses.replace(study, tolerances=study.tolerances.replace(limits=wanted.of_study))).result
     found = {one.figure: one for one in judged_of(result)}
     assert {name: one.met for name, one in found.items()} == {
         "max_contact_pressure": True,
@@ -320,7 +319,7 @@ def test_a_catalogue_s_stiffness_is_a_compliance_in_series():
     """As drawn the drive then has the catalogue's stiffness; with errors it has the same compliance in series."""
     drive = cy.read_drive(EXAMPLES / "rv-20e-bearings.toml")
     catalogue, rated = drive.pair.supports.catalogue_stiffness, drive.pair.rated_torque
-    series = series_compliance(drive.pair, drive.first_stage)
+    series = series_compliance(drive)
     half, full = drive.analyze([0.5 * rated, rated], angles=60).transmission_error.mean("crank_angle").values
     assert (full - half) / (0.5 * rated) + series == pytest.approx(1.0 / catalogue, rel=1e-4)
     worse = drive.replace(errors={"pin_radius": "-3 um"})
@@ -331,7 +330,7 @@ def test_a_catalogue_s_stiffness_is_a_compliance_in_series():
         assert 1.0 / found.value == pytest.approx(1.0 / own + series, rel=1e-9)
         assert not found.met
         assert "up to the catalogue's stiffness" in asked.line_of(found)
-    fmu = with_chain(cy.Interface(), drive.pair, drive.surface, drive.first_stage)
+    fmu = with_chain(cy.Interface(), drive)
     assert fmu.series_compliance == pytest.approx(series + first_stage_compliance(drive), rel=1e-12)
 
 
@@ -361,7 +360,7 @@ def test_lost_motion_includes_what_is_in_series():
         cy.Drive(pair, None, drive.first_stage).judge(limits, 167.0, angles=20).verdicts[0].value
         for pair in (drive.pair, stiff)
     ]
-    wind_up = 0.06 * 167.0 * series_compliance(drive.pair, drive.first_stage)
+    wind_up = 0.06 * 167.0 * series_compliance(drive)
     assert both[0] - both[1] == pytest.approx(wind_up, rel=1e-9)
     tolerances = cy.Tolerances(limits={"lost_motion": "9 arcmin"}, pin_radius={"tolerance": "1 um"})
     study = Study(drive.pair, tolerances, samples=2, seed=1, torque=(167.0,), angles=20, first_stage=drive.first_stage)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from common import CASES, EXAMPLES, PAIR, make_pair
 
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.compliant_model import CompliantModel, CompliantState
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel, DriveState
@@ -34,10 +35,10 @@ def step(model, crank=None, torque=None):
 def test_loaded_it_is_the_analysis(output):
     pair = parse_pair((CASES / "errors-39-40.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"'), "p")
     surface = surface_of_pair(pair)
-    model = DriveModel(pair, surface)
+    model = DriveModel(DriveValue(pair, surface))
     angles = np.linspace(-700.0, 900.0, 60)
     for torque in (-120.0, 60.0):
-        wanted, close = solve(pair, surface, torque, angles), 0
+        wanted, close = solve(DriveValue(pair, surface), torque, angles), 0
         for i, angle in enumerate(angles):
             step(model, angle, torque)
             assert model.transmission_error == pytest.approx(wanted.transmission_error[0, i], abs=1e-11)
@@ -51,7 +52,7 @@ def test_loaded_it_is_the_analysis(output):
 
 
 def test_at_zero_torque_it_starts_in_the_middle_and_stays_until_a_flank_pushes():
-    model = DriveModel(PLAY, nominal_surface(PLAY))
+    model = DriveModel(DriveValue(PLAY, nominal_surface(PLAY)))
     step(model, 0.0, 0.0)
     free = model.backlash
     assert model.transmission_error == pytest.approx(0.0, abs=1e-9)
@@ -64,18 +65,18 @@ def test_at_zero_torque_it_starts_in_the_middle_and_stays_until_a_flank_pushes()
     assert model.output_angle == before
     # Far beyond the play the output is pushed along by the flank, and stays there when the crank turns back a little.
     pushed = step(model, 0.5)
-    end = solve(PLAY, nominal_surface(PLAY), 0.0, 0.5).play_high[0]
+    end = solve(DriveValue(PLAY, nominal_surface(PLAY)), 0.0, 0.5).play_high[0]
     assert pushed == pytest.approx(-0.5 / 39 + end, abs=1e-11)
     step(model, 0.5 - 0.5 * free * 39)
     assert model.output_angle == pushed
 
 
 def test_unloading_leaves_the_output_on_its_flank():
-    model = DriveModel(PLAY, nominal_surface(PLAY))
+    model = DriveModel(DriveValue(PLAY, nominal_surface(PLAY)))
     step(model, 1.0, 100.0)
     loaded = model.transmission_error
     step(model, torque=0.0)
-    ends = solve(PLAY, nominal_surface(PLAY), 0.0, 1.0)
+    ends = solve(DriveValue(PLAY, nominal_surface(PLAY)), 0.0, 1.0)
     assert model.transmission_error == pytest.approx(ends.play_high[0], abs=1e-11)
     assert model.transmission_error < loaded
     step(model, torque=-1e-3)
@@ -84,18 +85,18 @@ def test_unloading_leaves_the_output_on_its_flank():
 
 def test_interference_at_zero_torque_is_an_equilibrium():
     pair = read_pair(CASES / "interference-21-22.toml")
-    model = DriveModel(pair, surface_of_pair(pair))
+    model = DriveModel(DriveValue.as_stated(pair))
     step(model, 0.3, 0.0)
     assert model.backlash == 0.0
     assert model.torsional_stiffness > 0.0
     assert model.contact_count > 1
-    wanted = solve(pair, surface_of_pair(pair), 0.0, 0.3)
+    wanted = solve(DriveValue.as_stated(pair), 0.0, 0.3)
     assert model.transmission_error == pytest.approx(wanted.transmission_error[0, 0], abs=1e-11)
 
 
 def test_friction_is_the_loop_of_the_definition():
     """docs/theory/measurement.md: θ = elastic(T ∓ T_f) on the loading, elastic(T ± T_f) on the unloading branch."""
-    elastic, model = (DriveModel(PLAY, nominal_surface(PLAY)) for _ in range(2))
+    elastic, model = (DriveModel(DriveValue(PLAY, nominal_surface(PLAY))) for _ in range(2))
     model.set_friction(1, coulomb=5.0, presliding_angle=1e-9)  # the definition's friction builds up without presliding
 
     def curve(torque):
@@ -115,7 +116,7 @@ def test_friction_is_the_loop_of_the_definition():
 
 
 def test_what_friction_holds_carries_the_torque_between():
-    model = DriveModel(PLAY, nominal_surface(PLAY))
+    model = DriveModel(DriveValue(PLAY, nominal_surface(PLAY)))
     model.series_compliance = 1e-6
     model.set_friction(1, coulomb=5.0, presliding_angle=1e-9)
     step(model, 0.2, 50.0)
@@ -127,7 +128,7 @@ def test_what_friction_holds_carries_the_torque_between():
 
 
 def test_series_compliance_adds_its_twist_and_softens():
-    stiff, soft = (DriveModel(PLAY, nominal_surface(PLAY)) for _ in range(2))
+    stiff, soft = (DriveModel(DriveValue(PLAY, nominal_surface(PLAY))) for _ in range(2))
     soft.series_compliance = 2e-7
     for torque in (-150.0, 30.0):
         twist = step(soft, 0.7, torque) - step(stiff, 0.7, torque)
@@ -139,7 +140,7 @@ def test_series_compliance_adds_its_twist_and_softens():
 @pytest.mark.parametrize("torque", [-120.0, 120.0, 0.0])
 def test_speed_is_the_angle_s_derivative(output, torque):
     pair = parse_pair((CASES / "errors-39-40.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"'), "p")
-    model = DriveModel(pair, surface_of_pair(pair))
+    model = DriveModel(DriveValue.as_stated(pair))
     model.crank_speed = 10.0
     step(model, 0.0, torque)
     step(model, 0.5)  # at zero torque: far enough that a flank pushes
@@ -152,7 +153,7 @@ def test_speed_is_the_angle_s_derivative(output, torque):
 
 
 def test_state_restores_exactly_and_is_plain_json():
-    model = DriveModel(PLAY, nominal_surface(PLAY))
+    model = DriveModel(DriveValue(PLAY, nominal_surface(PLAY)))
     model.friction_torque, model.series_compliance = 3.0, 1e-8
     model.set_error("pin_radial_1_cos", 5e-6)
     path = [(0.1 * i, 40.0 * np.sin(0.7 * i)) for i in range(40)]
@@ -163,7 +164,7 @@ def test_state_restores_exactly_and_is_plain_json():
     model.set_error("pin_radial_1_cos", 0.0)
     model.restore(state)
     again = [(step(model, a, t), model.contact_count, model.crank_torque) for a, t in path[20:]]
-    other = DriveModel(PLAY, nominal_surface(PLAY))
+    other = DriveModel(DriveValue(PLAY, nominal_surface(PLAY)))
     other.restore(state)
     elsewhere = [(step(other, a, t), other.contact_count, other.crank_torque) for a, t in path[20:]]
     assert first == again == elsewhere
@@ -171,7 +172,7 @@ def test_state_restores_exactly_and_is_plain_json():
 
 def test_many_turns_cost_no_accuracy():
     pair = read_pair(CASES / "errors-39-40.toml")
-    model = DriveModel(pair, surface_of_pair(pair))
+    model = DriveModel(DriveValue.as_stated(pair))
     step(model, 0.4, 100.0)
     near = model.transmission_error
     step(model, 0.4 + 2 * np.pi * 39 * 10000, 100.0)
@@ -183,7 +184,7 @@ def test_an_error_set_is_an_error_built_in():
     pair = make_pair(text)
     stated = '[errors]\npin_tangential = { order_2 = ["3 um", "90 deg"] }\ncentre_distance_y = "2 um"\n'
     built = make_pair(text + stated)
-    model, wanted = DriveModel(pair, nominal_surface(pair)), DriveModel(built, surface_of_pair(built))
+    model, wanted = DriveModel(DriveValue(pair, nominal_surface(pair))), DriveModel(DriveValue.as_stated(built))
     step(model, 0.1, 50.0)
     model.set_error("pin_tangential_2_sin", 3e-6)
     model.set_error("centre_distance_y", 2e-6)
@@ -195,9 +196,9 @@ def models():
     whole = read_reducer(EXAMPLES / "rv-20e.toml")
     surface = surface_of_reducer(whole)
     return {
-        "drive": (DriveModel, DriveState, (PLAY, nominal_surface(PLAY))),
-        "compliant": (CompliantModel, CompliantState, (PLAY, nominal_surface(PLAY))),
-        "reducer": (ReducerModel, ReducerState, (whole.stage, surface, rv.parts_of(whole)[2])),
+        "drive": (DriveModel, DriveState, DriveValue(PLAY, nominal_surface(PLAY))),
+        "compliant": (CompliantModel, CompliantState, DriveValue(PLAY, nominal_surface(PLAY))),
+        "reducer": (ReducerModel, ReducerState, DriveValue(whole.stage, surface, rv.parts_of(whole)[2])),
     }
 
 
@@ -221,7 +222,7 @@ def test_every_field_of_the_state_takes_part_in_rollback_also_one_that_is_added(
         if kind == "compliant":
             model.output_angle = angle / model.pair.ratio + 2.2e-4
 
-    model = LongerModel(*made_of)
+    model = LongerModel(made_of)
     model.friction_torque = 2.0
     turned(0.2)
     model.advance(1e-3)
@@ -239,6 +240,6 @@ def test_every_field_of_the_state_takes_part_in_rollback_also_one_that_is_added(
     assert wanted["steps"] == 2
     changed = {name for name, value in kept.items() if value != wanted[name]}
     assert {"steps", "errors", "loss_table", "crank_angle", "_teeth"} <= changed
-    for other in (model, LongerModel(*made_of)):
+    for other in (model, LongerModel(made_of)):
         other.restore(kept)
         assert json.loads(json.dumps(other.state())) == kept

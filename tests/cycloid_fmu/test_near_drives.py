@@ -7,9 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import contact, edge
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.contact import near_drives, side_by_side
 from cycloid_fmu.contact.near_drives import NearDrives
-from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.contact.transmission import rigid_problem
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.surfaces.structured import displacement_vector
@@ -57,16 +59,16 @@ def drawn(pair, random, largest, few):
 
 def compare(pair, surfaces, torque, angles, slices=1):
     """Where drives interfere an equilibrium can depend on where the search begins: it is one of those found alone."""
-    exact = NearDrives(pair, nominal_surface(pair), [(torque, angles), (0.0, angles)], slices)
+    exact = NearDrives(DriveValue(pair, nominal_surface(pair)), [(torque, angles), (0.0, angles)], slices)
     made = exact.made(np.array([displacement_vector(pair, s) for s in surfaces]))
     deviation, pressure = exact.loaded(0, made)
     backlash, interference = exact.play(1, made)
     for j, surface in enumerate(surfaces):
-        following = solve(pair, surface, torque, angles, slices)
+        following = solve(DriveValue(pair, surface), torque, angles, slices)
         for i in range(angles.size):
             found = [(following, i)]
             if following.interference[i] > 0.0 or interference[j, i] > 0.0:
-                found.append((solve(pair, surface, torque, angles[i : i + 1], slices), 0))
+                found.append((solve(DriveValue(pair, surface), torque, angles[i : i + 1], slices), 0))
             # An equilibrium's last step may cross the first touch of a pin.
             assert any(
                 deviation[j, i] == pytest.approx(one.transmission_error[0, at], rel=1e-9, abs=2e-10)
@@ -128,18 +130,18 @@ def test_tilted_drives_side_by_side_are_as_each_alone(name):
 def test_gaps_and_feet_move_as_displacements_say(name):
     """The bounds rest on both: a micrometre of each error, against the pins placed on the flanks of a drive with it."""
     pair, angle, random = PAIRS[name], np.array([0.7]), np.random.default_rng(1)
-    exact = NearDrives(pair, nominal_surface(pair), [(100.0, angle)], 1)
+    exact = NearDrives(DriveValue(pair, nominal_surface(pair)), [(100.0, angle)], 1)
     guide = next(exact._along(0))
     x = guide.deviation[0]
     before = placed(pair, ErrorSurface(pair), angle[0], x)
-    problem = drive_of(pair, ErrorSurface(pair))
+    problem = rigid_problem(DriveValue(pair, ErrorSurface(pair)))
     for kind in KINDS_OF_RIGID:
         if kind.unit != "m":
             continue
         surface = ErrorSurface(pair, {kind.name: 1e-6 * random.uniform(0.5, 1.0, kind.shape(pair))})
         after = placed(pair, surface, angle[0], x)
         work = side_by_side.memory(len(guide.rows[0]), exact.made(displacement_vector(pair, surface)[None]).errors)
-        side_by_side._displace(guide.rows[0], pair.pins, False, work)
+        side_by_side._displace(guide.rows[0], pair.pins, work)
         for row in range(0, len(before), 2):
             beside, frame = work.beside[row // 2], contact.local_frame(problem, angle[0], x, before, row)
             # Far from roots, where a micrometre is little beside the curvature radius.
@@ -153,7 +155,7 @@ def test_gaps_and_feet_move_as_displacements_say(name):
 
 
 def placed(pair, surface, angle, x):
-    problem = drive_of(pair, surface)
+    problem = rigid_problem(DriveValue(pair, surface))
     rows = contact.contact_rows(problem)
     contact.place(problem, angle, x, rows, True, np.inf, np.inf)
     return rows
@@ -163,7 +165,7 @@ def placed(pair, surface, angle, x):
 def test_what_a_drive_gives_does_not_depend_on_the_others(name):
     pair = PAIRS[name]
     angles, random = np.linspace(0.0, 2.0 * np.pi, 90), np.random.default_rng(3)
-    exact = NearDrives(pair, nominal_surface(pair), [(181.0, angles), (0.0, angles)], 1)
+    exact = NearDrives(DriveValue(pair, nominal_surface(pair)), [(181.0, angles), (0.0, angles)], 1)
     errors = np.array([displacement_vector(pair, drawn(pair, random, 5e-6, False)) for _ in range(70)])
     made = exact.made(errors)
     together = (*exact.loaded(0, made), *exact.play(1, made))
@@ -174,7 +176,7 @@ def test_what_a_drive_gives_does_not_depend_on_the_others(name):
 
 
 def test_what_no_drive_can_be_is_refused():
-    exact = NearDrives(DRIVE, nominal_surface(DRIVE), [(181.0, np.zeros(1))], 1)
+    exact = NearDrives(DriveValue(DRIVE, nominal_surface(DRIVE)), [(181.0, np.zeros(1))], 1)
     thin = ErrorSurface(DRIVE, {"pin_radius_deviation": np.where(np.arange(40) == 3, -1e-3, 0.0)})
     thinner = 3.1 * displacement_vector(DRIVE, thin)
     with pytest.raises(edge.InputError, match=r"a pin's radius is -0\.1 mm; it must stay above zero"):
@@ -187,7 +189,7 @@ def test_guides_in_parts(monkeypatch):
     errors = np.array([displacement_vector(DRIVE, drawn(DRIVE, random, 3e-6, False)) for _ in range(3)])
 
     def solved():
-        exact = NearDrives(DRIVE, nominal_surface(DRIVE), [(181.0, angles), (0.0, angles)], 1)
+        exact = NearDrives(DriveValue(DRIVE, nominal_surface(DRIVE)), [(181.0, angles), (0.0, angles)], 1)
         made = exact.made(errors)
         return *exact.loaded(0, made), *exact.play(1, made)
 

@@ -12,6 +12,7 @@ from cycloid_fmu.draw.drive_picture import close_up
 from cycloid_fmu.draw.plots import plot_analysis, plot_bearings
 from cycloid_fmu.draw.sweeps import plot_sweep
 from cycloid_fmu.draw.verdicts import plot_duty
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.studies.design import DesignTask, on_front
 from cycloid_fmu.studies.limits import read_requirements
@@ -80,7 +81,7 @@ def test_bars_start_at_zero_and_lives_on_a_logarithmic_axis_are_dots():
     pair = cy.read_drive(EXAMPLES / "drive-39-40-bearings.toml").pair
     asked = read_requirements(EXAMPLES / "requirements.toml")
     angles, surface = np.linspace(0.0, 2.0 * np.pi, 20, endpoint=False), surface_of_pair(pair)
-    judged = judge_drive(pair, surface, None, asked, loads_of(asked, [], pair), angles)
+    judged = judge_drive(DriveValue(pair, surface), asked, loads_of(asked, [], pair), angles)
     figure = plot_duty(judged)
     for axis in figure.axes:
         assert not (axis.patches and axis.get_xscale() == "log")

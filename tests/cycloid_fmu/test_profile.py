@@ -3,7 +3,8 @@ import pytest
 from common import PAIR, make_pair
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.transmission import drive_of
+from cycloid_fmu.contact.transmission import rigid_problem
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import parse_pair, smallest_convex_radius
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points
 from cycloid_fmu.surfaces.surface import nominal_surface
@@ -21,7 +22,7 @@ def test_unmodified_every_gap_is_zero_at_every_crank_angle(teeth, output):
         eccentricity=f"{0.6 * 64 / (teeth + 1)} mm",
         pin_radius=f"{0.4 * 64 / (teeth + 1)} mm",
     )
-    drive = drive_of(pair, nominal_surface(pair))
+    drive = rigid_problem(DriveValue(pair, nominal_surface(pair)))
     contacts = contact.contact_rows(drive)
     for theta in np.random.default_rng(teeth).uniform(-500.0, 500.0, 200 if teeth != 39 else 1000):
         contact.place(drive, theta, 0.0, contacts, True, np.inf, np.inf)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ARCMIN
 from cycloid_fmu.reducer.description import contradictions, parse_reducer, read_reducer, surface_of_reducer, values_of
 from cycloid_fmu.reducer.lost_motion import (
@@ -347,9 +348,9 @@ def test_budget_from_the_command_line(command, tmp_path):
 
 def test_play_is_that_of_the_analysis(found):
     """The same surface through the labelled dataset of an analysis, other crank angles: the same play on average."""
-    from cycloid_fmu.contact.transmission import solve
+    from cycloid_fmu.analysis import solve
 
     surface = dataclasses.replace(surface_of_reducer(RV))
     angles = np.linspace(0.0, 2 * np.pi * 39, 601, endpoint=False)
-    analysed = solve(RV.stage, surface, 0.0, angles).backlash
+    analysed = solve(DriveValue(RV.stage, surface), 0.0, angles).backlash
     assert analysed.mean() == pytest.approx(found["geometric"]["cycloid"], rel=2e-3)

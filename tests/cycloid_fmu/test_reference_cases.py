@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from common import ARCSEC, CASES, PAIR, make_pair
 
-from cycloid_fmu.contact.transmission import analyze, solve
+from cycloid_fmu.analysis import analyze, solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
@@ -18,7 +19,7 @@ def test_reference_case(case, record_property):
     wanted = json.loads((CASES / f"{case}.json").read_text())
     pair = read_pair(CASES / f"{case}.toml")
     torques = [r["torque"] for r in wanted["results"]]
-    found = solve(pair, surface_of_pair(pair), torques, wanted["crank_angle"], wanted["slices"])
+    found = solve(DriveValue.as_stated(pair), torques, wanted["crank_angle"], wanted["slices"])
     away = {"transmission error": 0.0, "backlash": 0.0, "largest pressure": 0.0}
     for load, result in enumerate(wanted["results"]):
         backlash = np.array([np.nan if b is None else b for b in result["backlash"]])
@@ -68,7 +69,7 @@ eccentricity = "{rng.normal(0, 1):.2f} um"
     pair, plain = parse_pair(text, "random.toml"), brute_force.load_pair(tmp_path / "pair.toml")
     angle, torque = rng.uniform(0.0, 100.0), rng.choice([-1.0, 1.0]) * rng.uniform(20.0, 200.0)
     wanted = brute_force.solve(plain, angle, torque, points=40)
-    found = solve(pair, surface_of_pair(pair), torque, angle)
+    found = solve(DriveValue.as_stated(pair), torque, angle)
     assert found.transmission_error[0, 0] == pytest.approx(wanted["transmission_error"], abs=0.01 * ARCSEC)
     assert found.backlash[0] == pytest.approx(wanted["backlash"], abs=0.01 * ARCSEC, nan_ok=True)
     assert found.max_contact_pressure[0, 0] == pytest.approx(wanted["max_contact_pressure"], rel=5e-3)
@@ -78,7 +79,7 @@ eccentricity = "{rng.normal(0, 1):.2f} um"
 def test_error_surface_pair_of_the_paper():
     """Capped and as printed, and the paper's own figures beside them."""
     angles = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)
-    capped = solve(make_pair(), nominal_surface(make_pair()), -181.0, angles)
+    capped = solve(DriveValue(make_pair(), nominal_surface(make_pair())), -181.0, angles)
     te = capped.transmission_error[0] / ARCSEC
     assert te.mean() == pytest.approx(-4.5015, abs=1e-4)
     assert te.mean() == pytest.approx(-4.5206, rel=5e-3)  # the paper
@@ -88,7 +89,7 @@ def test_error_surface_pair_of_the_paper():
     assert np.abs(capped.backlash).max() < 1e-9
 
     printed_pair = make_pair(contact_law="as_printed")
-    printed = solve(printed_pair, nominal_surface(printed_pair), -181.0, angles, with_play=False)
+    printed = solve(DriveValue(printed_pair, nominal_surface(printed_pair)), -181.0, angles, with_play=False)
     te = printed.transmission_error[0] / ARCSEC
     assert te.mean() == pytest.approx(-4.504, abs=1e-3)
     assert 0.08 <= np.ptp(te) <= 0.14
@@ -104,7 +105,7 @@ def test_wear_pair_unloaded():
     text = PAIR.replace("64 mm", "66 mm") + '[modification]\noffset = "-50 um"\nisometric = "-30 um"\n'
     pair = parse_pair(text, "wear.toml")
     angles = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)
-    found = solve(pair, nominal_surface(pair), 0.0, angles)
+    found = solve(DriveValue(pair, nominal_surface(pair)), 0.0, angles)
     assert found.play_low.mean() / ARCSEC == pytest.approx(-3.360, abs=1e-3)
     assert np.ptp(found.play_low) / ARCSEC == pytest.approx(0.606, abs=6e-3)
     assert found.backlash.mean() / ARCSEC == pytest.approx(6.720, abs=1e-3)
@@ -119,7 +120,7 @@ def test_wear_pair_unloaded():
 def test_wear_pair_loaded(torque, te, pressure, counts):
     text = PAIR.replace("64 mm", "66 mm") + '[modification]\noffset = "-50 um"\nisometric = "-30 um"\n'
     pair = parse_pair(text, "wear.toml")
-    found = solve(pair, nominal_surface(pair), torque, np.linspace(0.0, 2 * np.pi, 3600, endpoint=False))
+    found = solve(DriveValue(pair, nominal_surface(pair)), torque, np.linspace(0.0, 2 * np.pi, 3600, endpoint=False))
     assert found.transmission_error.mean() / ARCSEC == pytest.approx(te, abs=2e-3)
     assert found.max_contact_pressure.max() == pytest.approx(pressure * 1e6, rel=1e-3)
     assert set(found.contact_count[0]) == counts
@@ -137,10 +138,10 @@ def test_wear_pair_loaded(torque, te, pressure, counts):
 def test_order_and_amplitude_of_ten_micrometres(name, order, amplitude):
     """Leading orders of 10 µm each: pin errors give orders 39k of the output, tooth errors 40k."""
     pair = parse_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', "modified.toml")
-    surface = with_structured(pair, nominal_surface(pair), {name: 1e-5})
+    surface = with_structured(nominal_surface(pair), {name: 1e-5})
     count = 39 * 120
     angles = np.linspace(0.0, 2 * np.pi * 39, count, endpoint=False)
-    te = solve(pair, surface, 100.0, angles, with_play=False).transmission_error[0] / ARCSEC
+    te = solve(DriveValue(pair, surface), 100.0, angles, with_play=False).transmission_error[0] / ARCSEC
     spectrum = 2 * np.abs(np.fft.rfft(te)) / count
     leading = int(np.argmax(spectrum[1:])) + 1
     assert leading == order
@@ -152,7 +153,7 @@ def test_order_and_amplitude_of_ten_micrometres(name, order, amplitude):
 def test_error_free_only_the_mesh_ripple():
     pair = make_pair()
     angles = np.linspace(0.0, 2 * np.pi * 39, 39 * 160, endpoint=False)
-    te = solve(pair, nominal_surface(pair), 181.0, angles, with_play=False).transmission_error[0]
+    te = solve(DriveValue(pair, nominal_surface(pair)), 181.0, angles, with_play=False).transmission_error[0]
     spectrum = np.abs(np.fft.rfft(te))
     assert int(np.argmax(spectrum[1:])) + 1 == 1560
 
@@ -162,19 +163,21 @@ def test_ring_as_output_turns_the_other_way():
     text = (CASES / "errors-39-40.toml").read_text()
     pair = parse_pair(text.replace("[pair]", '[pair]\noutput = "ring"'), "ring.toml")
     free = surface_of_pair(pair)
-    still = with_structured(pair, free, {"centre_distance_x": 0.0, "centre_distance_y": 0.0})
+    still = with_structured(free, {"centre_distance_x": 0.0, "centre_distance_y": 0.0})
     gear = parse_pair(text, "gear.toml")
-    same = with_structured(gear, surface_of_pair(gear), {"centre_distance_x": 0.0, "centre_distance_y": 0.0})
+    same = with_structured(surface_of_pair(gear), {"centre_distance_x": 0.0, "centre_distance_y": 0.0})
     theta = 1.7
-    ring = solve(pair, still, 100.0, theta)
+    ring = solve(DriveValue(pair, still), 100.0, theta)
     # In the ring's frame the crank is at θ - φ_b and the gear is rotated by -φ_b from it.
     output = theta / 40 + 0.5 * (ring.play_low[0] + ring.play_high[0])
-    relative = solve(gear, same, 0.0, theta - output)
+    relative = solve(DriveValue(gear, same), 0.0, theta - output)
     assert relative.backlash[0] == pytest.approx(ring.backlash[0] * 40 / 39, rel=2e-3)
 
 
 def test_dataset_names_units_and_shape():
-    data = analyze(make_pair(discs=2), nominal_surface(make_pair(discs=2)), [-50.0, 100.0], np.linspace(0, 1, 5))
+    data = analyze(
+        DriveValue(make_pair(discs=2), nominal_surface(make_pair(discs=2))), [-50.0, 100.0], np.linspace(0, 1, 5)
+    )
     assert data.attrs["format"] == "cycloid-analysis/1"
     assert data["transmission_error"].dims == ("torque", "crank_angle")
     assert data["pin_force"].dims == ("torque", "crank_angle", "disc", "pin")

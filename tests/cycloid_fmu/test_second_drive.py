@@ -9,9 +9,10 @@ from benches_as_they_are import on_bearings, springs
 from common import ARCSEC, EXAMPLES
 from sampled_drives import SMALL
 
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.analysis import solve as solve_on_bearings
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.supports.transmission import solve as solve_on_bearings
 from cycloid_fmu.surfaces.structured import profile_names, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.model.observations import errors_of
@@ -38,11 +39,11 @@ def both(pair, seed, form=()):
         discs=pair.discs,
         form=form,
     )
-    surface = with_structured(pair, surface_of_pair(pair), values)
+    surface = with_structured(surface_of_pair(pair), values)
     surface = surface.replace(**{name: surface.errors[name] + each for name, each in scatter.items()})
     if form:
         names = profile_names(range(1, len(form) + 1))
-        surface = with_structured(pair, surface, dict(zip(names, form, strict=True)))
+        surface = with_structured(surface, dict(zip(names, form, strict=True)))
     return second, surface
 
 
@@ -53,7 +54,7 @@ def test_random_drives(size, discs, record_property):
     second, surface = both(pair, discs)
     for load in (20.0, -200.0):
         wanted = second_drive.transmission_error(second, ANGLES, load)
-        found = solve(pair, surface, load, ANGLES, with_play=False).transmission_error[0]
+        found = solve(DriveValue(pair, surface), load, ANGLES, with_play=False).transmission_error[0]
         away = np.abs(found - wanted).max() / ARCSEC
         record_property(f"away from the second solver at {load:g} N·m, arcsec", f"{away:.2g}")
         assert away < 1e-4
@@ -66,7 +67,8 @@ def test_form_that_all_flanks_share():
     form = (1e-6, -0.7e-6, 0.5e-6, 0.3e-6)
     second, surface = both(pair, 1, form)
     found, plain = (
-        solve(pair, s, 200.0, ANGLES, with_play=False).transmission_error[0] for s in (surface, both(pair, 1)[1])
+        solve(DriveValue(pair, s), 200.0, ANGLES, with_play=False).transmission_error[0]
+        for s in (surface, both(pair, 1)[1])
     )
     wanted = second_drive.transmission_error(second, ANGLES, 200.0)
     assert np.abs(found - wanted).max() < 0.1 * ARCSEC
@@ -84,7 +86,7 @@ def test_a_disc_that_floats(load):
     floating, surface = on_bearings(pair, surface)
     wanted = second_drive.transmission_error(dataclasses.replace(second, **springs()), ANGLES, load)
     there = np.isfinite(wanted)
-    found = solve_on_bearings(floating, surface, load, ANGLES[there], with_play=False).transmission_error[0]
+    found = solve_on_bearings(DriveValue(floating, surface), load, ANGLES[there], with_play=False).transmission_error[0]
     away = np.abs(found - wanted[there]) / ARCSEC
     assert np.quantile(away, 0.97) < 1e-4
     assert np.count_nonzero(~there) < 3
@@ -103,7 +105,7 @@ def test_a_jammed_disc_that_floats():
     for torque in (-0.05, 0.05):
         row, pin, _, _, force, _, _ = second_drive.contacts(held, angles, torque)
         np.add.at(wanted, (row, pin), 0.5 * force)
-    found = solve_on_bearings(floating, surface, 0.0, angles)
+    found = solve_on_bearings(DriveValue(floating, surface), 0.0, angles)
     assert wanted.max() > 100.0
     assert found.pin_force[0, :, 0] == pytest.approx(wanted, abs=1e-4 * wanted.max())
     assert found.preload == pytest.approx(wanted.max(axis=1), rel=1e-4)

@@ -1,5 +1,7 @@
 """Drives on bearings: an independent solver's results, closed forms, symmetries, and checks of files."""
 
+import dataclasses
+import itertools
 import json
 import math
 
@@ -14,14 +16,38 @@ from scipy.integrate import quad
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
+from cycloid_fmu.analysis import sensitivity, solve
+from cycloid_fmu.contact import contact_rows
 from cycloid_fmu.contact import transmission as on_rigid
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
-from cycloid_fmu.supports.balance import work_of
-from cycloid_fmu.supports.bearing import linear, push, rollers, stored
+from cycloid_fmu.supports import energy
+from cycloid_fmu.supports.assembly import Kind, by_kind, joint_list, kinds_of
+from cycloid_fmu.supports.balance import Load
+from cycloid_fmu.supports.bearing import LAW, linear, push, rollers, stored
 from cycloid_fmu.supports.figures import remaining
+from cycloid_fmu.supports.joints import (
+    CARRIER,
+    FIRST_DISC_BODY,
+    HOUSING,
+    add_turning,
+    derivatives,
+    displacement,
+    orient,
+    reaction,
+    stored_energy,
+    work_of,
+)
+from cycloid_fmu.supports.sensitivity import (
+    CLEARANCE,
+    PARAMETERS,
+    STIFFNESS,
+    Derivatives,
+    sweep_supported_sensitivities,
+)
 from cycloid_fmu.supports.sweeps import sweep_supported
-from cycloid_fmu.supports.transmission import _empty, assembly_of, problem_of, sensitivity, solve
-from cycloid_fmu.surfaces.structured import displacement_layout
+from cycloid_fmu.supports.transmission import _empty, assembly_of, problem_of
+from cycloid_fmu.surfaces.structured import displacement_layout, displacements
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 CASES = DATA / "supports-cases"
@@ -41,7 +67,7 @@ ANGLES = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
 
 
 def solved(pair, torque, angles=ANGLES, **options):
-    return solve(pair, surface_of_pair(pair), torque, angles, **options)
+    return solve(DriveValue.as_stated(pair), torque, angles, **options)
 
 
 @pytest.mark.parametrize("case", sorted(p.stem for p in CASES.glob("*.toml")))
@@ -97,13 +123,13 @@ def test_rigid_supports_are_the_drive_on_rigid_bearings():
     errors = {"centre_distance_x": 4e-6, "centre_distance_y": -3e-6, "eccentricity": 1e-6, "pin_radius": -1e-6}
     rigid = cy.Pair(**SIZES, discs=2, errors=errors)
     held = rigid.replace(supports=CRANKS)
-    want = on_rigid.solve(rigid, surface_of_pair(rigid), [181.0, -20.0], ANGLES)
+    want = solve(DriveValue.as_stated(rigid), [181.0, -20.0], ANGLES)
     found = solved(held, [181.0, -20.0])
     assert found.transmission_error == pytest.approx(want.transmission_error, abs=1e-3 * ARCSEC)
     assert found.pin_force == pytest.approx(want.pin_force, abs=0.01)
     assert found.torsional_stiffness == pytest.approx(want.torsional_stiffness, rel=1e-4)
     jammed = {"offset": 20e-6, "isometric": 0.0}
-    want = on_rigid.solve(rigid.replace(**jammed), surface_of_pair(rigid.replace(**jammed)), 0.0, ANGLES)
+    want = solve(DriveValue.as_stated(rigid.replace(**jammed)), 0.0, ANGLES)
     found = solved(held.replace(**jammed), 0.0)
     assert found.interference == pytest.approx(want.interference, abs=1e-9)
     assert found.pin_force == pytest.approx(want.pin_force, abs=1e-4 * want.pin_force.max())
@@ -164,7 +190,7 @@ def test_stiffness_without_mesh_is_the_closed_form(kind, discs):
         turning = discs * kw * a**2 * n / 4
         radial = discs * ka * r**2 if discs > 1 else r**2 / (1 / ka + 1 / ks)
     found = solved(cy.Pair(**plain, supports=supports), [20.0])
-    mesh = on_rigid.solve(cy.Pair(**plain), surface_of_pair(cy.Pair(**plain)), [20.0], ANGLES)
+    mesh = solve(DriveValue.as_stated(cy.Pair(**plain)), [20.0], ANGLES)
     wanted = 1.0 / (1.0 / turning + 1.0 / radial + 1.0 / mesh.torsional_stiffness)
     assert found.torsional_stiffness[0] == pytest.approx(wanted[0], rel=2e-2)
     assert found.torsional_stiffness[0].mean() == pytest.approx(wanted[0].mean(), rel=5e-3)
@@ -342,15 +368,15 @@ def test_contact_lines_lie_where_the_discs_then_stand():
     pair = cy.Pair(**SIZES, discs=2, supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm"})
     angles = np.linspace(0.0, 0.3, 66)
     bare = pair.replace(supports=None)
-    known = on_rigid.solve(bare, surface_of_pair(bare), [150.0], angles, 3, with_play=False, with_elements=True)
-    rigid = solve(pair, surface_of_pair(pair), [150.0], angles, 3, with_play=False, with_elements=True)
+    known = solve(DriveValue.as_stated(bare), [150.0], angles, 3, with_play=False, with_elements=True)
+    rigid = solve(DriveValue.as_stated(pair), [150.0], angles, 3, with_play=False, with_elements=True)
     assert rigid.slice_force == pytest.approx(known.slice_force, rel=1e-3, abs=0.5)
     assert rigid.slice_direction == pytest.approx(known.slice_direction, abs=1e-5)
     assert rigid.gear_element_pressure == pytest.approx(known.gear_element_pressure, rel=1e-3, abs=2e6)
     assert rigid.pin_element_pressure == pytest.approx(known.pin_element_pressure, rel=1e-3, abs=2e6)
     soft = made("cranks", 2)
     found = [
-        solve(soft, surface_of_pair(soft), [150.0, -20.0], angles, 3, with_elements=True, workers=workers)
+        solve(DriveValue.as_stated(soft), [150.0, -20.0], angles, 3, with_elements=True, workers=workers)
         for workers in (1, 2)
     ]
     assert found[0].slice_force.sum(axis=-1) == pytest.approx(found[0].pin_force, rel=1e-5)
@@ -367,7 +393,7 @@ def test_a_pin_passes_a_root_between_unlike_teeth_without_a_jump():
     floating, surface = on_bearings(drawn, random_drive(drawn, generator, 0.3e-6)[0])
     angles = -89.53944349327529 + np.arange(-5e-3, 5e-3, 1e-4)
     for pair in (floating, drawn):
-        place = solve(pair, surface, [-60.0], angles, with_play=False).transmission_error[0]
+        place = solve(DriveValue(pair, surface), [-60.0], angles, with_play=False).transmission_error[0]
         assert np.abs(np.diff(place)).max() < 0.1 * ARCSEC
 
 
@@ -476,28 +502,28 @@ def test_any_torque_of_either_sign_is_balanced_whatever_was_solved_before(seed, 
     assert alone.pin_force[0, 0] == pytest.approx(swept.pin_force[0, -1], abs=0.05)
 
 
+def swept(pair, problem, assembly, torque, angles):
+    """Result of the kernel for any list of joints."""
+    found = _empty(pair, 1, angles.size)
+    here = type(found)(*(array[0] for array in found))._replace(force=np.zeros((angles.size, assembly.joints.size)))
+    work = work_of(assembly)
+    sweep_supported(problem, assembly, angles, np.full(angles.size, torque), here, work, on_rigid.no_lines(1))
+    return here
+
+
 @pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
 def test_sensitivities_are_differences(kind):
     """Every displacement and every bearing, against the drive solved with a little of it."""
     pair = made(kind, 11)
     angles, step = np.array([0.4, 0.42, 3.0]), 2e-9
     surface = surface_of_pair(pair)
-    found = sensitivity(pair, surface, 150.0, angles)
-    problem, assembly = problem_of(pair, surface), assembly_of(pair, surface)
+    drive = DriveValue(pair, surface)
+    found = sensitivity(drive, 150.0, angles)
+    problem, assembly = problem_of(drive), assembly_of(drive)
+    kinds, made_of = kinds_of(pair), displacements(pair, surface, {})
 
     def te(problem, assembly, torque=150.0, at=angles):
-        found = _empty(pair, 1, at.size)
-        here = type(found)(*(array[0] for array in found))
-        sweep_supported(
-            problem,
-            assembly,
-            at,
-            np.full(at.size, torque),
-            here,
-            work_of(here.place.shape[-1], 2),
-            on_rigid.no_lines(1),
-        )
-        return here.place[:, 0]
+        return swept(pair, problem, assembly, torque, at).place[:, 0]
 
     def check(by, plus, minus, scale=step):
         differences = (plus - minus) / (2.0 * scale)
@@ -505,33 +531,19 @@ def test_sensitivities_are_differences(kind):
 
     layout = displacement_layout(pair)
     assert found.transmission_error == pytest.approx(te(problem, assembly))
-    for name, field in (
-        ("hole_x", "hole_x"),
-        ("hole_y", "hole_y"),
-        ("carrier_x", "crank_x"),
-        ("carrier_y", "crank_y"),
-        ("eccentric_throw", "throw"),
-        ("eccentric_phase", "phase"),
-        ("hole_play", "hole_play"),
-    ):
-        if name not in layout:
-            continue
-        values = getattr(assembly, field)
-        columns = found.by_displacement[:, layout[name]].reshape(angles.size, *values.shape)
-        # The place that matters most.
-        most = np.unravel_index(np.abs(columns).max(axis=0).argmax(), values.shape)
-        ends = []
-        scale = 1e-6 if field == "phase" else step
-        for sign in (1.0, -1.0):
-            moved = values.copy()
-            moved[most] += sign * scale
-            ends.append(te(problem, assembly._replace(**{field: moved})))
-        check(columns[(slice(None), *most)], *ends, scale)
-    for name, field in (("centre_x", "seat_x"), ("centre_y", "seat_y")):
-        ends = [te(problem, assembly._replace(**{field: getattr(assembly, field) + d})) for d in (step, -step)]
+    for name in ("hole_x", "hole_y", "carrier_x", "carrier_y", "eccentric_throw", "eccentric_phase", "hole_play"):
+        if name in layout:
+            columns = found.by_displacement[:, layout[name]]
+            most = np.abs(columns).max(axis=0).argmax()  # the place that matters most
+            ends, scale = [], 1e-6 if name == "eccentric_phase" else step
+            for sign in (1.0, -1.0):
+                moved = made_of[name].copy()
+                moved.flat[most] += sign * scale
+                ends.append(te(problem, joint_list(pair, kinds, made_of | {name: moved})))
+            check(columns[:, most], *ends, scale)
+    for name in ("centre_x", "centre_y", "crank_throw"):
+        ends = [te(problem, joint_list(pair, kinds, made_of | {name: made_of[name] + d})) for d in (step, -step)]
         check(found.by_displacement[:, layout[name]][:, 0], *ends)
-    ends = [te(problem, assembly._replace(throw=assembly.throw + d)) for d in (step, -step)]
-    check(found.by_displacement[:, layout["crank_throw"]][:, 0], *ends)
     for name in ("pin_radial", "pin_tangential", "pin_radius"):
         columns = found.by_displacement[:, layout[name]]
         pin = np.abs(columns).max(axis=0).argmax()
@@ -558,23 +570,141 @@ def test_sensitivities_are_differences(kind):
     check(found.by_displacement[:, layout["generating_circle_radius"]][:, 0], *ends)
     check(found.by_torque, te(problem, assembly, 150.01), te(problem, assembly, 149.99), 0.01)
     check(found.by_crank_angle, te(problem, assembly, at=angles + 1e-6), te(problem, assembly, at=angles - 1e-6), 1e-6)
-    for at, field in enumerate(("turning_arm", "crank_shaft", "main", "output_roller")):
-        law = getattr(assembly, field)
-        if field == "output_roller":
-            if kind == "cranks":
-                continue
-            ends = [te(problem, assembly._replace(output_roller=law * math.exp(d))) for d in (1e-3, -1e-3)]
-            wider = [te(problem, assembly._replace(hole_play=assembly.hole_play + 0.5 * d)) for d in (step, -step)]
-        else:
-            ends = [
-                te(problem, assembly._replace(**{field: law._replace(stiffness=law.stiffness * math.exp(d))}))
-                for d in (1e-3, -1e-3)
-            ]
-            moved = [law._replace(half_clearance=law.half_clearance + 0.5 * d) for d in (step, -step)]
-            wider = [te(problem, assembly._replace(**{field: one})) for one in moved]
-        check(found.by_bearing[:, 2 * at], *ends, 1e-3)
-        if field != "main":
-            check(found.by_bearing[:, 2 * at + 1], *wider)
+    for at, kind_of_joint in enumerate(kinds):
+        if kind_of_joint.size == 0:
+            continue
+        law = kind_of_joint.law
+        stiffer = [law._replace(stiffness=law.stiffness * math.exp(d)) for d in (1e-3, -1e-3)]
+        looser = [law._replace(half_clearance=law.half_clearance + 0.5 * d) for d in (step, -step)]
+        for column, laws, scale in ((2 * at, stiffer, 1e-3), (2 * at + 1, looser, step)):
+            others = [[*kinds[:at], dataclasses.replace(kind_of_joint, law=one), *kinds[at + 1 :]] for one in laws]
+            # The main bearing has no clearance to take from.
+            if kind_of_joint.name != "main" or column == 2 * at:
+                check(found.by_bearing[:, column], *(te(problem, joint_list(pair, o, made_of)) for o in others), scale)
+
+
+def with_other_joints(kind):
+    """A drive with two kinds of joints that no file has: a second main bearing of balls, and output pins."""
+    pair, at = made(kind, 5, discs=1), np.array([0.2, 1.9, 4.1])
+    seat = {"outer_x": ("centre_x",), "outer_y": ("centre_y",)}
+    balls = Kind("balls", linear(4e10, 1e-6, 1.5), {}, HOUSING, CARRIER, errors=seat)
+    places = {"place_x": 0.02 * np.cos(at), "place_y": 0.02 * np.sin(at), "reach": pair.eccentricity}
+    errors = {"outer_x": 1e-6, "inner_y": [2e-6, 0.0, -1e-6]}
+    pins = Kind("pins", linear(2e9, 2e-6, 10 / 9), {"pin": 3}, FIRST_DISC_BODY, CARRIER, places | errors)
+    surface = surface_of_pair(pair)
+    return pair, [*kinds_of(pair), balls, pins], displacements(pair, surface, {}), problem_of(DriveValue(pair, surface))
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_a_new_kind_of_joint_is_one_definition(kind):
+    """It carries, its bodies stay in balance, and its sensitivities are differences."""
+    pair, kinds, displaced, problem = with_other_joints(kind)
+    assembly, angles, step = joint_list(pair, kinds, displaced), np.array([0.4, 0.42, 3.0]), 2e-9
+    found = swept(pair, problem, assembly, 150.0, angles)
+    bare = swept(pair, problem, joint_list(pair, kinds[:-2], displaced), 150.0, angles)
+    assert (found.stiffness > 1.01 * bare.stiffness).all()
+    force = {one.name: values for one, values in by_kind(kinds, found.force)}
+    assert force["balls"].min() > 10.0
+    assert force["pins"].max() > 100.0
+    # The two main bearings displace alike and share the load by their laws, whatever these are.
+    length = np.hypot(*(found.place[:, 1:3] - [displaced["centre_x"], displaced["centre_y"]]).T)
+    assert force["balls"] == pytest.approx(4e10 * (length - 0.5e-6) ** 1.5, rel=1e-6)
+    assert force["main"] == pytest.approx(1.2e9 * length, rel=1e-6)
+
+    each = np.zeros((3, max(place.stop for place in displacement_layout(pair).values())))
+    by_joint, by_angle, by_torque = np.zeros((3, assembly.joints.size, len(PARAMETERS))), *np.zeros((2, 3))
+    by = Derivatives(each, by_joint, by_angle, by_torque)
+    work, torques = work_of(assembly), np.full(3, 150.0)
+    assert sweep_supported_sensitivities(problem, assembly, angles, torques, found.place, by, work)
+
+    def te(change=0.0, **changed):
+        """Transmission error with a joint's or law's field of all new joints changed."""
+        other = assembly._replace(joints=assembly.joints.copy(), laws=assembly.laws.copy())
+        for field, value in changed.items():
+            records = other.laws if field in LAW.names else other.joints
+            new = slice(-2, None) if field in LAW.names else other.joints["law"] >= len(kinds) - 2
+            records[field][new] = value(records[field][new])
+        return swept(pair, problem, other, 150.0 + change, angles).place[:, 0]
+
+    new = assembly.joints["law"] >= len(kinds) - 2
+    for at, name in enumerate(PARAMETERS[:7]):
+        if name not in ("throw", "phase"):
+            ends = [te(**{name: lambda v, d=d: v + d}) for d in (step, -step)]
+            wanted = (ends[0] - ends[1]) / (2.0 * step)
+            assert by_joint[:, new, at].sum(axis=1) == pytest.approx(wanted, rel=1e-4, abs=1e-4)
+    ends = [te(stiffness=lambda v, d=d: v * math.exp(d)) for d in (1e-3, -1e-3)]
+    assert by_joint[:, new, STIFFNESS].sum(axis=1) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-4)
+    ends = [te(half_clearance=lambda v, d=d: v + 0.5 * d) for d in (step, -step)]
+    wanted = (ends[0] - ends[1]) / (2.0 * step)
+    assert by_joint[:, new, CLEARANCE].sum(axis=1) == pytest.approx(wanted, rel=1e-4)
+    assert by_torque == pytest.approx((te(0.01) - te(-0.01)) / 0.02, rel=1e-4)
+    around = [swept(pair, problem, assembly, 150.0, angles + d).place[:, 0] for d in (1e-6, -1e-6)]
+    assert by_angle == pytest.approx((around[0] - around[1]) / 2e-6, rel=1e-4, abs=1e-8)
+
+
+def test_a_joint_off_the_centre_needs_bodies_that_rotate_alike():
+    pair, kinds, displaced, _ = with_other_joints("cranks")
+    off = Kind("off", linear(1e9), {}, HOUSING, CARRIER, {"place_x": 0.01})
+    with pytest.raises(ValueError, match="place_x and place_y must be 0"):
+        joint_list(pair, [*kinds, off], displaced)
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_every_joint_is_its_energy_s_gradient(kind):
+    """Forces, stiffnesses and the crank's torque of any joint, at a place that is no balance."""
+    pair, kinds, displaced, _ = with_other_joints(kind)
+    assembly, random = joint_list(pair, kinds, displaced), np.random.default_rng(7)
+    drawn, theta, n = random.normal(0.0, 2e-5, assembly.unknowns), 0.7, assembly.unknowns
+    work, step, pressed = work_of(assembly), 1e-9, set()
+    for joint, q in itertools.product(assembly.joints, (drawn, -drawn)):
+
+        def state(q, theta=theta, joint=joint):
+            work.place[:] = q
+            orient(assembly, theta, work)
+            d = displacement(assembly, joint, work)
+            acting, count, force, turned = (
+                reaction(assembly, joint, d, 10.0),
+                derivatives(assembly, joint, d, work),
+                *np.zeros((2, n)),
+            )
+            by = np.array([d.normal_x, d.normal_y]) @ work.by[:, :count]
+            np.add.at(force, work.at[:count], acting.force * by)
+            rate = add_turning(assembly, joint, d, acting, work, count, turned)
+            return stored_energy(assembly, joint, d, 10.0), force, rate, turned, acting.force
+
+        _, force, rate, turned, size = state(q)
+        if size > 1.0:
+            pressed.add(kinds[joint.law].name)
+        ends = [[state(q + d * unit) for d in (step, -step)] for unit in np.eye(n)]
+        gradient = np.array([plus[0] - minus[0] for plus, minus in ends]) / (2.0 * step)
+        assert force == pytest.approx(gradient, rel=1e-5, abs=1e-5 * max(size, 1.0))
+        ahead, behind = state(q, theta + 1e-6), state(q, theta - 1e-6)
+        assert rate == pytest.approx((ahead[0] - behind[0]) / 2e-6, rel=1e-5, abs=1e-7 * max(size, 1.0))
+        assert turned == pytest.approx((ahead[1] - behind[1]) / 2e-6, rel=1e-5, abs=1e-5 * max(size, 1.0))
+    assert pressed == {kind.name for kind in kinds if kind.size}
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_a_drive_with_other_joints_stores_what_its_flanges_did(kind):
+    """The energy's differences between two prescribed flanges are their torques, with any kind of joint."""
+    pair, kinds, displaced, problem = with_other_joints(kind)
+    assembly = joint_list(pair, kinds, displaced)
+    work = work_of(assembly)
+    box = energy.held(problem, assembly, work, *energy.room(assembly.unknowns))
+
+    def stood(theta, flange):
+        found = np.zeros(energy.FOUND)
+        pull = Load(0.0, 1e8, flange, 10.0)
+        assert energy.stand(box, theta, pull, contact_rows(problem), True, found)
+        return found
+
+    for theta in (0.3, 2.2):
+        here, step = stood(theta, 1e-3), 1e-7
+        by_flange = (stood(theta, 1e-3 + step)[energy.ENERGY] - stood(theta, 1e-3 - step)[energy.ENERGY]) / (2 * step)
+        assert here[energy.BY_FLANGE] == pytest.approx(by_flange, rel=1e-5)
+        # The flange is held at an angle φ_b = flange - θ/z.
+        ends = [stood(theta + d, 1e-3 + d / pair.gear_teeth)[energy.ENERGY] for d in (1e-5, -1e-5)]
+        assert here[energy.BY_ANGLE] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-4)
 
 
 def test_a_drive_s_sensitivity_knows_its_bearings():
@@ -605,5 +735,3 @@ def test_a_tolerance_study_draws_errors_of_holes_and_cranks():
     rigid = cy.Drive(cy.Pair(**SIZES))
     with pytest.raises(edge.InputError, match="no supports"):
         rigid.sample(tolerances, seed=1)
-    with pytest.raises(edge.InputError, match="supports"):
-        drive.study(tolerances, [100.0], samples=8, first_order=0.5, angles=41, workers=1)

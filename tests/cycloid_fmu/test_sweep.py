@@ -19,12 +19,13 @@ from hypothesis import strategies as st
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.draw.sweeps import plot_sweep
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.studies import sweep as sweeps
 from cycloid_fmu.studies.sweep_files import table_of
 from cycloid_fmu.studies.varied import drive_with, known_names, varied
-from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 PAIR = EXAMPLES / "drive-39-40.toml"
 DRIVE = cy.read_drive(PAIR)
@@ -64,8 +65,7 @@ def test_figures_are_those_of_the_drive_with_the_value(name, text, changed):
     assert float(found.backlash) == pytest.approx(data.backlash.values[0, ::10].max(), rel=1e-9)
     assert float(found.mean_backlash) == pytest.approx(data.backlash.values[0, ::10].mean(), rel=1e-9)
     up, down = solve(
-        DRIVE.pair.replace(**changed),
-        surface_of_pair(DRIVE.pair.replace(**changed)),
+        DriveValue.as_stated(DRIVE.pair.replace(**changed)),
         [5.43, -5.43],
         data.crank_angle.values[::10],
     ).transmission_error
@@ -186,7 +186,7 @@ def test_every_number_of_a_pair_file_can_be_varied():
         )
         base = on_rollers if "output_roller" in name else drive
         try:
-            pair, _ = drive_with(base.pair.nominal, base.surface, {name: text})
+            pair = drive_with(DriveValue(base.pair.nominal, base.surface), {name: text}).pair
         except edge.InputError as problem:
             refused[name] = str(problem)
             continue

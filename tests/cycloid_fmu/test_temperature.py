@@ -9,11 +9,12 @@ from scipy.spatial import cKDTree
 
 import cycloid_fmu as cy
 from cycloid_fmu import contact, edge
-from cycloid_fmu.contact.transmission import drive_of
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.transmission import rigid_problem
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.geometry.profile import flank_points
 from cycloid_fmu.geometry.temperature import STEEL, parse_temperatures
-from cycloid_fmu.supports.transmission import solve
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ALUMINIUM = 23.1e-6
@@ -48,7 +49,7 @@ ANGLES = np.linspace(0.0, 2.0 * np.pi, 37, endpoint=False)
 
 
 def solved(pair, torque, surface=None):
-    return solve(pair, surface or surface_of_pair(pair), torque, ANGLES)
+    return solve(DriveValue(pair, surface or surface_of_pair(pair)), torque, ANGLES)
 
 
 def form(pair):
@@ -125,7 +126,7 @@ def test_a_warm_disc_is_the_drawn_flank_enlarged():
     """Gaps to the flank's own points, each as much farther from the gear's centre, the crank and the ring cold."""
     pair = cy.Pair(**SIZES)
     warm = pair.replace(temperature={"discs": "80 degC"})
-    drive = drive_of(warm, surface_of_pair(warm))
+    drive = rigid_problem(DriveValue.as_stated(warm))
     rows = contact.contact_rows(drive)
     theta = 0.3
     contact.place(drive, theta, 0.0, rows, True, np.inf, np.inf)

@@ -3,17 +3,13 @@ import dataclasses
 import numpy as np
 import pytest
 from common import ARCSEC, WEAR_PAIR, make_pair
+from tangent_contact import first_touch, unloaded_error
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.tooth_contact import (
-    clearances,
-    contact_ratio,
-    handovers,
-    loaded_contacts,
-    phase_of_pin,
-    unloaded_contact,
-)
-from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.loaded_contacts import contact_ratio, loaded_contacts
+from cycloid_fmu.contact.transmission import rigid_problem
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.geometry.profile import flank_points
 from cycloid_fmu.surfaces.surface import nominal_surface
@@ -46,35 +42,38 @@ def with_errors(pair, size=1e-7):
     )
 
 
+def phase_of_pin(pair, crank_angle, disc, pin):
+    """Angle of a pin from its disc's crank, in -π to π, rad; the output without error."""
+    ring = crank_angle / pair.pins if pair.output == "ring" else 0.0
+    angle = 2.0 * np.pi * (pin / pair.pins - disc / pair.discs) + ring - crank_angle
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
 @pytest.mark.parametrize("keys", [{}, {"output": "ring"}, {"discs": 2}], ids=["gear", "ring", "two discs"])
 @pytest.mark.parametrize("errors", [False, True], ids=["nominal", "with errors"])
 def test_the_comprehensive_curve_is_the_end_of_the_play(keys, errors):
-    """Tangency by one scalar equation here, smallest gaps by Newton's method in the kernel."""
+    """Tangency by one scalar equation, against smallest gaps by Newton's method in the kernel."""
     pair = wear_pair(**keys)
     surface = with_errors(pair) if errors else nominal_surface(pair)
     theta = np.linspace(0.0, 2 * np.pi, 150)
-    play = solve(pair, surface, 0.0, theta)
+    play = solve(DriveValue(pair, surface), 0.0, theta)
     assert np.isfinite(play.backlash).all()
     for side, end in ((-1, play.play_low), (1, play.play_high)):
-        found = unloaded_contact(pair, surface, theta, side)
-        np.testing.assert_allclose(found.transmission_error, end, atol=1e-6 * ARCSEC)
-        # The envelope is one of the pins' own curves, and no pin's is inside it.
-        each = found.pin_error[np.arange(theta.size), found.disc, found.pin]
-        assert (found.transmission_error == each).all()
-        assert (side * found.pin_error >= side * each[:, None, None]).sum() == np.isfinite(found.pin_error).sum()
+        found, _ = first_touch(unloaded_error(pair, surface, theta, side), side)
+        np.testing.assert_allclose(found, end, atol=1e-6 * ARCSEC)
 
 
 @pytest.mark.parametrize("output", ["gear", "ring"])
 def test_at_its_own_transmission_error_a_pin_has_no_gap(output):
     pair = wear_pair(output=output)
-    drive = drive_of(pair, with_errors(pair))
+    drive = rigid_problem(DriveValue(pair, with_errors(pair)))
     contacts = contact.contact_rows(drive)
     for side in (-1, 1):
-        found = unloaded_contact(pair, with_errors(pair), [0.3], side)
-        near = np.abs(found.pin_error[0, 0]) < 60 * ARCSEC
+        (error,) = unloaded_error(pair, with_errors(pair), [0.3], side)[:, 0]
+        near = np.abs(error) < 60 * ARCSEC
         assert near.sum() >= 8
         for pin in np.flatnonzero(near):
-            contact.place(drive, 0.3, found.pin_error[0, 0, pin], contacts, True, np.inf, np.inf)
+            contact.place(drive, 0.3, error[pin], contacts, True, np.inf, np.inf)
             row = 2 * pin + np.argmin(np.abs(contacts["gap"][2 * pin : 2 * pin + 2]))
             assert abs(contacts[row]["gap"]) < 1e-12
             assert side * contacts[row]["arm"] > 0
@@ -84,82 +83,49 @@ def test_figures_of_the_wear_pair_unloaded():
     """The wear paper's pair; peak to peak it takes 0.606″ and 0.733″ at 16 angles a pitch, these are converged."""
     pair = wear_pair()
     theta = np.linspace(0.0, PITCH, 1600, endpoint=False)
-    low, high = (unloaded_contact(pair, nominal_surface(pair), theta, s).transmission_error for s in (-1, 1))
+    low, high = (first_touch(unloaded_error(pair, nominal_surface(pair), theta, s), s)[0] for s in (-1, 1))
     assert low.mean() / ARCSEC == pytest.approx(-3.360, abs=0.001)
     assert np.ptp(low) / ARCSEC == pytest.approx(0.611, abs=0.001)
     assert (high - low).mean() / ARCSEC == pytest.approx(6.720, abs=0.001)
     assert np.ptp(high - low) / ARCSEC == pytest.approx(0.740, abs=0.002)
-    coarse = unloaded_contact(pair, nominal_surface(pair), theta[::100], -1).transmission_error
-    assert np.ptp(coarse) / ARCSEC == pytest.approx(0.606, abs=0.005)
+    assert np.ptp(low[::100]) / ARCSEC == pytest.approx(0.606, abs=0.005)
 
 
 def test_the_paper_s_unloaded_figure_is_of_a_smaller_modification():
     """0.018″ peak to peak is 0.028 of the stated modification; ±0.018″ is twice that."""
     pair = parse_pair(WEAR_PAIR.replace("-50 um", "-1.4 um").replace("-30 um", "-0.84 um"), "small")
-    error = unloaded_contact(pair, nominal_surface(pair), np.linspace(0.0, PITCH, 1000), -1).transmission_error
+    error, _ = first_touch(unloaded_error(pair, nominal_surface(pair), np.linspace(0.0, PITCH, 1000), -1), -1)
     assert np.ptp(error) / ARCSEC == pytest.approx(0.018, abs=0.001)
 
 
-@pytest.mark.slow(4)
 def test_a_pin_s_mesh_interval_is_one_pitch():
-    """2π/40 without errors, whatever the side, and each pin hands over to the one that took over before."""
-    pair = wear_pair()
-    theta = np.linspace(0.0, 2 * np.pi, 300)
+    """2π/40 without errors, whatever the side, and each pin hands over to its neighbour."""
+    pair, steps = wear_pair(), 8000
+    theta = 2.0 * np.pi * np.arange(steps + 1) / steps
     for side in (-1, 1):
-        found = handovers(pair, nominal_surface(pair), theta, side)
-        assert found.crank_angle.size == 40
-        np.testing.assert_allclose(np.abs(found.leaving_phase - found.entering_phase), PITCH, atol=1e-9)
-        np.testing.assert_allclose(np.diff(found.crank_angle), PITCH, atol=1e-9)
-    assert found.entering[:-1].tolist() == found.leaving[1:].tolist()
+        _, pin = first_touch(unloaded_error(pair, nominal_surface(pair), theta, side), side)
+        at = np.flatnonzero(np.diff(pin))
+        assert at.size == 40
+        np.testing.assert_allclose(np.diff(theta[at]), PITCH, atol=1.01 * 2.0 * np.pi / steps)
+        assert ((pin[at] - pin[at + 1]) % 40 == (pin[at[0]] - pin[at[0] + 1]) % 40).all()
+
+
+def test_as_the_torque_vanishes_the_contact_that_carries_it_is_the_first_to_touch():
+    pair = wear_pair()
+    surface, theta = with_errors(pair), np.linspace(0.0, 1.0, 60)
+    for side in (-1, 1):
+        found = loaded_contacts(rigid_problem(DriveValue(pair, surface)), theta, 1e-7 * side)
+        error, pin = first_touch(unloaded_error(pair, surface, theta, side), side)
+        assert contact_ratio(found) < 1.1
+        assert (found.pin[np.searchsorted(found.angle, np.arange(60))] == pin).mean() > 0.95
+        np.testing.assert_allclose(found.deviation, error, atol=1e-3 * ARCSEC)
 
 
 def test_an_unmodified_pair_touches_at_every_pin_of_its_side():
     pair = unmodified()
-    found = unloaded_contact(pair, nominal_surface(pair), np.linspace(0.1, 6.0, 40), -1)
-    touching = np.abs(found.pin_error) < 1e-7 * ARCSEC
-    assert (touching.sum(axis=(1, 2)) >= 18).all()
-    assert np.abs(found.transmission_error).max() < 1e-7 * ARCSEC
-
-
-def test_unloaded_contact_has_a_side():
-    pair = wear_pair()
-    with pytest.raises(ValueError, match="side = 0"):
-        unloaded_contact(pair, nominal_surface(pair), [0.0], 0)
-
-
-@pytest.mark.parametrize("keys", [{}, {"output": "ring"}, {"discs": 2}], ids=["gear", "ring", "two discs"])
-def test_deviations_of_nothing_change_nothing(keys):
-    """Point by point of the flank, each pin's own curve is that of the tangency equations."""
-    pair = wear_pair(**keys)
-    smooth, theta = with_errors(pair), np.linspace(0.0, 2 * np.pi, 12)
-    flat = dataclasses.replace(
-        smooth, gear_deviation=np.zeros((pair.discs, 39, 400, 1)), pin_deviation=np.zeros((40, 200, 1))
-    )
-    for side in (-1, 1):
-        one, other = (unloaded_contact(pair, s, theta, side) for s in (smooth, flat))
-        both = np.isfinite(one.pin_error) & np.isfinite(other.pin_error)
-        # A contact at a root's very end may count on one side only.
-        assert both.sum() > 0.99 * max(np.isfinite(f.pin_error).sum() for f in (one, other)) > 150
-        np.testing.assert_allclose(other.pin_error[both], one.pin_error[both], atol=1e-6 * ARCSEC)
-        np.testing.assert_allclose(other.profile_parameter[both], one.profile_parameter[both], atol=2e-6)
-        np.testing.assert_allclose(other.transmission_error, one.transmission_error, atol=1e-6 * ARCSEC)
-
-
-@pytest.mark.parametrize("keys", [{}, {"output": "ring"}, {"discs": 2}], ids=["gear", "ring", "two discs"])
-def test_rough_flanks_and_pins_touch_where_their_play_ends(keys):
-    """Rotations at which points meet pins, in closed form, against gaps closed by Newton's method in the kernel."""
-    pair = wear_pair(**keys)
-    rng, theta = np.random.default_rng(2), np.linspace(0.0, 2 * np.pi, 25)
-    rough = dataclasses.replace(
-        with_errors(pair),
-        gear_deviation=rng.normal(size=(pair.discs, 39, 200, 1)) * 2e-7,
-        pin_deviation=rng.normal(size=(40, 100, 1)) * 2e-7,
-    )
-    play = solve(pair, rough, 0.0, theta)
-    assert np.isfinite(play.backlash).all()
-    for side, end in ((-1, play.play_low), (1, play.play_high)):
-        found = unloaded_contact(pair, rough, theta, side)
-        np.testing.assert_allclose(found.transmission_error, end, atol=5e-3 * ARCSEC)
+    error = unloaded_error(pair, nominal_surface(pair), np.linspace(0.1, 6.0, 40), -1)
+    assert ((np.abs(error) < 1e-7 * ARCSEC).sum(axis=(1, 2)) >= 18).all()
+    assert np.abs(first_touch(error, -1)[0]).max() < 1e-7 * ARCSEC
 
 
 @pytest.mark.parametrize(
@@ -169,7 +135,9 @@ def test_rough_flanks_and_pins_touch_where_their_play_ends(keys):
 def test_figures_of_the_wear_pair_loaded(torque, error, pressure, least, most):
     """Pins that carry load and the loaded transmission error at the paper's torques."""
     pair = wear_pair()
-    found = loaded_contacts(drive_of(pair, nominal_surface(pair)), np.arange(200) / 200 * PITCH, torque)
+    found = loaded_contacts(
+        rigid_problem(DriveValue(pair, nominal_surface(pair))), np.arange(200) / 200 * PITCH, torque
+    )
     assert found.deviation.mean() / ARCSEC == pytest.approx(error, abs=0.002)
     assert found.pressure.max() == pytest.approx(pressure, rel=0.003)
     count = np.bincount(found.angle)
@@ -180,13 +148,13 @@ def test_figures_of_the_wear_pair_loaded(torque, error, pressure, least, most):
 
 def test_contact_ratio_as_printed():
     """6.25 at 400 and 5.05 at 200 N·m; the paper's 8.94 takes 1268 N·m or 0.347 of its modification."""
-    drive = drive_of(wear_pair(contact_law="as_printed"), nominal_surface(wear_pair()))
+    drive = rigid_problem(DriveValue(wear_pair(contact_law="as_printed"), nominal_surface(wear_pair())))
     theta = np.arange(400) / 400 * PITCH
     for torque, ratio in ((-400.0, 6.25), (-200.0, 5.05), (-1268.0, 8.94)):
         assert contact_ratio(loaded_contacts(drive, theta, torque)) == pytest.approx(ratio, abs=0.04)
     text = WEAR_PAIR.replace("-50 um", "-17.35 um").replace("-30 um", "-10.41 um")
     less = make_pair(text, contact_law="as_printed")
-    found = loaded_contacts(drive_of(less, nominal_surface(less)), theta, -400.0)
+    found = loaded_contacts(rigid_problem(DriveValue(less, nominal_surface(less))), theta, -400.0)
     assert contact_ratio(found) == pytest.approx(8.94, abs=0.04)
 
 
@@ -196,9 +164,9 @@ def test_loaded_contacts_are_those_of_the_sweep(keys, torque):
     """Force and pressure of each pin agree with `solve`; the contacts are on the flank that they state."""
     pair = wear_pair(**keys)
     surface = with_errors(pair)
-    drive, theta = drive_of(pair, surface), np.linspace(0.0, 0.5, 20)
+    drive, theta = rigid_problem(DriveValue(pair, surface)), np.linspace(0.0, 0.5, 20)
     found = loaded_contacts(drive, theta, torque)
-    sweep = solve(pair, surface, torque, theta, with_play=False)
+    sweep = solve(DriveValue(pair, surface), torque, theta, with_play=False)
     force = np.zeros(sweep.pin_force.shape[1:])
     np.add.at(force, (found.angle, found.disc, found.pin), found.force)
     np.testing.assert_allclose(force, sweep.pin_force[0], rtol=1e-6, atol=1e-6)
@@ -211,20 +179,11 @@ def test_loaded_contacts_are_those_of_the_sweep(keys, torque):
     np.testing.assert_allclose(found.phase, phase_of_pin(pair, theta[found.angle], found.disc, found.pin), atol=1e-3)
 
 
-def test_clearance_closes_where_the_first_pin_touches():
-    pair = wear_pair()
-    theta = np.linspace(0.0, 0.3, 30)
-    found = clearances(pair, nominal_surface(pair), theta, -1)
-    np.testing.assert_allclose(found.min(axis=(1, 2)), 0.0, atol=1e-12)
-    touching = unloaded_contact(pair, nominal_surface(pair), theta, -1)
-    assert (found[:, 0].argmin(axis=1) == touching.pin).all()
-
-
 @pytest.mark.parametrize("output", ["gear", "ring"])
 def test_closed_forms_against_differences_of_the_contact_point(output):
     """v_1r, v_2r and v_12 of the unmodified pair against where the contact is a little later, to 1e-7 m/rad."""
     pair = unmodified(output=output)
-    drive = drive_of(pair, nominal_surface(pair))
+    drive = rigid_problem(DriveValue(pair, nominal_surface(pair)))
     step, pins = 1e-5, np.arange(40)
     ring = 1.0 / 40 if output == "ring" else 0.0
 
@@ -253,7 +212,7 @@ def test_closed_forms_against_differences_of_the_contact_point(output):
 @pytest.mark.parametrize("output", ["gear", "ring"])
 def test_velocities_of_the_unmodified_pair_are_the_closed_forms(output):
     pair = unmodified(output=output)
-    drive = drive_of(pair, nominal_surface(pair))
+    drive = rigid_problem(DriveValue(pair, nominal_surface(pair)))
     found = loaded_contacts(drive, np.linspace(0.0, PITCH, 60), -1.0)
     for mine, ideal in zip(velocities(drive, found), ideal_velocities(pair, found.phase), strict=True):
         np.testing.assert_allclose(mine, ideal, atol=3e-6)
@@ -277,7 +236,7 @@ def test_slip_of_the_ideal_pair():
 def test_modified_flanks_roll_otherwise():
     """At 400 N·m v_2r differs from the closed form by a third where the mesh ends, v_12 by about one per cent."""
     pair = wear_pair()
-    drive = drive_of(pair, nominal_surface(pair))
+    drive = rigid_problem(DriveValue(pair, nominal_surface(pair)))
     found = loaded_contacts(drive, np.linspace(0.0, PITCH, 400), -400.0)
     mine, ideal = velocities(drive, found), ideal_velocities(pair, found.phase)
     assert 0.25 < np.abs(mine.gear / ideal.gear - 1).max() < 0.45

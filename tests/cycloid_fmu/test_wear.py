@@ -7,15 +7,18 @@ import pytest
 from boundary_wear import Mesh
 from common import ARCSEC, WEAR_PAIR, make_pair
 
+import cycloid_fmu as cy
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.contact.transmission import rigid_problem
 from cycloid_fmu.draw import figure as plots_of
 from cycloid_fmu.draw import wear_plots
-from cycloid_fmu.fmu.build import build_fmu
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.geometry.pair import write_pair
 from cycloid_fmu.geometry.profile import flank_normals, flank_points
 from cycloid_fmu.surfaces.files import read_surface, write_surface
-from cycloid_fmu.surfaces.surface import nominal_surface, surface_after, surface_of_pair
+from cycloid_fmu.surfaces.surface import at_own_age, nominal_surface, surface_after
 from cycloid_fmu.wear import progress as wear
 from cycloid_fmu.wear.law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle
 from cycloid_fmu.wear.life import coefficient_warning, run_wear, surface_of_run, wear_figures
@@ -44,7 +47,7 @@ def load(torque=-400.0, turns=1.0):
 
 def model(pair=None, text=LAW, loads=(load(),), elements=(800, 400), surface=None, **changes):
     pair = pair or make_pair(PAIR)
-    return wear_model(pair, surface or nominal_surface(pair), law(text, **changes), loads, *elements)
+    return wear_model(DriveValue(pair, surface or nominal_surface(pair)), law(text, **changes), loads, *elements)
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +120,7 @@ def test_wear_volume_is_conserved(run):
     worn, _, new = run
     turns = 5e4
     surface = worn_surface(worn, surface_loss(worn, new.depth * turns, new.half_width))
-    alpha = drive_of(worn.pair, surface).deviations.flank_alpha[1:-1]
+    alpha = rigid_problem(DriveValue(worn.pair, surface)).deviations.flank_alpha[1:-1]
     base, normal = (np.array([1, 1j]) @ np.stack(f(worn.pair, alpha)) for f in (flank_points, flank_normals))
     round_ = np.exp(1j * np.pi * ((np.arange(200) + 0.5) / 200 - 0.5))
     for bodies, outline, deviation in (
@@ -424,9 +427,9 @@ def test_the_worn_surface_travels(run, tmp_path):
     theta = worn.sweep.crank_angle[::16]
     for turns in (0.0, 1e5, 4e5):
         at = surface_after(read, turns)
-        drive = DriveModel(worn.pair, read)
-        drive.crank_turns_worn, drive.torque = turns, -400.0
-        expected = solve(worn.pair, at, -400.0, theta)
+        drive = DriveModel(DriveValue(*at_own_age(worn.pair, at)))
+        drive.torque = -400.0
+        expected = solve(DriveValue(worn.pair, at), -400.0, theta)
         found, play = [], []
         for angle in theta:
             drive.crank_angle = float(angle)
@@ -435,50 +438,30 @@ def test_the_worn_surface_travels(run, tmp_path):
             play.append(drive.backlash)
         np.testing.assert_allclose(found, expected.transmission_error[0], atol=1e-3 * ARCSEC)
         np.testing.assert_allclose(play, expected.backlash, atol=1e-3 * ARCSEC)
-        kept = drive.state()
-        drive.crank_turns_worn = 2e5
-        drive.restore(kept)
-        assert drive.crank_turns_worn == turns
     assert np.abs(surface_after(read, 0.0).gear_deviation).max() == 0.0
     assert (surface_after(read, 4e5).gear_deviation == read.gear_deviation).all()
     with pytest.raises(ValueError, match="between 0 and 400000"):
         surface_after(read, 5e5)
 
 
-def test_the_fmu_asks_how_far_it_is_worn(run, tmp_path):
-    import fmpy
-    from fmpy.fmi2 import FMU2Slave
-    from fmpy.validation import validate_fmu
-
+@pytest.mark.slow(10)
+def test_fmus_of_a_worn_drive_at_its_crank_turns(run, command, tmp_path):
+    """From the command line, one FMU for each; without the option, one of the end of the life."""
     worn, states, _ = run
     surface = surface_of_run(worn, states)
-    path = tmp_path / "worn.fmu"
-    build_fmu(worn.pair, path, surface)
-    assert validate_fmu(str(path)) == []
-    description = fmpy.read_model_description(str(path))
-    variables = {v.name: v for v in description.modelVariables}
-    parameter = variables["crank_turns_worn"]
-    assert (parameter.causality, parameter.variability) == ("parameter", "tunable")
-    assert float(parameter.start) == float(parameter.max) == 4e5
-    fmu = FMU2Slave(
-        guid=description.guid,
-        unzipDirectory=fmpy.extract(str(path), str(tmp_path / "fmu")),
-        instanceName="worn",
-        modelIdentifier=description.coSimulation.modelIdentifier,
-    )
-    reference = {n: [variables[n].valueReference] for n in variables}
-    fmu.instantiate()
-    fmu.setupExperiment(startTime=0.0)
-    fmu.enterInitializationMode()
-    fmu.setReal(reference["flange_b.tau"], [-400.0])
-    fmu.exitInitializationMode()
-    for step, turns in enumerate((4e5, 0.0, 1.5e5)):
-        fmu.setReal(reference["crank_turns_worn"], [turns])
-        fmu.doStep(step * 0.01, 0.01)
-        expected = solve(worn.pair, surface_after(surface, turns), -400.0, 0.0).transmission_error[0, 0]
-        assert fmu.getReal(reference["transmission_error"])[0] == pytest.approx(expected, abs=1e-3 * ARCSEC)
-    fmu.terminate()
-    fmu.freeInstance()
+    write_surface(surface, tmp_path / "worn.nc")
+    write_pair(worn.pair, tmp_path / "pair.toml")
+    given = ("cycloid-fmu", "build", "pair.toml", "--surface", "worn.nc", "-o", "worn.fmu")
+    for more in ((), ("--crank-turns", "0", "--crank-turns", "1.5e5")):
+        done = command(*given, *more)
+        assert done.returncode == 0, done.stderr
+    for name, turns in (("worn", 4e5), ("worn-0000", 0.0), ("worn-0001", 1.5e5)):
+        found = cy.simulate_fmu(tmp_path / f"{name}.fmu", crank_angle=[0.0, 0.1], torque=-400.0)["transmission_error"]
+        expected = solve(DriveValue(worn.pair, surface_after(surface, turns)), -400.0, [0.0, 0.1]).transmission_error[0]
+        assert found == pytest.approx(expected, abs=1e-3 * ARCSEC)
+    done = command(*given, "--crank-turns", "5e5")
+    assert done.returncode == 2
+    assert "crank_turns = 500000: it must be between 0 and 400000, the end of the life" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -598,7 +581,9 @@ def test_the_command_says_what_is_wrong(command, coefficient, words, sentence, t
 def test_light_wear_says_what_the_average_takes_from_the_deepest_point(turns, noted):
     """The depth in proportion to the turns is exact while the wear is far below the new drive's deformation."""
     pair = make_pair(PAIR)
-    worn = run_wear(pair, nominal_surface(pair), law(CONSTANT, coefficient=5e-17), (load(),), turns, "wear.toml")
+    worn = run_wear(
+        DriveValue(pair, nominal_surface(pair)), law(CONSTANT, coefficient=5e-17), (load(),), turns, "wear.toml"
+    )
     exact, averaged = (worn.figures[kind]["pin_depth_max"] for kind in ("linear", "updated"))
     notes = [note for note in worn.notes if "averaged over a contact's width" in note]
     assert len(notes) == noted
@@ -612,11 +597,11 @@ def test_an_interrupted_run_says_how_far_it_was():
 
     pair, short = make_pair(PAIR), law(CONSTANT, coefficient=5e-17)
     with pytest.raises(KeyboardInterrupt, match=r"^Interrupted: .* of 1e\+06 crank turns are done\.$"):
-        run_wear(pair, nominal_surface(pair), short, (load(),), 1e6, "w.toml", progress=interrupt)
+        run_wear(DriveValue(pair, nominal_surface(pair)), short, (load(),), 1e6, "w.toml", progress=interrupt)
 
 
 def test_errors_a_pair_states_are_part_of_it():
     stated = make_pair(PAIR + '[errors]\npin_radial = { order_1 = ["1 um", "0 deg"] }\n')
-    one = wear_model(stated, surface_of_pair(stated), law(), (load(),), 100, 50)
+    one = wear_model(DriveValue.as_stated(stated), law(), (load(),), 100, 50)
     assert not one.sweep.pins_alike
     assert one.sweep.crank_angle[-1] < 2 * np.pi

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from common import EXAMPLES
 
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.transmission_error.curve import Curve
@@ -34,7 +35,9 @@ def measured(made):
         for load, zero in zip(loads, zeros, strict=False):
             key = (load, each, crank)
             if key not in clean:
-                clean[key] = solve(made, surface, load, angle + crank, with_play=False).transmission_error[0]
+                clean[key] = solve(DriveValue(made, surface), load, angle + crank, with_play=False).transmission_error[
+                    0
+                ]
             error = clean[key] + zero + rng.normal(0.0, 0.5 * ARCSEC, angle.size)
             found.append(
                 Curve(

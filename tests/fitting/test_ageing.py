@@ -1,10 +1,8 @@
 """Ageing drives: wear from dated figures, forecasts with their stated coverage, and the twin."""
 
-import dataclasses
 import datetime
 import itertools
 import json
-import zipfile
 
 import ageing_lives
 import numpy as np
@@ -16,9 +14,8 @@ from scipy.stats import binom
 import cycloid_fmu as cy
 import fitting
 from cycloid_fmu import edge
-from cycloid_fmu.fmu.core import Core, model_of
-from cycloid_fmu.fmu.variables import Interface, variables
-from cycloid_fmu.surfaces.surface import Ageing, surface_after
+from cycloid_fmu.geometry.pair import write_pair
+from cycloid_fmu.surfaces.surface import surface_after
 from cycloid_fmu.wear.law import Load, WearLaw
 from fitting.ageing import posterior as posterior_module
 from fitting.ageing.forecast import ALARM, QUANTILES, forecast
@@ -367,53 +364,59 @@ def test_the_twin_is_the_worn_drive_at_every_age(twin, tmp_path):
     assert surface == drive.surface
     ageing = surface.life.ageing
     assert ageing.age == 100 * HOUR
-    model = model_of(drive.pair, surface, Interface())
-    assert (model.age, model.wear_factor) == (100 * HOUR, 1.0)
     for age, factor in ((0.0, 1.0), (40 * HOUR, 1.0), (40 * HOUR, ageing.largest_wear_factor)):
-        model.age, model.wear_factor = age, factor
-        model.torque = 5.0
-        model.advance()
         worn = surface_after(surface, age * ageing.crank_turns_per_second * factor).replace(life=None)
-        grown = with_clearance(drive.pair, "turning_arm", age * ageing.clearance_per_second)
-        same = model_of(grown, worn, Interface())
-        same.torque = 5.0
-        same.advance()
-        assert model.transmission_error == pytest.approx(same.transmission_error, abs=1e-12)
+        grown = with_clearance(drive.pair.nominal, "turning_arm", age * ageing.clearance_per_second)
+        found, same = (
+            one.analyze(5.0, crank_angle=[0.0, 0.1]).transmission_error.values[0]
+            for one in (drive.at_age(age, factor), cy.Drive(grown, worn.replace(pair=grown)))
+        )
+        assert found == pytest.approx(same, abs=1e-12)
     assert ageing.clearance_per_second > 0.0
+    # Analysed as it is, it has the clearance of its own age, not that of the new bearing.
+    found, same = (one.analyze(5.0, crank_angle=[0.0, 0.1]) for one in (drive, drive.at_age(ageing.age)))
+    assert found.backlash.values == pytest.approx(same.backlash.values, abs=1e-12)
+    new = drive.at_age(0.0).analyze(5.0, crank_angle=[0.0, 0.1])
+    assert (found.backlash.values > new.backlash.values).all()
 
 
-@pytest.mark.slow(6)
-def test_an_fmu_follows_its_age(twin, tmp_path):
-    """The backlash at two ages, set in a built FMU's model, is that of the drive worn so far."""
-    rigid = cy.Drive(pair_of(11))
-    worn = rigid.wear(LAW, "-181 N*m", 2e6, workers=1).surface
-    ageing = Ageing(50.0, 1e4, 3e4, 0.8, 4.0 / 3.0)
-    drive = cy.Drive(rigid.pair, worn.replace(life=dataclasses.replace(worn.life, ageing=ageing)))
-    drive.build_fmu(tmp_path / "twin.fmu")
-    with zipfile.ZipFile(tmp_path / "twin.fmu") as archive:
-        archive.extractall(tmp_path)
-    core = Core(tmp_path / "resources", "2.0")
-    references = {v.name: reference for reference, v in core.table.items()}
-    assert core.getters[references["age"]]() == 1e4
-    for age, factor in ((0.0, 1.0), (3e4, 1.0), (3e4, 4.0 / 3.0)):
-        assert core.put_all([references["age"], references["wear_factor"]], [age, factor]) == []
-        core.model.advance()
-        there = cy.Drive(rigid.pair, surface_after(worn, age * 50.0 * factor).replace(life=None))
-        assert core.model.backlash == pytest.approx(there.analyze(0.0, crank_angle=[0.0]).backlash.item(), abs=1e-12)
-    assert "must be finite and lie between 0 and 30000" in core.put(references["age"], 3.1e4)
-    state = core.state()
-    core.put_all([references["age"]], [0.0])
-    core.restore(state)
-    assert core.getters[references["age"]]() == 3e4
+@pytest.mark.slow(10)
+def test_an_fmu_of_a_twin_is_the_drive_of_its_age(twin, command, tmp_path):
+    """One for each age, the clearance of the bearing included; without an age, that of the last recording."""
+    drive = twin.aged
+    drive.write(tmp_path / "twin.nc")
+    write_pair(drive.pair.nominal, tmp_path / "pair.toml")
+    given = ("cycloid-fmu", "build", "pair.toml", "--surface", "twin.nc", "-o", "twin.fmu")
+    for more in ((), ("--age", "0 h", "--age", "40 h", "--wear-factor", "1.1")):
+        done = command(*given, *more)
+        assert done.returncode == 0, done.stderr
+    plays = {}
+    for name, (age, factor) in {"": (100.0, 1.0), "-0000": (0.0, 1.1), "-0001": (40.0, 1.1)}.items():
+        found = cy.simulate_fmu(tmp_path / f"twin{name}.fmu", crank_angle=[0.0, 0.1], torque=5.0)
+        there = drive.at_age(age * HOUR, factor).analyze(5.0, crank_angle=[0.0, 0.1])
+        assert found["transmission_error"] == pytest.approx(there.transmission_error.values[0], abs=1e-10)
+        plays[age] = there.backlash.mean().item()
+    assert plays[0.0] < plays[40.0] < plays[100.0]
 
 
-def test_the_fmu_of_a_twin_has_its_age_as_a_parameter(twin):
-    table = {v.name: v for v in variables(twin.aged.pair, twin.aged.surface, Interface(), "2.0", -39.0, 0)}
-    assert (table["age"].unit, table["age"].display, table["age"].variability) == ("s", "h", "tunable")
-    assert table["age"].start == twin.now
-    assert table["age"].most <= twin.ages[-1]
-    assert "crank_turns_worn" not in table
-    assert table["wear_factor"].least < 1.0 < table["wear_factor"].most
+@pytest.mark.parametrize(
+    ("age", "factor", "said"),
+    [
+        (-1.0, 1.0, r"^age = -1\.?0?: it must be between 0 and .* s \(.* h\), the end of the forecast\.$"),
+        ("121 h", 1.0, r"^age = 435600\.?0?: it must be between 0 and 432000 s \(120 h\)"),
+        (0.0, 100.0, r"^wear_factor = 100\.?0?: it must be between"),
+    ],
+)
+def test_an_age_outside_of_the_forecast_is_refused(twin, age, factor, said):
+    with pytest.raises(edge.InputError, match=said):
+        twin.aged.at_age(age, factor)
+
+
+def test_a_drive_without_a_forecast_has_no_age():
+    with pytest.raises(edge.InputError, match=r"^age = .*: needs a drive with a forecast"):
+        cy.Drive(pair_of(11)).at_age(5.0)
+    with pytest.raises(edge.InputError, match=r"has no life"):
+        cy.Drive(pair_of(11)).after(5.0)
 
 
 def test_forecast_from_the_command_line(command, tmp_path):

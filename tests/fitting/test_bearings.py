@@ -12,10 +12,12 @@ from common import EXAMPLES, lengths_of
 from sampled_drives import ARCSEC, LOADS, SMALL, distances, random_drive
 
 import fitting
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive, read_drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair, read_pair, write_pair
+from cycloid_fmu.supports.assembly import kinds_of
 from cycloid_fmu.supports.bearing import push
-from cycloid_fmu.supports.transmission import assembly_of, solve
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.identify import identify
@@ -65,7 +67,7 @@ def as_made(seed, discs):
 
 def run_of(made, surface, load, generator, each, turns):
     angle = np.sign(load) * (generator.uniform(0.0, 6.0) + np.arange(round(turns * 11 * each)) * 2.0 * np.pi / each)
-    error = solve(made, surface, load, angle, with_play=False).transmission_error[0]
+    error = solve(DriveValue(made, surface), load, angle, with_play=False).transmission_error[0]
     output = angle / made.ratio + error + generator.normal(0.0, 0.5 * ARCSEC, angle.size)
     return fitting.Run(
         input_angle=angle, output_angle=output, torque=load, common_zero=True, known_index=True, name=f"{load:g} N·m"
@@ -84,10 +86,10 @@ def test_a_bearing_of_another_stiffness_presses_by_that_share_more():
         "main_clearance",
     )
     stiffer = pair_with(pair, np.array([0.3, 0.0, -0.2, 0.0, 0.1, 0.0]))
-    before, after = (assembly_of(p, surface_of_pair(p)) for p in (pair, stiffer))
+    laws = [{kind.name: kind.law for kind in kinds_of(p)} for p in (pair, stiffer)]
     for name, share in (("turning_arm", 0.3), ("crank_shaft", -0.2), ("main", 0.1)):
-        forces = [push(getattr(one, name), 20e-6)[0] for one in (before, after)]
-        assert forces[1] / forces[0] == pytest.approx(math.exp(share), rel=1e-12)
+        before, after = (push(one[name], 20e-6)[0] for one in laws)
+        assert after / before == pytest.approx(math.exp(share), rel=1e-12)
     # A clearance below zero is none.
     looser = pair_with(pair, np.array([0.0, 3e-6, 0.0, -1e-6, 0.0, 0.0]))
     assert looser.supports.turning_arm.clearance == pytest.approx(7e-6)
@@ -98,15 +100,14 @@ def test_a_bearing_of_another_stiffness_presses_by_that_share_more():
 @pytest.mark.parametrize("discs", [1, 2])
 def test_a_scatter_vector_goes_into_a_surface_and_out_again(discs):
     pair = cranked(discs)
-    plain = with_structured(pair, surface_of_pair(pair), {"pin_radial_2_cos": 2e-6, "pin_circle_radius": 1e-6})
+    plain = with_structured(surface_of_pair(pair), {"pin_radial_2_cos": 2e-6, "pin_circle_radius": 1e-6})
     scatter = np.random.default_rng(discs).normal(0.0, 1e-6, spread_of(pair, {}).size)
     parts = scatter_parts(pair)
     assert len(scatter_names(pair)) == scatter.size == max(p.stop for p in parts.values())
-    made = with_scatter(pair, plain, scatter)
-    again = scatter_between(pair, made, plain)
-    assert with_scatter(pair, plain, again) == made or all(
-        np.allclose(with_scatter(pair, plain, again).errors[n], made.errors[n], rtol=0.0, atol=1e-18)
-        for n in made.errors
+    made = with_scatter(plain, scatter)
+    again = scatter_between(made, plain)
+    assert with_scatter(plain, again) == made or all(
+        np.allclose(with_scatter(plain, again).errors[n], made.errors[n], rtol=0.0, atol=1e-18) for n in made.errors
     )
     if discs == 2:
         # The common part of all teeth of the second disc is its phase.
@@ -126,9 +127,12 @@ def test_derivatives_by_bearings_and_single_displacements_are_those_of_other_dri
     zero, bench = np.zeros(spread_of(pair, {}).size), np.zeros(observed.bench.shape[1])
 
     def model(by_bearing, scatter):
-        changed, moved = pair_with(pair, bearings + by_bearing), with_scatter(pair, start, scatter)
+        changed, moved = pair_with(pair, bearings + by_bearing), with_scatter(start, scatter)
         return np.concatenate(
-            [solve(changed, moved, c.torque, c.input_angle, with_play=False).transmission_error[0] for c in curves]
+            [
+                solve(DriveValue(changed, moved), c.torque, c.input_angle, with_play=False).transmission_error[0]
+                for c in curves
+            ]
         )
 
     linear = linearise(pair, observed, State(start, zero, bench, bearings=bearings))
@@ -149,12 +153,14 @@ def test_derivatives_by_bearings_and_single_displacements_are_those_of_other_dri
 
 def test_the_play_on_bearings_has_the_derivatives_of_other_drives():
     pair = cranked(1)
-    surface = with_structured(pair, surface_of_pair(pair), {"pin_radius": -4e-6})
-    play, by_error, _ = play_of(pair, surface, 0.7, ["pin_radius", "pin_circle_radius"])
-    assert play == pytest.approx(float(solve(pair, surface, 50.0, 0.7).backlash[0]))
+    surface = with_structured(surface_of_pair(pair), {"pin_radius": -4e-6})
+    play, by_error, _ = play_of(DriveValue(pair, surface), 0.7, ["pin_radius", "pin_circle_radius"])
+    assert play == pytest.approx(float(solve(DriveValue(pair, surface), 50.0, 0.7).backlash[0]))
     for name, slope in zip(("pin_radius", "pin_circle_radius"), by_error, strict=True):
         value = -4e-6 if name == "pin_radius" else 0.0
-        ends = [play_of(pair, with_structured(pair, surface, {name: value + d}), 0.7, [])[0] for d in (1e-7, -1e-7)]
+        ends = [
+            play_of(DriveValue(pair, with_structured(surface, {name: value + d})), 0.7, [])[0] for d in (1e-7, -1e-7)
+        ]
         # The ends are at a thousandth of the rated torque, where there is a small deflection already.
         assert slope == pytest.approx((ends[0] - ends[1]) / 2e-7, rel=0.02)
 
@@ -233,9 +239,9 @@ def test_a_place_between_two_jumps_of_a_force_is_found():
     }
     errors = {name: 1e-6 * np.array(value) for name, value in micrometres.items()}
     surface = surface_of_pair(pair).replace(**errors, crank_phase=np.array([[1.0e-4, -3.5e-4, 2.9e-4]]))
-    formed = with_structured(pair, surface, {"profile_deviation_1": 1e-6})
+    formed = with_structured(surface, {"profile_deviation_1": 1e-6})
     angle = np.arange(28.7840, 28.7854, 1e-5)
-    error = solve(pair, formed, -200.0, angle, with_play=False).transmission_error[0]
+    error = solve(DriveValue(pair, formed), -200.0, angle, with_play=False).transmission_error[0]
     # Where one flank by itself is too weak and the other too strong the position is known to the jump, some 2 arcsec.
     assert np.ptp(error) < 3.0 * ARCSEC
     passing = (angle > 28.7846) & (angle < 28.7849)
@@ -271,11 +277,11 @@ def test_a_form_of_the_flanks_is_allowed_for():
     rigid, values = random_drive(nominal, generator, 0.3e-6)
     made, surface = on_bearings(nominal, rigid)
     form = {f"profile_deviation_{order}": generator.normal(0.0, 1e-6) for order in (1, 2, 3, 4)}
-    surface, runs = with_structured(made, surface, form), []
+    surface, runs = with_structured(surface, form), []
     for load in LOADS:
         angle = generator.uniform(0.0, 2.0 * np.pi) + np.arange(round(2 * 11 * 24.37)) * 2.0 * np.pi / 24.37
         angle *= np.sign(load)
-        error = solve(made, surface, load, angle, with_play=False).transmission_error[0]
+        error = solve(DriveValue(made, surface), load, angle, with_play=False).transmission_error[0]
         output = angle / made.ratio + error + generator.normal(0.0, 0.5 * ARCSEC, angle.size)
         runs.append(
             fitting.Run(input_angle=angle, output_angle=output, torque=load, common_zero=True, known_index=True)

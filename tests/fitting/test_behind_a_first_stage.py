@@ -6,10 +6,11 @@ from common import EXAMPLES
 from sampled_drives import ARCSEC, SMALL, distances, random_drive
 
 import fitting
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.identify import identify
 from fitting.model.first_stage import of_cranks
@@ -29,7 +30,9 @@ def run_of(drive, surface, load, generator, each, turns, noise=0.5 * ARCSEC):
     """A recording of sun and output: the product's own solver settles both stages together."""
     pair, first = drive.pair, drive.first_stage
     ideal = np.sign(load) * (generator.uniform(0.0, 6.0) + np.arange(round(turns * 11 * each)) * 2.0 * np.pi / each)
-    error = solve(pair, surface, first, load, ideal, with_play=False, with_stiffness=False).transmission_error[0]
+    error = solve(
+        DriveValue(pair, surface, first), load, ideal, with_play=False, with_stiffness=False
+    ).transmission_error[0]
     sun = ideal * drive.ratio / pair.ratio
     return fitting.Run(
         input_angle=sun,

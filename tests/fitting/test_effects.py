@@ -15,8 +15,9 @@ from sampled_drives import SMALL
 
 import fitting
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.effects import words_of
@@ -56,13 +57,16 @@ def test_the_errors_are_ranked_by_what_the_transmission_error_loses_without_them
     compared = set()
     for one in found.effects[:7]:
         if one.phase is None:
-            without = with_structured(pair, surface, {one.kind: 0.0})
+            without = with_structured(surface, {one.kind: 0.0})
         else:
             around = tooth if one.kind == "tooth_cumulative_pitch" else at
             wave = one.error.value * np.cos(one.order * around - one.phase.value)
             without = surface.replace(**{one.kind: surface.errors[one.kind] - wave})
         angle = next(c for c in found.curves if c.torque == one.torque).input_angle
-        errors = [solve(pair, s, one.torque, angle, with_play=False).transmission_error[0] for s in (surface, without)]
+        errors = [
+            solve(DriveValue(pair, s), one.torque, angle, with_play=False).transmission_error[0]
+            for s in (surface, without)
+        ]
         assert np.ptp(errors[0] - errors[1]) == pytest.approx(one.peak_to_peak, rel=0.15), words_of(one)
         compared.add((one.kind, one.order))
     # Those of the drawing of this drive that are not small.
@@ -143,7 +147,7 @@ def test_the_report_fits_a_screen_of_1280_pixels(found, nominal, tmp_path):
             for name in ("pin_radial", "pin_tangential", "tooth_cumulative_pitch")
         }
     )
-    ring = realised(pair, surface, chosen, 1e-12 * np.eye(size), np.full(size - len(chosen), 1e-6))
+    ring = realised(DriveValue(pair, surface), chosen, 1e-12 * np.eye(size), np.full(size - len(chosen), 1e-6))
     report(dataclasses.replace(found, realised=ring), tmp_path / "fit.html")
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])

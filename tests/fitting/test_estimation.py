@@ -13,8 +13,9 @@ import fitting
 import fitting.estimation.fit
 import fitting.model.observations
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.sampling import parse_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -52,12 +53,12 @@ def curve(pair, surface, torque, generator, *, each=12, turns=1.0, wave=0.0, dri
     error = (
         np.array(
             [
-                solve(pair, surface, t, a, with_play=False).transmission_error[0, 0]
+                solve(DriveValue(pair, surface), t, a, with_play=False).transmission_error[0, 0]
                 for t, a in zip(loads, angle, strict=True)
             ]
         )
         if wave
-        else (solve(pair, surface, torque, angle, with_play=False).transmission_error[0])
+        else (solve(DriveValue(pair, surface), torque, angle, with_play=False).transmission_error[0])
     )
     error = error + generator.normal(0.0, 0.5 * ARCSEC, angle.size) + drift * angle / (2.0 * np.pi * teeth)
     return Curve(
@@ -79,7 +80,7 @@ def curve(pair, surface, torque, generator, *, each=12, turns=1.0, wave=0.0, dri
 
 def distances(found, pair, surface):
     return {
-        p.name: (p.value - structured_value(pair, surface, p.name)) / p.standard_error
+        p.name: (p.value - structured_value(surface, p.name)) / p.standard_error
         for p in found.parameters
         if p.held is None
     }
@@ -89,7 +90,7 @@ def distances(found, pair, surface):
 def simple(nominal):
     """A drive with a few errors, its observations, and the fit without scatter."""
     made = with_structured(
-        nominal, surface_of_pair(nominal), dict(zip(ERRORS, np.array([4, -3, 1, 1, 2, -2]) * 1e-6, strict=True))
+        surface_of_pair(nominal), dict(zip(ERRORS, np.array([4, -3, 1, 1, 2, -2]) * 1e-6, strict=True))
     )
     generator = np.random.default_rng(3)
     curves = [curve(nominal, made, t, generator, each=6) for t in (20.0, -20.0, 200.0, -200.0)]
@@ -124,10 +125,10 @@ def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evalua
 
     def left(unknowns):
         values = unknowns * scale
-        surface = with_structured(nominal, surface_of_pair(nominal), dict(zip(errors, values, strict=False)))
+        surface = with_structured(surface_of_pair(nominal), dict(zip(errors, values, strict=False)))
         model = [
             solve(
-                nominal, surface, c.torque + c.direction * values[-1], c.input_angle, with_play=False
+                DriveValue(nominal, surface), c.torque + c.direction * values[-1], c.input_angle, with_play=False
             ).transmission_error[0]
             for c in observed.curves
         ]
@@ -141,7 +142,7 @@ def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evalua
     assert found.misfit < 2.0 * plain.cost + 0.01
     deviation = np.sqrt(np.diag(np.linalg.inv(plain.jac.T @ plain.jac)))[: len(errors)] * scale[: len(errors)]
     for name, value, one in zip(errors, plain.x * scale, deviation, strict=False):
-        assert structured_value(nominal, found.state.surface, name) == pytest.approx(value, abs=0.1 * one), name
+        assert structured_value(found.state.surface, name) == pytest.approx(value, abs=0.1 * one), name
 
 
 @pytest.mark.slow(3)
@@ -165,9 +166,7 @@ def test_the_last_step_confirms_the_optimum_and_its_covariance(simple, nominal, 
     assert solved <= 2 * observed.measured.size
     assert again.misfit <= found.misfit * (1.0 + 1e-12)
     for name in ERRORS:
-        moved = parameters[name].value - structured_value(
-            nominal, with_scatter(nominal, found.state.surface, -found.state.scatter), name
-        )
+        moved = parameters[name].value - structured_value(with_scatter(found.state.surface, -found.state.scatter), name)
         assert abs(moved) < 0.05 * parameters[name].stderr
     wanted = posterior_covariance(
         found.observed, again.linear, errors_of(nominal), ERRORS, spread_of(nominal, found.scatter)
@@ -185,9 +184,8 @@ def test_the_last_step_leads_to_the_optimum_from_beside_it(simple, nominal):
     _, observed = simple
     found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {}, gain=1e-3, estimated=False)
     moved = with_structured(
-        nominal,
         found.state.surface,
-        {"eccentricity": structured_value(nominal, found.state.surface, "eccentricity") + 200e-9},
+        {"eccentricity": structured_value(found.state.surface, "eccentricity") + 200e-9},
     )
     state = dataclasses.replace(found.state, surface=moved)
     beside = dataclasses.replace(found, state=state, linear=linearise(nominal, found.observed, state))
@@ -195,7 +193,7 @@ def test_the_last_step_leads_to_the_optimum_from_beside_it(simple, nominal):
     parameters = with_covariance(parameters, covariance)
     assert parameters["eccentricity"].stderr < 100e-9
     for name in ERRORS:
-        value = structured_value(nominal, found.state.surface, name)
+        value = structured_value(found.state.surface, name)
         assert parameters[name].value == pytest.approx(value, abs=0.1 * parameters[name].stderr), name
     assert again.misfit == pytest.approx(found.misfit, rel=1e-3)
 
@@ -237,7 +235,7 @@ def test_a_profile_is_the_interval_by_standard_error_where_the_model_is_linear(s
     known = np.concatenate([np.zeros(len(ERRORS)), observed.bench_prior**-2.0, [observed.friction_prior**-2.0]])
     deviation = np.sqrt(np.diag(np.linalg.inv(columns[:, kept].T @ columns[:, kept] + np.diag(known))))
     low, high = profile_interval(nominal, found, "centre_distance_x", 1.5 * deviation[0], 1.0, 1.96**2)
-    value = structured_value(nominal, found.state.surface, "centre_distance_x")
+    value = structured_value(found.state.surface, "centre_distance_x")
     assert high - value == pytest.approx(1.96 * deviation[0], rel=0.1)
     assert value - low == pytest.approx(1.96 * deviation[0], rel=0.1)
 
@@ -323,7 +321,7 @@ def test_a_torque_that_swings_unseen_is_named(simple, nominal, seed):
 
 @pytest.mark.parametrize("pattern", ["pin_tangential", "tooth_cumulative_pitch"])
 def test_errors_of_pins_and_teeth_are_never_swapped(nominal, pattern):
-    made = with_structured(nominal, surface_of_pair(nominal), {f"{pattern}_2_cos": 3e-6, f"{pattern}_3_sin": -2e-6})
+    made = with_structured(surface_of_pair(nominal), {f"{pattern}_2_cos": 3e-6, f"{pattern}_3_sin": -2e-6})
     generator = np.random.default_rng(7)
     curves = [curve(nominal, made, t, generator) for t in (20.0, -20.0, 200.0, -200.0)]
     found = identify(curves, Drive(nominal), held_out=False)

@@ -10,8 +10,9 @@ from common import BENCH, EXAMPLES
 from sampled_drives import LOADS, SMALL, random_drive, recorded
 
 import fitting
-from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.analysis import error_sensitivity, solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.structured import structured_value
@@ -54,9 +55,7 @@ def test_encoder_eccentricity_is_the_bench_s(measured, nominal, made):
     assert found.bench["output_encoder_eccentricity_sin"] == pytest.approx(20 * ARCSEC * np.sin(0.4), abs=0.1 * ARCSEC)
     truth = surface_of_pair(made)
     far = [
-        abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
-        for p in found.parameters
-        if p.held is None
+        abs(p.value - structured_value(truth, p.name)) / p.standard_error for p in found.parameters if p.held is None
     ]
     assert max(far) < 4.0
 
@@ -66,7 +65,7 @@ def test_orders_of_pins_and_teeth_are_their_own(nominal):
     names = ["pin_radial_2_cos", "pin_tangential_3_sin", "tooth_cumulative_pitch_1_cos", "tooth_cumulative_pitch_2_sin"]
     samples = 80
     angle = np.arange(39 * samples) * 2.0 * np.pi / samples
-    columns = error_sensitivity(nominal, surface_of_pair(nominal), 100.0, angle, names)[1]
+    columns = error_sensitivity(DriveValue.as_stated(nominal), 100.0, angle, names)[1]
     for name, column in zip(names, columns.T, strict=True):
         amplitude = np.abs(np.fft.rfft(column))[1:1200]
         own = 39 if name.startswith("pin") else 40
@@ -88,9 +87,7 @@ def test_outliers_are_left_out_and_missing_arcs_do_not_matter(measured, nominal,
     assert any("3 of 936 points" in n for n in found.notes)
     truth = surface_of_pair(made)
     far = [
-        abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
-        for p in found.parameters
-        if p.held is None
+        abs(p.value - structured_value(truth, p.name)) / p.standard_error for p in found.parameters if p.held is None
     ]
     assert max(far) < 4.0
 
@@ -114,7 +111,7 @@ def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said)
     curves = []
     for load in (20.0, -20.0, 200.0, -200.0):
         one = planned_curve(pair.ratio, load, 1 if load > 0.0 else -1, 1.0, each)
-        error = solve(pair, scattered, load, one.input_angle, with_play=False).transmission_error[0]
+        error = solve(DriveValue(pair, scattered), load, one.input_angle, with_play=False).transmission_error[0]
         noisy = error + generator.normal(0.0, 0.5 * ARCSEC, error.size)
         curves.append(dataclasses.replace(one, transmission_error=noisy, source=f"{load:g}"))
     found = identify(curves, Drive(pair), held_out=False)
@@ -206,10 +203,10 @@ def test_the_ensemble_s_band_is_as_wide_as_the_fit_is_uncertain(found, nominal, 
     """At a load that was not measured the truth is within a few widths of the drawn band."""
     angles = np.linspace(0.0, 200.0, 40)
     drawn = [
-        solve(nominal, s, 60.0, angles, with_play=False).transmission_error[0]
+        solve(DriveValue(nominal, s), 60.0, angles, with_play=False).transmission_error[0]
         for s in (d.surface for d in ensemble(found.drive, 60, seed=0))
     ]
-    truth = solve(made, surface_of_pair(made), 60.0, angles, with_play=False).transmission_error[0]
+    truth = solve(DriveValue.as_stated(made), 60.0, angles, with_play=False).transmission_error[0]
     centre, width = np.mean(drawn, axis=0), np.std(drawn, axis=0)
     assert np.abs((truth - centre) / width).max() < 5.0
     assert width.max() < 1.0 * ARCSEC
@@ -278,11 +275,11 @@ def test_a_drive_seen_from_another_disc_makes_the_same_curves(gear_teeth, discs)
     )
     angle = np.linspace(0.0, 2.0 * np.pi * gear_teeth, 200)
     loads = [20.0, -60.0]
-    made = solve(pair, surface, loads, angle, 5, with_play=False).transmission_error
+    made = solve(DriveValue(pair, surface), loads, angle, 5, with_play=False).transmission_error
     others = other_descriptions(pair, surface)
     assert len(others) == discs - 1
     for other in others:
-        again = solve(pair, other, loads, angle, 5, with_play=False).transmission_error
+        again = solve(DriveValue(pair, other), loads, angle, 5, with_play=False).transmission_error
         assert np.abs(again - made).max() < 1e-8 * np.ptp(made)
 
 

@@ -9,8 +9,9 @@ from scipy.special import stdtrit
 
 import fitting
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
@@ -30,7 +31,7 @@ def standardised(found, made):
     """Distance of each fitted error from the truth in standard errors."""
     truth = surface_of_pair(made)
     return {
-        p.name: (p.value - structured_value(made, truth, p.name)) / p.standard_error
+        p.name: (p.value - structured_value(truth, p.name)) / p.standard_error
         for p in found.parameters
         if p.held is None
     }
@@ -66,8 +67,8 @@ def test_of_equivalent_errors_one_is_fitted_and_the_other_held_with_its_reason(f
 
 def test_the_surface_predicts_a_load_that_was_not_measured(found, made, nominal):
     angles = np.linspace(0.0, 200.0, 300)
-    wanted = solve(made, surface_of_pair(made), 90.0, angles).transmission_error
-    error = solve(nominal, found.surface, 90.0, angles).transmission_error - wanted
+    wanted = solve(DriveValue.as_stated(made), 90.0, angles).transmission_error
+    error = solve(DriveValue(nominal, found.surface), 90.0, angles).transmission_error - wanted
     assert error.std() < 0.3 * ARCSEC
     assert abs(error.mean()) < 0.5 * ARCSEC  # the compliance of the bench relative to the gear can't be known better
 
@@ -80,7 +81,7 @@ def test_the_surface_goes_through_its_file(found, nominal, tmp_path):
     assert len(again.covariance_of) == len(found.fitted) + 40 + 40 + 39 + 40  # and every pin and tooth
     assert (again.covariance == found.surface.covariance).all()
     angles = np.linspace(0.0, 3.0, 20)
-    first, second = (solve(nominal, s, 50.0, angles).transmission_error for s in (found.surface, again))
+    first, second = (solve(DriveValue(nominal, s), 50.0, angles).transmission_error for s in (found.surface, again))
     assert (first == second).all()
 
 
@@ -175,7 +176,9 @@ def test_scatter_of_single_pins_does_not_bend_the_structured_errors():
     for key, wanted in truth["held_out"].items():
         load, sign = (float(v) for v in key.split("_"))
         angles = np.linspace(0.0, 2 * np.pi * 39, len(wanted), endpoint=False)
-        error = solve(pair, found.surface, load * sign, angles, with_play=False).transmission_error[0] - wanted
+        error = (
+            solve(DriveValue(pair, found.surface), load * sign, angles, with_play=False).transmission_error[0] - wanted
+        )
         assert error.std() < 0.15 * ARCSEC  # the structured errors by themselves reach 0.7″
 
 
@@ -217,7 +220,7 @@ def random_drive(pair, generator):
     values = {
         n: v for n, v in values.items() if not n.startswith(("misalignment", "isometric", "offset", "pin_radial_1"))
     }
-    surface = with_structured(pair, surface_of_pair(pair), values)
+    surface = with_structured(surface_of_pair(pair), values)
     surface = dataclasses.replace(
         surface,
         pin_radial=surface.pin_radial + generator.normal(0.0, 2e-6, pair.pins),
@@ -267,7 +270,7 @@ def test_coverage_of_the_intervals(nominal, teeth, record_property):
                 "0",
             )
             for load in loads
-            for error in [solve(pair, surface, load, angle, with_play=False).transmission_error[0]]
+            for error in [solve(DriveValue(pair, surface), load, angle, with_play=False).transmission_error[0]]
         ]
         found = identify(curves, Drive(pair))
         assert found.residual < 1.2 * 0.5 * ARCSEC, seed

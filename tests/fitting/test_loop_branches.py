@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -28,7 +29,7 @@ def wound_up(pair, *, friction, crank=CRANK, sides=(1, -1), samples=800, noise=0
 
     The mesh alone is so stiff that friction's usual presliding would take half a branch; here it has next to none.
     """
-    drive = DriveModel(pair, surface_of_pair(pair))
+    drive = DriveModel(DriveValue.as_stated(pair))
     drive.set_friction(1, coulomb=friction, presliding_angle=1e-8)
     drive.crank_angle = crank
     way = np.concatenate([np.linspace(0.0, RATED, samples), np.linspace(RATED, 0.0, samples)])
@@ -59,7 +60,7 @@ def rubbing_more_with_load(pair, *, without_load, growth, noise=0.5 * ARCSEC):
     spring = np.concatenate([np.linspace(a, b, samples) for a, b in ((0, top), (top, 0), (0, -top), (-top, 0))])
     way = np.repeat([1.0, -1.0, -1.0, 1.0], samples)
     torque = spring + way * (without_load + growth * np.abs(spring))
-    (winding,) = solve(pair, surface_of_pair(pair), spring[:, None], CRANK).transmission_error.T
+    (winding,) = solve(DriveValue.as_stated(pair), spring[:, None], CRANK).transmission_error.T
     output = CRANK / pair.ratio + winding + 3e-4 + np.random.default_rng(0).normal(0.0, noise, torque.size)
     return Recording(
         np.arange(torque.size) * 0.01,
@@ -117,13 +118,12 @@ def test_friction_that_grows_with_load_is_an_unknown_of_the_loop(made):
 def test_the_play_and_its_derivatives_are_those_of_the_contact_model(made):
     surface = surface_of_pair(made)
     names = ["pin_radius", "pin_circle_radius", "isometric", "offset", "eccentricity", "centre_distance_x"]
-    play, slopes, _ = play_of(made, surface, CRANK, names)
-    assert play == solve(made, surface, 1.0, CRANK).backlash[0]
+    play, slopes, _ = play_of(DriveValue(made, surface), CRANK, names)
+    assert play == solve(DriveValue(made, surface), 1.0, CRANK).backlash[0]
     for name, slope in zip(names, slopes, strict=True):
         ends = [
             solve(
-                made,
-                with_structured(made, surface, {name: structured_value(made, surface, name) + way * 1e-8}),
+                DriveValue(made, with_structured(surface, {name: structured_value(surface, name) + way * 1e-8})),
                 1.0,
                 CRANK,
             ).backlash[0]
@@ -140,15 +140,13 @@ def test_a_loop_whose_friction_grows_with_load_tells_the_play(measured, nominal,
     found = identify([*curves, *loop], Drive(nominal), form=0.0)
     truth = surface_of_pair(made)
     far = [
-        abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
-        for p in found.parameters
-        if p.held is None
+        abs(p.value - structured_value(truth, p.name)) / p.standard_error for p in found.parameters if p.held is None
     ]
     assert max(far) < 4.0
     assert found.bench["loop_friction_torque"] == pytest.approx(2.5, abs=0.3)
     assert found.bench["loop_friction_per_load"] == pytest.approx(0.4, abs=0.01)
     (fitted,) = found.loops
-    assert abs(fitted.play - solve(made, truth, 1.0, CRANK).backlash[0]) < 4.0 * fitted.standard_error
+    assert abs(fitted.play - solve(DriveValue(made, truth), 1.0, CRANK).backlash[0]) < 4.0 * fitted.standard_error
 
 
 @pytest.mark.slow(5)
@@ -163,14 +161,12 @@ def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, m
     assert with_loop["pin_radius"].standard_error < 0.7 * alone["pin_radius"].standard_error
     truth = surface_of_pair(made)
     far = [
-        abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
-        for p in found.parameters
-        if p.held is None
+        abs(p.value - structured_value(truth, p.name)) / p.standard_error for p in found.parameters if p.held is None
     ]
     assert max(far) < 4.0
     assert found.bench["loop_friction_torque"] == pytest.approx(2.0, abs=0.3)
     (one,) = found.loops
-    assert abs(one.play - solve(made, truth, 1.0, CRANK).backlash[0]) < 4.0 * one.standard_error
+    assert abs(one.play - solve(DriveValue(made, truth), 1.0, CRANK).backlash[0]) < 4.0 * one.standard_error
     assert one.standard_error < 0.1 * ARCSEC
     assert found.held_out.residual < 1.2 * found.held_out.noise
 
@@ -269,7 +265,7 @@ def test_loops_among_recordings_on_the_command_line(command, made, measured, tmp
     assert "loop.csv: play at the crank angle 418.3°" in run.stdout
     content = json.loads((tmp_path / "fit.json").read_text())
     assert content["loops"]["loop.csv"]["play"] == pytest.approx(
-        solve(made, surface_of_pair(made), 1.0, CRANK).backlash[0], abs=0.5 * ARCSEC
+        solve(DriveValue.as_stated(made), 1.0, CRANK).backlash[0], abs=0.5 * ARCSEC
     )
     assert "loop.csv" in content["data"]
     assert "Hysteresis loop: loop.csv" in (tmp_path / "fit.html").read_text()

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from common import BENCH, EXAMPLES
 
-from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.analysis import error_sensitivity, solve
 from cycloid_fmu.drive import Drive, read_drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, with_structured
@@ -31,14 +32,17 @@ FORM = {
 def test_derivatives_are_those_of_finite_differences(made, output, form):
     """Between the elements deviations are linear, so a few angles have a contact at a corner: there both err."""
     pair = made.replace(output=output)
-    surface = with_structured(pair, surface_of_pair(pair), form)
+    surface = with_structured(surface_of_pair(pair), form)
     names, angles, step = profile_names(range(1, 6)), np.linspace(0.0, 5.0, 40), 2e-8
-    jacobian = error_sensitivity(pair, surface, 150.0, angles, ["pin_radius", *names])[1][:, 1:]
+    jacobian = error_sensitivity(DriveValue(pair, surface), 150.0, angles, ["pin_radius", *names])[1][:, 1:]
     for name, column in zip(names, jacobian.T, strict=True):
-        value = structured_value(pair, surface, name)
+        value = structured_value(surface, name)
         low, high = (
             solve(
-                pair, with_structured(pair, surface, {name: value + way * step}), 150.0, angles, with_play=False
+                DriveValue(pair, with_structured(surface, {name: value + way * step})),
+                150.0,
+                angles,
+                with_play=False,
             ).transmission_error[0]
             for way in (-1.0, 1.0)
         )
@@ -49,15 +53,15 @@ def test_derivatives_are_those_of_finite_differences(made, output, form):
 
 
 def test_the_form_goes_through_a_surface_and_its_file(made, tmp_path):
-    surface = with_structured(made, surface_of_pair(made), FORM)
+    surface = with_structured(surface_of_pair(made), FORM)
     write_surface(surface, tmp_path / "s.nc")
     again = read_surface(tmp_path / "s.nc")
     for name, value in FORM.items():
-        assert structured_value(made, again, name) == pytest.approx(value, abs=1e-18)
-    assert structured_value(made, again, "profile_deviation_5") == pytest.approx(0.0, abs=1e-18)
-    back = with_structured(made, again, dict.fromkeys(FORM, 0.0))
+        assert structured_value(again, name) == pytest.approx(value, abs=1e-18)
+    assert structured_value(again, "profile_deviation_5") == pytest.approx(0.0, abs=1e-18)
+    back = with_structured(again, dict.fromkeys(FORM, 0.0))
     assert np.abs(back.gear_deviation).max() < 1e-18
-    assert with_structured(made, surface_of_pair(made), dict.fromkeys(FORM, 0.0)).gear_deviation is None
+    assert with_structured(surface_of_pair(made), dict.fromkeys(FORM, 0.0)).gear_deviation is None
 
 
 @pytest.mark.slow(4)
@@ -66,7 +70,7 @@ def test_form_within_its_tolerance_no_longer_bends_the_other_errors(made, nomina
     tolerated = profile_of(nominal, read_tolerances(EXAMPLES / "tolerances.toml"))
     # A zone of 4 µm is ± 3 standard deviations of an element, and a wave has a part of that.
     assert all(0.05e-6 < deviation < 4e-6 / 6.0 for deviation in tolerated.values())
-    surface = with_structured(made, surface_of_pair(made), FORM)
+    surface = with_structured(surface_of_pair(made), FORM)
     generator, angle = np.random.default_rng(1), np.arange(39 * 12) * 2.0 * np.pi / 12
     curves = [
         Curve(
@@ -84,14 +88,14 @@ def test_form_within_its_tolerance_no_longer_bends_the_other_errors(made, nomina
             "0",
         )
         for load in (20.0, -20.0, 200.0, -200.0)
-        for error in [solve(made, surface, load, angle, with_play=False).transmission_error[0]]
+        for error in [solve(DriveValue(made, surface), load, angle, with_play=False).transmission_error[0]]
     ]
     without = identify(curves, Drive(nominal), held_out=False, form=0.0)
     found = identify(curves, Drive(nominal), tolerances=Prior(profile=tolerated), held_out=False)
 
     def distances(result):
         return {
-            p.name: abs(p.value - structured_value(made, surface, p.name)) / p.standard_error
+            p.name: abs(p.value - structured_value(surface, p.name)) / p.standard_error
             for p in result.parameters
             if p.held is None
         }
@@ -103,7 +107,7 @@ def test_form_within_its_tolerance_no_longer_bends_the_other_errors(made, nomina
     for p in found.parameters:
         if p.name in tolerated:
             assert p.standard_error <= tolerated[p.name]
-            assert structured_value(nominal, found.surface, p.name) == pytest.approx(p.value, abs=1e-12)
+            assert structured_value(found.surface, p.name) == pytest.approx(p.value, abs=1e-12)
     assert found.surface.covariance_of[: len(found.fitted)] == found.fitted
 
 

@@ -20,8 +20,9 @@ from cycloid_fmu import edge
 from drivers.recording_format import GAP
 from fitting.figures.survey import lag_of
 from fitting.recordings import formats
+from fitting.recordings.first_samples import FirstSamples
 from fitting.recordings.formats import PIECE, BenchFile, RawChannel, open_bench_file, unit_text
-from fitting.recordings.inspection import Inspection, Look, inspect, roles_of
+from fitting.recordings.inspection import Inspection, inspect, roles_of
 from fitting.recordings.mapping import read_mapping
 from fitting.recordings.recording import RecordingStream
 from fitting.recordings.tables import find_dialect
@@ -462,7 +463,9 @@ class Named(BenchFile):
 
 @given(st.lists(st.text(st.characters(exclude_categories=["Cs"]), min_size=1), min_size=2, max_size=2, unique=True))
 def test_a_proposed_mapping_names_whatever_columns_there_are(names):
-    looks = [Look(RawChannel(name, "deg"), TIME, size * INPUT) for name, size in zip(names, (1.0, 0.1), strict=True)]
+    looks = [
+        FirstSamples(RawChannel(name, "deg"), TIME, size * INPUT) for name, size in zip(names, (1.0, 0.1), strict=True)
+    ]
     file = Named("a.csv", tuple(one.channel for one in looks), timed=True)
     mapping = tomllib.loads(Inspection(file, tuple(looks), roles_of(file, looks)).text)
     assert {mapping["input_angle"]["column"], mapping["output_angle"]["column"]} == set(names)

@@ -8,10 +8,11 @@ from realised_rings import figures_of, ring, rms
 from sampled_drives import ARCSEC, SMALL
 
 import fitting
-from cycloid_fmu.contact.transmission import error_sensitivity
+from cycloid_fmu.analysis import sensitivity
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import json_table
-from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.structured import displacement_columns, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.ensemble import ensemble
 from fitting.estimation.realised import (
@@ -44,10 +45,11 @@ def test_what_the_gauge_removes_other_errors_and_the_output_s_zero_do(nominal, c
     directions = gauge(pair)
     scatter = np.zeros(spread_of(pair, {}).size)
     scatter[: len(directions)] = generator.normal(0.0, 2e-6, len(directions))
-    surface = with_scatter(pair, surface_of_pair(pair), scatter)
+    surface = with_scatter(surface_of_pair(pair), scatter)
     angle = np.linspace(0.0, 2.0 * np.pi * pair.gear_teeth, 97, endpoint=False)
     others = ["pin_circle_radius", "pin_radius", "centre_distance_x", "centre_distance_y"]
-    _, columns, each, _ = error_sensitivity(pair, surface, 60.0, angle, others)
+    each = sensitivity(DriveValue(pair, surface), 60.0, angle).by_displacement
+    columns = each @ displacement_columns(pair, others)
     does = scatter_columns(pair, each)[:, : len(directions)] @ directions
     size = np.sqrt(pair.pins)
     np.testing.assert_allclose(does[:, 0] * size, columns[:, 0], rtol=0, atol=1e-6 * np.abs(columns[:, 0]).max())
@@ -59,10 +61,10 @@ def test_what_the_gauge_removes_other_errors_and_the_output_s_zero_do(nominal, c
 
 
 def test_a_shifted_turned_and_larger_ring_has_the_same_pins(small):
-    surface = with_structured(small, surface_of_pair(small), {"pin_radial_2_cos": 3e-6, "pin_tangential_1_sin": 1e-6})
-    moved = with_scatter(small, surface, gauge(small) @ [4e-6, -3e-6, 2e-6, 1e-6, 5e-6, -1e-6])
+    surface = with_structured(surface_of_pair(small), {"pin_radial_2_cos": 3e-6, "pin_tangential_1_sin": 1e-6})
+    moved = with_scatter(surface, gauge(small) @ [4e-6, -3e-6, 2e-6, 1e-6, 5e-6, -1e-6])
     np.testing.assert_allclose(displaced(small, moved), displaced(small, surface), atol=1e-18)
-    larger = with_structured(small, moved, {"pin_circle_radius": 7e-6})
+    larger = with_structured(moved, {"pin_circle_radius": 7e-6})
     np.testing.assert_allclose(displaced(small, larger), displaced(small, surface), atol=1e-18)
 
 
@@ -89,7 +91,7 @@ def test_a_pin_that_no_curve_shows_is_held_and_no_other(small, scatter):
     seen = np.delete(np.hstack([waves, np.eye(47)]), [5, 30], axis=0) / 0.02e-6
     spread = np.full(47, scatter)
     covariance = np.linalg.inv(seen.T @ seen + np.diag([*np.full(4, 1e6), *spread**-2]))
-    found = realised(small, surface_of_pair(small), chosen, covariance, spread)
+    found = realised(DriveValue.as_stated(small), chosen, covariance, spread)
     held = [one.name for one in found.elements if one.held]
     assert held == ["pin_radial_at_5", "tooth_cumulative_pitch_at_6"]
 

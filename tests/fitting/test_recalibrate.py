@@ -25,7 +25,7 @@ from lived_drives import (
 import fitting
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import InputError
-from cycloid_fmu.reducer.first_stage import FirstStage
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.model.loops import observed_curves
 from fitting.model.observations import scatter_parts

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 import fitting
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.recordings import formats
@@ -31,7 +32,7 @@ measured_drives = pytest.mark.skipif(not MEASURED.is_dir(), reason=f"the measure
 def turned(pair, load, *, each=24, backward=False):
     """Crank and output angles of one output turn of a drive at a load, with noise."""
     crank = np.arange(39 * each + 1) * 2 * np.pi / each
-    error = solve(pair, surface_of_pair(pair), load, crank, with_play=False).transmission_error[0]
+    error = solve(DriveValue.as_stated(pair), load, crank, with_play=False).transmission_error[0]
     noise = np.random.default_rng(abs(int(load))).normal(0.0, NOISE, crank.size)
     way = slice(None, None, -1 if backward else 1)
     return crank[way], (crank / RATIO + error + noise)[way]
@@ -105,7 +106,7 @@ def test_semicolons_and_a_status_column_go_to_identified_errors(command, tmp_pat
     for name, one in json.loads((tmp_path / "fit.json").read_text())["parameters"].items():
         if not one["held"] and one["data_share"] > 0.5:
             low, high = one["interval"]
-            within.append(low <= structured_value(made, surface, name) <= high)
+            within.append(low <= structured_value(surface, name) <= high)
     assert len(within) > 10
     assert np.mean(within) > 0.8
 
@@ -126,7 +127,7 @@ def test_iso_stamps_go_to_the_transmission_error_and_its_curve(command, tmp_path
     run = command("cycloid-fit", "curve", "run.csv", "--mapping", "map.toml", "--json")
     assert run.returncode == 0, run.stderr
     curve = json.loads(run.stdout)
-    error = solve(made, surface_of_pair(made), 200.0, curve["input_angle"][0], with_play=False).transmission_error[0]
+    error = solve(DriveValue.as_stated(made), 200.0, curve["input_angle"][0], with_play=False).transmission_error[0]
     left = np.array(curve["transmission_error"][0]) - error
     assert np.std(left) == pytest.approx(NOISE, rel=0.1)
     (one,) = fitting.curves(fitting.read_recordings(tmp_path / "run.csv", tmp_path / "map.toml"))

@@ -1,5 +1,6 @@
 """Shared by the tests of the native FMU: its interfaces, an instance of one, and compiling C for it."""
 
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ import fmpy
 import pytest
 from fmpy.fmi2 import FMU2Slave
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import table_cache, tables
@@ -83,21 +85,27 @@ class Slave:
         return self.fmi.getReal([self.references[name] for name in names])
 
 
-def coarse(pair, surface, accuracy):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Tabled(DriveValue):
+    """A drive with its tables."""
+
+    tables: object = None
+
+
+def coarse(drive, accuracy):
     """Tables that take little time: of a coarse accuracy, and compared with the model at few places."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tables, "PROBES", 1000)
-        return table_cache.tables_of(pair, surface, accuracy=accuracy)
+        return table_cache.tables_of(drive, accuracy=accuracy)
 
 
-def native_of(folder, drive, surface, made, interface):
+def native_of(folder, drive, made, interface):
     """A native FMU for this machine, compiled with the system's compiler."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
         native_build.build_native(
             drive,
             folder / "drive.fmu",
-            surface,
             interface=interface,
             made=made,
             platforms=[native_build.this_platform()],

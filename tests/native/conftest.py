@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import fmpy
 import platformdirs
 import pytest
-from c_host import BUILT, COMPILER, HERE, compiled, run_host
+from c_host import BUILT, COMPILER, HERE, Tabled, compiled, run_host
 from common import EXAMPLES
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import table_cache
@@ -37,7 +38,7 @@ def drive(cache):
     surface = surface_of_pair(pair)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(cache))
-        return SimpleNamespace(pair=pair, surface=surface, tables=table_cache.tables_of(pair, surface))
+        return Tabled(pair, surface, tables=table_cache.tables_of(DriveValue(pair, surface)))
 
 
 @pytest.fixture(scope="session")
@@ -51,9 +52,8 @@ def built(drive, tmp_path_factory):
             with pytest.MonkeyPatch.context() as patch:
                 patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
                 native_build.build_native(
-                    drive.pair,
+                    drive,
                     path,
-                    drive.surface,
                     interface=BUILT[kind],
                     fmi_version=version,
                     made=drive.tables,

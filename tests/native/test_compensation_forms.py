@@ -1,9 +1,8 @@
-"""Forms of a compensator: C99, Structured Text, FMUs and a look-up table, each against `step` in Python."""
+"""Forms of a compensator: C99, FMUs and a look-up table, each against `step` in Python."""
 
 import ctypes
 import json
 import math
-import os
 import shutil
 import subprocess
 import sys
@@ -19,7 +18,6 @@ from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from structured_text import blocks
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
@@ -194,117 +192,17 @@ def test_windows_gives_the_same_bits(drive, tmp_path):
     assert np.array_equal(found, commands(drive, rows, 0.4))
 
 
+@pytest.mark.parametrize("name", ["joint.st", "joint.txt"])
+def test_a_form_that_there_is_not_is_refused_with_those_that_there_are(drive, tmp_path, name):
+    with pytest.raises(edge.InputError, match=r"joint\.\w+: the name must end in \.c or \.h or \.csv or \.fmu\.$"):
+        write_compensator(drive, tmp_path / name)
+
+
 @pytest.mark.parametrize("name", ["1st.c", "joint-.c", "a__b.c", "while.c", "gelenk_ü.c"])
 def test_a_name_that_no_language_allows_is_refused(drive, tmp_path, name):
     with pytest.raises(edge.InputError, match="must begin with a letter"):
         write_compensator(drive, tmp_path / name)
     assert not list(tmp_path.iterdir())
-
-
-# --- Structured Text ---
-
-
-class InterpretedText:
-    """A compensator in Structured Text, interpreted."""
-
-    def __init__(self, c, folder, rounded=round):
-        (path,) = write_compensator(c, folder / "joint.st")
-        self._blocks = blocks(path.read_text(encoding="utf-8"), rounded)
-
-    def commands(self, rows, index, probability=1.0):
-        block, found = self._blocks["joint"](), []
-        block.index, block.index_probability = index, probability
-        for row in rows.tolist():
-            names = (
-                "desired_angle",
-                "desired_speed",
-                "load_torque",
-                "temperature",
-                "motor_angle_measured",
-                "output_angle_measured",
-            )
-            block(**dict(zip(names, row, strict=True)), output_measured=True)
-            found.append([block.motor_angle, block.motor_speed, block.band, block.gain, block.holds])
-        return np.array(found, dtype=float)
-
-
-class CompiledText:
-    """The same, made C of by MATIEC."""
-
-    def __init__(self, c, folder):
-        (path,) = write_compensator(c, folder / "joint.st")
-        program = Path(shutil.which("iec2c")).resolve()
-        library = Path(os.environ.get("MATIEC_LIBRARY", program.parent / "lib"))
-        subprocess.run([program, "-I", library, "-T", folder, path], check=True, stdout=subprocess.DEVNULL)
-        subprocess.run(
-            [
-                "gcc",
-                "-O1",
-                "-std=gnu99",
-                "-w",
-                "-ffp-contract=off",
-                "-shared",
-                "-fPIC",
-                "-I",
-                folder,
-                "-I",
-                library / "C",
-                HERE / "structured_text_host.c",
-                "-o",
-                folder / "joint.so",
-                "-lm",
-            ],
-            check=True,
-        )
-        self._library = ctypes.CDLL(str(folder / "joint.so"))
-        self._library.start.argtypes = [ctypes.c_double] * 2
-
-    def commands(self, rows, index, probability=1.0):
-        self._library.start(index, probability)
-        found = []
-        for row in rows:
-            out = (ctypes.c_double * 5)()
-            self._library.step((ctypes.c_double * 6)(*row), 1, out)
-            found.append(list(out))
-        return np.array(found)
-
-
-needs_matiec = pytest.mark.skipif(
-    shutil.which("iec2c") is None or shutil.which("gcc") is None,
-    reason="iec2c (github.com/beremiz/matiec, to be compiled) or gcc is not installed",
-)
-
-
-@pytest.mark.parametrize("rounded", [round, math.floor, math.ceil, math.trunc])
-def test_structured_text_gives_the_bits_of_python_however_a_plc_rounds(drive, tmp_path, rounded):
-    text = InterpretedText(drive, tmp_path, rounded)
-    for seed, index, probability in ((1, 0.4, 1.0), (2, -17.3, 0.7), (3, NONE, 1.0), (4, 0.4, 0.0), (5, 0.4, 3.0)):
-        rows = way(drive, seed, 120, index=index, odd=0.05)
-        assert np.array_equal(text.commands(rows, index, probability), commands(drive, rows, index, probability))
-
-
-@pytest.mark.parametrize(
-    "made",
-    [InterpretedText, pytest.param(CompiledText, marks=[needs_matiec, pytest.mark.own_build, pytest.mark.slow(10)])],
-)
-def test_structured_text_of_every_kind_of_drive(tmp_path, made):
-    for number, kind in enumerate(EVERY):
-        c = compensator(number, *kind)
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        rows = way(c, number, 150)
-        assert np.array_equal(made(c, folder).commands(rows, 0.4), commands(c, rows, 0.4))
-
-
-@pytest.fixture(scope="module")
-def in_text(drive, tmp_path_factory):
-    return InterpretedText(drive, tmp_path_factory.mktemp("text"))
-
-
-@settings(max_examples=20, deadline=None)
-@given(rows=st.lists(st.lists(st.floats(), min_size=6, max_size=6), min_size=1, max_size=6))
-def test_whatever_a_plc_hands_over_gives_a_number(drive, in_text, rows):
-    assert np.array_equal(in_text.commands(np.array(rows), 0.4), commands(drive, np.array(rows), 0.4))
 
 
 # --- look-up ---

@@ -37,7 +37,7 @@ class Exact:
     """The model in Python with the native FMU's manners."""
 
     def __init__(self, drive, interface):
-        self.model = model_of(drive.pair, drive.surface, interface)
+        self.model = model_of(drive, interface)
 
     def put(self, values):
         for name, value in values.items():
@@ -81,7 +81,7 @@ def joint(drive, tmp_path):
         else:
             folder = tmp_path / str(len(made))
             folder.mkdir()
-            path = native_of(folder, drive.pair, drive.surface, drive.tables, interface)
+            path = native_of(folder, drive, drive.tables, interface)
             made.append(Slave(path, folder / "unpacked"))
             found = Native(made[-1])
         found.start({name.replace("__", "."): value for name, value in values.items()})
@@ -170,7 +170,7 @@ def reference(drive, last, begin, motor=None, load=0.0, damping=0.0, compliance=
     The crank turns at its speed, or has the inertia `MOTOR` and a torque over time. Returned are angle and speed of
     crank and output over time, and the contacts' torques.
     """
-    contacts, ratio = CompliantModel(drive.pair, drive.surface), drive.pair.ratio
+    contacts, ratio = CompliantModel(drive.stage), drive.pair.ratio
     contacts.series_compliance = compliance
 
     def torques(angle, speed, output, output_speed):
@@ -257,20 +257,18 @@ def test_a_joint_with_both_inertias_is_described_and_refused_alone(drive, tmp_pa
     interface = Interface("compliant", ARM, crank_inertia=MOTOR)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(native_build, "binary", lambda name: name.encode())
-        native_build.build_native(
-            drive.pair, path, drive.surface, interface=interface, fmi_version=version, made=drive.tables
-        )
+        native_build.build_native(drive, path, interface=interface, fmi_version=version, made=drive.tables)
     assert validate_fmu(str(path)) == []
     with pytest.raises(edge.InputError, match="crank_inertia needs an output_inertia"):
-        native_build.build_native(drive.pair, path, interface=Interface("compliant", crank_inertia=MOTOR))
+        native_build.build_native(drive, path, interface=Interface("compliant", crank_inertia=MOTOR))
 
 
 @pytest.mark.parametrize("kind", ["exact", "native"])
 def test_a_compliant_fmu_as_it_is_built_runs_between_motor_and_arm_at_its_own_step(drive, tmp_path, kind):
     """A position-controlled motor and an arm that hangs, outside: torques are read, then held over the step."""
-    interface = with_damping(Interface("compliant"), drive.pair, drive.surface)
+    interface = with_damping(Interface("compliant"), drive)
     step, ratio = interface.step, drive.pair.ratio
-    path = native_of(tmp_path, drive.pair, drive.surface, drive.tables, interface)
+    path = native_of(tmp_path, drive, drive.tables, interface)
     assert float(fmpy.read_model_description(str(path)).defaultExperiment.stepSize) == step
     found = Exact(drive, interface) if kind == "exact" else Native(Slave(path, tmp_path / "unpacked"))
     found.start({"mesh_damping": interface.mesh_damping} if kind == "exact" else {})

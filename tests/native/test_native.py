@@ -24,7 +24,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.model import DriveModel
@@ -92,7 +93,7 @@ def against_the_exact_model(native, pair, surface, made, probes):
     size = np.where(random.random(probes) < 0.5, random.uniform(0.0, 1.0, probes), 10 ** random.uniform(-4, 0, probes))
     torque = largest * size * random.choice([-1.0, 1.0], probes)
     angle = np.sort(random.uniform(0.0, made.period, probes))
-    model, found = DriveModel(pair, surface), np.empty((2, 5, probes))
+    model, found = DriveModel(DriveValue(pair, surface)), np.empty((2, 5, probes))
     model.crank_speed = 1.0
     for i in range(probes):
         model.crank_angle, model.torque = angle[i], torque[i]
@@ -127,7 +128,7 @@ def within(found, told):
 
 @pytest.fixture(scope="module")
 def without_losses(drive, tmp_path_factory):
-    return native_of(tmp_path_factory.mktemp("lossless"), drive.pair, drive.surface, drive.tables, Interface())
+    return native_of(tmp_path_factory.mktemp("lossless"), drive, drive.tables, Interface())
 
 
 def test_tables_keep_their_accuracy_at_crank_angles_and_torques_they_were_not_made_at(
@@ -171,8 +172,7 @@ def test_progress_adds_up_to_what_was_said_before_each_step():
     pair = read_pair(EXAMPLES / "drive-39-40.toml")
     steps: list[list[int]] = []
     tables.compute(
-        pair,
-        surface_of_pair(pair),
+        DriveValue.as_stated(pair),
         total=lambda count: steps.append([count, 0]),
         workers=2,
         progress=lambda count: steps[-1].__setitem__(1, steps[-1][1] + count),
@@ -218,13 +218,13 @@ def test_an_fmu_whose_table_is_damaged_says_so_when_it_is_opened(built, tmp_path
 def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_period(slave, tmp_path, record_property):
     pair = read_pair(EXAMPLES / "drive-39-40-as-made.toml")
     surface = surface_of_pair(pair)
-    made = tables.compute(pair, surface, workers=2)
-    path = native_of(tmp_path, pair, surface, made, Interface())
+    made = tables.compute(DriveValue(pair, surface), workers=2)
+    path = native_of(tmp_path, DriveValue(pair, surface), made, Interface())
     native = slave(path=path)
     native.start(flange_a_w=1.0)
     largest, errors = against_the_exact_model(native, pair, surface, made, 20000)
     torques = np.array([-1.0, 1.0]) * 181.0
-    error = solve(pair, surface, torques, np.linspace(0.0, made.period, 20000)).transmission_error
+    error = solve(DriveValue(pair, surface), torques, np.linspace(0.0, made.period, 20000)).transmission_error
     with zipfile.ZipFile(path) as archive:
         size = archive.getinfo(f"resources/{TABLE}").compress_size
     record_property("native TE with all errors, largest error", f"{largest / ARCSEC:.4f}″")
@@ -260,10 +260,12 @@ def test_transmission_error_repeats_after_the_tables_period(keys, errors, pitche
         for name, value in errors.items()
     }
     surface = surface.replace(**changes)
-    assert tables.mesh_pitches(pair, surface) == pitches
+    assert tables.mesh_pitches(DriveValue(pair, surface)) == pitches
     period = pitches * 2.0 * np.pi / (39 if pair.output == "ring" else 40)
     angles = random.uniform(0.0, 50.0, 12)
-    first, second = (solve(pair, surface, [150.0, -40.0], a).transmission_error for a in (angles, angles + period))
+    first, second = (
+        solve(DriveValue(pair, surface), [150.0, -40.0], a).transmission_error for a in (angles, angles + period)
+    )
     np.testing.assert_allclose(first, second, atol=1e-11)
 
 
@@ -296,7 +298,7 @@ def test_torques_of_the_tables_are_derivatives_of_one_function(drive, slave, wit
     ],
 )
 def test_kinematic_follows_the_exact_model_through_reversals_and_zero_torque(drive, slave, parameters):
-    native, model = slave(), DriveModel(drive.pair, drive.surface, INTERFACES["kinematic"].losses)
+    native, model = slave(), DriveModel(drive.stage, INTERFACES["kinematic"].losses)
     begun(native, model, parameters)
     exact, interpolated = moved(native, model, steps=400, swing=2.0)
     off = np.abs(interpolated - exact)
@@ -357,7 +359,7 @@ def stepped(native, model, i, angle, torque):
 def pressed(tmp_path_factory):
     """A native FMU of teeth that press the crank at zero torque, from coarse tables, which are soon made."""
     pair = parse_pair(PAIR + 'rated_torque = "180 N*m"\n[modification]\noffset = "3 um"\n', "pressed.toml")
-    return built_coarse(tmp_path_factory.mktemp("pressed"), pair, surface_of_pair(pair))
+    return built_coarse(tmp_path_factory.mktemp("pressed"), DriveValue.as_stated(pair))
 
 
 @pytest.fixture(scope="module")
@@ -365,14 +367,12 @@ def reducer(tmp_path_factory):
     """Likewise of an RV reducer: the sun turns the crank through planets with play, the carrier plays in bearings."""
     whole = read_reducer(EXAMPLES / "rv-20e.toml")
     folder = tmp_path_factory.mktemp("reducer")
-    return built_coarse(folder, whole.stage, nominal_surface(whole.stage), whole)
+    return built_coarse(folder, DriveValue(whole.stage, nominal_surface(whole.stage), rv.parts_of(whole)[2]))
 
 
-def built_coarse(folder, pair, surface, whole=None):
-    made = coarse(pair, surface, 0.3 * ARCSEC)
-    path = native_of(folder, whole or pair, surface, made, INTERFACES["kinematic"])
-    stage = [rv.parts_of(whole)[2]] if whole else []
-    return SimpleNamespace(path=path, tables=made, drive=(pair, surface, *stage))
+def built_coarse(folder, drive):
+    made = coarse(drive.stage, 0.3 * ARCSEC)
+    return SimpleNamespace(path=native_of(folder, drive, made, INTERFACES["kinematic"]), tables=made, drive=drive)
 
 
 @pytest.mark.parametrize(
@@ -380,7 +380,7 @@ def built_coarse(folder, pair, surface, whole=None):
 )
 def test_with_interference_the_exact_model_is_followed(slave, pressed, parameters):
     assert np.abs(pressed.tables.rest_torque).max() > 0.0
-    native, model = slave(path=pressed.path), DriveModel(*pressed.drive, INTERFACES["kinematic"].losses)
+    native, model = slave(path=pressed.path), DriveModel(pressed.drive, INTERFACES["kinematic"].losses)
     begun(native, model, parameters)
     # Beside the places where the crank feels nothing: there a rounding decides which way power flows.
     found = [stepped(native, model, i, 0.003 + 0.01 * i, 100.0 * math.sin(0.1 * i) * (i % 7 > 1)) for i in range(200)]
@@ -396,7 +396,7 @@ def test_with_interference_the_exact_model_is_followed(slave, pressed, parameter
     [{}, {"friction_torque": 2.0, "series_compliance": 1e-6}, {"friction_torque": 3.0, "backlash_on": False}],
 )
 def test_a_reducer_follows_its_exact_model(slave, reducer, parameters):
-    native, model = slave(path=reducer.path), ReducerModel(*reducer.drive, INTERFACES["kinematic"].losses)
+    native, model = slave(path=reducer.path), ReducerModel(reducer.drive, INTERFACES["kinematic"].losses)
     begun(native, model, parameters)
     exact, interpolated = moved(native, model, steps=200, swing=20.0)
     off, allowed = np.abs(interpolated - exact), reducer.tables.allowed
@@ -407,7 +407,7 @@ def test_a_reducer_follows_its_exact_model(slave, reducer, parameters):
 
 @pytest.mark.parametrize("parameters", [{}, {"friction_torque": 8.0, "mesh_damping": 50.0, "series_compliance": 1e-6}])
 def test_compliant_follows_the_exact_model(drive, slave, parameters):
-    native, model = slave("compliant"), CompliantModel(drive.pair, drive.surface)
+    native, model = slave("compliant"), CompliantModel(drive.stage)
     begun(native, model, parameters)
     found, ratio = [], drive.pair.ratio
     for i in range(200):
@@ -434,7 +434,7 @@ def test_compliant_follows_the_exact_model(drive, slave, parameters):
 def test_an_output_inertia_follows_the_exact_model_under_a_load_that_turns_round(drive, slave):
     parameters = {"friction_torque": 8.0, "mesh_damping": 50.0, "series_compliance": 1e-6}
     native, inertia = slave("inertia"), INTERFACES["inertia"].output_inertia
-    model = CompliantModel(drive.pair, drive.surface, output_inertia=inertia)
+    model = CompliantModel(drive.stage, output_inertia=inertia)
     model.torque = 100.0
     native.put(flange_b_tau=100.0)
     begun(native, model, parameters)
@@ -588,7 +588,7 @@ def test_reference_results_are_the_exact_analysis(drive, reference):
     np.testing.assert_allclose(output, angle / drive.pair.ratio + error, rtol=0.0, atol=1e-12)
     within = 0.02 * ARCSEC
     for i, (place, load) in enumerate(zip(angle, torque, strict=True)):
-        exact = solve(drive.pair, drive.surface, load, place)
+        exact = solve(drive.stage, load, place)
         low, high = float(exact.play_low[0]), float(exact.play_high[0])
         assert reference["backlash"][i] == pytest.approx(high - low, abs=2.0 * within)
         if load != 0.0:
@@ -613,7 +613,7 @@ def test_errors_to_first_order_would_be_too_coarse_for_parameters_of_native_fmus
 
     def deviation(size):
         changed = {"centre_distance_x": size} if error == "centre distance" else {"pin_radial": size * shape[error]}
-        return solve(drive.pair, drive.surface.replace(**changed), [181.0], angle).transmission_error[0]
+        return solve(DriveValue(drive.pair, drive.surface.replace(**changed)), [181.0], angle).transmission_error[0]
 
     tiny, change = 1e-10, deviation(3e-6) - deviation(0.0)
     off = change - 3e-6 * (deviation(tiny) - deviation(-tiny)) / (2.0 * tiny)
@@ -638,45 +638,45 @@ def test_tables_of_a_drive_are_computed_once_for_all_its_fmus(drive, computed, t
     for interface in (Interface(), Interface("compliant", mesh_damping=0.0)):
         for version in ("2.0", "3.0"):
             path = tmp_path / f"{interface.kind}{version}.fmu"
-            native_build.build_native(drive.pair, path, interface=interface, fmi_version=version, platforms=[])
+            native_build.build_native(drive, path, interface=interface, fmi_version=version, platforms=[])
             again = tmp_path / "again.fmu"
-            made = native_build.build_native(drive.pair, again, interface=interface, fmi_version=version)
+            made = native_build.build_native(drive, again, interface=interface, fmi_version=version)
             assert path.read_bytes() == again.read_bytes()
             read.add(made.told)
     assert read == {drive.tables.told}
     assert computed.made == [None]
-    native_build.build_native(drive.pair, tmp_path / "d.fmu", largest_torque=300.0)
-    native_build.build_native(drive.pair.replace(pin_radius="3.001 mm"), tmp_path / "d.fmu")
+    native_build.build_native(drive, tmp_path / "d.fmu", largest_torque=300.0)
+    native_build.build_native(DriveValue.as_stated(drive.pair.replace(pin_radius="3.001 mm")), tmp_path / "d.fmu")
     assert computed.made == [None, 300.0, None]
 
 
 def test_tables_that_were_kept_and_are_damaged_are_made_anew(drive, computed):
-    table_cache.tables_of(drive.pair, drive.surface)
+    table_cache.tables_of(drive.stage)
     (kept,) = computed.folder.glob("*.tables")
     whole = kept.read_bytes()
     for number, place in enumerate(np.random.default_rng(2).integers(len(whole), size=10)):
         damaged = bytearray(whole)
         damaged[place] ^= 1 << (number % 8)
         kept.write_bytes(damaged if number else whole[:place])
-        table_cache.tables_of(drive.pair, drive.surface)
+        table_cache.tables_of(drive.stage)
         assert len(computed.made) == number + 2
         assert kept.read_bytes() == whole
 
 
 def test_kept_tables_do_not_grow_without_bound(drive, computed, monkeypatch):
     """The one that was used longest ago goes first."""
-    table_cache.tables_of(drive.pair, drive.surface)
+    table_cache.tables_of(drive.stage)
     size = next(computed.folder.glob("*.tables")).stat().st_size
     monkeypatch.setattr(table_cache, "_MOST_BYTES", int(3.5 * size))
     for reach in (300.0, 310.0, None, 320.0, 330.0, None):
-        table_cache.tables_of(drive.pair, drive.surface, largest_load=reach)
+        table_cache.tables_of(drive.stage, largest_load=reach)
         assert sum(p.stat().st_size for p in computed.folder.glob("*.tables")) <= 3.5 * size
     assert computed.made == [None, 300.0, 310.0, 320.0, 330.0]
 
 
 def test_where_nothing_can_be_kept_tables_are_made_all_the_same(drive, computed, tmp_path):
     (tmp_path / "cycloid-fmu").write_text("no folder")
-    assert table_cache.tables_of(drive.pair, drive.surface) is drive.tables
+    assert table_cache.tables_of(drive.stage) is drive.tables
 
 
 # --- history ---
@@ -922,7 +922,7 @@ def test_beyond_the_tables_all_goes_on_near_the_exact_model_and_it_is_said_once(
         assert native.fmi.getBoolean([native.references["outside_range"]])[0]
         found.append(native.get("transmission_error", "torsional_stiffness", "max_contact_pressure", "flange_a.tau"))
         error, stiffness, pressure, crank = found[-1]
-        exact = solve(drive.pair, drive.surface, [times * reach], [0.4])
+        exact = solve(drive.stage, [times * reach], [0.4])
         assert error == pytest.approx(exact.transmission_error[0, 0], rel=0.02)
         assert stiffness == pytest.approx(exact.torsional_stiffness[0, 0], rel=0.2)
         assert pressure == pytest.approx(exact.max_contact_pressure[0, 0], rel=0.2)
@@ -956,10 +956,10 @@ def test_tables_reach_as_far_as_asked(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(tables, "compute", lambda *a, largest_load, **k: asked.append(largest_load) or drive.tables)
     monkeypatch.setattr(native_build, "binary", lambda name: name.encode())
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    native_build.build_native(drive.pair, tmp_path / "d.fmu", drive.surface, largest_torque=1e3)
+    native_build.build_native(drive, tmp_path / "d.fmu", largest_torque=1e3)
     assert asked == [1e3]
     with pytest.raises(edge.InputError, match="largest_torque"):
-        native_build.build_native(drive.pair, tmp_path / "d.fmu", drive.surface, largest_torque=-1.0)
+        native_build.build_native(drive, tmp_path / "d.fmu", largest_torque=-1.0)
 
 
 @settings(max_examples=40)
@@ -1126,7 +1126,7 @@ def test_no_constant_of_the_models_is_copied_into_c_by_hand():
 
 
 def test_a_file_of_tables_is_read_as_it_was_written(drive, unpacked, host, tmp_path):
-    kept = from_tables(variables(drive.pair, drive.surface, INTERFACES["kinematic"], "2.0"))
+    kept = from_tables(variables(drive.stage, INTERFACES["kinematic"], "2.0"))
     fmu = unpacked()
     (tmp_path / TABLE).write_bytes(write(drive.tables, INTERFACES["kinematic"], kept, fmu.guid))
     assert host(fmu, "run", 200, uri=tmp_path.as_uri()) == host(fmu, "run", 200)
@@ -1145,7 +1145,7 @@ def test_variables_have_the_references_of_the_fmu_in_python(built, drive):
     for version in ("2.0", "3.0"):
         described = fmpy.read_model_description(str(built(version=version))).modelVariables
         described = [v for v in described if not v.name.startswith("event_indicator")]
-        table = variables(drive.pair, drive.surface, INTERFACES["kinematic"], version)
+        table = variables(drive.stage, INTERFACES["kinematic"], version)
         assert all(table[v.valueReference].name == v.name and table[v.valueReference].unit == v.unit for v in described)
         assert {v.name for v in table if not v.dimensions} == {v.name for v in described}
 
@@ -1183,9 +1183,8 @@ def test_a_drive_gives_the_same_bytes_again(built, drive, tmp_path, monkeypatch)
     monkeypatch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
     path = tmp_path / "again.fmu"
     native_build.build_native(
-        drive.pair,
+        drive,
         path,
-        drive.surface,
         interface=INTERFACES["kinematic"],
         made=drive.tables,
         platforms=[native_build.this_platform()],
@@ -1209,7 +1208,7 @@ def test_each_platform_has_its_folder_and_macos_in_fmi_2_holds_both_processors(d
         ),
     ):
         path = tmp_path / f"{version}.fmu"
-        native_build.build_native(drive.pair, path, drive.surface, fmi_version=version, made=drive.tables)
+        native_build.build_native(drive, path, fmi_version=version, made=drive.tables)
         with zipfile.ZipFile(path) as archive:
             found = {n.removeprefix("binaries/") for n in archive.namelist() if n.startswith("binaries/")}
             assert found == expected
@@ -1242,7 +1241,7 @@ def test_what_can_not_be_built_is_refused_and_nothing_written(command, tmp_path,
 def test_without_the_extra_the_message_names_it(drive, tmp_path, monkeypatch):
     monkeypatch.setattr(native_build.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(edge.InputError, match=r"pip install 'cycloid-fmu\[native\]'"):
-        native_build.build_native(drive.pair, tmp_path / "d.fmu", platforms=["x86_64-windows"])
+        native_build.build_native(drive, tmp_path / "d.fmu", platforms=["x86_64-windows"])
 
 
 def test_a_pair_without_rated_torque_is_refused(command, tmp_path):

@@ -10,23 +10,17 @@ import pytest
 from c_host import INTERFACES, Slave, coarse, native_of
 from common import EXAMPLES, PAIR
 
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
 from cycloid_fmu.fmu.variables import LOSSLESS, Interface
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer
-from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 ARCSEC = math.pi / 648000
 PLAYFUL = FirstStage(12, 42, 2e-3, 4e-5)
-
-
-class Whole:
-    """A reducer as the builders take it."""
-
-    def __init__(self, pair, surface, first_stage):
-        self.pair, self.surface, self.first_stage = pair, surface, first_stage
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +31,10 @@ def reducers():
     pressed = parse_pair(PAIR + 'rated_torque = "180 N*m"\n[modification]\noffset = "3 um"\n', "pressed.toml")
     found = {}
     for name, drive in (
-        ("play", Whole(whole.stage, loose, rv.parts_of(whole)[2])),
-        ("pressed", Whole(pressed, surface_of_pair(pressed), PLAYFUL)),
+        ("play", DriveValue(whole.stage, loose, rv.parts_of(whole)[2])),
+        ("pressed", DriveValue(pressed, surface_of_pair(pressed), PLAYFUL)),
     ):
-        found[name] = SimpleNamespace(drive=drive, tables=coarse(drive.pair, drive.surface, 0.3 * ARCSEC))
+        found[name] = SimpleNamespace(drive=drive, tables=coarse(drive.stage, 0.3 * ARCSEC))
     return found
 
 
@@ -51,7 +45,7 @@ def native(tmp_path):
     def one(reducer, interface):
         folder = tmp_path / str(len(made))
         folder.mkdir()
-        path = native_of(folder, reducer.drive, reducer.drive.surface, reducer.tables, interface)
+        path = native_of(folder, reducer.drive, reducer.tables, interface)
         made.append(Slave(path, folder / "unpacked"))
         return made[-1]
 
@@ -63,7 +57,7 @@ def native(tmp_path):
 def exact_of(reducer, interface=None):
     drive, interface = reducer.drive, interface or Interface("compliant")
     inertias = interface.output_inertia, interface.crank_inertia
-    return CompliantReducer(drive.pair, drive.surface, drive.first_stage, interface.losses, *inertias)
+    return CompliantReducer(drive, interface.losses, *inertias)
 
 
 class Exact:
@@ -137,7 +131,7 @@ def test_it_is_the_quasi_static_reducer_seen_from_both_flanges(reducers, paramet
     """The energy's torques and the balance's differ by what moving curvature adds; a series compliance turns the
     crank, which it does not do there, by a hundredth of a mesh pitch."""
     drive = reducers["play"].drive
-    model, driven = exact_of(reducers["play"]), ReducerModel(drive.pair, drive.surface, drive.first_stage)
+    model, driven = exact_of(reducers["play"]), ReducerModel(drive)
     for name, value in parameters.items():
         setattr(model, name, value)
         setattr(driven, name, value)
@@ -238,7 +232,7 @@ def test_at_constant_speed_the_sun_bears_the_load_over_the_ratio(reducers, nativ
 )
 def test_nonsense_and_rollback(reducers, host, tmp_path, name, kind):
     reducer = reducers[name]
-    path = native_of(tmp_path, reducer.drive, reducer.drive.surface, reducer.tables, INTERFACES[kind])
+    path = native_of(tmp_path, reducer.drive, reducer.tables, INTERFACES[kind])
     folder = tmp_path / "unpacked"
     fmpy.extract(str(path), unzipdir=str(folder))
     fmu = SimpleNamespace(

@@ -25,7 +25,7 @@ STARTS = {"series_compliance": 5e-6, "friction_torque": 2.0}
 class Exact:
     def __init__(self, drive, interface):
         self.names = {**ATTRIBUTES, **(ABSOLUTE if interface.support_flange else {})}
-        self.model = model_of(drive.pair, drive.surface, interface)
+        self.model = model_of(drive, interface)
 
     def put(self, values):
         for name, value in values.items():
@@ -68,9 +68,7 @@ def instance(request, drive, tmp_path):
         else:
             folder = tmp_path / str(len(made))
             folder.mkdir()
-            made.append(
-                Slave(native_of(folder, drive.pair, drive.surface, drive.tables, interface), folder / "unpacked")
-            )
+            made.append(Slave(native_of(folder, drive, drive.tables, interface), folder / "unpacked"))
             found = Native(made[-1])
         found.start({**STARTS, **values})
         return found
@@ -161,9 +159,7 @@ def test_torques_on_all_three_flanges_are_what_the_inertias_gain(instance):
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_the_fmu_in_python_has_the_housing_s_flange(drive, tmp_path, version):
     path = tmp_path / "drive.fmu"
-    build_fmu(
-        drive.pair, path, interface=dataclasses.replace(KINDS["compliant"], support_flange=True), fmi_version=version
-    )
+    build_fmu(drive, path, interface=dataclasses.replace(KINDS["compliant"], support_flange=True), fmi_version=version)
     variables, problems = described(path)
     assert problems == []
     assert {"support.phi", "support.w", "support.tau"} <= {v["name"] for v in variables}

@@ -1,18 +1,19 @@
 """Native FMUs of drives on bearings: their period, their tables, and the compiled FMU."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from c_host import Slave, native_of
+from c_host import Slave, Tabled, native_of
 
 import cycloid_fmu as cy
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.native import tables
-from cycloid_fmu.supports.transmission import PLAY_LOAD, solve
+from cycloid_fmu.supports.transmission import PLAY_LOAD
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ARCSEC = math.pi / 648000
@@ -48,8 +49,8 @@ def held():
     with pytest.MonkeyPatch.context() as patch:
         for name, few in (("PROBES", 600), ("_SPREAD", 120), ("_WORST", 30)):
             patch.setattr(tables, name, few)
-        made = tables.compute(pair, surface, accuracy=0.5 * ARCSEC, largest_load=60.0)
-    return SimpleNamespace(pair=pair, surface=surface, tables=made)
+        made = tables.compute(DriveValue(pair, surface), accuracy=0.5 * ARCSEC, largest_load=60.0)
+    return Tabled(pair, surface, tables=made)
 
 
 @pytest.mark.parametrize(
@@ -68,12 +69,12 @@ def test_all_repeats_after_a_period_and_not_before(kind, count, errors, pitches)
     """Cranks meet the pins in the same way when the carrier has moved by one of them: z_c over the common divisor."""
     pair = pair_on(kind, count, errors=errors, discs=2)
     surface = surface_of_pair(pair)
-    assert tables.mesh_pitches(pair, surface) == pitches
+    assert tables.mesh_pitches(DriveValue(pair, surface)) == pitches
     pitch = 2.0 * math.pi / pair.pins
     angles = np.linspace(0.0, pitch, 3)
     parts = [pitches // prime for prime in (2, 3, 5) if pitches % prime == 0]
     whole = np.concatenate([angles + shift * pitch for shift in (0, pitches, *parts)])
-    found = solve(pair, surface, [30.0, -2.0], whole, with_play=False)
+    found = solve(DriveValue(pair, surface), [30.0, -2.0], whole, with_play=False)
     for values, least in ((found.transmission_error, 1e-3 * ARCSEC), (found.crank_torque, 1e-6)):
         first, again, *others = np.split(values, len(parts) + 2, axis=1)
         assert np.abs(again - first).max() < 1e-2 * least
@@ -85,7 +86,7 @@ def test_tables_are_what_analyze_says_within_their_accuracy(held):
     generator = np.random.default_rng(3)
     angles = np.sort(generator.uniform(0.0, 40.0, 60))
     for torque in (55.0, -21.0, 1.3, -0.06):
-        want = solve(held.pair, held.surface, [torque], angles)
+        want = solve(DriveValue(held.pair, held.surface), [torque], angles)
         found = tables.interpolated(held.tables, angles, np.full(angles.size, torque)).deviation
         assert np.abs(found - want.transmission_error[0]).max() < 0.5 * ARCSEC
     ends = np.full(angles.size, 1e-9)
@@ -95,8 +96,8 @@ def test_tables_are_what_analyze_says_within_their_accuracy(held):
 
 def test_the_compiled_fmu_is_the_exact_model(held, tmp_path):
     (tmp_path / "kinematic").mkdir()
-    path = native_of(tmp_path / "kinematic", held.pair, held.surface, held.tables, Interface())
-    slave, exact = Slave(path, tmp_path / "kinematic" / "unpacked"), DriveModel(held.pair, held.surface)
+    path = native_of(tmp_path / "kinematic", held, held.tables, Interface())
+    slave, exact = Slave(path, tmp_path / "kinematic" / "unpacked"), DriveModel(DriveValue(held.pair, held.surface))
     slave.start(friction_torque=0.5)
     exact.friction_torque = 0.5
     names = ("transmission_error", "flange_a.tau", "backlash", "torsional_stiffness")
@@ -119,8 +120,8 @@ def test_the_compiled_fmu_is_the_exact_model(held, tmp_path):
 
 def test_between_two_flanges_it_gives_the_exact_torques_and_keeps_its_energy(held, tmp_path):
     (tmp_path / "compliant").mkdir()
-    path = native_of(tmp_path / "compliant", held.pair, held.surface, held.tables, Interface("compliant"))
-    slave, exact = Slave(path, tmp_path / "compliant" / "unpacked"), CompliantModel(held.pair, held.surface)
+    path = native_of(tmp_path / "compliant", held, held.tables, Interface("compliant"))
+    slave, exact = Slave(path, tmp_path / "compliant" / "unpacked"), CompliantModel(DriveValue(held.pair, held.surface))
     stiffness = held.pair.rated_torque / (50.0 * ARCSEC)
     slave.start(mesh_damping=0.0)
     ratio, pressed = held.pair.ratio, 0

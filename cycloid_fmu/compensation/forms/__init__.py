@@ -1,1 +1,1 @@
-"""Forms of a compensator: C99 source, IEC 61131-3 Structured Text, FMUs and a look-up table."""
+"""Forms of a compensator: C99 source, FMUs and a look-up table."""

@@ -12,10 +12,9 @@ from cycloid_fmu.compensation.forms.c_source import c_source
 from cycloid_fmu.compensation.forms.fmu import build_compensator_fmu
 from cycloid_fmu.compensation.forms.look_up import csv_text, look_up
 from cycloid_fmu.compensation.forms.numbers import name_of
-from cycloid_fmu.compensation.forms.structured_text import structured_text
 from cycloid_fmu.fmu.description import Version
 
-ENDINGS = (".c", ".h", ".st", ".csv", ".fmu")
+ENDINGS = (".c", ".h", ".csv", ".fmu")
 
 
 def write_compensator(
@@ -34,8 +33,8 @@ def write_compensator(
     compensator
         The compensator.
     path
-        Its ending selects the form: `.c` or `.h` both C99 files, `.st` IEC 61131-3 Structured Text, `.csv` a
-        look-up table, `.fmu` an FMU. The name of C and Structured Text files is also that of their content.
+        Its ending selects the form: `.c` or `.h` both C99 files, `.csv` a look-up table, `.fmu` an FMU. The name of
+        C files is also that of their content.
     temperature
         Temperature of the look-up table, K; None for the middle of the compensator's range.
     fmi_version, platforms, compiled
@@ -63,9 +62,7 @@ def write_compensator(
     if path.suffix == ".fmu":
         build_compensator_fmu(compensator, path, fmi_version=fmi_version, platforms=platforms, compiled=compiled)
         return (path,)
-    if path.suffix == ".st":
-        texts = {path: structured_text(compensator, name_of(path))}
-    elif path.suffix == ".csv":
+    if path.suffix == ".csv":
         texts = {path: csv_text(compensator, look_up(compensator, temperature))}
     else:
         source, header = c_source(compensator, name_of(path))

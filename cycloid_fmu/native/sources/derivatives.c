@@ -194,7 +194,7 @@ static int movable(const struct drive *drive, struct state *along, const struct 
         }
     }
     return known->causality == CAUSALITY_INPUT
-        || (known->causality == CAUSALITY_PARAMETER && !known->baked && known->field != AGE && known->field != WEAR_FACTOR);
+        || (known->causality == CAUSALITY_PARAMETER && !known->baked);
 }
 
 void derivative_begin(struct direction *direction) {

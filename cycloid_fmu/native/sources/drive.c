@@ -163,9 +163,6 @@ double *drive_stored(struct state *s, const struct variable *variable) {
     case TRANSMISSION_ERROR: return &s->deviation;
     case DISSIPATED_ENERGY: return &s->dissipated_energy;
     case TIME: return &s->time;
-    case DRAW: return &s->draw;
-    case AGE: return &s->age;
-    case WEAR_FACTOR: return &s->wear_factor;
     default: break;
     }
     if (variable->field >= INPUT_FRICTION_STRAIN_1 && variable->field < INPUT_FRICTION_STRAIN_RATE_1) {
@@ -223,7 +220,6 @@ void drive_open(struct drive *drive, struct table *table) {
     uint32_t i;
     memset(drive, 0, sizeof *drive);
     drive->table = table;
-    drive->checksum = table->checksum;
     drive->ratio = table->ratio;
     drive->rated = UNRATED_LOAD;
     if (table->sun_teeth > 0.0) {
@@ -445,7 +441,7 @@ void drive_state_write(const struct drive *drive, unsigned char *blob) {
     }
     put(body + 8 * NUMBERS, (uint64_t)drive->initializing | (uint64_t)drive->exchange << 1);
     memcpy(blob, BLOB_MAGIC, sizeof BLOB_MAGIC);
-    put(blob + 16, (uint64_t)STATE_VERSION | (uint64_t)drive->checksum << 32);
+    put(blob + 16, (uint64_t)STATE_VERSION | (uint64_t)drive->table->checksum << 32);
     put(blob + 24, 0);
 }
 
@@ -463,7 +459,7 @@ int drive_state_check(const struct drive *drive, const unsigned char *blob, size
     } else if (size != drive_state_size()
                || (sealed && get(blob + 24) != table_checksum(blob + BLOB_HEAD, size - BLOB_HEAD))) {
         wrong = "this state is damaged: its size or checksum does not fit";
-    } else if (get(blob + 16) >> 32 != drive->checksum) {
+    } else if (get(blob + 16) >> 32 != drive->table->checksum) {
         wrong = "this state belongs to another drive: it was taken from an FMU with other tables";
     } else if ((get(blob + BLOB_HEAD + 8 * NUMBERS) >> 1 != 0) != drive->exchange) {
         wrong = "this state is of the other interface: Co-Simulation and Model Exchange have their own";

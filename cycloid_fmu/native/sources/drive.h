@@ -32,8 +32,6 @@ struct state {
     /* Model Exchange: output angle, crank angle and strains at the end of the kinematic interface's last step. */
     double held, held_crank, held_strain[2][FRICTION_ELEMENTS];
     double event_mode; /* whether the instance is in it */
-    double draw;       /* number of the draw from a fit's distribution; 0: the most likely drive */
-    double age, wear_factor; /* ageing drive: running time (s), and wear coefficient over the forecast's median */
     struct friction friction[2];
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
@@ -66,8 +64,7 @@ struct rubbing {
 };
 
 struct drive {
-    const struct table *table; /* of the draw, or of the age */
-    uint32_t checksum;         /* identity of the most likely drive's table, stored with the states */
+    const struct table *table;
     double ratio;     /* of the flanges */
     double a, b, s;   /* of an RV reducer (reducer_model.py); b = 0 without its first stage */
     struct state state;

@@ -9,7 +9,6 @@
 #include "uri.h"
 
 static const char TABLE[] = TABLE_FILE;
-enum { NUMBER_SIZE = 12, MOST_DRAWS = 1000000 };
 
 static int table_path(const char *resources, char *path, size_t size) {
     size_t used;
@@ -37,63 +36,6 @@ int instance_refuse(struct instance *instance, int status, const char *format, .
     return status;
 }
 
-/* The table of a draw, or of a state of the life, or NULL with a message. */
-static struct table *numbered_table(struct instance *instance, unsigned number) {
-    size_t used = strlen(instance->path);
-    char token[MESSAGE_SIZE];
-    struct table *table;
-    snprintf(instance->path + used, NUMBER_SIZE, "%u", number);
-    table = table_open(instance->path, instance->message);
-    snprintf(token, sizeof token, "%.400s %u", instance->table->token, number);
-    if (table != NULL && strcmp(table->token, token) != 0) {
-        snprintf(instance->message, MESSAGE_SIZE, "%.300s: this table belongs to another FMU or draw, or state of a life.",
-                 instance->path);
-        table_close(table);
-        table = NULL;
-    }
-    instance->path[used] = '\0';
-    return table;
-}
-
-/* The node before a value, and its relative position to the next node. */
-static uint32_t node_before(const double *node, uint32_t nodes, double at, double *share) {
-    uint32_t i = 0;
-    while (i + 2 < nodes && node[i + 1] <= at) {
-        i++;
-    }
-    *share = nodes > 1 ? fmin(fmax((at - node[i]) / (node[i + 1] - node[i]), 0.0), 1.0) : 0.0;
-    return i;
-}
-
-/* The table of an ageing drive, interpolated between the states of its life; returns 1 with a message on failure. */
-static int table_of_age(struct instance *instance, struct table **found) {
-    const struct table *first = instance->table, *of[4];
-    const struct state *s = &instance->drive.state;
-    struct table *opened[4] = {NULL, NULL, NULL, NULL};
-    double share[2], weight[4];
-    uint32_t turns = node_before(first->node[0], first->nodes[0], s->age * first->pace[0] * s->wear_factor, &share[0]);
-    uint32_t grown = node_before(first->node[1], first->nodes[1], s->age * first->pace[1], &share[1]);
-    int i, count = 0, failed = 0;
-    for (i = 0; i < 4 && !failed; i++) {
-        uint32_t number = (turns + (uint32_t)(i & 1)) * first->nodes[1] + grown + (uint32_t)(i >> 1);
-        weight[count] = (i & 1 ? share[0] : 1.0 - share[0]) * (i >> 1 ? share[1] : 1.0 - share[1]);
-        if (weight[count] > 0.0) {
-            opened[count] = number > 0 ? numbered_table(instance, number) : NULL;
-            failed = number > 0 && opened[count] == NULL;
-            of[count] = number > 0 ? opened[count] : first;
-            count++;
-        }
-    }
-    if (!failed && (count > 1 || of[0] != first)) {
-        *found = table_between(first, of, weight, count, instance->message);
-        failed = *found == NULL;
-    }
-    for (i = 0; i < 4; i++) {
-        table_close(opened[i]);
-    }
-    return failed;
-}
-
 static const struct variable *of_field(const struct instance *instance, int field) {
     uint32_t i;
     for (i = 0; i < instance->table->variables; i++) {
@@ -102,49 +44,6 @@ static const struct variable *of_field(const struct instance *instance, int fiel
         }
     }
     return NULL;
-}
-
-/* Whether a value is within the limits of its variable, if the drive has this variable. */
-static int within(struct instance *instance, int field, double value) {
-    const struct variable *v = of_field(instance, field);
-    if (v != NULL && !(value >= v->least && value <= v->most)) {
-        instance_refuse(instance, STATUS_ERROR, "%.100s = %g: it must be finite and lie between %g and %g.", v->name, value,
-                        v->least, v->most);
-        return 0;
-    }
-    return 1;
-}
-
-/* Use the tables of the state's draw or age; if this fails, the present ones are kept. */
-static int take_tables(struct instance *instance) {
-    const struct state *s = &instance->drive.state;
-    struct table *table = NULL;
-    int failed;
-    if (!(s->draw >= 0.0 && s->draw <= (double)MOST_DRAWS)) {
-        return instance_refuse(instance, STATUS_ERROR, "there is no draw %g.", s->draw);
-    }
-    if (!within(instance, AGE, s->age) || !within(instance, WEAR_FACTOR, s->wear_factor)) {
-        return STATUS_ERROR;
-    }
-    if (s->draw > 0.0) {
-        table = numbered_table(instance, (unsigned)s->draw);
-        failed = table == NULL;
-    } else {
-        failed = instance->table->nodes[0] > 0 && table_of_age(instance, &table);
-    }
-    if (failed) {
-        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
-    }
-    table_close(instance->taken);
-    instance->taken = table;
-    instance->drive.table = table != NULL ? table : instance->table;
-    instance->drive.placed = instance->drive.solved = 0;
-    return STATUS_OK;
-}
-
-/* Whether two states have the same tables. */
-static int same_tables(const struct state *a, const struct state *b) {
-    return a->draw == b->draw && a->age == b->age && a->wear_factor == b->wear_factor;
 }
 
 int instance_open(struct instance *instance, const char *name, const char *token, const char *resources, int exchange) {
@@ -162,12 +61,6 @@ int instance_open(struct instance *instance, const char *name, const char *token
                         resources == NULL ? "" : resources);
         return 1;
     }
-    size = strlen(path) + 1;
-    instance->path = malloc(size + NUMBER_SIZE);
-    if (instance->path == NULL) {
-        return 1;
-    }
-    memcpy(instance->path, path, size);
     instance->table = table_open(path, instance->message);
     if (instance->table == NULL) {
         instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
@@ -181,14 +74,12 @@ int instance_open(struct instance *instance, const char *name, const char *token
                         "\"%.100s\".", token == NULL ? "" : token, instance->table->token);
         return 1;
     }
-    return take_tables(instance) != STATUS_OK;
+    return 0;
 }
 
 void instance_close(struct instance *instance) {
     if (instance != NULL) {
-        table_close(instance->taken);
         table_close(instance->table);
-        free(instance->path);
         free(instance->name);
         free(instance);
     }
@@ -452,7 +343,7 @@ int instance_reset(struct instance *instance) {
     drive_reset(&instance->drive);
     instance->warned = 0;
     instance->phase = INSTANTIATED;
-    return take_tables(instance);
+    return STATUS_OK;
 }
 
 const struct variable *instance_variable(struct instance *instance, uint32_t reference, int kind) {
@@ -474,20 +365,11 @@ int instance_get(struct instance *instance, const struct variable *variable, dou
 }
 
 int instance_set(struct instance *instance, const struct variable *variable, double value) {
-    double before = 0.0, *chosen = NULL;
     if (instance->phase == TERMINATED) {
         return in_phase(instance, STEPPING, "to set a variable");
     }
-    if (variable->field == DRAW || variable->field == AGE || variable->field == WEAR_FACTOR) {
-        chosen = drive_stored(&instance->drive.state, variable);
-        before = *chosen;
-    }
     if (drive_set(&instance->drive, variable, value, instance->message)) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
-    }
-    if (chosen != NULL && *chosen != before && take_tables(instance) != STATUS_OK) {
-        *chosen = before;
-        return STATUS_ERROR;
     }
     return STATUS_OK;
 }
@@ -504,15 +386,10 @@ int instance_state(struct instance *instance, void **state) {
 }
 
 int instance_restore(struct instance *instance, const void *state) {
-    const struct drive kept = instance->drive;
     if (drive_state_check(&instance->drive, state, drive_state_size(), 0, instance->message)) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
     }
     drive_state_read(&instance->drive, state);
-    if (!same_tables(&instance->drive.state, &kept.state) && take_tables(instance) != STATUS_OK) {
-        instance->drive = kept;
-        return STATUS_ERROR;
-    }
     if (instance->phase == TERMINATED || instance->phase == INSTANTIATED || !instance->drive.initializing) {
         instance->phase = instance->drive.initializing              ? INITIALIZING
             : instance->drive.state.event_mode != 0.0 ? EVENT : running(instance);

@@ -7,8 +7,7 @@
 
 struct instance {
     char *name;
-    char *path;                  /* of the table, with room for a number behind it */
-    struct table *table, *taken; /* tables of the most likely or new drive, and of the draw or age, or NULL */
+    struct table *table;
     struct drive drive;
     enum phase phase;
     /* Logs a message; `status` is FMI's number, the same in both versions. */

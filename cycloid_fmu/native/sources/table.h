@@ -32,7 +32,6 @@ struct side {
 struct table {
     struct table *next;
     size_t users;
-    int between; /* whether it is interpolated from others (table_between) */
     unsigned char *file, head[TABLE_HEAD]; /* the file, whose steps are used in place; and its head */
     uint32_t checksum;
     char *token;
@@ -41,10 +40,6 @@ struct table {
     struct variable *variable;
     double ratio, period, allowed;
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
-    /* Ageing drive: crank turns worn and growth of a bearing's clearance (m) at the states of its files, the clearance
-       varying fastest; and the growth rates of both, 1/s and m/s. */
-    uint32_t nodes[2];
-    double node[2][MOST_AGES], pace[2];
     struct side side[2]; /* positive and negative torque */
     double *rest_torque, *rest_energy; /* at zero load, by crank angle; NULL without interference */
 };
@@ -64,10 +59,6 @@ struct loaded {
 /* Return the table of a file, shared with other instances if the head is the same, or NULL with a message. */
 struct table *table_open(const char *path, char message[MESSAGE_SIZE]);
 void table_close(struct table *table);
-/* Return the weighted mean of tables on the same nodes, or NULL with a message. Its variables are those of the first table,
-   which must exist as long. */
-struct table *table_between(const struct table *first, const struct table *const *of, const double *weight, int count,
-                            char message[MESSAGE_SIZE]);
 uint32_t table_checksum(const unsigned char *data, size_t size); /* CRC-32 */
 
 struct place table_place(const struct table *table, double crank_angle);

@@ -218,24 +218,6 @@ static void read_variable(struct reader *reader, struct variable *v) {
     }
 }
 
-static void read_ages(struct reader *reader, struct table *table) {
-    uint32_t i, k;
-    table->nodes[0] = (uint32_t)whole(reader, 4);
-    table->nodes[1] = (uint32_t)whole(reader, 4);
-    table->pace[0] = number(reader);
-    table->pace[1] = number(reader);
-    reader->failed |= table->nodes[0] > MOST_AGES || table->nodes[1] > MOST_AGES
-        || (table->nodes[0] == 0) != (table->nodes[1] == 0) || table->nodes[0] * table->nodes[1] > MOST_AGES
-        || !(table->pace[0] >= 0.0 && table->pace[0] < 1e20 && table->pace[1] >= 0.0 && table->pace[1] < 1e20);
-    for (k = 0; k < 2; k++) {
-        for (i = 0; i < table->nodes[k] && !reader->failed; i++) {
-            double *node = table->node[k];
-            node[i] = number(reader);
-            reader->failed |= !(i == 0 ? node[i] == 0.0 : node[i] > node[i - 1] && node[i] < 1e30);
-        }
-    }
-}
-
 static void read_body(struct reader *reader, struct table *table) {
     uint32_t i, rest;
     double *numbers[7];
@@ -275,7 +257,6 @@ static void read_body(struct reader *reader, struct table *table) {
           && (rest == 0 || rest == table->angles))) {
         reader->failed = 1;
     }
-    read_ages(reader, table);
     align(reader, table);
     for (i = 0; i < 2 && !reader->failed; i++) {
         read_side(reader, table, &table->side[i]);
@@ -361,11 +342,11 @@ static const char *read_rest_of_file(struct table *table, FILE *file) {
 
 static void table_free(struct table *table) {
     uint32_t i;
-    for (i = 0; table->variable != NULL && i < table->variables && !table->between; i++) {
+    for (i = 0; table->variable != NULL && i < table->variables; i++) {
         free(table->variable[i].name);
     }
     free(table->file);
-    free(table->between ? NULL : table->variable);
+    free(table->variable);
     free(table->token);
     free(table->rest_torque);
     free(table->rest_energy);
@@ -451,168 +432,4 @@ void table_close(struct table *table) {
         table_free(table);
     }
     unlock_tables();
-}
-
-/* ---- between the tables of a life ---- */
-
-static int same(const double *a, const double *b, size_t count) {
-    return memcmp(a, b, count * sizeof *a) == 0;
-}
-
-static int on_common_nodes(const struct table *a, const struct table *b) {
-    int alike = a->angles == b->angles && a->told_angles == b->told_angles && same(&a->period, &b->period, 1), k;
-    for (k = 0; k < 2; k++) {
-        const struct side *s = &a->side[k], *t = &b->side[k];
-        alike = alike && s->loads == t->loads && s->told_loads == t->told_loads && same(s->load, t->load, s->loads)
-            && same(s->told_load, t->told_load, s->told_loads) && same(s->step, t->step, s->loads)
-            && same(s->compliance_step, t->compliance_step, s->loads)
-            && same(s->pressure_step, t->pressure_step, s->told_loads);
-    }
-    return alike;
-}
-
-/* The nearest whole number, the same of either sign. */
-static double rounded(double value) {
-    return value < 0.0 ? -floor(0.5 - value) : floor(value + 0.5);
-}
-
-/* Coefficients of a side at a node, in its steps: rounded as a whole they remain monotone in the load. */
-static double mean_deviation(const struct table *const *of, const double *weight, int count, int k, uint32_t j, size_t at) {
-    double sum = 0.0;
-    int i;
-    for (i = 0; i < count; i++) {
-        const struct side *side = &of[i]->side[k];
-        sum += weight[i] * (rounded(side->base[j] / side->step[j]) + (double)side->deviation[at]);
-    }
-    return rounded(sum);
-}
-
-/* Deviation and compliance at a crank angle; the compliance is limited so that the curve is monotone. */
-static int mix_angle(struct side *side, int16_t *deviation, uint16_t *compliance, const struct table *const *of,
-                     const double *weight, int count, int k, size_t row) {
-    double whole[MOST_LOADS], slope[MOST_LOADS];
-    uint32_t j;
-    int i, fits = 1;
-    for (j = 0; j < side->loads; j++) {
-        double steps;
-        whole[j] = mean_deviation(of, weight, count, k, j, row + j);
-        steps = whole[j] - rounded(side->base[j] / side->step[j]);
-        fits &= fabs(steps) < 32768.0;
-        deviation[row + j] = (int16_t)(fits ? steps : 0.0);
-    }
-    for (j = 0; j + 1 < side->loads; j++) {
-        slope[j] = side->step[j] * (whole[j + 1] - whole[j]) / (side->load[j + 1] - side->load[j]);
-    }
-    for (j = 0; j < side->loads; j++) {
-        double before = slope[j > 0 ? j - 1 : 0], after = slope[j + 1 < side->loads ? j : j - 1], sum = 0.0;
-        for (i = 0; i < count; i++) {
-            sum += weight[i] * (double)of[i]->side[k].compliance[row + j];
-        }
-        compliance[row + j] = (uint16_t)floor(fmax(fmin(sum, 3.0 * fmin(before, after) / side->compliance_step[j]), 0.0));
-    }
-    return fits;
-}
-
-/* One side, with its numbers in `room`. Returns the remaining room, or NULL. */
-static unsigned char *mix_side(struct table *made, const struct table *const *of, const double *weight, int count, int k,
-                               unsigned char *room) {
-    struct side *side = &made->side[k];
-    size_t size = (size_t)made->angles * side->loads, told = (size_t)made->told_angles * side->told_loads, n;
-    int16_t *deviation = (int16_t *)(void *)room;
-    uint16_t *compliance = (uint16_t *)(void *)(room + 2 * size), *pressure = (uint16_t *)(void *)(room + 4 * size);
-    uint8_t *contacts = room + 4 * size + 2 * told;
-    uint32_t j;
-    int i;
-    for (j = 0; j < side->loads; j++) {
-        double base = 0.0;
-        for (i = 0; i < count; i++) {
-            base += weight[i] * of[i]->side[k].base[j];
-        }
-        side->base[j] = side->step[j] * rounded(base / side->step[j]);
-    }
-    for (n = 0; n < made->angles; n++) {
-        if (!mix_angle(side, deviation, compliance, of, weight, count, k, n * side->loads)) {
-            return NULL;
-        }
-    }
-    for (n = 0; n < told; n++) {
-        double square = 0.0, number = 0.0;
-        for (i = 0; i < count; i++) {
-            square += weight[i] * (double)of[i]->side[k].pressure[n];
-            number += weight[i] * (double)of[i]->side[k].contact_count[n];
-        }
-        pressure[n] = (uint16_t)rounded(square);
-        contacts[n] = (uint8_t)rounded(number);
-    }
-    side->deviation = deviation;
-    side->compliance = compliance;
-    side->pressure = pressure;
-    side->contact_count = contacts;
-    return contacts + told + (told & 1);
-}
-
-static size_t room_of(const struct table *table) {
-    size_t size = 0;
-    int k;
-    for (k = 0; k < 2; k++) {
-        const struct side *side = &table->side[k];
-        size += 4 * (size_t)table->angles * side->loads + 3 * (size_t)table->told_angles * side->told_loads + 1;
-    }
-    return size;
-}
-
-static int mix_rest(struct table *made, const struct table *const *of, const double *weight, int count) {
-    uint32_t n;
-    int i;
-    made->rest_torque = calloc(made->angles, sizeof *made->rest_torque);
-    made->rest_energy = calloc(made->angles, sizeof *made->rest_energy);
-    if (made->rest_torque == NULL || made->rest_energy == NULL) {
-        return 1;
-    }
-    for (i = 0; i < count; i++) {
-        for (n = 0; of[i]->rest_torque != NULL && n < made->angles; n++) {
-            made->rest_torque[n] += weight[i] * of[i]->rest_torque[n];
-        }
-    }
-    integrate_rest(made);
-    return 0;
-}
-
-struct table *table_between(const struct table *first, const struct table *const *of, const double *weight, int count,
-                            char message[MESSAGE_SIZE]) {
-    struct table *made = NULL;
-    unsigned char *room;
-    int i, failed = 0, presses = 0;
-    for (i = 0; i < count; i++) {
-        failed |= !on_common_nodes(of[0], of[i]);
-        presses |= of[i]->rest_torque != NULL;
-    }
-    if (!failed) {
-        made = malloc(sizeof *made);
-    }
-    if (made == NULL) {
-        snprintf(message, MESSAGE_SIZE, "%s.", failed ? "the tables of this life have different nodes"
-                                                      : "there is not enough memory for the tables of this age");
-        return NULL;
-    }
-    *made = *of[0];
-    made->next = NULL;
-    made->users = 1;
-    made->between = 1;
-    made->token = NULL;
-    made->rest_torque = made->rest_energy = NULL;
-    made->variable = first->variable;
-    made->variables = first->variables;
-    made->file = room = malloc(room_of(made));
-    failed = room == NULL || (presses && mix_rest(made, of, weight, count));
-    for (i = 0; i < 2 && !failed; i++) {
-        room = mix_side(made, of, weight, count, i, room);
-        failed = room == NULL;
-    }
-    if (failed) {
-        snprintf(message, MESSAGE_SIZE, "the tables of this age exceed their range, or there is not enough memory for them.");
-        table_free(made);
-        return NULL;
-    }
-    return made;
 }

@@ -1,4 +1,4 @@
-"""The stages around the cycloid stage of an RV reducer: the involute first stage and the crank bearings."""
+"""The involute first stage of an RV reducer, which turns the cranks of its cycloid stage."""
 
 from __future__ import annotations
 

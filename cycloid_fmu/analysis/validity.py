@@ -1,0 +1,94 @@
+"""Where results lie outside what the model is made for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import Transmission
+from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.temperature import missing_for_clearances
+
+Array = NDArray[np.float64]
+LARGEST_PRESSURE = 4e9
+"""Pa: contact stress at which rolling bodies of bearing steel are permanently deformed (ISO 76, static rating)."""
+_LARGEST_TILT_ERROR = 0.02 / edge.ARCSEC  # rad
+_LARGEST_HALF_WIDTH = 0.25  # of the pin's radius: Hertz's half space ends there
+
+
+def tilt_error(pair: Pair, tilt: ArrayLike) -> Array:
+    """Return the largest error of the transmission error by what slices neglect of a tilted gear, β²/2K, rad.
+
+    Parameters
+    ----------
+    pair
+        For its shortening coefficient K.
+    tilt
+        β, the angle of the gear's axis from the pins' axes, rad.
+
+    Notes
+    -----
+    Slices are displaced; that sections of a tilted gear are wider along the tilt is neglected (docs/theory/errors.md).
+    """
+    return np.asarray(0.5 * np.square(tilt) / pair.shortening)
+
+
+def notes(drive: DriveValue, found: Transmission) -> list[str]:
+    """Return where results lie outside what the model is made for, one sentence each, none where all is well.
+
+    Parameters
+    ----------
+    drive
+        Its pair's `pressure_limit`, or `LARGEST_PRESSURE`, and its rated torque are what results are held against.
+    found
+        Of `solve`.
+    """
+    pair, made = drive.pair, drive.displacements
+    said = []
+    limit = LARGEST_PRESSURE if pair.pressure_limit is None else pair.pressure_limit
+    largest = found.max_contact_pressure.max(initial=0.0)
+    if largest > limit:
+        said.append(
+            f"The contact pressure reaches {largest * 1e-6:.0f} MPa, above {limit * 1e-6:.0f} MPa"
+            + (" (ISO 76)" if pair.pressure_limit is None else "")
+            + ": real flanks and pins deform for good there, and the model does not."
+        )
+    pressed = found.pin_pressure > 0.0
+    half = 2.0 * found.pin_force[pressed] / (math.pi * pair.face_width * found.pin_pressure[pressed])
+    if half.max(initial=0.0) > _LARGEST_HALF_WIDTH * pair.pin_radius:
+        said.append(
+            f"The contact's half width reaches {half.max() * 1e3:.3g} mm with a pin radius of "
+            f"{pair.pin_radius * 1e3:.3g} mm: Hertz's law holds only for contacts that are narrow beside the pin."
+        )
+    if pair.rated_torque is not None and np.abs(found.torque).max(initial=0.0) > pair.rated_torque:
+        torque = found.torque[np.abs(found.torque).argmax()]
+        said.append(f"The torque {torque:g} N*m is above the rated torque, {pair.rated_torque:g} N*m.")
+    said += interference_notes(found)
+    tilt = math.hypot(made["tilt_x"], made["tilt_y"])
+    if (error := float(tilt_error(pair, tilt))) > _LARGEST_TILT_ERROR:
+        said.append(
+            f"The gear's axis is tilted by {tilt * 1e3:.3g} mrad, modelled to first order: the transmission error "
+            f"is uncertain by {error * edge.ARCSEC:.2g}″ (0.02″ at "
+            f"{math.sqrt(2.0 * pair.shortening * _LARGEST_TILT_ERROR) * 1e3:.2g} mrad)."
+        )
+    if missing := missing_for_clearances(pair):
+        said.append(f"Clearances stay as drawn at these temperatures; not stated are: {', '.join(missing)}.")
+    return said
+
+
+def interference_notes(found: Transmission) -> list[str]:
+    """Return one sentence if flanks and pins interfere without a torque, none otherwise."""
+    if not found.interference.max(initial=0.0) > 0.0:
+        return []
+    pressed = ""
+    if found.preload is not None and found.preload_count is not None:
+        most = int(found.preload.argmax())
+        pressed = f", and {found.preload_count[most]} pins are pressed by up to {found.preload[most]:.3g} N"
+    return [
+        f"Without load flanks and pins interfere by up to {found.interference.max() * 1e6:.3g} um{pressed}: there is "
+        "no play between them. To remove material, take an isometric above zero or an offset below zero."
+    ]

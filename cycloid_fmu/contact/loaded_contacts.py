@@ -1,0 +1,142 @@
+"""Every contact that carries load in a sweep over the crank angle, with what wear needs of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import contact
+from cycloid_fmu.contact.transmission import carried, check_balance
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LoadedContacts:
+    """Every contact that carries load in a sweep at one torque; arrays without a stated shape are (contacts,), SI.
+
+    Attributes
+    ----------
+    crank_angle, deviation
+        Shape (angles,): rad, and the output's deviation, the loaded transmission error, rad.
+    angle, disc, slice_, pin, tooth
+        Indices: crank angle, disc, slice, pin, and the tooth touched.
+    phase
+        φ, the pin's angle from the crank, in -π to π, rad.
+    place
+        Profile parameter of the contact on its tooth, 0 to 2π/z_c, rad.
+    pin_direction
+        Direction of the contact about the pin's axis from that to the pin circle's centre, > 0 counter-clockwise, rad.
+    force, moment_arm, approach
+        N; -∂gap/∂(rotation of the output), m; Hertz's δ, m.
+    half_width, pressure, radius
+        Hertz's a and largest pressure 2F/(πab), Pa; equivalent radius ρ*, m.
+    pin_axis, normal
+        The pin's axis from the gear's centre (m) and the flank's normal, complex in the housing's frame.
+    gear_curvature
+        1/ρ_c, > 0 convex, 1/m.
+    """
+
+    crank_angle: Array
+    deviation: Array
+    angle: NDArray[np.int64]
+    disc: NDArray[np.int64]
+    slice_: NDArray[np.int64]
+    pin: NDArray[np.int64]
+    tooth: NDArray[np.int64]
+    phase: Array
+    place: Array
+    pin_direction: Array
+    force: Array
+    moment_arm: Array
+    approach: Array
+    half_width: Array
+    pressure: Array
+    radius: Array
+    pin_axis: NDArray[np.complex128]
+    normal: NDArray[np.complex128]
+    gear_curvature: Array
+
+
+def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -> LoadedContacts:
+    """Solve the equilibrium at every crank angle and return the contacts that carry load.
+
+    Parameters
+    ----------
+    drive
+        The contact problem (`transmission.drive_of`).
+    crank_angle
+        rad, shape (angles,); neighbours should be neighbours in the array.
+    torque
+        Of the environment on the output, not 0, N·m.
+
+    Raises
+    ------
+    ValueError
+        If the torque is 0, where there is play instead of an equilibrium; an `edge.InputError` if it is too large.
+
+    Notes
+    -----
+    loaded-contact-wear equations 14 to 17; the clearance is taken up where the contact is, not on a linear path.
+    """
+    if torque == 0.0:
+        raise ValueError("torque = 0: without load no contact carries any; it must not be zero")
+    deviation = np.empty(crank_angle.size)
+    table = np.empty((crank_angle.size, contact.contact_rows(drive).size), contact.ROW)
+    contact.sweep_contacts(drive, crank_angle, torque, deviation, table)
+    check_balance(torque, carried(table))
+    angle, row = np.nonzero(table["force"] > 0.0)
+    held = table[angle, row]
+    pins, teeth = drive.teeth + 1, drive.teeth
+    disc, slice_, pin = contact.disc_slice_pin(drive, row)
+    theta, x = crank_angle[angle], deviation[angle]
+    crank = theta + drive.crank_phase[disc]
+    ring = theta / pins + x if drive.ring else np.zeros(theta.size)
+    gear = -drive.crank_phase[disc] / teeth if drive.ring else x - crank / teeth
+    pitch = 2.0 * np.pi / teeth
+    alpha = held["place"]
+    tooth = np.floor(alpha / pitch).astype(np.int64)
+    place, tooth = alpha - tooth * pitch, tooth % teeth
+    # Flank and normal in the gear's frame: a curve parallel to the generating path (docs/theory/contact.md).
+    wave = drive.generating_eccentricity * np.exp(1j * teeth * alpha)
+    normal = np.exp(1j * alpha) * (1.0 - wave * pins / drive.circle_radius)
+    normal /= np.abs(normal)
+    flank = (drive.circle_radius - wave) * np.exp(1j * alpha) - drive.generating_radius * normal
+    turned = np.exp(1j * (gear + drive.tooth_turn[disc, tooth]))
+    axis = (drive.pin_x + 1j * drive.pin_y)[pin] * np.exp(1j * ring)
+    centre = drive.eccentricity * np.exp(1j * crank) + (drive.centre_x + 1j * drive.centre_y)[slice_]
+    inwards = -np.exp(1j * (2.0 * np.pi * pin / pins + ring))
+    force, both = held["force"], drive.compliance_gear + drive.compliance_pin
+    radius = 1.0 / np.maximum(np.abs(1.0 / drive.pin_radius[pin] + held["curvature"]), 1e-9)
+    half = np.sqrt(4.0 * force * radius * both / (np.pi * drive.slice_width))
+    phase = 2.0 * np.pi * pin / pins + ring - crank
+    return LoadedContacts(
+        crank_angle,
+        deviation,
+        angle,
+        disc,
+        slice_,
+        pin,
+        tooth,
+        (phase + np.pi) % (2.0 * np.pi) - np.pi,
+        place,
+        np.angle((flank * turned - axis + centre) / inwards),
+        force,
+        held["arm"],
+        -held["gap"],
+        half,
+        2.0 * force / (np.pi * half * drive.slice_width),
+        radius,
+        axis - centre,
+        normal * turned,
+        held["curvature"],
+    )
+
+
+def contact_ratio(contacts: LoadedContacts) -> float:
+    """Mean number of pins of disc 0 in contact, 1: the length of a pin's mesh under load over the pin pitch."""
+    mine = contacts.disc == 0
+    pairs = np.unique(np.stack([contacts.angle[mine], contacts.pin[mine]]), axis=1)
+    return float(pairs.shape[1]) / contacts.crank_angle.size
