@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.friction_file import Friction
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.first_stage import FirstStage
+    from cycloid_fmu.losses.figures import LossFigures
     from cycloid_fmu.motion import Motion
     from cycloid_fmu.reducer.description import Reducer
     from cycloid_fmu.studies.design import Design
@@ -215,6 +216,64 @@ class Drive(DriveValue):
             crank_angle,
             slices,
             with_elements=slices is not None,
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
+
+    def losses(
+        self,
+        torque: ArrayLike | str | Sequence[float | str] | None = None,
+        crank_speed: float | str = 0.0,
+        *,
+        angles: int = ANGLES,
+        turns: int = 1,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda angles: None,
+    ) -> LossFigures:
+        """Efficiency, losses by part, starting, running and back-driving torque, with friction as in `[losses]`.
+
+        Parameters
+        ----------
+        torque
+            Torque of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or
+            several; by default the rated torque. Each is solved in both directions of the crank.
+        crank_speed
+            Speed of the crank, rad/s or text with a unit; at 0 friction is that at rest.
+        angles, turns
+            Number of crank angles, and of the crank turns that they span.
+        workers, progress
+            As for `analyze`.
+
+        Raises
+        ------
+        edge.InputError
+            If no friction is stated, there is no torque, or a bearing lacks the lubricant's viscosity.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+        ...     rated_torque="181 N*m",
+        ...     supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm", "main": {"stiffness": "900 N/um"}},
+        ...     losses={"flank": {"friction_coefficient": 0.06}},
+        ... )
+        >>> found = cy.Drive(pair).losses(crank_speed="600 rpm", angles=40)
+        >>> [(case.mode, round(case.efficiency, 3)) for case in found.cases]
+        [('driving', 0.93), ('back-driving', 0.939)]
+        """
+        from cycloid_fmu.losses.figures import figures
+
+        speed = _quantity("crank_speed", crank_speed, "rad/s")
+        if not speed >= 0.0:
+            raise edge.ArgumentError(
+                "crank_speed", "it must not be below zero; both directions are solved", crank_speed
+            )
+        return figures(
+            self,
+            _torques(torque, self.pair),
+            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
+            speed,
             workers=workers or os.cpu_count() or 1,
             progress=progress,
         )
@@ -542,6 +601,7 @@ class Drive(DriveValue):
         *,
         angles: int = ANGLES,
         turns: int = 1,
+        crank_speed: float | str = 0.0,
         workers: int | None = None,
         progress: Callable[[int], None] = lambda drives: None,
     ) -> xr.Dataset:
@@ -561,6 +621,8 @@ class Drive(DriveValue):
             resumes.
         angles, turns
             Number of crank angles of each drive, and of the crank turns that they span.
+        crank_speed
+            Speed of the crank, rad/s or text with a unit, for the efficiency of a drive with [losses].
         workers, progress
             Number of processes, by default one per core; function called with the number of drives just finished.
 
@@ -591,7 +653,8 @@ class Drive(DriveValue):
         from cycloid_fmu.studies.sweep import Sweep, vary_of
         from cycloid_fmu.studies.sweep_files import conduct
 
-        sweep = Sweep(self, vary_of(vary), tuple(_torques(torque, self.pair)), angles, turns)
+        speed = _quantity("crank_speed", crank_speed, "rad/s")
+        sweep = Sweep(self, vary_of(vary), tuple(_torques(torque, self.pair)), angles, turns, speed)
         return conduct(sweep, output, workers=workers or os.cpu_count() or 1, progress=progress)
 
     def wear(
@@ -696,7 +759,6 @@ class Drive(DriveValue):
         *,
         limits: Mapping[str, Any] | None = None,
         duty: Sequence[Mapping[str, Any]] = (),
-        friction_coefficient: float | None = None,
         tolerances: Tolerances | str | os.PathLike[str] | None = None,
         required_yield: float = 0.99,
         starts: int = 4,
@@ -713,7 +775,7 @@ class Drive(DriveValue):
         vary
             {name: (lowest, highest)} of `cycloid_fmu.studies.design.VARIABLES`, SI or text with a unit; all other
             values are fixed.
-        limits, duty, friction_coefficient
+        limits, duty
             Requirements as in a requirements file; the torques are those of the duty, or the rated torque.
         tolerances, required_yield
             With tolerances, this share of the drives within them must meet the limits; otherwise the drive as drawn
@@ -759,7 +821,6 @@ class Drive(DriveValue):
             vary=dict(vary),
             limits=dict(limits or {}),
             duty=tuple(duty),
-            friction_coefficient=friction_coefficient,
             robust=None if tolerances is None else {"yield": required_yield},
         )
         allowed = None if tolerances is None else _tolerances(tolerances)

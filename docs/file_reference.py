@@ -61,6 +61,7 @@ QUANTITIES = {
     "N*m*s/rad": "rotational damping",
     "1/Pa": "pressure viscosity",
     "m^2/N": "wear coefficient",
+    "m^2/s": "kinematic viscosity",
     "m/s": "velocity",
     "W/m^2": "power over area",
 }

@@ -421,7 +421,7 @@ def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):
         "`material`",
         "`errors`",
         "`supports`",
-        "`temperature`",
+        "`losses`",
         "`expansion`",
     }
     assert all(meanings.values())

@@ -2,6 +2,7 @@
 
 from cycloid_fmu.analysis.dataset import analyze as analyze
 from cycloid_fmu.analysis.dataset import labelled as labelled
+from cycloid_fmu.analysis.dataset import labelled_losses as labelled_losses
 from cycloid_fmu.analysis.dataset import statistics as statistics
 from cycloid_fmu.analysis.shares import compliance as compliance
 from cycloid_fmu.analysis.shares import series_compliance as series_compliance

@@ -12,13 +12,16 @@ from cycloid_fmu.analysis.solver import solve
 from cycloid_fmu.analysis.validity import notes
 from cycloid_fmu.contact.transmission import Interrupted, Transmission
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.losses import PARTS
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.losses.figures import LossFigures
 from cycloid_fmu.supports.transmission import PLAY_LOAD, OnBearings
 
 if TYPE_CHECKING:
     import xarray as xr
 
 FORMAT = "cycloid-analysis/1"
+LOSSES_FORMAT = "cycloid-losses/1"
 _LABELS = {
     "transmission_error": ("rad", "transmission error at the output"),
     "backlash": ("rad", "backlash: free rotation of the output with the crank locked"),
@@ -46,6 +49,16 @@ _OF_BEARINGS = {
     "main_bearing_force": ((), "N", "force of the carrier's bearing in the ring"),
     "output_roller_force": (("disc", "roller"), "N", "force of each output roller in each disc's hole"),
     "crank_torque": ((), "N*m", "torque of the environment on the crank"),
+}
+
+_OF_LOSSES = {
+    "direction": ("1", "direction of the crank, 1 counter-clockwise"),
+    "load": ("N*m", "torque on the output against the start"),
+    "input_torque": ("N*m", "torque of the environment on the input shaft"),
+    "loss": ("J/rad", "loss of each part for each radian of the crank"),
+    "efficiency": ("1", "power that leaves over power that enters, of means over the crank angles"),
+    "starting_torque": ("N*m", "torque of the input that starts the drive from rest"),
+    "back_driving_torque": ("N*m", "torque on the output that turns the drive backwards from rest; NaN: none"),
 }
 
 
@@ -97,11 +110,13 @@ def _add_bearings(data: xr.Dataset, pair: Pair, found: OnBearings) -> None:
             one = "crank" in dimensions and pair.supports is not None and pair.supports.kind == "output_rollers"
             data[name] = (each[:-1], values[..., 0]) if one else (each, values)
             data[name].attrs.update(units=unit, long_name=text)
+    data["torsional_stiffness"].attrs["long_name"] += ", contacts and bearings alone"
+    if "backlash" not in data:
+        return
     data["backlash"].attrs["long_name"] = f"play at zero torque, extrapolated from {PLAY_LOAD:g} of the rated torque"
     data["interference"].attrs["long_name"] = (
         "overlap of flanks and pins that no rotation frees, the discs where they stand without a torque"
     )
-    data["torsional_stiffness"].attrs["long_name"] += ", contacts and bearings alone"
 
 
 def _with_sun(data: xr.Dataset, drive: DriveValue, found: Transmission) -> xr.Dataset:
@@ -163,6 +178,35 @@ def dataset_of(pair: Pair, result: Transmission) -> xr.Dataset:
             dataset[name].attrs.update(units=unit, long_name=text)
     dataset.attrs["format"] = FORMAT
     return dataset
+
+
+def labelled_losses(drive: DriveValue, found: LossFigures) -> xr.Dataset:
+    """Return a drive's losses as a dataset (format `cycloid-losses/1`), with the variables of an analysis.
+
+    They are over `torque`, `direction` (of the crank, 1 and -1) and `crank_angle`.
+    """
+    import xarray as xr
+
+    directions = []
+    for sweep in found.sweeps.values():
+        data = dataset_of(drive.pair, sweep.motion).drop_vars(["backlash", "interference"])
+        _add_bearings(data, drive.pair, sweep.motion)
+        data["input_torque"] = (("torque", "crank_angle"), sweep.input_torque)
+        data["loss"] = (("torque", "crank_angle", "part"), sweep.loss)
+        directions.append(data)
+    direction = xr.DataArray(list(found.sweeps), dims="direction", name="direction")
+    data = xr.concat(directions, direction, data_vars="all").transpose("torque", "direction", "crank_angle", ...)
+    data = data.assign_coords(part=list(PARTS), load=list(found.starting))
+    efficiency = [case.efficiency for case in found.cases]
+    data["efficiency"] = (("torque", "direction"), np.reshape(efficiency, (-1, len(found.sweeps))))
+    data["starting_torque"] = (("load", "crank_angle"), list(found.starting.values()))
+    data["back_driving_torque"] = ("crank_angle", found.back_driving)
+    for name, (unit, text) in _OF_LOSSES.items():
+        data[name].attrs.update(units=unit, long_name=text)
+    data.attrs.update(drive.provenance, format=LOSSES_FORMAT, crank_speed=found.crank_speed)
+    if drive.first_stage is not None:
+        data.attrs["first_stage"] = drive.first_stage.text
+    return data
 
 
 def statistics(data: Mapping[Any, Any]) -> dict[str, NDArray[np.float64]]:

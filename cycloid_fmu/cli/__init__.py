@@ -8,6 +8,7 @@ app = commands.command_line(
     __name__,
     (
         "analyze",
+        "losses",
         "draw",
         "surface",
         "build",

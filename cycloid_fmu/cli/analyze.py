@@ -134,6 +134,8 @@ def analyze(
             print_judged(judged, f"Limits of {limits_file.name if limits_file else ''}")
             if "bearing_life" in judged.not_judged:
                 typer.echo("Bearing life needs a bearing of [supports] with its dynamic_capacity.")
+            if drive.pair.losses is None and "efficiency" in judged.not_judged:
+                typer.echo("Efficiency needs [losses]: no friction stated.")
     for note in notes(drive.stage, found):
         typer.echo(f"Note: {note}", err=True)
     if finished < angles:

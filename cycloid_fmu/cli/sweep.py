@@ -32,6 +32,9 @@ def sweep(
         list[float] | None,
         commands.quantity_option("N*m", "Torque on the output; repeatable.", show_default="the rated torque"),
     ] = None,
+    crank_speed: Annotated[
+        float, commands.quantity_option("rad/s", "Speed of the crank, for the efficiency by \\[losses].")
+    ] = 0.0,
     output: Annotated[
         Path | None,
         commands.output_option(
@@ -67,7 +70,16 @@ def sweep(
     torque = torque or [drive.pair.rated_load(str(pair_file))]
     size = math.prod(len(one.values) for one in vary_of(given))  # type: ignore[arg-type]
     with commands.progress("drives", size) as progress:
-        data = drive.sweep(given, torque, output, angles=angles, turns=turns, workers=workers, progress=progress)
+        data = drive.sweep(
+            given,
+            torque,
+            output,
+            angles=angles,
+            turns=turns,
+            crank_speed=crank_speed,
+            workers=workers,
+            progress=progress,
+        )
     if plot is not None:
         from cycloid_fmu.draw import plots, sweeps
 
@@ -79,7 +91,7 @@ def sweep(
 
 
 def _print(data: xr.Dataset, title: str) -> None:
-    from cycloid_fmu.studies.sweep import FREE, LOADED
+    from cycloid_fmu.studies.sweep import figures_in
     from cycloid_fmu.studies.sweep_files import SHOWN, label_of, shown_values, varied_names, with_free_positions
 
     def where(place: dict[str, int]) -> str:
@@ -91,9 +103,9 @@ def _print(data: xr.Dataset, title: str) -> None:
 
     rows, every = [], data["reason"].values
     data = with_free_positions(data)
-    for name in (*LOADED, *FREE):
+    for name in figures_in(data):
         unit, factor = SHOWN[data[name].attrs["units"]]
-        for load in data["torque"].values if name in LOADED else [None]:
+        for load in data["torque"].values if "torque" in data[name].dims else [None]:
             values = data[name] if load is None else data[name].sel(torque=load)
             if not values.notnull().any():
                 continue

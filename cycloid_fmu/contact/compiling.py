@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _LONGEST_TURN = 60.0  # s: of another process, until a kernel is compiled here as well
-_ROOMS = [Path(__file__).parent, Path(__file__).parents[1] / "supports"]
+_ROOMS = [Path(__file__).parents[1] / room for room in ("contact", "supports", "losses")]
 _SOURCES = tuple(sorted((s.stat().st_mtime_ns, s.name) for room in _ROOMS for s in room.glob("*.py")))
 
 

@@ -22,6 +22,8 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge.quantities import EXAMPLES
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import FORMAT, Modification, Pair, pair_of_tables
+from cycloid_fmu.losses import figures as losses
+from cycloid_fmu.losses.solver import solve as rub
 from cycloid_fmu.motion import Motion, mesh_angles, motion_of
 from cycloid_fmu.studies.limits import (
     Requirements,
@@ -333,7 +335,7 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
         curves.transmission_error[0],
         curves.backlash,
         curves.pin_pressure[0].max(axis=(1, 2)),
-        _figures(pair, found, series),
+        _figures(pair, found, series) | _figures_of_friction(pair, loads[0]),
         judged.verdicts,
         judged.not_judged,
         tuple(notes(DriveValue(pair, surface), found)),
@@ -394,3 +396,22 @@ def _figures(pair: Pair, found: Transmission, series: float) -> dict[str, str]:
         stiffness = whole_stiffness(found.torsional_stiffness[0], series).mean() / edge.ARCMIN
         figures["torsional stiffness, mean"] = f"{stiffness:.1f} N·m/arcmin, {what_is_elastic(pair, series)}"
     return figures
+
+
+@functools.lru_cache(maxsize=4)
+def _figures_of_friction(pair: Pair, torque: float) -> dict[str, str]:
+    """The figures of a drive with [losses] from rest, without any speed; none without friction."""
+    if pair.losses is None or pair.supports is None:
+        return {}
+    drive, turn = DriveValue.as_stated(pair), np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
+    found = {}
+    for direction in (1, -1) if torque != 0.0 else ():
+        (case,) = losses.load_cases(drive, rub(drive, np.array([torque]), turn, direction, 0.0))
+        shown = "jams" if case.jams else f"{case.efficiency:.1%}{', self-locking' if case.self_locking else ''}"
+        found[f"efficiency from rest, {case.mode}"] = shown
+    starting, largest = losses.starting(drive, [0.0], turn)[0.0].max(), pair.rated_torque or abs(torque)
+    found["starting torque"] = "jams" if np.isnan(starting) else f"{starting:.4g} N·m"
+    if largest > 0.0:
+        back = losses.back_driving(drive, largest, turn).max()
+        found["back-driving torque"] = f"none up to {largest:g} N·m" if np.isnan(back) else f"{back:.4g} N·m"
+    return found

@@ -29,8 +29,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        Result of `Drive.analyze`, `motion`, `study`, `sweep`, `wear`, `profile` or `budget`, a drive or an error
-        surface.
+        Result of `Drive.analyze`, `losses`, `motion`, `study`, `sweep`, `wear`, `profile` or `budget`, a drive or an
+        error surface.
     path
         `.png` or `.pdf`; for a motion also `.svg`, or `.html` for an animated page.
 
@@ -56,6 +56,7 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     from cycloid_fmu.cad.profile import Profile
     from cycloid_fmu.draw.profiles import plot_profile
     from cycloid_fmu.draw.sweeps import plot_sweep
+    from cycloid_fmu.losses.figures import LossFigures
     from cycloid_fmu.motion import Motion
     from cycloid_fmu.studies.sweep import FORMAT as SWEEP
     from cycloid_fmu.studies.yields import Findings
@@ -75,6 +76,10 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
         figure = plot_profile(result)
     elif isinstance(result, Findings):
         figure = plot_tolerance(result.result)
+    elif isinstance(result, LossFigures):
+        from cycloid_fmu.draw.losses import plot_losses
+
+        figure = plot_losses(result)
     elif isinstance(result, WearRun):
         from cycloid_fmu.draw.wear_plots import plot_wear
 

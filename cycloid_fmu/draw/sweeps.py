@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cycloid_fmu.draw.figure import at_least, new_figure, show_legend
-from cycloid_fmu.studies.sweep import FREE, LOADED
+from cycloid_fmu.studies.sweep import figures_in
 from cycloid_fmu.studies.sweep_files import SHOWN, label_of, shown_values, varied_names, with_free_positions
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def plot_sweep(data: xr.Dataset) -> Figure:
     several = [name for name in names if data.sizes[name] > 1][:2] or names[:1]
     others = {name: 0 for name in names if name not in several}
     one = data.isel(others)
-    shown = [name for name in (*LOADED, *FREE) if np.isfinite(one[name].values).any() and not _is_zero(one, name)]
+    shown = [name for name in figures_in(one) if np.isfinite(one[name].values).any() and not _is_zero(one, name)]
     figure, axes = new_figure((len(shown) + 1) // 2, 2)
     for axis in axes[len(shown) :]:
         figure.delaxes(axis)
@@ -45,7 +45,7 @@ def plot_sweep(data: xr.Dataset) -> Figure:
         largest = float(np.nan_to_num(np.abs(one[name].values)).max()) * factor
         least = max(_SHARE * largest, _ACCURACY.get(unit, 0.0))
         if len(several) == 1:
-            loads = data["torque"].values if name in LOADED else [None]
+            loads = data["torque"].values if "torque" in one[name].dims else [None]
             for load in loads:
                 values = one[name] if load is None else one[name].sel(torque=load)
                 axis.plot(
@@ -63,10 +63,10 @@ def plot_sweep(data: xr.Dataset) -> Figure:
             axis.set(xlabel=labels[0], ylabel=label)
             if margin > 0.0:
                 axis.set_xlim(min(places[0]) - margin, max(places[0]) + margin)
-            if name in LOADED and len(loads) > 1:
+            if "torque" in one[name].dims and len(loads) > 1:
                 show_legend(axis)
             continue
-        values = one[name].isel(torque=0) if name in LOADED else one[name]
+        values = one[name].isel(torque=0) if "torque" in one[name].dims else one[name]
         shown_here = values.transpose(*several).values * factor
         low, high = float(np.nanmin(shown_here)), float(np.nanmax(shown_here))
         wider = max(0.5 * (least - (high - low)), 0.0)

@@ -76,6 +76,7 @@ Temperature = Annotated[float, *_in_unit("K")]
 ThermalExpansion = Annotated[float, *_in_unit("1/K")]
 TemperatureCoefficient = Annotated[float, *_in_unit("1/K")]
 PressureViscosity = Annotated[float, *_in_unit("1/Pa")]
+KinematicViscosity = Annotated[float, *_in_unit("m^2/s")]
 WearCoefficient = Annotated[float, *_in_unit("m^2/N")]
 
 

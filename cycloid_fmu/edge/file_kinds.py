@@ -34,6 +34,7 @@ FORMATS = {
     "cycloid-recalibration": "the result of cycloid-fit recalibrate, for --after",
     "cycloid-study-checkpoint": "the partial results of a study, which the study's own command resumes",
     "cycloid-analysis": "the result of cycloid-fmu analyze",
+    "cycloid-losses": "the result of cycloid-fmu losses",
     "cycloid-sweep": "the result of cycloid-fmu sweep",
     "cycloid-tolerance-study": "the result of cycloid-fmu tolerance",
     "cycloid-curve": "the result of cycloid-fit curve",

@@ -21,6 +21,7 @@ from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION, kinds_of
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry import sizes
 from cycloid_fmu.geometry import temperature as thermal
+from cycloid_fmu.geometry.losses import Losses
 from cycloid_fmu.geometry.supports import Supports
 from cycloid_fmu.geometry.temperature import Expansions, Temperatures
 
@@ -126,6 +127,7 @@ class _File(Config):
     modification: Modification = Modification()
     material: Materials = Materials()
     supports: Supports | None = None
+    losses: Losses | None = None
     temperature: Temperatures | None = None
     expansion: Expansions = Expansions()
 
@@ -164,6 +166,8 @@ class Pair(Config):
         Profile modification of the gear and the materials of both flanks.
     supports
         Supports of discs and carrier; None for rigid bearings.
+    losses
+        Friction and drags; None if no friction is stated. Part of `Drive.losses` alone.
     temperature
         Temperatures of the bodies; None for 20 °C, the reference of the drawing.
     expansion
@@ -205,6 +209,7 @@ class Pair(Config):
     modification: Modification = Modification()
     material: Materials = Materials()
     supports: Supports | None = None
+    losses: Losses | None = None
     temperature: Temperatures | None = None
     expansion: Expansions = Expansions()
     errors: pydantic.InstanceOf[Errors] = Errors()
@@ -397,6 +402,8 @@ def _contradictions_of_supports(pair: Pair) -> list[tuple[str, str]]:
     if supports is None:
         return []
     found = []
+    if pair.losses is not None and supports.kind == "cranks" and pair.losses.output_roller is not None:
+        found.append(("losses.output_roller", 'it belongs to kind = "output_rollers"; cranks have none'))
     if pair.output == "ring":
         found.append(("supports", 'output = "ring": supports need a carrier that turns; give output = "gear"'))
     for name in ("misalignment_xz", "misalignment_yz"):
@@ -463,6 +470,9 @@ _SHOWN_UNITS = {
     "N*m/rad": ("N*m/arcmin",),
     "N": ("kN",),
     "K": (),
+    "m/s": (),
+    "m^2/s": ("mm^2/s",),
+    "N*m*s/rad": (),
     "1/K": (),
 }
 
@@ -504,6 +514,16 @@ def _table_lines(title: str, table: Config, model: type[Config]) -> list[str]:
     return lines
 
 
+def _tables_below(title: str, table: Config) -> list[str]:
+    """Return the lines of a table's own tables that state something."""
+    lines = []
+    for name in type(table).model_fields:
+        below = getattr(table, name)
+        if isinstance(below, Config) and below != type(below).model_construct():
+            lines += _table_lines(f"{title}.{name}", below, type(below))
+    return lines
+
+
 def _text_of(pair: Pair) -> str:
     lines = [f'format = "{FORMAT}"']
     tables: dict[str, Config] = {
@@ -514,11 +534,9 @@ def _text_of(pair: Pair) -> str:
     for title, table in {"pair": pair, **tables}.items():
         lines += _table_lines(title, table, _Geometry if table is pair else type(table))
     if pair.supports is not None:
-        lines += _table_lines("supports", pair.supports, Supports)
-        for name in Supports.model_fields:
-            table = getattr(pair.supports, name)
-            if isinstance(table, Config) and table != type(table)():
-                lines += _table_lines(f"supports.{name}", table, type(table))
+        lines += [*_table_lines("supports", pair.supports, Supports), *_tables_below("supports", pair.supports)]
+    if pair.losses is not None:
+        lines += _tables_below("losses", pair.losses) or ["[losses]"]
     if pair.temperature is not None:
         lines += _table_lines("temperature", pair.temperature, Temperatures)
     if pair.expansion != Expansions():
@@ -564,6 +582,7 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
             modification=file.modification,
             material=file.material,
             supports=file.supports,
+            losses=file.losses,
             temperature=file.temperature,
             expansion=file.expansion,
             errors=errors,

@@ -32,6 +32,8 @@ from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
 from cycloid_fmu.reducer.drive_file import parts_of_file
+from cycloid_fmu.studies.friction import FIGURES as FRICTION
+from cycloid_fmu.studies.friction import friction_figures
 from cycloid_fmu.studies.limits import (
     LOWER,
     SHOWN,
@@ -52,7 +54,7 @@ from cycloid_fmu.supports.figures import bearing_loads, lives_over_duty
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import profile_names, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
-from cycloid_fmu.wear.friction import sliding_of
+from cycloid_fmu.wear.friction import flank_friction, sliding_of
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-design/1"
@@ -63,7 +65,7 @@ FORMS = tuple(profile_names((1, 2, 3, 4)))
 VARIABLES = {**dict.fromkeys((*SIZES, *MODIFICATIONS), "m"), ROTATION: "rad", **dict.fromkeys(FORMS, "m")}
 """Variables of a search with their units: sizes and modification of a pair file; rotation of both flanks of each tooth
 towards each other about the gear's centre (> 0 removes material); orders of a profile that all teeth share."""
-GOALS = tuple(name for name in Limits.model_fields if name != "wear_depth")
+GOALS = tuple(name for name in Limits.model_fields if name not in ("wear_depth", "self_locking"))
 """Figures that can be a goal or a limit of a design; a size can be a goal too and is minimised."""
 
 _SHOWN = {
@@ -85,6 +87,7 @@ _AT_END = 1e-6  # of a range: its end binds
 _DIGITS = {"m": 9, "rad": 6}  # decimals of a drawing's values: whole nanometres, whole microradians
 _ROUNDS, _SETTLED = 6, 0.02  # rounds of tightening, and the relative change of a limit that ends them
 _GIVEN_WAY = 1e-3
+_NO_TORQUE = 1e9  # N·m: in place of a torque that nothing reaches
 
 
 class Robust(edge.Config):
@@ -283,7 +286,7 @@ def values_over_sweep(
     speeds = [load.output_speed * abs(pair.ratio) for load, _ in turning]
     if limits & {"sliding_speed", "friction_power_density"}:
         slides = [
-            sliding_of(pair, angles, found.pin_force[k], found.pin_pressure[k], speed, task.friction_coefficient)
+            sliding_of(pair, angles, found.pin_force[k], found.pin_pressure[k], speed, flank_friction(pair))
             for (_, k), speed in zip(turning, speeds, strict=True)
         ]
         for name in limits & {"sliding_speed", "friction_power_density"}:
@@ -293,6 +296,14 @@ def values_over_sweep(
             [bearing_loads(pair, found, k) for _, k in turning], speeds, [load.share for load, _ in turning]
         )
         every["bearing_life"] = [np.array([one.life for one in lives if math.isfinite(one.life)])]
+    if limits & set(FRICTION):
+        driven = [(load.torque, speed) for (load, _), speed in zip(turning, speeds, strict=True) if load.torque != 0.0]
+        torques = [torque for torque, _ in driven] if driven else list(loads)
+        rubbed = friction_figures(
+            DriveValue(pair, one.surface), limits, torques, [speed for _, speed in driven], angles
+        )
+        for name in limits & set(FRICTION):
+            every[name] = [np.minimum(getattr(rubbed, name), _NO_TORQUE)]
     return {name: every[name] for name in names}
 
 
@@ -841,7 +852,10 @@ def _check(pair: Pair, task: DesignTask) -> None:
         raise edge.InputError("[[duty]] is missing; state it, or rated_torque of the pair.")
     if task.limits.wear_depth is not None:
         raise edge.InputError("[limits] wear_depth: a search does not include wear; remove it.")
-
+    if task.limits.self_locking is not None:
+        raise edge.InputError("[limits] self_locking: a search needs numbers; limit back_driving_torque or remove it.")
+    if pair.losses is None and (rubbing := {*task.goals, *task.limits.stated()} & set(FRICTION)):
+        raise edge.InputError(f"no friction stated; state [losses] of the pair: {rubbing.pop()} depends on it.")
     if "static_safety" in (*task.goals, *task.limits.stated()):
         pressure_limit_of(pair)
 
@@ -851,11 +865,12 @@ def _check(pair: Pair, task: DesignTask) -> None:
     asked = [name for name in task.goals if name in GOALS]
     if "lost_motion" in asked and pair.rated_torque is None:
         refuse("lost_motion needs the pair's rated_torque")
-    for name in ("bearing_life", "sliding_speed", "friction_power_density"):
+    for name in ("bearing_life", "sliding_speed", "friction_power_density", "efficiency"):
         if name in asked and not any(load.output_speed > 0.0 for load in task.duty):
             refuse(f"{name} needs speeds; state [[duty]] with an output_speed above 0")
-    if "friction_power_density" in asked and task.friction_coefficient is None:
-        refuse("friction_power_density needs friction_coefficient")
+    needs = "friction_power_density" in (*task.goals, *task.limits.stated())
+    if needs and flank_friction(pair) is None:
+        raise edge.InputError("friction_power_density: no friction stated; state [losses.flank] of the pair.")
     supports = pair.supports
     bearings = () if supports is None else (supports.turning_arm, supports.crank_shaft, supports.main)
     if all(one.dynamic_capacity is None for one in bearings):

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import LARGEST_PRESSURE
 from cycloid_fmu.geometry.pair import Material, Pair, smallest_convex_radius
+from cycloid_fmu.studies.friction import FrictionFigures
 from cycloid_fmu.supports.figures import DutyLife
 from cycloid_fmu.surfaces import sampling
 
@@ -56,9 +57,18 @@ class Limits(sampling.Limits):
     sliding_speed
         Largest allowed between flank and pin over the duty, m/s.
     friction_power_density
-        Largest allowed friction power per contact area, μ p v with the mean Hertzian pressure, W/m².
+        Largest allowed friction power per contact area, μ p v with the mean Hertzian pressure, W/m²; by [losses.flank].
     wear_depth
         Largest allowed on flanks and pins, m.
+    efficiency
+        Smallest allowed of the driving drive, at every row of the duty that turns under load; by [losses].
+    starting_torque
+        Largest allowed at the input without a load, from rest, over the crank angles, N·m.
+    back_driving_torque
+        Largest allowed on the output that turns the drive backwards from rest, over the crank angles, N·m.
+    self_locking
+        Whether no torque up to the rated one may turn the drive backwards from rest (true: at no crank angle; false: at
+        every crank angle some torque must).
     """
 
     torsional_stiffness: Annotated[edge.TorsionalStiffness, _ABOVE_ZERO] | None = None
@@ -68,6 +78,10 @@ class Limits(sampling.Limits):
     sliding_speed: Annotated[edge.Velocity, _ABOVE_ZERO] | None = None
     friction_power_density: Annotated[edge.PowerDensity, _ABOVE_ZERO] | None = None
     wear_depth: Annotated[edge.Length, _ABOVE_ZERO] | None = None
+    efficiency: float | None = pydantic.Field(default=None, gt=0.0, le=1.0)
+    starting_torque: Annotated[edge.Torque, _ABOVE_ZERO] | None = None
+    back_driving_torque: Annotated[edge.Torque, _ABOVE_ZERO] | None = None
+    self_locking: bool | None = pydantic.Field(default=None, strict=True)
 
     @property
     def of_study(self) -> sampling.Limits:
@@ -75,7 +89,7 @@ class Limits(sampling.Limits):
         return sampling.Limits(**{name: getattr(self, name) for name in sampling.Limits.model_fields})
 
 
-LOWER = ("torsional_stiffness", "static_safety", "smallest_curvature_radius", "bearing_life")
+LOWER = ("torsional_stiffness", "static_safety", "smallest_curvature_radius", "bearing_life", "efficiency")
 """Limits that are the smallest allowed; the others are the largest."""
 SHOWN = {
     "angular_transmission_error": ("arcsec", edge.ARCSEC),
@@ -90,6 +104,10 @@ SHOWN = {
     "sliding_speed": ("m/s", 1.0),
     "friction_power_density": ("W/mm²", 1e-6),
     "wear_depth": ("µm", 1e6),
+    "efficiency": ("%", 100.0),
+    "starting_torque": ("N·m", 1.0),
+    "back_driving_torque": ("N·m", 1.0),
+    "self_locking": ("", 1.0),
 }
 """Unit and factor of each figure in reports."""
 
@@ -122,8 +140,6 @@ class Requirements(edge.Config):
     duty
         Loads, speeds and shares of time: bearing lives and sliding are computed over it, everything else at each
         torque.
-    friction_coefficient
-        Of flanks on pins, for the friction power; None if not needed.
 
     Examples
     --------
@@ -138,7 +154,16 @@ class Requirements(edge.Config):
 
     limits: Limits = Limits()
     duty: tuple[DutyLoad, ...] = ()
-    friction_coefficient: float | None = pydantic.Field(default=None, gt=0.0, le=1.0)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _friction_is_the_drive_s(cls, given: Any) -> Any:
+        if isinstance(given, Mapping) and "friction_coefficient" in given:
+            raise ValueError(
+                "friction_coefficient is not known here; friction is the drive's: state [losses.flank] "
+                "friction_coefficient in the pair file"
+            )
+        return given
 
     @property
     def of_wear(self) -> Requirements:
@@ -153,11 +178,9 @@ class Requirements(edge.Config):
                 f"[[duty]] share adds up to {total:g} over the rows; it must add up to 1; a standstill is a row "
                 "with output_speed 0"
             )
-        for name in ("bearing_life", "sliding_speed", "friction_power_density"):
+        for name in ("bearing_life", "sliding_speed", "friction_power_density", "efficiency"):
             if getattr(self.limits, name) is not None and not any(load.output_speed > 0.0 for load in self.duty):
                 raise ValueError(f"[limits] {name} needs speeds; state [[duty]] with an output_speed above 0")
-        if self.limits.friction_power_density is not None and self.friction_coefficient is None:
-            raise ValueError("[limits] friction_power_density needs friction_coefficient, which is missing")
         return self
 
 
@@ -239,7 +262,8 @@ def verdict(name: str, value: float, limit: float, where: Mapping[str, Any] | No
     (True, 400, 0.267)
     """
     unit = edge.unit_of_field(Limits.model_fields[name]) or "1"
-    return Verdict(name, unit, float(value), float(limit), "min" if name in LOWER else "max", where or {}, basis)
+    smallest = name in LOWER or (name == "self_locking" and bool(limit))
+    return Verdict(name, unit, float(value), float(limit), "min" if smallest else "max", where or {}, basis)
 
 
 def static_safety(pair: Pair, pressure: float) -> float:
@@ -427,6 +451,37 @@ def judge_sliding(
     return found
 
 
+def judge_friction(
+    limits: Limits, duty: Sequence[DutyLoad], crank_angle: Array, figures: FrictionFigures
+) -> list[Verdict]:
+    """Return the verdicts on efficiency, starting and back-driving torque and self-locking.
+
+    Parameters
+    ----------
+    duty
+        The rows of `figures.efficiency`.
+    crank_angle
+        rad, of the others.
+    """
+    found = []
+    if limits.efficiency is not None and figures.efficiency.size:
+        row = int(figures.efficiency.argmin())
+        where = {"torque": duty[row].torque, "output_speed": duty[row].output_speed}
+        found.append(verdict("efficiency", figures.efficiency[row], limits.efficiency, where, "driving"))
+    for name in ("starting_torque", "back_driving_torque"):
+        if (limit := getattr(limits, name)) is not None:
+            each = getattr(figures, name)
+            none = f"none up to {figures.searched_to:g} N·m turns it" if np.isinf(each.max()) else ""
+            place = {"crank_angle": float(crank_angle[each.argmax()])}
+            found.append(verdict(name, each.max(), limit, place, none if name == "back_driving_torque" else ""))
+    if limits.self_locking is not None:
+        locks = np.isinf(figures.back_driving_torque)
+        value = locks.all() if limits.self_locking else locks.any()
+        basis = f"from rest, up to {figures.searched_to:g} N·m"
+        found.append(verdict("self_locking", float(value), float(limits.self_locking), basis=basis))
+    return found
+
+
 def judge_wear(limits: Limits, gear: Array, pin: Array, crank_turns: Array, deepest: Array) -> list[Verdict]:
     """Return the verdict on the deepest wear, none without a limit.
 
@@ -487,6 +542,9 @@ HEAD = ("limit", "allowed", "found", "verdict", "margin", "where")
 def row_of(one: Verdict) -> list[str]:
     """Return a verdict as a table row: figure, limit, value, met or not, margin and its share, place."""
     unit, factor = SHOWN[one.figure]
+    if one.figure == "self_locking":
+        asked, found = ("yes" if value else "no" for value in (one.limit, one.value))
+        return ["self locking", asked, found, "met" if one.met else "not met", "", place_of(one)]
     after = f" {unit}" if unit else ""
     share = "" if not math.isfinite(one.share) else f" ({one.share:+.1%})"
     return [

@@ -19,6 +19,8 @@ from cycloid_fmu import edge
 from cycloid_fmu.analysis import series_compliance, solve
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
+from cycloid_fmu.losses import figures as rubbing
+from cycloid_fmu.losses.solver import solve as rub
 from cycloid_fmu.studies.checkpoint import Checkpoint, checkpoint_of
 from cycloid_fmu.studies.limits import whole_stiffness
 from cycloid_fmu.studies.machines import Numbers, Solved, complete, versions
@@ -41,6 +43,15 @@ LOADED: Mapping[str, tuple[str, str]] = {
     "loaded_pins": ("1", "mean share of the pins that carry more than 1 % of the most loaded one's force"),
 }
 FREE = {name: OF_STUDIES[name] for name in ("mean_backlash", "backlash", "lost_motion", "interference")}
+LOADED_RUBBING = {
+    "efficiency": ("1", "efficiency of the driving drive at the crank's speed; NaN where it jams"),
+    "back_driving_efficiency": ("1", "efficiency of the back-driven drive at this speed; not above 0: self-locking"),
+}
+FREE_RUBBING = {
+    "starting_torque": ("N*m", "largest torque of the input without a load, from rest"),
+    "back_driving_torque": ("N*m", "torque on the output that turns the drive backwards from rest; NaN: none"),
+}
+"""Figures of a drive with [losses]."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +68,8 @@ class Sweep:
         Loads on the output, N·m, not zero.
     angles, turns
         Crank angles evenly from 0 over so many crank turns, end excluded.
+    crank_speed
+        Speed of the crank for the efficiency of a drive with [losses], rad/s; at 0 friction is that at rest.
     """
 
     drive: DriveValue
@@ -64,6 +77,22 @@ class Sweep:
     torque: tuple[float, ...]
     angles: int = ANGLES
     turns: int = 1
+    crank_speed: float = 0.0
+
+    @property
+    def rubs(self) -> bool:
+        """Whether the drive states its friction."""
+        return self.drive.pair.losses is not None and self.drive.pair.supports is not None
+
+    @property
+    def loaded(self) -> Mapping[str, tuple[str, str]]:
+        """The figures at each torque: {name: (unit, meaning)}."""
+        return {**LOADED, **LOADED_RUBBING} if self.rubs else LOADED
+
+    @property
+    def free(self) -> Mapping[str, tuple[str, str]]:
+        """The figures without a torque."""
+        return {**FREE, **FREE_RUBBING} if self.rubs else FREE
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -78,7 +107,7 @@ class Sweep:
     @functools.cached_property
     def columns(self) -> tuple[tuple[str, int | None], ...]:
         """Name and index of the torque (None where there is none) of each number that a drive yields."""
-        return (*((n, k) for n in LOADED for k in range(len(self.torque))), *((n, None) for n in FREE))
+        return (*((n, k) for n in self.loaded for k in range(len(self.torque))), *((n, None) for n in self.free))
 
     def stated(self, number: int) -> dict[str, str]:
         """Return the varied values of a drive as a file has them."""
@@ -96,6 +125,7 @@ class Sweep:
             "angles": self.angles,
             "turns": self.turns,
             "versions": versions(),
+            **({} if self.drive.pair.losses is None else {"crank_speed": self.crank_speed}),
             **({} if first is None else {"first_stage": first.text}),
         }
 
@@ -135,7 +165,9 @@ def check_sweep(sweep: Sweep) -> None:
 def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
     """Return the figures of one drive in the order of `Sweep.columns`, NaN where missing, and the reason, or ""."""
     loads = len(sweep.torque)
-    found: dict[str, Any] = {name: np.full(loads, math.nan) for name in LOADED} | dict.fromkeys(FREE, math.nan)
+    found: dict[str, Any] = {name: np.full(loads, math.nan) for name in sweep.loaded} | dict.fromkeys(
+        sweep.free, math.nan
+    )
     reasons: list[str] = []
     try:
         drive = drive_with(sweep.drive, sweep.stated(number))
@@ -162,9 +194,23 @@ def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
             }
             for name, values in figures.items():
                 found[name][k] = values[0]
+        if "efficiency" in sweep.loaded:
+            _add_friction(sweep, drive, angle, found)
     except edge.InputError as problem:
         reasons.append(str(problem).rstrip("."))
     return np.array([found[n] if k is None else found[n][k] for n, k in sweep.columns]), "; ".join(reasons)
+
+
+def _add_friction(sweep: Sweep, drive: DriveValue, angle: Array, found: dict[str, Any]) -> None:
+    """Add the figures of a drive with friction."""
+    torque = np.array(sweep.torque)
+    by_direction = [rubbing.load_cases(drive, rub(drive, torque, angle, s, sweep.crank_speed)) for s in (1, -1)]
+    for k, cases in enumerate(zip(*by_direction, strict=True)):
+        by_mode = {case.mode: case.efficiency for case in cases}
+        found["efficiency"][k], found["back_driving_efficiency"][k] = by_mode["driving"], by_mode["back-driving"]
+    found["starting_torque"] = float(rubbing.starting(drive, [0.0], angle)[0].max())
+    largest = drive.pair.rated_torque or float(np.abs(torque).max())
+    found["back_driving_torque"] = float(rubbing.back_driving(drive, largest, angle).max())
 
 
 def _task(sweep: Sweep, numbers: Numbers) -> Solved:
@@ -221,11 +267,12 @@ def _dataset(sweep: Sweep, values: Array, reasons: list[str]) -> xr.Dataset:
 
     names = [one.name for one in sweep.vary]
     data: dict[str, Any] = {}
-    for name, (unit, text) in {**LOADED, **FREE}.items():
+    for name, (unit, text) in {**sweep.loaded, **sweep.free}.items():
         columns = [i for i, (n, _) in enumerate(sweep.columns) if n == name]
         figure = values[:, columns].reshape(*sweep.shape, len(columns))
-        dims = (*names, "torque") if name in LOADED else tuple(names)
-        data[name] = (dims, figure if name in LOADED else figure[..., 0], {"units": unit, "long_name": text})
+        loaded = name in sweep.loaded
+        dims = (*names, "torque") if loaded else tuple(names)
+        data[name] = (dims, figure if loaded else figure[..., 0], {"units": unit, "long_name": text})
     reason = np.array(reasons, dtype=object).reshape(sweep.shape)
     data["reason"] = (names, reason, {"long_name": "reason for missing figures, empty if none are missing"})
     places: dict[str, Any] = {
@@ -239,6 +286,11 @@ def _dataset(sweep: Sweep, values: Array, reasons: list[str]) -> xr.Dataset:
         places[one.name] = (one.name, list(one.values), {"units": one.si, "shown_units": one.unit})
     about = {name: value for name, value in sweep.identity().items() if name in ("pair", "surface", "first_stage")}
     return xr.Dataset(data, places, {"format": FORMAT, "angles": sweep.angles, "turns": sweep.turns, **about})
+
+
+def figures_in(data: xr.Dataset) -> list[str]:
+    """Return the names of the figures in a sweep's dataset; those at each torque have this dimension."""
+    return [name for name in (*LOADED, *LOADED_RUBBING, *FREE, *FREE_RUBBING) if name in data]
 
 
 def vary_of(given: Mapping[str, str | Iterable[float | str]]) -> tuple[Varied, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.studies.checkpoint import reserved
-from cycloid_fmu.studies.sweep import FREE, LOADED, Sweep, run
+from cycloid_fmu.studies.sweep import Sweep, figures_in, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,6 +23,7 @@ ENDINGS = (".csv", ".parquet", ".nc")
 SHOWN = {
     "rad": ("arcsec", ARCSEC),
     "N*m/rad": ("N*m/arcmin", 1.0 / ARCMIN),
+    "N*m": ("N*m", 1.0),
     "Pa": ("MPa", 1e-6),
     "m": ("um", 1e6),
     "1": ("1", 1.0),
@@ -81,7 +82,7 @@ def with_free_positions(data: xr.Dataset) -> xr.Dataset:
     free = ~(data["interference"] > 0.0)
     if not free.any():
         return data
-    kept = {name: data[name].where(free).transpose(*data[name].dims) for name in (*LOADED, *FREE)}
+    kept = {name: data[name].where(free).transpose(*data[name].dims) for name in figures_in(data)}
     return data.assign({**kept, "interference": data["interference"]})
 
 
@@ -109,7 +110,7 @@ def table_of(data: xr.Dataset) -> dict[str, list[Any]]:
         found[f"{name} [{axes[k][1]}]"] = [row[k] for row in rows]
     found["torque [N*m]"] = [row[-1] for row in rows]
     every = data["angular_transmission_error"]
-    for name in (*LOADED, *FREE):
+    for name in figures_in(data):
         unit, factor = SHOWN[data[name].attrs["units"]]
         found[f"{name} [{unit}]"] = (
             (data[name].broadcast_like(every).transpose(*every.dims) * factor).values.ravel().tolist()

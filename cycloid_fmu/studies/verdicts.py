@@ -17,9 +17,10 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.studies import limits as judging
+from cycloid_fmu.studies.friction import FIGURES, friction_figures
 from cycloid_fmu.studies.limits import DutyLoad, Requirements, Verdict
 from cycloid_fmu.supports.figures import DutyLife, bearing_loads, lives_over_duty
-from cycloid_fmu.wear.friction import Sliding, sliding_of
+from cycloid_fmu.wear.friction import Sliding, flank_friction, sliding_of
 from cycloid_fmu.wear.life import WearRun
 
 if TYPE_CHECKING:
@@ -179,7 +180,7 @@ def judge_sweep(
             found.pin_force[k],
             found.pin_pressure[k],
             turning,
-            requirements.friction_coefficient,
+            flank_friction(pair),
         )
         sliding.append((load, slides))
     if sliding:
@@ -188,6 +189,12 @@ def judge_sweep(
             for name in ("sliding_speed", "friction_power_density")
         }
         verdicts += judging.judge_sliding(requirements.limits, duty, found.crank_angle, figures)
+    asked = [name for name in FIGURES if name in requirements.limits.stated()]
+    if asked and pair.losses is not None and pair.supports is not None:
+        driven = [(load, turning) for load, turning in zip(duty, speed, strict=True) if load.torque != 0.0]
+        loads = [load.torque for load, _ in driven] if driven else list(found.torque)
+        rubbed = friction_figures(drive, asked, loads, [w for _, w in driven], found.crank_angle, workers)
+        verdicts += judging.judge_friction(requirements.limits, [load for load, _ in driven], found.crank_angle, rubbed)
     missing = judging.not_judged(requirements.limits, verdicts)
     return Judged(tuple(verdicts), tuple(missing), tuple(lives), found.crank_angle, tuple(sliding))
 

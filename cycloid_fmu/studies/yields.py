@@ -119,7 +119,7 @@ def judged(result: Result) -> list[judging.Verdict]:
         if name == "lost_motion":
             data["lost_motion"] = again.transmission_error[0] - again.transmission_error[1]
         series = series_compliance(study.drive)
-        (place,) = judging.judge(judging.Limits(**{name: limit}), study.pair, data, series)
+        (place,) = judging.judge(judging.Limits().replace(**{name: limit}), study.pair, data, series)
         where = {"sample": int(result.sample[row]), **place.where}
         found.append(judging.verdict(name, float(values.max()), limit, where, place.basis))
     return found

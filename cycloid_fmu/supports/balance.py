@@ -9,7 +9,8 @@ stationary.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, part, spliced
@@ -137,8 +138,10 @@ def _add_joints(assembly: Assembly, theta: float, centring: float, work: Work) -
 
 
 @part
-def assemble(problem: Problem, assembly: Assembly, theta: float, pull: Load, contacts: Rows, work: Work) -> None:
-    """Write the residual of the balance at `work.place`, and its derivatives."""
+def assemble(
+    problem: Problem, assembly: Assembly, theta: float, pull: Load, contacts: Rows, work: Work, more: Any
+) -> None:
+    """Write the residual of the balance at `work.place`, and its derivatives; `more` is None."""
     _place_discs(problem, assembly, theta, contacts, work)
     load(problem, contacts)
     for i in range(work.residual.size):
@@ -181,7 +184,7 @@ def solve_linear(matrix: Array, right: Array) -> bool:
 
 
 @part
-def _longest(problem: Problem, assembly: Assembly, step: Array, power: float) -> float:
+def longest_of(problem: Problem, assembly: Assembly, step: Array, power: float) -> float:
     """Longest displacement of a step, m (power 1), or largest force of a residual, N (-1)."""
     scale = assembly.rotation_scale**power
     longest = 0.0
@@ -240,7 +243,7 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
             downhill = 0.0
             for i in range(n):
                 downhill += step[i] * work.residual[i]
-            longest = _longest(problem, assembly, step, 1.0)
+            longest = longest_of(problem, assembly, step, 1.0)
             if downhill < 0.0 and longest < 1e3 * _LONGEST:
                 return min(1.0, _LONGEST / longest)
         held *= 1e3
@@ -264,81 +267,111 @@ def _between(work: Work, share: float, now: float, low: float, high: float) -> f
     return low + (0.1 if low == 0.0 else 0.5) * (high - low)
 
 
-@spliced
-def balance(
-    problem: Problem, assembly: Assembly, theta: float, pull: Load, contacts: Rows, work: Work, iterations: int
-) -> int:
-    """Solve the balance from `work.place`, which is overwritten; return the number of steps, 0 if it was not found.
+_Settle = Callable[[Problem, Assembly, float, Load, Rows, Work, Any, bool], int]
 
-    If the work along a step has changed its sign at the end, the step is shortened until the work is at most half as
-    large, with either sign: energies are convex for small rotations. Otherwise a contact that closes within the step
-    would be missed, and the next step would overshoot too.
+
+def settling(assembled: Callable[..., Any]) -> _Settle:
+    """Return the kernel that solves a balance.
+
+    Parameters
+    ----------
+    assembled
+        Kernel such as `assemble`: it writes the residual and its derivatives, and may add forces that store no energy.
     """
-    assemble(problem, assembly, theta, pull, contacts, work)
-    q, short = work.place, 0
-    for iteration in range(iterations):
-        left = _longest(problem, assembly, work.residual, -1.0)
-        if left < assembly.balanced:
-            return iteration + 1
-        share = _direction(problem, assembly, work)
-        if share == 0.0:
-            return 0
-        step, longest = work.step, _longest(problem, assembly, work.step, 1.0)
-        short = short + 1 if longest < _CHATTER else 0
-        if longest < _EXACT or short > _CHATTERING:
-            return iteration + 1
-        downhill = 0.0
-        for i in range(step.size):
-            work.before[i] = q[i]
-            downhill += step[i] * work.residual[i]
-        low, high, met = 0.0, math.inf, True
-        for _ in range(36 if iterations == _LAST_ITERATIONS else 12):
-            for i in range(step.size):
-                q[i] = work.before[i] + share * step[i]
-            assemble(problem, assembly, theta, pull, contacts, work)
-            now = 0.0
-            for i in range(step.size):
-                now += step[i] * work.residual[i]
-            if now > -0.5 * downhill:
-                high = share
-            elif now < 0.5 * downhill and high < math.inf:
-                low = share
-            else:
-                met = False
-                break
-            share = _between(work, share, now, low, high)
-        if met and iterations == _LAST_ITERATIONS:
-            # Steps may alternate for ever between the two sides of a jump.
-            for i in range(step.size):
-                work.before[i], work.jump[i] = q[i] - work.jump[i], q[i]
-            if _longest(problem, assembly, work.before, 1.0) < _JUMP:
+
+    @part
+    def balance(
+        problem: Problem,
+        assembly: Assembly,
+        theta: float,
+        pull: Load,
+        contacts: Rows,
+        work: Work,
+        more: Any,
+        iterations: int,
+    ) -> int:
+        """Solve the balance from `work.place`, which is overwritten; return the number of steps, 0 if it was not found.
+
+        If the work along a step has changed its sign at the end, the step is shortened until the work is at most half
+        as large, with either sign: energies are convex for small rotations. Otherwise a contact that closes within the
+        step would be missed, and the next step would overshoot too.
+        """
+        assembled(problem, assembly, theta, pull, contacts, work, more)
+        q, short = work.place, 0
+        for iteration in range(iterations):
+            left = longest_of(problem, assembly, work.residual, -1.0)
+            if left < assembly.balanced:
                 return iteration + 1
-    return 0
+            share = _direction(problem, assembly, work)
+            if share == 0.0:
+                return 0
+            step, longest = work.step, longest_of(problem, assembly, work.step, 1.0)
+            short = short + 1 if longest < _CHATTER else 0
+            if longest < _EXACT or short > _CHATTERING:
+                return iteration + 1
+            downhill = 0.0
+            for i in range(step.size):
+                work.before[i] = q[i]
+                downhill += step[i] * work.residual[i]
+            low, high, met = 0.0, math.inf, True
+            for _ in range(36 if iterations == _LAST_ITERATIONS else 12):
+                for i in range(step.size):
+                    q[i] = work.before[i] + share * step[i]
+                assembled(problem, assembly, theta, pull, contacts, work, more)
+                now = 0.0
+                for i in range(step.size):
+                    now += step[i] * work.residual[i]
+                if now > -0.5 * downhill:
+                    high = share
+                elif now < 0.5 * downhill and high < math.inf:
+                    low = share
+                else:
+                    met = False
+                    break
+                share = _between(work, share, now, low, high)
+            if met and iterations == _LAST_ITERATIONS:
+                # Steps may alternate for ever between the two sides of a jump.
+                for i in range(step.size):
+                    work.before[i], work.jump[i] = q[i] - work.jump[i], q[i]
+                if longest_of(problem, assembly, work.before, 1.0) < _JUMP:
+                    return iteration + 1
+        return 0
+
+    @part
+    def settle(
+        problem: Problem,
+        assembly: Assembly,
+        theta: float,
+        pull: Load,
+        contacts: Rows,
+        work: Work,
+        more: Any,
+        cold: bool,
+    ) -> int:
+        """Solve the balance from `work.place` or, if `cold` or not found, from ideal positions with softening springs.
+
+        Return the number of steps, 0 without a balance.
+        """
+        total = 0
+        for stage in range(1 if cold else 0, 3):
+            if stage > 0:
+                for i in range(work.place.size):
+                    work.place[i] = 0.0
+                work.moved[0] = math.inf
+            spring, found = 1e8 if stage == 2 else pull.centring, 0
+            while True:
+                most = _LAST_ITERATIONS if stage == 2 and spring == pull.centring else _ITERATIONS
+                stage_pull = Load(pull.torque, pull.spring, pull.flange, spring)
+                found = balance(problem, assembly, theta, stage_pull, contacts, work, more, most)
+                total += found if found > 0 else most
+                if spring == pull.centring:
+                    break
+                spring = max(0.1 * spring, pull.centring)
+            if found > 0:
+                return total
+        return 0
+
+    return settle
 
 
-@spliced
-def settle(
-    problem: Problem, assembly: Assembly, theta: float, pull: Load, contacts: Rows, work: Work, cold: bool
-) -> int:
-    """Solve the balance from `work.place` or, if `cold` or not found, from the ideal position with softening springs.
-
-    Return the number of steps, 0 without a balance.
-    """
-    total = 0
-    for stage in range(1 if cold else 0, 3):
-        if stage > 0:
-            for i in range(work.place.size):
-                work.place[i] = 0.0
-            work.moved[0] = math.inf
-        spring, found = 1e8 if stage == 2 else pull.centring, 0
-        while True:
-            most = _LAST_ITERATIONS if stage == 2 and spring == pull.centring else _ITERATIONS
-            stage_pull = Load(pull.torque, pull.spring, pull.flange, spring)
-            found = balance(problem, assembly, theta, stage_pull, contacts, work, most)
-            total += found if found > 0 else most
-            if spring == pull.centring:
-                break
-            spring = max(0.1 * spring, pull.centring)
-        if found > 0:
-            return total
-    return 0
+settle = settling(assemble)

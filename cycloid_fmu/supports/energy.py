@@ -136,7 +136,7 @@ def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Arra
         for i in range(FIRST_DISC + 2, FIRST_DISC + 3 * drive.shift_x.size, 3):
             q[i] += flange - q[0]
         q[0] = flange
-    steps = settle(drive, assembly, theta, pull, rows, work, cold)
+    steps = settle(drive, assembly, theta, pull, rows, work, None, cold)
     if steps == 0:
         return 0
     for i in range(n):

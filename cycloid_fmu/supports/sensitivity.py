@@ -179,7 +179,7 @@ def sweep_supported_sensitivities(
         for k in range(work.place.size):
             work.place[k] = places[i, k]
         work.moved[0] = math.inf
-        assemble(problem, assembly, thetas[i], Load(torques[i], 0.0, 0.0, CENTRING), contacts, work)
+        assemble(problem, assembly, thetas[i], Load(torques[i], 0.0, 0.0, CENTRING), contacts, work, None)
         for k in range(work.step.size):
             work.step[k] = 1.0 if k == 0 else 0.0
         if not solve_transposed(problem, assembly, work, work.step, 0.0):

@@ -64,7 +64,7 @@ def sweep_supported(
             for k in range(q.size):
                 q[k] += share * (q[k] - found.place[i - 2, k])
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
-        found.steps[i] = settle(problem, assembly, theta, pull, contacts, work, not step < NEIGHBOUR)
+        found.steps[i] = settle(problem, assembly, theta, pull, contacts, work, None, not step < NEIGHBOUR)
         for k in range(q.size):
             found.place[i, k] = q[k]
         found.stiffness[i] = torsional_stiffness(problem, assembly, work)

@@ -84,7 +84,8 @@ class OnBearings(Transmission):
     output_roller_force: Array
 
 
-def _empty(pair: Pair, loads: int, angles: int) -> Found:
+def empty(pair: Pair, loads: int, angles: int) -> Found:
+    """Return zeros for the results of a sweep."""
     supports = pair.supports
     assert supports is not None
     discs, cranks = pair.discs, supports.cranks
@@ -103,7 +104,8 @@ def _empty(pair: Pair, loads: int, angles: int) -> Found:
     )
 
 
-def _of(found: Found, part: Any) -> Found:
+def of_part(found: Found, part: Any) -> Found:
+    """Return the results at some indices, as views."""
     return Found(*(array[part] for array in cast(tuple[Any, ...], found)))
 
 
@@ -126,16 +128,16 @@ def solve(drive: DriveValue, torque: Array, crank_angle: Array, options: Options
     if options.with_elements:
         places = (len(torques), angles.size, pair.discs, pair.pins)
         lines = transmission.empty_lines(drive, options.slices, places)
-    found = _empty(pair, len(at_angles), angles.size)
+    found = empty(pair, len(at_angles), angles.size)
 
     def result(done: slice) -> OnBearings:
         kept = lines._replace(slice_force=lines.slice_force[:, done], slice_direction=lines.slice_direction[:, done])
-        of_done = _of(found, np.s_[:, done])
+        of_done = of_part(found, np.s_[:, done])
         _clear_centred(of_done, at_angles[:, done])
         interference = np.full(of_done.steps.shape[1], np.nan)
         if rest:
             interference = _interference(problem_of(drive, options.slices), angles[done], of_done)
-        return _result(pair, torques, angles[done], at_angles[:, done], len(rest), of_done, kept, interference)
+        return results(pair, torques, angles[done], at_angles[:, done], of_done, len(rest), kept, interference)
 
     try:
         _solve(drive, at_angles, angles, found, options, len(rest), lines)
@@ -164,7 +166,7 @@ def _solve(
         shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
         problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
         for k, torque in enumerate(torques):
-            here = _of(found, np.s_[k, start:last])
+            here = of_part(found, np.s_[k, start:last])
             work = work_of(assembly)
             mine = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
             sweep_supported(problem, assembly, angles[start:last], torque[start:last], here, work, mine)
@@ -231,17 +233,31 @@ def _interference(mesh: Problem, angles: Array, found: Found) -> Array:
     return interference
 
 
-def _result(
+def results(
     pair: Pair,
     torques: Array,
     angles: Array,
     at_angles: Array,
-    first: int,
     found: Found,
-    lines: ContactLines,
-    interference: Array,
+    first: int = 0,
+    lines: ContactLines | None = None,
+    interference: Array | None = None,
 ) -> OnBearings:
-    """Return the results; if `first` is 3, no torque and the play's two torques precede the others."""
+    """Return the results of a sweep as a dataclass.
+
+    Parameters
+    ----------
+    torques, angles, at_angles
+        As for `solve`, and the torques at each angle, shape (torques, angles).
+    found
+        Solutions at `at_angles`.
+    first
+        3 if no torque and the play's two torques precede the others, otherwise 0: without a play.
+    lines, interference
+        Contact lines, and the interference at each angle, shape (angles,).
+    """
+    lines = transmission.no_lines(len(torques)) if lines is None else lines
+    interference = np.full(angles.size, np.nan) if interference is None else interference
     deviation, stiffness = found.place[..., 0], found.stiffness
     low = high = np.full(angles.size, np.nan)
     preload = count = None
@@ -254,7 +270,7 @@ def _result(
         deviation = np.where(at_angles == 0.0, middle, deviation)
         stiffness = np.where((at_angles == 0.0) & (interference == 0.0), 0.0, stiffness)
         preload, count = found.pin_force[0].max(axis=(-1, -2)), found.contact_count[0].copy()
-    kept = _of(found, np.s_[first:])
+    kept = of_part(found, np.s_[first:])
     discs, force = pair.discs, {kind.name: force for kind, force in by_kind(kinds_of(pair), kept.force)}
     return OnBearings(
         torques,
@@ -298,7 +314,7 @@ def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: in
     if drive.pair.supports is None:
         return transmission.sensitivity(drive, torque, crank_angle, slices)
     pair, angles, at_angles = drive.pair, np.array(crank_angle, dtype=float), np.array(torque, dtype=float)
-    found = _empty(pair, 1, angles.size)
+    found = empty(pair, 1, angles.size)
     _solve(drive, at_angles[None], angles, found, Options(slices))
     assembly = assembly_of(drive)
     each = np.zeros((angles.size, displacement_size(pair)))

@@ -31,6 +31,11 @@ class Sliding(NamedTuple):
     friction_power_density: Array
 
 
+def flank_friction(pair: Pair) -> float | None:
+    """Return the friction coefficient at speed of flanks on pins, of `[losses.flank]`; None if there is none."""
+    return None if pair.losses is None else pair.losses.flank.friction_coefficient or None
+
+
 def sliding_of(
     pair: Pair,
     crank_angle: ArrayLike,

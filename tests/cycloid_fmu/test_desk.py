@@ -18,6 +18,7 @@ from cycloid_fmu.desk.server import DeskServer, save
 from cycloid_fmu.desk.view import FIELDS, look, open_desk, pair_of
 from cycloid_fmu.draw.drive_picture import PRESSURES
 from cycloid_fmu.draw.drive_svg import drive_svg, pressure_colour
+from cycloid_fmu.studies.friction import FIGURES
 from cycloid_fmu.studies.limits import read_requirements
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
@@ -75,8 +76,17 @@ def test_verdicts_are_those_of_judge(tmp_path):
 def test_limits_on_bearings_are_not_judged_without_their_capacity():
     desk = open_desk(MADE, EXAMPLES / "requirements.toml")
     view = look(desk, desk.values)
-    assert view.not_judged == ("bearing_life", "wear_depth")
+    assert view.not_judged == ("bearing_life", "friction_power_density", "wear_depth", *FIGURES)
     assert {one.figure for one in view.verdicts} == set(desk.requirements.limits.stated()) - {*view.not_judged}
+
+
+def test_friction_is_shown_from_rest():
+    desk = open_desk(EXAMPLES / "drive-39-40-bearings.toml")
+    view = look(desk, {**desk.values, "torque": "181 N*m"})
+    alone = cy.Drive(view.pair).losses("181 N*m", workers=1)
+    assert view.figures["efficiency from rest, driving"] == f"{alone.cases[0].efficiency:.1%}"
+    assert view.figures["starting torque"] == f"{alone.starting_torque:.4g} N·m"
+    assert view.figures["back-driving torque"] == f"{alone.back_driving_torque:.4g} N·m"
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Limits and verdicts: margins, the worst place, lives over a duty, sliding, and checks of files."""
 
 import dataclasses
+import itertools
 import json
 import math
 
@@ -30,7 +31,11 @@ HEAD = f'format = "{asked.FORMAT}"\n'
 ROW = '[[duty]]\ntorque = "1 N*m"\noutput_speed = "{}"\nshare = {}\n'
 
 
-@given(st.sampled_from(list(asked.SHOWN)), st.floats(1e-6, 1e6), st.floats(1e-6, 1e6))
+@given(
+    st.sampled_from([name for name in asked.SHOWN if name != "self_locking"]),
+    st.floats(1e-6, 1e6),
+    st.floats(1e-6, 1e6),
+)
 def test_a_limit_is_met_up_to_itself_and_the_margin_says_by_how_much(name, value, limit):
     one = asked.verdict(name, value, limit)
     kept = value >= limit if name in asked.LOWER else value <= limit
@@ -39,6 +44,13 @@ def test_a_limit_is_met_up_to_itself_and_the_margin_says_by_how_much(name, value
     assert (one.margin >= 0.0) == kept
     assert asked.verdict(name, limit, limit).met
     assert ("not met" in asked.row_of(one)) != kept
+
+
+def test_self_locking_is_required_or_excluded():
+    for value, limit in itertools.product((0.0, 1.0), repeat=2):
+        one = asked.verdict("self_locking", value, limit)
+        assert one.met == (value == limit)
+        assert asked.row_of(one)[1:3] == ["yes" if limit else "no", "yes" if value else "no"]
 
 
 @given(
@@ -126,8 +138,9 @@ def test_smallest_curvature_radius_is_that_of_circles_through_three_points(modif
         (ROW.format("3 rpm", 0.4), "[[duty]] share adds up to 0.4 over the rows; it must add up to 1"),
         (ROW.format("-3 rpm", "1.0"), 'duty[0].output_speed = "-3 rpm": it should be greater than or equal to 0.'),
         (
-            '[limits]\nfriction_power_density = "3 W/mm^2"\n' + ROW.format("3 rpm", "1.0"),
-            "[limits] friction_power_density needs friction_coefficient, which is missing.",
+            "friction_coefficient = 0.06\n" + ROW.format("3 rpm", "1.0"),
+            "r.toml: friction_coefficient is not known here; friction is the drive's: state [losses.flank] "
+            "friction_coefficient in the pair file.",
         ),
     ],
 )
@@ -247,7 +260,9 @@ def test_one_requirements_file_judges_drives_with_and_without_bearings(command):
         "20",
     )
     assert shown.returncode == edge.NOT_MET, shown.stderr
-    assert "Not judged by this command, and so not met: bearing life, wear depth." in shown.stdout
+    of_friction = "efficiency, starting torque, back driving torque, self locking"
+    assert f"not met: bearing life, friction power density, wear depth, {of_friction}." in shown.stdout
+    assert "Efficiency needs [losses]: no friction stated." in shown.stdout
     assert "Bearing life needs a bearing of [supports] with its dynamic_capacity." in shown.stdout
 
 

@@ -46,7 +46,7 @@ from cycloid_fmu.supports.sensitivity import (
     sweep_supported_sensitivities,
 )
 from cycloid_fmu.supports.sweeps import sweep_supported
-from cycloid_fmu.supports.transmission import _empty, assembly_of, problem_of
+from cycloid_fmu.supports.transmission import assembly_of, empty, problem_of
 from cycloid_fmu.surfaces.structured import displacement_layout, displacements
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
@@ -504,7 +504,7 @@ def test_any_torque_of_either_sign_is_balanced_whatever_was_solved_before(seed, 
 
 def swept(pair, problem, assembly, torque, angles):
     """Result of the kernel for any list of joints."""
-    found = _empty(pair, 1, angles.size)
+    found = empty(pair, 1, angles.size)
     here = type(found)(*(array[0] for array in found))._replace(force=np.zeros((angles.size, assembly.joints.size)))
     work = work_of(assembly)
     sweep_supported(problem, assembly, angles, np.full(angles.size, torque), here, work, on_rigid.no_lines(1))

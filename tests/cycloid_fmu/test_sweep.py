@@ -164,6 +164,9 @@ def test_every_number_of_a_pair_file_can_be_varied():
         "N*m": "90 N*m",
         "Pa": "3 GPa",
         "N*m/rad": "5 N*m/arcmin",
+        "N*m*s/rad": "1e-3 N*m*s/rad",
+        "m/s": "0.1 m/s",
+        "m^2/s": "50 mm^2/s",
     }
     large = {
         "pin_circle_radius": "66 mm",
@@ -175,6 +178,8 @@ def test_every_number_of_a_pair_file_can_be_varied():
         "gear_teeth": "38",
         "material.gear.poissons_ratio": "0.25",
         "material.pin.poissons_ratio": "0.25",
+        "losses.lubricant.viscosity_40": "200 mm^2/s",
+        "losses.lubricant.viscosity_100": "20 mm^2/s",
     }
     set_ = []
     refused = {}
@@ -182,7 +187,11 @@ def test_every_number_of_a_pair_file_can_be_varied():
         if name == "temperature":
             continue
         text = large.get(name) or (
-            "20 mm" if name.endswith(("diameter", "length", "radius")) and "supports" in name else examples[si]
+            "0.1"
+            if name.startswith("losses") and si == "1"
+            else "20 mm"
+            if name.endswith(("diameter", "length", "radius")) and "supports" in name
+            else examples[si]
         )
         base = on_rollers if "output_roller" in name else drive
         try:
@@ -196,7 +205,7 @@ def test_every_number_of_a_pair_file_can_be_varied():
         assert value == (edge.parse_quantity(text, si) if si != "1" else float(text)), name
         set_.append(name)
     assert all(name.split(".")[1] in said or "misalignment" in name for name, said in refused.items()), refused
-    assert len(set_) > 0.75 * len(known_names())
+    assert len(set_) > 0.7 * len(known_names())
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,112 @@
+"""`cycloid-fmu losses`."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import PairFile, SurfaceFile
+from cycloid_fmu.edge import commands
+from cycloid_fmu.geometry import ANGLES
+
+if TYPE_CHECKING:
+    from cycloid_fmu.drive import Drive
+    from cycloid_fmu.losses.figures import LossFigures
+
+
+def losses(
+    pair_file: PairFile,
+    crank_speed: Annotated[
+        float, commands.quantity_option("rad/s", "Speed of the crank; 0 for friction at rest. Both directions.")
+    ],
+    torque: Annotated[
+        list[float] | None,
+        commands.quantity_option("N*m", "Torque on the output; repeatable.", show_default="the rated torque"),
+    ] = None,
+    output: Annotated[Path | None, commands.output_option((".nc",), "OUT.nc", "Write the dataset (netCDF).")] = None,
+    plot: commands.PlotFile = None,
+    map_file: Annotated[
+        Path | None,
+        commands.output_option(
+            edge.PICTURES, "FILE.png|pdf", "Draw the efficiency over torque and speed, up to the given ones.", "--map"
+        ),
+    ] = None,
+    surface_file: SurfaceFile = None,
+    as_json: commands.AsJson = False,
+    angles: Annotated[int, typer.Option(min=1, help="Number of crank angles from 0, end excluded.")] = ANGLES,
+    turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
+) -> None:
+    """Efficiency, losses by part, and the torques to start, to run and to be driven backwards, with stated friction.
+
+    Example: [cyan]cycloid-fmu losses pair.toml --crank-speed "600 rpm" --torque "181 N*m" --plot losses.png[/]
+    """
+    from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.losses.solver import losses_of
+
+    drive = read_drive(pair_file, surface_file)
+    losses_of(drive, str(pair_file))
+    loads = torque or [drive.pair.rated_load(str(pair_file))]
+    with commands.progress("crank angles", 2 * angles * len(loads)) as progress:
+        found = drive.losses(loads, crank_speed, angles=angles, turns=turns, progress=progress)
+    if output is not None:
+        from cycloid_fmu.analysis import labelled_losses
+
+        edge.write_netcdf(labelled_losses(drive, found), output)
+    if plot is not None or map_file is not None:
+        from cycloid_fmu.draw.losses import plot_losses, plot_map, save
+
+        if plot is not None:
+            save(plot_losses(found), plot)
+        if map_file is not None:
+            from cycloid_fmu.losses.figures import efficiency_map
+
+            drawn = efficiency_map(drive, max(map(abs, loads)), crank_speed, found.crank_angle, os.cpu_count() or 1)
+            save(plot_map(drawn), map_file)
+    if as_json:
+        commands.print_json(found.numbers())
+        return
+    _print(drive, found, pair_file.name)
+
+
+def _print(drive: Drive, found: LossFigures, name: str) -> None:
+    from cycloid_fmu.geometry.friction_values import VALUES
+
+    rpm = found.crank_speed * 30.0 / math.pi
+    rows = []
+    for case in found.cases:
+        efficiency = "jams" if case.jams else "-" if math.isnan(case.efficiency) else f"{case.efficiency:.2%}"
+        parts = [f"{value:.4g}" if value else "" for value in case.loss.values()]
+        mode = case.mode + (", self-locking" if case.self_locking else "")
+        rows.append([f"{case.torque:g} N·m", f"{case.direction:+d}", mode, efficiency, *parts, f"{case.heat:.3g} W"])
+    used = [k for k in range(len(rows[0])) if k < 4 or any(row[k] for row in rows)]
+    columns = ["torque", "crank", "mode", "efficiency", *(p.replace("_", " ") for p in found.cases[0].loss), "heat"]
+    commands.print_table(
+        f"{name}: losses [J per rad of the crank] at {rpm:.4g} rpm of the crank",
+        [columns[k] for k in used],
+        [[row[k] for k in used] for row in rows],
+    )
+    if found.ends and drive.pair.losses is not None:
+        for table, name_ in drive.pair.losses.from_table.items():
+            value = VALUES[name_]
+            typer.echo(f"[losses.{table}] {name_}: {value.low:g} to {value.high:g} ({value.source}).")
+        for case, *ends in zip(found.cases, *(end.cases for end in found.ends), strict=True):
+            if not math.isnan(case.efficiency):
+                high, low = ("jams" if end.jams else f"{end.efficiency:.1%}" for end in ends)
+                typer.echo(f"Within these ranges the {case.mode} efficiency at {case.torque:g} N·m is {low} to {high}.")
+    shaft = "crank" if drive.first_stage is None else "sun"
+    typer.echo(f"Without load the {shaft} takes {found.no_load_running_torque:.4g} N·m at this speed.")
+    for load, each in found.starting.items():
+        against = f"against {load:g} N·m" if load else "without load"
+        typer.echo(f"To start {against}, the {shaft} takes up to {each.max():.4g} N·m.")
+    if math.isnan(found.back_driving_torque):
+        typer.echo(f"No torque up to {found.searched_to:g} N·m on the output turns the drive at every crank angle.")
+    else:
+        typer.echo(f"{found.back_driving_torque:.4g} N·m on the output turn the drive backwards from rest.")
+    for one in found.friction_hysteresis:
+        apart = one["value"] * edge.ARCSEC
+        typer.echo(f"Between the two directions the output differs by {apart:.3g}″ at {one['torque']:g} N·m.")

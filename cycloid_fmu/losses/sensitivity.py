@@ -1,0 +1,99 @@
+"""Derivatives of the crank's torque by the coefficients of `[losses]`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.losses import PARTS, Losses
+from cycloid_fmu.losses.rubbing import COEFFICIENTS
+from cycloid_fmu.losses.solver import Rubbed, laws_of, losses_of, rubbing_of
+from cycloid_fmu.losses.sweeps import slope_of, sweep_rubbing_sensitivities
+from cycloid_fmu.supports.joints import work_of
+from cycloid_fmu.supports.transmission import assembly_of, problem_of
+
+Array = NDArray[np.float64]
+_LINEAR = ("friction_coefficient", "static_friction_coefficient", "load_factor", "speed_factor")
+_IN_LAWS = ("flank", "pin", "output_contact", "output_roller", "turning_arm", "crank_shaft", "main")
+
+
+def _alone(losses: Losses, part: str, coefficient: str) -> Losses | None:
+    """Return the friction with one coefficient at 1 and all others at 0; None where the coefficient is not stated."""
+    stated = getattr(losses, part)
+    if stated is None or (part == "output_contact" and losses.output_roller is None):
+        return None
+    zeros = {name: 0.0 for name in stated.linear_in if getattr(stated, name) is not None}
+    if coefficient not in zeros:
+        return None
+    one = stated.replace(friction=None, **{**zeros, coefficient: 1.0})
+    kept = {name: getattr(losses, name) for name in ("output_roller", "lubricant")}
+    if part != "output_roller" and kept["output_roller"] is not None:
+        kept["output_roller"] = kept["output_roller"].replace(radius=None, friction=None, friction_coefficient=0.0)
+    return Losses(**{**kept, part: one})
+
+
+def sensitivity(drive: DriveValue, found: Rubbed, load: int = 0, slices: int | None = None) -> dict[str, Array]:
+    """Return the derivatives of the crank's torque by the stated coefficients, by "table.key", shape (angles,) each.
+
+    Parameters
+    ----------
+    drive
+        The drive.
+    found
+        Of `solver.solve`, with a balance at every angle.
+    load
+        Index of the torque.
+    slices
+        As for `solver.solve`.
+
+    Returns
+    -------
+    dict
+        {"flank.friction_coefficient": N·m, "turning_arm.load_factor": N·m, "output_drag.coulomb": 1, …}. Where no
+        coefficient at rest is stated it is that at speed, and moves with it.
+
+    Notes
+    -----
+    With r(q, p) = 0 the balance, dτ/dp = ∂τ/∂p - λ·∂r/∂p, λ (∂r/∂q) = ∂τ/∂q: one linear solution for all. Which of
+    two contacts slides, and the speed of its sliding, are held.
+    """
+    pair, losses, angles = drive.pair, losses_of(drive), found.motion.crank_angle
+    rubbing = rubbing_of(drive, found.direction, found.crank_speed)
+    by_law = np.zeros((angles.size, rubbing.laws.size, len(COEFFICIENTS)))
+    by_carrier = np.zeros((angles.size, 2))
+    torques = np.array(np.broadcast_to(found.motion.torque[load], angles.shape))
+    unknowns, assembly = found.place.shape[-1], assembly_of(drive)
+    solved = sweep_rubbing_sensitivities(
+        problem_of(drive, slices or drive.slices),
+        assembly,
+        angles,
+        torques,
+        np.ascontiguousarray(found.place[load]),
+        rubbing,
+        by_law,
+        by_carrier,
+        work_of(assembly),
+        slope_of(unknowns),
+        np.zeros(len(PARTS)),
+    )
+    if not solved:
+        raise ValueError("the balance is singular: the drive jams")
+    by = dict[str, Array]()
+    for part in _IN_LAWS:
+        for coefficient in _LINEAR:
+            if (alone := _alone(losses, part, coefficient)) is not None:
+                laws: Any = laws_of(pair.at_temperature, alone, found.crank_speed)
+                each = np.stack([laws[name] for name in COEFFICIENTS], axis=-1)
+                by[f"{part}.{coefficient}"] = np.einsum("alc,lc->a", by_law, each)
+    by["output_drag.coulomb"] = by_carrier[:, 0]
+    by["output_drag.viscous"] = by_carrier[:, 0] * found.crank_speed / pair.gear_teeth
+    if losses.first_stage is not None and drive.first_stage is not None:
+        by["first_stage.loss"] = by_carrier[:, 1]
+        if losses.first_stage.loss is None:
+            one = losses.first_stage.replace(friction_coefficient=1.0)
+            share = one.share(drive.first_stage.sun_teeth, drive.first_stage.planet_teeth)
+            by["first_stage.friction_coefficient"] = by_carrier[:, 1] * share
+    return by

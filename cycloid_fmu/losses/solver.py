@@ -1,0 +1,261 @@
+"""A drive with friction over torques and crank angles, in one direction and at one speed of the crank."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.parts import solve_in_parts
+from cycloid_fmu.contact.transmission import along_sweep
+from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.losses import PARTS, Bearing, Friction, Losses, Seat
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.losses.rubbing import DRAG_INPUT, LAW, Rubbing
+from cycloid_fmu.losses.sweeps import slope_of, sweep_rubbing
+from cycloid_fmu.supports.assembly import bodies_of, kinds_of
+from cycloid_fmu.supports.joints import work_of
+from cycloid_fmu.supports.transmission import OnBearings, assembly_of, empty, of_part, problem_of, results
+
+Array = NDArray[np.float64]
+_PART = 64  # crank angles that one thread solves at a time
+_RPM = 30.0 / math.pi
+
+
+def losses_of(drive: DriveValue, source: str = "the pair") -> Losses:
+    """Return what is stated of friction; `source` is the name of the file.
+
+    Raises
+    ------
+    edge.InputError
+        If nothing is, there are no [supports], or the loss is that of a first stage that the drive does not have.
+    """
+    losses = drive.pair.losses
+    if losses is None:
+        raise edge.InputError(
+            f"{source}: no friction stated; state [losses], such as [losses.flank] friction_coefficient, and the "
+            "[supports] that it acts on."
+        )
+    if drive.pair.supports is None:
+        raise edge.InputError(
+            f"{source}: [losses] needs [supports], which is missing: friction depends on the bearings' forces."
+        )
+    if losses.first_stage is not None and drive.first_stage is None:
+        raise edge.InputError(
+            f"{source}: [losses.first_stage]: the drive has no first stage; state it in a reducer file."
+        )
+    return losses
+
+
+def _coefficients(friction: Friction | None, speed: float, thinning: float) -> tuple[float, float, float]:
+    """Return coefficients at speed and at rest, and the decay between them, as those of `LAW`."""
+    if friction is None:
+        return 0.0, 0.0, 0.0
+    if friction.stribeck_speed is None and speed > 0.0:
+        return friction.friction_coefficient, friction.friction_coefficient, 0.0
+    decay = 0.0 if friction.stribeck_speed is None else (speed * thinning / friction.stribeck_speed) ** 2
+    return friction.friction_coefficient, friction.static, decay
+
+
+def _contact_law(law: np.record, contact: Friction, seat: Seat | None, speed: float, thinning: float) -> None:
+    law["kinetic"], law["static"], law["decay"] = _coefficients(contact, speed, thinning)
+    if seat is not None and seat.radius is not None:
+        law["joint_kinetic"], law["joint_static"], decay = _coefficients(seat, speed, thinning)
+        law["joint_radius"] = seat.pressure_factor * seat.radius
+        law["joint_decay"] = decay / seat.pressure_factor**2
+
+
+def _bearing_law(law: np.record, bearing: Bearing, relative: float, speed: float, losses: Losses) -> None:
+    """Write M_0 and l of a bearing; `relative` is its rotation for each radian of the crank."""
+    if bearing.radius is not None:
+        kinetic, static, decay = _coefficients(bearing, speed, losses.thinning)
+        rest = math.exp(-decay * (relative * bearing.radius) ** 2)
+        law["arm"] = bearing.radius * (kinetic + (static - kinetic) * rest)
+        return
+    assert bearing.mean_diameter is not None
+    viscosity = 0.0 if losses.lubricant is None else losses.lubricant.viscosity
+    # Palmgren's formula in mm²/s, rpm, mm and N·mm.
+    moved = max((1e6 * viscosity * relative * speed * _RPM) ** (2.0 / 3.0), 160.0)
+    law["arm"] = bearing.load_factor * bearing.mean_diameter
+    law["constant"] = bearing.load_factor * bearing.mean_diameter * bearing.preload
+    law["constant"] += 1e-10 * bearing.speed_factor * (1e3 * bearing.mean_diameter) ** 3 * moved
+
+
+def laws_of(pair: Pair, losses: Losses, crank_speed: float) -> NDArray[np.void]:
+    """Return the friction of each kind of joint and, last, of the flanks at a speed of the crank, rad/s.
+
+    Raises
+    ------
+    edge.InputError
+        If a rolling bearing's speed factor needs the lubricant's viscosity, which is missing.
+    """
+    if crank_speed > 0.0 and (lacking := losses.without_viscosity):
+        raise edge.InputError(
+            f"[losses.lubricant] is missing: [losses.{lacking[0]}] speed_factor needs its viscosity; state it, or "
+            "speed_factor = 0."
+        )
+    kinds, rate, thinning = kinds_of(pair), bodies_of(pair)["rate"], losses.thinning
+    laws: Any = np.zeros(len(kinds) + 1, LAW)
+    for law, kind in zip(laws, kinds, strict=False):
+        if kind.name == "output_roller":
+            _contact_law(law, losses.output_contact, losses.output_roller, crank_speed, thinning)
+            roller = losses.output_roller
+            law["outer_radius"] = roller.outer_radius if roller is not None else 0.0
+        elif (bearing := getattr(losses, kind.name)) is not None:
+            relative = float(np.abs(rate[kind.outer] - rate[kind.inner]).max())
+            _bearing_law(law, bearing, relative, crank_speed, losses)
+    _contact_law(laws[-1], losses.flank, losses.pin, crank_speed, thinning)
+    return cast(NDArray[np.void], laws)
+
+
+def sun_rate(drive: DriveValue) -> float:
+    """Return the rotation of the input, crank or sun, for each radian of the crank."""
+    if drive.first_stage is None:
+        return 1.0
+    share = 1.0 / drive.pair.gear_teeth
+    return -((1.0 + share) / drive.first_stage.sun_share + share)
+
+
+def rubbing_of(drive: DriveValue, direction: int, crank_speed: float) -> Rubbing:
+    """Return the friction of a drive for the kernels.
+
+    Parameters
+    ----------
+    drive
+        A drive with losses.
+    direction
+        Of the crank's rotation, 1 counter-clockwise or -1.
+    crank_speed
+        rad/s, not below 0; at 0 friction is that at rest.
+    """
+    losses, first = losses_of(drive), drive.first_stage
+    drag, loss = losses.output_drag.torque(crank_speed / drive.pair.gear_teeth), 0.0
+    if first is not None and losses.first_stage is not None:
+        loss = losses.first_stage.share(first.sun_teeth, first.planet_teeth)
+    laws = laws_of(drive.pair.at_temperature, losses, crank_speed)
+    return Rubbing(laws, float(direction), drag, 0.0 if first is None else first.sun_share, loss)
+
+
+@dataclass(frozen=True)
+class Rubbed:
+    """A drive with friction over torques and crank angles, SI.
+
+    Attributes
+    ----------
+    direction, crank_speed
+        1 or -1; rad/s, not below 0.
+    motion
+        Motion, forces and the crank's torque; NaN where the drive jams.
+    place
+        Unknowns of the balance, shape (torques, angles, unknowns).
+    loss
+        What each of `PARTS` loses for each radian of the crank, shape (torques, angles, parts), J.
+    input_torque
+        Torque of the environment on the input shaft with its drag, shape (torques, angles), N·m.
+    input_rate
+        Rotation of the input shaft for each radian of the crank.
+    """
+
+    direction: int
+    crank_speed: float
+    motion: OnBearings
+    place: Array
+    loss: Array
+    input_torque: Array
+    input_rate: float
+
+    @property
+    def crank_torque(self) -> Array:
+        """Torque of the environment on the crank, on all cranks together, N·m; shape (torques, angles)."""
+        assert self.motion.crank_torque is not None
+        return self.motion.crank_torque
+
+    @property
+    def input_work(self) -> Array:
+        """Work of the environment at the input for each radian of the crank, mean over the angles, J; (torques,)."""
+        return np.asarray(self.direction * self.input_rate * self.input_torque.mean(axis=1))
+
+
+def solve(
+    drive: DriveValue,
+    torque: Array,
+    crank_angle: Array,
+    direction: int,
+    crank_speed: float,
+    *,
+    slices: int | None = None,
+    near: Array | None = None,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
+) -> Rubbed:
+    """Solve a drive with friction.
+
+    Parameters
+    ----------
+    drive
+        A drive with [supports] and [losses]. Behind a first stage the results are at the cranks' angle, and the first
+        stage is rigid.
+    torque
+        Torques of the environment on the output, N·m, shape (torques,) or (torques, angles).
+    crank_angle
+        rad, shape (angles,).
+    direction, crank_speed
+        Of the crank: 1 counter-clockwise or -1; rad/s, not below 0, where 0 is the start with friction at rest.
+    slices
+        Slices across the face width; None for as many as the errors need.
+    near
+        `place` of a solution at nearly the same torques, to start from.
+    workers, progress
+        Threads; function called with the number of crank angles (times loads) that were just finished.
+
+    Raises
+    ------
+    edge.InputError
+        As `losses_of` and `laws_of`. A drive that jams is a result: NaN.
+    """
+    pair, rubbing = drive.pair, rubbing_of(drive, direction, crank_speed)
+    angles, at_angles = np.array(crank_angle, dtype=float), along_sweep(np.asarray(torque, dtype=float), crank_angle)
+    slices = slices or drive.slices
+    found = empty(pair, len(at_angles), angles.size)
+    loss = np.zeros((*found.steps.shape, len(PARTS)))
+    if near is not None:
+        found.place[:] = near
+    assembly, mesh = assembly_of(drive), problem_of(drive, slices)
+
+    def part(start: int, last: int) -> None:
+        shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
+        problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
+        for k, torques in enumerate(at_angles):
+            here, unknowns = of_part(found, np.s_[k, start:last]), found.place.shape[-1]
+            sweep_rubbing(
+                problem,
+                assembly,
+                angles[start:last],
+                torques[start:last],
+                rubbing,
+                here,
+                loss[k, start:last],
+                work_of(assembly),
+                slope_of(unknowns),
+                near is not None,
+            )
+
+    solve_in_parts(part, angles.size, _PART, workers, lambda size: progress(size * len(at_angles)))
+    jammed = found.steps == 0
+    for values in (*found[1:4], found.max_contact_pressure, found.pin_force, found.pin_pressure, found.force, loss):
+        values[jammed] = np.nan
+    rate = sun_rate(drive)
+    drag = losses_of(drive).input_drag.torque(rate * crank_speed)
+    loss[..., DRAG_INPUT] = np.where(jammed, np.nan, drag * abs(rate))
+    of_input = found.crank_torque
+    if drive.first_stage is not None:
+        factor = np.where(direction * of_input > 0.0, 1.0 / (1.0 - rubbing.loss), 1.0 - rubbing.loss)
+        of_input = -of_input * drive.first_stage.sun_share * factor
+    of_input = of_input + math.copysign(drag, rate) * direction
+    motion = results(pair, np.asarray(torque, dtype=float), angles, at_angles, found)
+    return Rubbed(direction, crank_speed, motion, found.place, loss, of_input, rate)

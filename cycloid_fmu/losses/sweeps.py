@@ -1,0 +1,219 @@
+"""Sweeps of a drive with friction over crank angles, and the derivatives of the crank's torque by its coefficients."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cycloid_fmu import contact
+from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
+from cycloid_fmu.losses.rubbing import (
+    ARM,
+    CONSTANT,
+    FLANK_LAW,
+    JOINT_KINETIC,
+    JOINT_STATIC,
+    KINETIC,
+    STATIC,
+    Acting,
+    Rubbing,
+    Slope,
+    assemble_rubbing,
+    bearing_friction,
+    flank_speed,
+    joint_speed,
+    settle_rubbing,
+    sliding_friction,
+    through_first_stage,
+)
+from cycloid_fmu.supports.balance import NEIGHBOUR, Load, solve_transposed, torsional_stiffness
+from cycloid_fmu.supports.bearing import CENTRING
+from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, reaction
+from cycloid_fmu.supports.sweeps import Found
+
+
+def slope_of(unknowns: int) -> Slope:
+    """Return uninitialized work arrays."""
+    return Slope(np.zeros(unknowns), np.zeros(unknowns))
+
+
+@compiled
+def sweep_rubbing(
+    problem: Problem,
+    assembly: Assembly,
+    thetas: Array,
+    torques: Array,
+    rubbing: Rubbing,
+    found: Found,
+    loss: Array,
+    work: Work,
+    slope: Slope,
+    near: bool,
+) -> None:
+    """Solve crank angles with friction, each at its torque and starting from its neighbour.
+
+    Parameters
+    ----------
+    thetas, torques
+        Crank angles, rad, and the torque at each, N·m, shape (angles,).
+    found, loss
+        Overwritten; without a balance `steps` are 0. `loss` has shape (angles, parts), J for each radian of the crank.
+    near
+        Whether `found.place` holds solutions at nearly the same torques, which are the start instead.
+    """
+    contacts = contact.contact_rows(problem)
+    q = work.place
+    for i in range(thetas.size):
+        theta = thetas[i]
+        step = abs(theta - thetas[i - 1]) if i > 0 else math.inf
+        solved = i > 0 and found.steps[i - 1] > 0
+        if near:
+            for k in range(q.size):
+                q[k] = found.place[i, k]
+            work.moved[0] = math.inf
+        elif i > 1 and solved and step < 1.5 * abs(thetas[i - 1] - thetas[i - 2]) < NEIGHBOUR:
+            share = (theta - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
+            for k in range(q.size):
+                q[k] += share * (q[k] - found.place[i - 2, k])
+        cold = not near and not (solved and step < NEIGHBOUR)
+        pull = Load(torques[i], 0.0, 0.0, CENTRING)
+        found.steps[i] = settle_rubbing(problem, assembly, theta, pull, contacts, work, (rubbing, slope, loss[i]), cold)
+        if found.steps[i] == 0:
+            work.moved[0] = math.inf
+            continue
+        for k in range(q.size):
+            found.place[i, k] = q[k]
+        found.crank_torque[i] = assemble_rubbing(
+            problem, assembly, theta, pull, contacts, work, (rubbing, slope, loss[i])
+        )
+        found.stiffness[i] = torsional_stiffness(problem, assembly, work)
+        for number in range(assembly.joints.size):
+            joint = assembly.joints[number]
+            d = displacement(assembly, joint, work)
+            found.force[i, number] = reaction(assembly, joint, d, 0.0).force
+        count, pressure = contact.load_sharing(problem, contacts, found.pin_force[i], found.pin_pressure[i])
+        found.contact_count[i], found.max_contact_pressure[i] = count, pressure
+
+
+@part
+def _by_coefficients(
+    law: np.record, f: Acting, force: float, rolls: bool, along: float, radius: float, out: Array
+) -> None:
+    """Add `along` times the derivatives of an amplitude G by the coefficients of its law."""
+    sign = along * (math.copysign(1.0, f.amplitude) if f.amplitude != 0.0 else 0.0)
+    if rolls:
+        out[CONSTANT] += sign
+        out[ARM] += sign * force
+    elif f.turns:
+        lever = law.joint_radius / radius
+        rest = math.exp(-law.joint_decay * (f.speed * lever) ** 2)
+        out[JOINT_KINETIC] += sign * force * lever * (1.0 - rest)
+        out[JOINT_STATIC] += sign * force * lever * rest
+    else:
+        rest = math.exp(-law.decay * f.speed * f.speed)
+        out[KINETIC] += sign * force * (1.0 - rest)
+        out[STATIC] += sign * force * rest
+
+
+@spliced
+def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubbing: Rubbing, out: Array) -> None:
+    """Subtract λ·∂r/∂p of the flanks, λ in `work.step`."""
+    law, row_ = rubbing.laws[FLANK_LAW], work.step
+    for row in range(contacts.shape[0]):
+        force = contacts[row].force
+        if force <= 0.0:
+            continue
+        local = contact.local_frame(problem, theta, work.place[0], contacts, row)
+        radius = problem.pin_radius[local.pin]
+        distance = contacts[row].gap + radius
+        f = sliding_friction(law, rubbing.direction, radius, flank_speed(problem, local, distance), force)
+        nx, ny, at = local.normal_x, local.normal_y, FIRST_DISC + 3 * local.disc
+        turned = distance - (nx * local.gear_x + ny * local.gear_y)
+        along = ny * row_[at] - nx * row_[at + 1] + turned * row_[at + 2]
+        _by_coefficients(law, f, force, False, along, radius, out[FLANK_LAW])
+
+
+@spliced
+def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbing, direct: float, out: Array) -> None:
+    """Subtract λ·∂r/∂p of the joints, λ in `work.step`, and add what bearings take from the crank directly.
+
+    `direct` is what the crank's torque becomes for each N·m on the crank itself: 1 without a first stage.
+    """
+    row, at, by = work.step, work.at, work.by
+    for number in range(assembly.joints.size):
+        joint = assembly.joints[number]
+        outer, inner = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.inner)].rotation
+        seat = assembly.bodies[int(joint.seat)].rotation
+        d = displacement(assembly, joint, work)
+        unknowns = derivatives(assembly, joint, d, work)
+        force, number_ = reaction(assembly, joint, d, 0.0).force, int(joint.law)
+        law, speed = rubbing.laws[number_], joint_speed(problem, assembly, joint, d, work)
+        roller, along = joint.reach > 0.0, 0.0
+        for i in range(unknowns):
+            if roller:
+                along -= row[at[i]] * (d.normal_x * by[1, i] - d.normal_y * by[0, i])
+        if roller:
+            if force <= 0.0:
+                continue
+            if outer >= 0:
+                along += row[outer] * (d.length + law.outer_radius)
+            if seat >= 0:
+                along -= row[seat] * law.outer_radius
+            f = sliding_friction(law, rubbing.direction, law.outer_radius, speed, force)
+        else:
+            if outer >= 0:
+                along -= row[outer]
+            along += row[inner] if inner >= 0 else -direct
+            f = bearing_friction(law, rubbing.direction, speed, force)
+            if f.amplitude == 0.0:
+                f = Acting(math.copysign(1e-300, rubbing.direction * speed), 0.0, speed, False)
+        _by_coefficients(law, f, force, not roller, along, law.outer_radius, out[number_])
+
+
+@compiled
+def sweep_rubbing_sensitivities(
+    problem: Problem,
+    assembly: Assembly,
+    thetas: Array,
+    torques: Array,
+    places: Array,
+    rubbing: Rubbing,
+    by_coefficient: Array,
+    by_carrier: Array,
+    work: Work,
+    slope: Slope,
+    loss: Array,
+) -> bool:
+    """Write the derivatives of the crank's torque at given solutions; return False if one is singular.
+
+    Parameters
+    ----------
+    thetas, torques, places
+        Crank angles (rad) and the torque at each (N·m), shape (angles,); the solutions, shape (angles, unknowns).
+    by_coefficient
+        Zeros; overwritten with the derivatives by the `COEFFICIENTS` of each law, shape (angles, laws, coefficients).
+    by_carrier
+        Overwritten with those by the carrier's drag (1) and by the first stage's loss ζ (N·m), shape (angles, 2).
+    """
+    contacts = contact.contact_rows(problem)
+    n = work.place.size
+    for i in range(thetas.size):
+        for k in range(n):
+            work.place[k] = places[i, k]
+        work.moved[0] = math.inf
+        pull = Load(torques[i], 0.0, 0.0, CENTRING)
+        torque = assemble_rubbing(problem, assembly, thetas[i], pull, contacts, work, (rubbing, slope, loss))
+        # λ (∂r/∂q) = ∂τ/∂q.
+        for k in range(n):
+            work.step[k] = slope.crank_torque[k]
+        if not solve_transposed(problem, assembly, work, work.step, 0.0):
+            return False
+        _add_flanks(problem, thetas[i], contacts, work, rubbing, by_coefficient[i])
+        factor = through_first_stage(rubbing, torque)
+        direct = 1.0 - work.step[0] * (1.0 + rubbing.sun_share * factor if rubbing.sun_share > 0.0 else 0.0)
+        _add_joints(problem, assembly, work, rubbing, direct, by_coefficient[i])
+        by_carrier[i, 0] = rubbing.direction * work.step[0]
+        by_loss = factor * factor if rubbing.direction * torque > 0.0 else -1.0
+        by_carrier[i, 1] = -work.step[0] * rubbing.sun_share * torque * by_loss
+    return True
