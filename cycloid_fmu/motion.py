@@ -299,6 +299,7 @@ def _contacts(
     progress: Callable[[int], None],
 ) -> tuple[Array, Array, Points, Points]:
     """Gap, force, nearest point of the flank and direction of every pin's contacts, of `Motion`."""
+    # Wide as the arrays of the placed bodies are what a motion consists of, of which this returns the last.
     places = (*found.transmission_error.shape, warm.discs, warm.pins, 2)
     gap, force = np.full(places, np.inf), np.zeros(places)
     touching, direction = np.zeros(places, complex), np.zeros(places, complex)

@@ -36,13 +36,11 @@ def main() -> None:
                 ratio=nominal.pair.ratio,
                 pair=nominal.pair.hash,
                 torque=sign * load,
-                direction=direction,
                 turns=39,
-                samples_per_turn=48,
-                noise="0.5 arcsec",
-                torque_noise=0.2,
-                seed=len(recordings),
-                interface="virtual",
+                motion=drivers.SimulatedMotion(
+                    48, direction, noise="0.5 arcsec", torque_noise=0.2, seed=len(recordings)
+                ),
+                connection="virtual",
             )
             with bench:
                 done = bench.record(path, wiring=OUT / "bench.toml")

@@ -40,13 +40,11 @@ def recorded(joint: Path, nominal: cy.Drive) -> list[Path]:
                 ratio=nominal.pair.ratio,
                 pair=nominal.pair.hash,
                 torque=sign * load,
-                direction=direction,
                 turns=39,
-                samples_per_turn=48,
-                noise="0.5 arcsec",
-                torque_noise=0.2,
-                seed=len(recordings),
-                interface="virtual",
+                motion=drivers.SimulatedMotion(
+                    48, direction, noise="0.5 arcsec", torque_noise=0.2, seed=len(recordings)
+                ),
+                connection="virtual",
             )
             with bench:
                 bench.record(path, wiring=OUT / "bench.toml")

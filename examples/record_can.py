@@ -26,7 +26,12 @@ def main() -> None:
     path = OUT / "run.arrows"
     path.unlink(missing_ok=True)
     bench = drivers.simulate_bench(
-        drive, torque="-20 N*m", ratio=-39, turns=2, noise="0.4 arcsec", torque_noise="0.1 N*m", interface="virtual"
+        drive,
+        torque="-20 N*m",
+        ratio=-39,
+        turns=2,
+        motion=drivers.SimulatedMotion(noise="0.4 arcsec", torque_noise="0.1 N*m"),
+        connection="virtual",
     )
     with bench:
         wiring = bench.write_wiring(OUT / "bench.toml")

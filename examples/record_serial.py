@@ -21,7 +21,11 @@ def main() -> None:
     path = OUT / "run.arrows"
     path.unlink(missing_ok=True)
     counter = drivers.simulate_bench(
-        ratio=-39, torque=0.0, turns=3, samples_per_turn=200, serial="ascii", clock_drift=50e-6
+        ratio=-39,
+        torque=0.0,
+        turns=3,
+        motion=drivers.SimulatedMotion(samples_per_turn=200),
+        connection=drivers.SimulatedConnection(serial="ascii", clock_drift=50e-6),
     )
     with counter:
         wiring = counter.write_wiring(OUT / "bench.toml")

@@ -124,12 +124,8 @@ for seed, (load, direction) in enumerate([(20, "forward"), (-20, "backward"), (2
         OUT / "made.fmu",
         ratio=pair.ratio,
         torque=load,
-        direction=direction,
-        samples_per_turn=24,
-        noise="0.5 arcsec",
-        torque_noise=0.2,
-        seed=seed,
-        interface="virtual",
+        motion=drivers.SimulatedMotion(24, direction, noise="0.5 arcsec", torque_noise=0.2, seed=seed),
+        connection="virtual",
     ) as bench:
         done = bench.record(path)
     recordings.append(path)

@@ -1,5 +1,6 @@
 """Structure of the packages: who imports whom, what loads when, and the form of the changelog."""
 
+import ast
 import cmath
 import importlib
 import re
@@ -197,3 +198,103 @@ def test_the_formatter_formats_all_of_it():
         ["git", "grep", "-nE", "# fmt: ?(skip|off)", "--", "*.py"], cwd=ROOT, capture_output=True, text=True
     )
     assert said.stdout == ""
+
+
+MOST_LINES, MOST_PARAMETERS, MOST_FLOATS = 60, 8, 3
+MOST_OF_A_COMMAND = 45
+"""Lines of a command below its options, which are its parameters: one call of the library, and printing."""
+_KERNEL = "a kernel: numbers and arrays that numba passes in registers, and one loop that it compiles"
+_TABLE = "a table of variables"
+_OPTIONS = "options of one public call, by keyword, each documented"
+_ESTIMATION = "estimation, which is to be divided anew"
+_HOT = "runs thousands of times in a step of an FMU; its numbers depend on each other"
+LONG = {
+    "cycloid_fmu.cli.analyze.analyze": "its studies of losses and limits are to be one call",
+    "cycloid_fmu.contact.deviations.move_to_deviations": _KERNEL,
+    "cycloid_fmu.contact.placement._solve_alone": _KERNEL,
+    "cycloid_fmu.contact.placement.place": _KERNEL,
+    "cycloid_fmu.fmu.compliant_model._sub_step": _HOT,
+    "cycloid_fmu.fmu.variables._flanges": _TABLE,
+    "cycloid_fmu.fmu.variables._further": _TABLE,
+    "cycloid_fmu.fmu.variables.exchanged": _TABLE,
+    "cycloid_fmu.supports.balance.settling": "the two kernels of a balance, which it makes for given forces",
+    "fitting.estimation.fit.fit": _ESTIMATION,
+    "fitting.estimation.identify.identify": _ESTIMATION,
+    "fitting.estimation.result.result_of": _ESTIMATION,
+    "fitting.estimation.starting.starting_estimate": _ESTIMATION,
+    "fitting.model.observations.observations": _ESTIMATION,
+}
+WIDE = {
+    "cycloid_fmu.analysis.solver.solve": _OPTIONS,
+    "cycloid_fmu.compensation.build.drive_compensator": "the options of `Drive.compensator`",
+    "cycloid_fmu.contact.equilibrium._balance": _KERNEL,
+    "cycloid_fmu.contact.hertz.hertz": _KERNEL,
+    "cycloid_fmu.contact.local_frame.levers": _KERNEL,
+    "cycloid_fmu.contact.placement._solve_in_lanes": _KERNEL,
+    "cycloid_fmu.contact.placement.enter": _KERNEL,
+    "cycloid_fmu.contact.side_by_side.sweep_drives": _KERNEL,
+    "cycloid_fmu.contact.sweeps.sweep": _KERNEL,
+    "cycloid_fmu.drive.compensator": _OPTIONS,
+    "cycloid_fmu.drive.design": _OPTIONS,
+    "cycloid_fmu.losses.solver.solve": _OPTIONS,
+    "cycloid_fmu.losses.sweeps.sweep_rubbing": _KERNEL,
+    "cycloid_fmu.losses.sweeps.sweep_rubbing_sensitivities": _KERNEL,
+    "cycloid_fmu.motion._contacts": "the arrays of the placed bodies, of which a motion consists",
+    "cycloid_fmu.native.build.build_native": _OPTIONS,
+    "cycloid_fmu.native.nodes.solved_at": "places of a grid, and how the model is solved at them",
+    "cycloid_fmu.surfaces.surface.__init__": _OPTIONS,
+    "drivers.recorder.session.record_encoders": "the options of `drivers.record`",
+    "drivers.simulated.can_bench.__init__": _OPTIONS,
+    "fitting.ageing.forecast.forecast": _OPTIONS,
+    "fitting.ageing.life.life_figures": _OPTIONS,
+    "fitting.estimation.fit.fit": _ESTIMATION,
+    "fitting.estimation.result.result_of": _ESTIMATION,
+    "fitting.model.near_drive._sweep": _ESTIMATION,
+}
+NAMELESS = {
+    "cycloid_fmu.contact.deviations._closest_on_piece": _KERNEL,
+    "cycloid_fmu.contact.energy.press": _KERNEL,
+    "cycloid_fmu.contact.local_frame.levers": _KERNEL,
+    "cycloid_fmu.draw.drive_svg._svg": "the four numbers of an SVG's viewBox",
+    "cycloid_fmu.fmu.losses.interpolated": "a row of Modelica's lossTable",
+    "cycloid_fmu.fmu.mesh._press": _KERNEL,
+    "cycloid_fmu.fmu.mesh.press": "what its kernel returns",
+    "cycloid_fmu.fmu.on_bearings.press": "what the mesh without bearings returns",
+    "cycloid_fmu.fmu.reducer_model._within_plays": _HOT,
+    "cycloid_fmu.native.tables.halved": "entries of a heap, in the order by which it compares",
+}
+
+
+def code_lines(text, begin, end):
+    """Number of lines that are neither blank nor a comment."""
+    return sum(bool(line.strip()) and not line.strip().startswith("#") for line in text[begin - 1 : end])
+
+
+def functions():
+    """Yield the name of each function with its packages, its node, and the lines of its file."""
+    for path in (path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))):
+        text = path.read_text(encoding="utf-8")
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield f"{module}.{node.name}", node, text.splitlines()
+
+
+def test_functions_are_short_and_narrow():
+    """So are tuples of numbers, which have no names; what exceeds this has its reason above."""
+    long, wide, nameless = set(), set(), set()
+    for name, node, text in functions():
+        body = (node.body[1:] if ast.get_docstring(node) else node.body) or node.body
+        lines, given = code_lines(text, body[0].lineno, body[-1].end_lineno), node.args
+        parameters = [p for p in (*given.posonlyargs, *given.args, *given.kwonlyargs) if p.arg not in ("self", "cls")]
+        if ".cli." in name and not node.name.startswith("_"):
+            long |= {name} if lines > MOST_OF_A_COMMAND else set()
+        else:
+            lines += code_lines(text, node.lineno, node.body[0].lineno - 1)
+            long |= {name} if lines > MOST_LINES else set()
+            wide |= {name} if len(parameters) > MOST_PARAMETERS else set()
+        types = " ".join(ast.unparse(part) for part in (*parameters, node.returns) if part is not None)
+        nameless |= {name} if "tuple[" + MOST_FLOATS * "float, " + "float" in types else set()
+    assert long == set(LONG)
+    assert wide == set(WIDE)
+    assert nameless == set(NAMELESS)

@@ -746,7 +746,9 @@ def occupied(tmp_path):
 def test_nothing_is_written_over_or_through_what_is_no_file(tmp_path, occupied, kind):
     said = "only regular files are written"
     recording = tmp_path / "run.arrows"
-    with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, samples_per_turn=8, interface="virtual") as bench:
+    with drivers.simulate_bench(
+        ratio=-39, torque=20.0, turns=1, motion=drivers.SimulatedMotion(8), connection="virtual"
+    ) as bench:
         bench.record(recording)
         with pytest.raises(edge.InputError, match=f"^path = .*{said}"):
             bench.write_wiring(occupied(kind, ".toml"))

@@ -48,6 +48,8 @@ def losses(
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.losses.solver import losses_of
 
+    if map_file is not None and crank_speed == 0.0:
+        raise edge.ArgumentError("crank_speed", "a map over speeds needs one above zero", "0 rad/s")
     drive = read_drive(pair_file, surface_file)
     losses_of(drive, str(pair_file))
     loads = torque or [drive.pair.rated_load(str(pair_file))]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +12,12 @@ from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import LimitsFile, PairFile, SurfaceFile, leave, print_judged
 from cycloid_fmu.edge import commands
 from cycloid_fmu.geometry import ANGLES
+
+if TYPE_CHECKING:
+    from cycloid_fmu.drive import Drive
+    from cycloid_fmu.studies.limits import Requirements
+    from cycloid_fmu.studies.verdicts import Judged
+    from cycloid_fmu.wear.life import WearRun
 
 
 def wear(
@@ -51,13 +57,7 @@ def wear(
     drive = read_drive(pair_file, surface_file)
     loads, turns = duty_cycle(law, torque, crank_turns, duty_file, str(wear_file), drive.pair, str(pair_file))
     refuse_first_stage(drive, "wear")
-    asked = None
-    if limits_file is not None:
-        from cycloid_fmu.studies import verdicts
-        from cycloid_fmu.studies.limits import read_requirements
-
-        asked = read_requirements(limits_file)
-        verdicts.check(asked.of_wear, drive.pair, str(limits_file), str(pair_file))
+    requirements = None if limits_file is None else _requirements(limits_file, drive, str(pair_file))
     with commands.Bar("crank turns", turns or 1.0) as bar:
         run = life.run_wear(
             drive.stage,
@@ -68,32 +68,49 @@ def wear(
             workers=os.cpu_count() or 1,
             progress=lambda done: bar.update(completed=done),
         )
-    figures = run.figures
-    judged = None
-    if asked is not None:
-        with commands.progress("crank angles", ANGLES * len(loads)) as progress:
-            judged = verdicts.judge_worn(run, asked, workers=os.cpu_count() or 1, progress=progress)
+    judged = None if requirements is None else _judged(run, requirements, len(loads))
     if output is not None:
         write_surface(run.surface, output)
     if plot is not None:
-        from cycloid_fmu.draw import figure, wear_plots
-
-        drawn = wear_plots.plot_wear(run.model, run.states, run.new, figures)
-        if judged is not None:
-            from cycloid_fmu.draw.verdicts import show_verdicts
-
-            show_verdicts(drawn, judged.verdicts)
-        figure.save(drawn, plot)
+        _plot(run, judged, plot)
     for note in run.notes:
         typer.echo(note, err=True)
     if as_json:
-        commands.print_json(figures | ({} if judged is None else judged.numbers()))
+        commands.print_json(run.figures | ({} if judged is None else judged.numbers()))
     else:
-        _print(figures, pair_file.name)
+        _print(run.figures, pair_file.name)
         if judged is not None and limits_file is not None:
             print_judged(judged, f"Limits of {limits_file.name}, the drive as worn")
     if judged is not None:
         leave(judged.verdicts, judged.not_judged)
+
+
+def _requirements(limits_file: Path, drive: Drive, source: str) -> Requirements:
+    """Read the limits, and refuse those that need what the pair of file `source` does not state."""
+    from cycloid_fmu.studies import verdicts
+    from cycloid_fmu.studies.limits import read_requirements
+
+    requirements = read_requirements(limits_file)
+    verdicts.check(requirements.of_wear, drive.pair, str(limits_file), source)
+    return requirements
+
+
+def _judged(run: WearRun, requirements: Requirements, loads: int) -> Judged:
+    from cycloid_fmu.studies.verdicts import judge_worn
+
+    with commands.progress("crank angles", ANGLES * loads) as progress:
+        return judge_worn(run, requirements, workers=os.cpu_count() or 1, progress=progress)
+
+
+def _plot(run: WearRun, judged: Judged | None, plot: Path) -> None:
+    from cycloid_fmu.draw.figure import save
+    from cycloid_fmu.draw.verdicts import show_verdicts
+    from cycloid_fmu.draw.wear_plots import plot_wear
+
+    figure = plot_wear(run.model, run.states, run.new, run.figures)
+    if judged is not None:
+        show_verdicts(figure, judged.verdicts)
+    save(figure, plot)
 
 
 def _print(figures: dict[str, Any], name: str) -> None:
@@ -108,7 +125,7 @@ def _print(figures: dict[str, Any], name: str) -> None:
     names = {"transmission_error": "Transmission error", "backlash": "Backlash", "lost_motion": "Lost motion"}
     for key, text in names.items():
         new_mean, worn_mean, new_range, worn_range = (
-            f"{life[one][k] * edge.ARCSEC:.3f}″" for one in (key, f"{key}_range") for k in (0, -1)
+            f"{life[figure][k] * edge.ARCSEC:.3f}″" for figure in (key, f"{key}_range") for k in (0, -1)
         )
         typer.echo(f"{text}: mean {new_mean} new, {worn_mean} worn; peak to peak {new_range} new, {worn_range} worn.")
     step = figures["step"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,110 +44,41 @@ def drive_compensator(
     torque_accuracy: float | None,
     largest_torque: float | None,
     tolerances: Tolerances | None,
+    torque_share: float,
+    residual: float | None,
+    sensor: float | None,
     workers: int,
-    **options: Any,
+    total: Callable[[int], None],
+    progress: Callable[[int], None],
 ) -> Compensator:
-    """Return the compensator of a drive; parameters are those of `Drive.compensator` and `compensator_of`."""
-    pair, surface, first_stage = drive.pair, drive.surface, drive.first_stage
+    """Return the compensator of a drive of a ratio of motor to output; other parameters as of `Drive.compensator`."""
+    assert residual is not None  # unlike the torques it does not follow from the drive
+    assert sensor is not None
+    pair = drive.pair
     for name, value in (("torque_accuracy", torque_accuracy), ("largest_torque", largest_torque)):
         if value is None and pair.rated_torque is None:
             raise InputError(f"rated_torque is missing: {name} follows from it; state either of them.")
     rated = pair.rated_torque or 0.0
+    accuracy = _TORQUE_ACCURACY * rated if torque_accuracy is None else torque_accuracy
+    largest = LARGEST_LOAD * rated if largest_torque is None else largest_torque
     chain = Interface(stiffness=stiffness, series_compliance=series_compliance)
     compliance = with_chain(chain, drive).series_compliance
-    # What gives way at the cranks is in the chain then.
-    rigid = None if first_stage is None else dataclasses.replace(first_stage, crank_stiffness=math.inf)
-    if temperatures is None:
-        models = [Model(0.0, pair, surface, rigid, workers)]
-    else:
-        low, high = temperatures
-        if not low < high:
-            raise ArgumentError("temperatures", "the first must be below the second", f"{low:g} K, {high:g} K")
-        models = []
-        for at in np.linspace(low, high, _TEMPERATURES):
-            warm = pair.replace(temperature=Temperatures(**dict.fromkeys(BODIES, float(at))))
-            models.append(Model(float(at), warm, surface.replace(pair=warm), rigid, workers))
-    others: Sequence[ErrorSurface] = ()
-    if tolerances is not None:
-        others = [sample_surface(models[0].pair, tolerances, seed) for seed in range(DRAWS)]
-    elif models[0].surface.covariance is not None:
-        others = drawn_surfaces(models[0].pair, models[0].surface, DRAWS, 0)
-    return compensator_of(
-        models,
-        (friction or Friction()).law(1),
-        compliance,
-        ratio,
-        others=others,
-        largest_torque=LARGEST_LOAD * rated if largest_torque is None else largest_torque,
-        torque_accuracy=_TORQUE_ACCURACY * rated if torque_accuracy is None else torque_accuracy,
-        **options,
-    )
-
-
-def compensator_of(
-    models: Sequence[Model],
-    law: Law,
-    compliance: float,
-    ratio: float,
-    *,
-    others: Sequence[ErrorSurface],
-    largest_torque: float,
-    torque_accuracy: float,
-    torque_share: float,
-    residual: float,
-    sensor: float,
-    total: Callable[[int], None] = lambda angles: None,
-    progress: Callable[[int], None] = lambda angles: None,
-) -> Compensator:
-    """Return the compensator of a drive.
-
-    Parameters
-    ----------
-    models
-        The drive at each temperature, ascending.
-    law
-        Friction at the output.
-    compliance
-        In series with the drive, rad/(N·m).
-    ratio
-        Of the motor's rotation to the output's.
-    others
-        What may have been made instead of the first one's surface: their spread around it goes into the band.
-    largest_torque, torque_accuracy, residual, total, progress
-        As of `inverse_of`.
-    torque_share
-        Share of the torque, added to its standard deviation for the band.
-    sensor
-        Standard deviation of an output encoder, rad.
-
-    Raises
-    ------
-    edge.InputError
-        As `inverse_of`, or if a number is out of range.
-    """
-    for name, value in (("torque_accuracy", torque_accuracy), ("residual", residual), ("sensor", sensor)):
-        if not 0.0 < value < math.inf:
-            raise ArgumentError(name, "it must be finite and above zero", value)
-    if not 0.0 <= torque_share < 1.0:
-        raise ArgumentError("torque_share", "it must be between 0 and 1", torque_share)
-    if not 0.0 < largest_torque < math.inf:
-        raise ArgumentError("largest_torque", "it must be finite and above zero (N*m)", largest_torque)
+    models = _models(drive, temperatures, workers)
+    others = _alternatives(models[0], tolerances)
+    _check_accuracy(accuracy, torque_share, residual, sensor)
+    if not 0.0 < largest < math.inf:
+        raise ArgumentError("largest_torque", "it must be finite and above zero (N*m)", largest)
     inverse = inverse_of(
-        models,
-        largest_torque=largest_torque,
-        torque_accuracy=torque_accuracy,
-        residual=residual,
-        total=total,
-        progress=progress,
+        models, largest_torque=largest, torque_accuracy=accuracy, residual=residual, total=total, progress=progress
     )
-    first, last = (inverse.temperature[0], inverse.temperature[-1]) if len(models) > 1 else _UNLIMITED
-    warmth = np.linspace(first, last, _WARMTHS) if law.temperature_coefficient else np.zeros(1)
-    table = inverse.residual**2 / 9.0  # largest of as good as normal errors: three standard deviations
     give = compliance + np.gradient(inverse.mean, inverse.torque, axis=1)
-    stated = (compliance * torque_accuracy) ** 2 + (give * torque_share * inverse.torque) ** 2
+    stated = (compliance * accuracy) ** 2 + (give * torque_share * inverse.torque) ** 2
+    table = inverse.residual**2 / 9.0  # largest of as good as normal errors: three standard deviations
+    law = (friction or Friction()).law(1)
+    warmth_temperature, warmth = _warmth(law, inverse if len(models) > 1 else None)
     return Compensator(
         ratio=ratio,
-        crank_ratio=models[0].pair.ratio,
+        crank_ratio=pair.ratio,
         inverse=inverse,
         compliance=compliance,
         coulomb=law.coulomb,
@@ -158,12 +88,54 @@ def compensator_of(
         presliding_angle=law.presliding_angle,
         stribeck_speed=law.stribeck_speed * _SPEEDS,
         stribeck_share=np.exp(-(_SPEEDS**2)),
-        warmth_temperature=warmth,
-        warmth=np.array([factor(law, t) for t in warmth]) if law.temperature_coefficient else np.ones(1),
+        warmth_temperature=warmth_temperature,
+        warmth=warmth,
         variance=inverse.spread + stated + _spread(models[0], inverse, others) + table,
         ripple_variance=inverse.ripple_variance,
         sensor=sensor,
     )
+
+
+def _models(drive: DriveValue, temperatures: Sequence[float] | None, workers: int) -> list[Model]:
+    """Return the drive as it stands, or at temperatures of a range, ascending."""
+    pair, surface, first_stage = drive.pair, drive.surface, drive.first_stage
+    # What gives way at the cranks is in the chain then.
+    rigid = None if first_stage is None else dataclasses.replace(first_stage, crank_stiffness=math.inf)
+    if temperatures is None:
+        return [Model(0.0, pair, surface, rigid, workers)]
+    low, high = temperatures
+    if not low < high:
+        raise ArgumentError("temperatures", "the first must be below the second", f"{low:g} K, {high:g} K")
+    models = []
+    for at in np.linspace(low, high, _TEMPERATURES):
+        warm = pair.replace(temperature=Temperatures(**dict.fromkeys(BODIES, float(at))))
+        models.append(Model(float(at), warm, surface.replace(pair=warm), rigid, workers))
+    return models
+
+
+def _alternatives(model: Model, tolerances: Tolerances | None) -> Sequence[ErrorSurface]:
+    """Return what may have been made instead of a drive, within tolerances or its fit; none if neither is known."""
+    if tolerances is not None:
+        return [sample_surface(model.pair, tolerances, seed) for seed in range(DRAWS)]
+    return [] if model.surface.covariance is None else drawn_surfaces(model.pair, model.surface, DRAWS, 0)
+
+
+def _check_accuracy(torque: float, torque_share: float, residual: float, sensor: float) -> None:
+    """Refuse standard deviations and residuals that are no such numbers."""
+    for name, number in (("torque_accuracy", torque), ("residual", residual), ("sensor", sensor)):
+        if not 0.0 < number < math.inf:
+            raise ArgumentError(name, "it must be finite and above zero", number)
+    if not 0.0 <= torque_share < 1.0:
+        raise ArgumentError("torque_share", "it must be between 0 and 1", torque_share)
+
+
+def _warmth(law: Law, inverse: Inverse | None) -> tuple[Array, Array]:
+    """Return temperatures, K, of the table's range if it has one, and the factor on friction at each."""
+    if not law.temperature_coefficient:
+        return np.zeros(1), np.ones(1)
+    first, last = _UNLIMITED if inverse is None else (inverse.temperature[0], inverse.temperature[-1])
+    temperature = np.linspace(first, last, _WARMTHS)
+    return temperature, np.array([factor(law, t) for t in temperature])
 
 
 def _spread(model: Model, inverse: Inverse, others: Sequence[ErrorSurface]) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -90,11 +91,34 @@ def find_index(
     >>> round(found.angle, 2), found.probability > 0.99
     (2.5, True)
     """
-    c = compensator
-    if not c.inverse.steps:
+    if not compensator.inverse.steps:
         raise ArgumentError(
             "compensator", "its table has no ripple to find the index by; make it with a smaller residual"
         )
+    motor, output, load = _samples(motor_angle, output_angle, load_torque)
+    way = float(np.abs(np.diff(output)).sum()) * abs(compensator.crank_ratio)
+    if way < LEAST_WAY:
+        raise ArgumentError("output_angle", f"the crank must turn by {LEAST_WAY:.3g} rad or more", f"{way:.3g} rad")
+    residual_at = _residual_function(compensator, motor, output, load, temperature)
+    period = compensator.inverse.period
+    index = _candidates(compensator, spacing)
+    count = index.size
+    residual = np.concatenate([residual_at(index[i : i + _BLOCK]) for i in range(0, count, _BLOCK)])
+    best = int(residual.argmin())
+    apart = np.abs((index - index[best] + 0.5 * period) % period - 0.5 * period)
+    other = apart > (CORRELATION if spacing is None else 0.0)
+    rival = float(residual[other].min()) if other.any() else math.inf
+    odds = (residual[best] / residual[other]) ** (way / CORRELATION)
+    angle = float(index[best])
+    if spacing is None:
+        ends = angle - period / count, angle + period / count
+        angle = float(minimize_scalar(lambda at: residual_at(np.array([at]))[0], bounds=ends, method="bounded").x)
+    each = 1.0 if spacing is not None else min(1.0, CORRELATION * count / period)
+    return Index(angle % period, 1.0 / (1.0 + float(odds.sum()) / each), float(residual[best]), rival)
+
+
+def _samples(motor_angle: ArrayLike, output_angle: ArrayLike, load_torque: ArrayLike) -> tuple[Array, Array, Array]:
+    """Return the recorded angles and torques as arrays of one shape (samples,)."""
     try:
         motor, output, load = np.broadcast_arrays(
             *(np.asarray(v, float) for v in (motor_angle, output_angle, load_torque))
@@ -103,45 +127,39 @@ def find_index(
         raise ArgumentError("output_angle", "it must have as many samples as motor_angle and load_torque") from None
     if motor.ndim != 1 or not all(np.isfinite(v).all() for v in (motor, output, load)):
         raise ArgumentError("output_angle", "angles and torques must be finite and of shape (samples,)")
-    way = float(np.abs(np.diff(output)).sum()) * abs(c.crank_ratio)
-    if way < LEAST_WAY:
-        raise ArgumentError("output_angle", f"the crank must turn by {LEAST_WAY:.3g} rad or more", f"{way:.3g} rad")
-    memory = Memory()
-    torque = np.array([torque_of_teeth(c, memory, a, 0.0, t, temperature) for a, t in zip(output, load, strict=True)])
-    mean, _ = c.inverse.at(output, torque, temperature)
-    wound = c.compliance * torque
-    free = np.column_stack([np.ones(output.size), np.interp(torque, c.inverse.torque, c.inverse.flank), wound + mean])
-    basis = np.linalg.qr(free / np.linalg.norm(free, axis=0))[0]
-    crank = c.crank_ratio * (output - wound)
-    measured = output - motor / c.ratio
+    return motor, output, load
 
-    def left(index: Array) -> Array:
-        ripple = c.inverse.at(crank + index[:, None], torque, temperature)[1]
-        off = measured - ripple
-        off = off - (off @ basis) @ basis.T
-        return np.asarray(np.sqrt(np.mean(off**2, axis=1)))
 
-    period = c.inverse.period
-    knots = max(len(steps) for steps in c.inverse.steps)
+def _candidates(compensator: Compensator, spacing: float | None) -> Array:
+    """Return the crank angles that may be the index, rad, shape (candidates,)."""
+    period = compensator.inverse.period
     if spacing is None:
-        count = math.ceil(knots / _FINE)
-        index: Array = np.arange(float(count)) * (period / count)
-    elif 0.0 < spacing < math.inf:
+        count = math.ceil(max(len(steps) for steps in compensator.inverse.steps) / _FINE)
+        return np.asarray(np.arange(float(count)) * (period / count))
+    if 0.0 < spacing < math.inf:
         count = Fraction(spacing / period).limit_denominator(_MOST).denominator
-        index = np.arange(float(count)) * spacing % period
-    else:
-        raise ArgumentError("spacing", "it must be finite and above zero (rad)", spacing)
-    residual = np.concatenate([left(index[i : i + _BLOCK]) for i in range(0, count, _BLOCK)])
-    best = int(residual.argmin())
-    apart = np.abs((index - index[best] + 0.5 * period) % period - 0.5 * period)
-    other = apart > (CORRELATION if spacing is None else 0.0)
-    rival = float(residual[other].min()) if other.any() else math.inf
-    odds = (residual[best] / residual[other]) ** (way / CORRELATION)
-    angle = float(index[best])
-    if spacing is None:
-        near = period / count
-        angle = float(
-            minimize_scalar(lambda at: left(np.array([at]))[0], bounds=(angle - near, angle + near), method="bounded").x
-        )
-    each = 1.0 if spacing is not None else min(1.0, CORRELATION * count / period)
-    return Index(angle % period, 1.0 / (1.0 + float(odds.sum()) / each), float(residual[best]), rival)
+        return np.asarray(np.arange(float(count)) * spacing % period)
+    raise ArgumentError("spacing", "it must be finite and above zero (rad)", spacing)
+
+
+def _residual_function(
+    compensator: Compensator, motor: Array, output: Array, load: Array, temperature: float
+) -> Callable[[Array], Array]:
+    """Return the function from indices to residuals of the deviation, rms, rad; zero, play and wind-up are free."""
+    memory, inverse = Memory(), compensator.inverse
+    torque = np.array(
+        [torque_of_teeth(compensator, memory, a, 0.0, t, temperature) for a, t in zip(output, load, strict=True)]
+    )
+    mean, _ = inverse.at(output, torque, temperature)
+    windup = compensator.compliance * torque
+    free = np.column_stack([np.ones(output.size), np.interp(torque, inverse.torque, inverse.flank), windup + mean])
+    basis = np.linalg.qr(free / np.linalg.norm(free, axis=0))[0]
+    crank = compensator.crank_ratio * (output - windup)
+    measured = output - motor / compensator.ratio
+
+    def residual(index: Array) -> Array:
+        deviation = measured - inverse.at(crank + index[:, None], torque, temperature)[1]
+        deviation = deviation - (deviation @ basis) @ basis.T
+        return np.asarray(np.sqrt(np.mean(deviation**2, axis=1)))
+
+    return residual

@@ -85,20 +85,7 @@ def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
             [[[None if not np.isfinite(v) else round(float(v), 2) for v in row] for row in nearest[a]] for a in at]
         ),
         "contacts": table([_contacts(motion, *a) for a in at]),
-        "holders": table(
-            [
-                [
-                    [
-                        round(c.centre.real * 1e3, 3),
-                        round(c.centre.imag * 1e3, 3),
-                        round(c.radius * 1e3, 3),
-                        int(c.hole),
-                    ]
-                    for c in drive_picture.holders(motion, *a)
-                ]
-                for a in at
-            ]
-        ),
+        "holders": table([_circles(motion, *a) for a in at]),
         "curve": (curve - mean[:, None]).round(4).tolist(),
         "mean": mean.round(4).tolist(),
         "longest": drive_picture.LONGEST_ARROW * pair.pin_circle_radius * 1e3,
@@ -107,6 +94,14 @@ def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
         "largest_pressure": max(float(motion.pressure.max()) * 1e-6, 1.0),
         "tooth": _tooth(motion),
     }
+
+
+def _circles(motion: Motion, load: int, angle: int) -> list[tuple[float, float, float, int]]:
+    """The circles from `drive_picture.holders`: centre and radius, mm, and 1 for a hole."""
+    return [
+        (round(c.centre.real * 1e3, 3), round(c.centre.imag * 1e3, 3), round(c.radius * 1e3, 3), int(c.hole))
+        for c in drive_picture.holders(motion, load, angle)
+    ]
 
 
 def _tooth(motion: Motion) -> dict[str, Any]:

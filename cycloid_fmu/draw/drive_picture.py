@@ -119,15 +119,23 @@ def _closed(outline: np.ndarray) -> np.ndarray:
 
 def draw_drive(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> None:
     """Draw the drive at one load and crank angle."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.patches import Circle as Round
-    from matplotlib.patches import FancyArrowPatch, Polygon
+    rim = (motion.pair.pin_circle_radius + 2.2 * motion.pair.pin_radius) * 1e3
+    _draw_bodies(axis, motion, load, angle, rim)
+    _draw_pins(axis, motion, load, angle)
+    _draw_forces(axis, motion, load, angle)
+    if motion.force[load, angle].any():
+        _draw_scales(axis, motion, load, angle, rim)
+    axis.set(xlim=(-1.04 * rim, 1.04 * rim), ylim=(-1.09 * rim, 1.04 * rim))
+    axis.set_aspect("equal")
+    axis.set_axis_off()
 
-    pair, colours = motion.pair, pressure_colours()
-    pressure, forces = motion.pressure[load, angle], motion.force[load, angle]
-    highest = max(float(pressure.max()), 1.0)
-    largest = max(float(forces.max()), 1e-12)
-    rim = (pair.pin_circle_radius + 2.2 * pair.pin_radius) * 1e3
+
+def _draw_bodies(axis: Axes, motion: Motion, load: int, angle: int, rim: float) -> None:
+    """Draw the housing of radius `rim`, mm, discs, supports and crank."""
+    from matplotlib.patches import Circle as Round
+    from matplotlib.patches import Polygon
+
+    pair = motion.pair
     axis.add_patch(Round((0.0, 0.0), rim, fc="#f4f6f8", ec=EDGE, lw=0.8))
     axis.add_patch(Round((0.0, 0.0), pair.pin_circle_radius * 1e3, fc="white", ec="#c3ccd6", lw=0.5))
     for disc in range(pair.discs - 1, -1, -1):
@@ -136,66 +144,76 @@ def draw_drive(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> Non
         )
         order = 2.0 if disc == 0 else 2.5
         axis.add_patch(Polygon(_closed(motion.outline(load, angle, disc)), zorder=order, joinstyle="round", **fill))
-    for one in holders(motion, load, angle):
-        face = "white" if one.hole else "#c3ccd6"
-        at = (one.centre.real * 1e3, one.centre.imag * 1e3)
-        axis.add_patch(Round(at, one.radius * 1e3, fc=face, ec=EDGE, lw=0.6, zorder=3))
+    for circle in holders(motion, load, angle):
+        face = "white" if circle.hole else "#c3ccd6"
+        at = (circle.centre.real * 1e3, circle.centre.imag * 1e3)
+        axis.add_patch(Round(at, circle.radius * 1e3, fc=face, ec=EDGE, lw=0.6, zorder=3))
     crank = pair.eccentricity * np.exp(1j * motion.crank_angle[angle]) * 1e3
     reach = 0.35 * pair.pin_circle_radius * 1e3 * crank / abs(crank)
     axis.plot([0.0, reach.real], [0.0, reach.imag], "-.", color="#111111", lw=0.7, zorder=4)
     axis.plot([0.0], [0.0], "+", color="#111111", ms=7, mew=0.9, zorder=4)
     axis.plot([crank.real], [crank.imag], "o", color="#111111", ms=3, zorder=4)
-    axes, radii = motion.pin_axis[load, angle], motion.pin_radius
-    for pin, (place, radius) in enumerate(zip(axes * 1e3, radii * 1e3, strict=True)):
-        carried = float(pressure[:, pin].max())
-        filled = colours(carried / highest) if carried > 0.0 else FREE
+
+
+def _highest_pressure(motion: Motion, load: int, angle: int) -> float:
+    """The pressure of the darkest colour, Pa."""
+    return max(float(motion.pressure[load, angle].max()), 1.0)
+
+
+def _arrow_scale(motion: Motion, load: int, angle: int) -> tuple[float, float]:
+    """The length of the longest arrow, mm, and its force, N."""
+    return LONGEST_ARROW * motion.pair.pin_circle_radius * 1e3, max(float(motion.force[load, angle].max()), 1e-12)
+
+
+def _draw_pins(axis: Axes, motion: Motion, load: int, angle: int) -> None:
+    """Draw the pins, coloured by their largest pressure."""
+    from matplotlib.patches import Circle as Round
+
+    colours, highest = pressure_colours(), _highest_pressure(motion, load, angle)
+    pressures = motion.pressure[load, angle].max(axis=0)
+    for place, radius, pressure in zip(
+        motion.pin_axis[load, angle] * 1e3, motion.pin_radius * 1e3, map(float, pressures), strict=True
+    ):
+        filled = colours(pressure / highest) if pressure > 0.0 else FREE
         axis.add_patch(Round((place.real, place.imag), radius, fc=filled, ec=EDGE, lw=0.6, zorder=5))
-    longest = LONGEST_ARROW * pair.pin_circle_radius * 1e3
+
+
+def _draw_arrow(axis: Axes, begin: complex, end: complex, **colours: Any) -> None:
+    from matplotlib.patches import FancyArrowPatch
+
+    ends = (begin.real, begin.imag), (end.real, end.imag)
+    axis.add_patch(FancyArrowPatch(*ends, arrowstyle=_ARROW, lw=0.4, shrinkA=0, shrinkB=0, zorder=6, **colours))
+
+
+def _draw_forces(axis: Axes, motion: Motion, load: int, angle: int) -> None:
+    """Draw the forces of the pins on the discs, those behind as hollow arrows."""
+    colours, highest = pressure_colours(), _highest_pressure(motion, load, angle)
+    longest, largest = _arrow_scale(motion, load, angle)
+    forces = motion.force[load, angle]
     for disc, pin, side in np.argwhere(forces > 0.01 * largest):
         towards = motion.direction[load, angle, disc, pin, side]
-        begin = (axes[pin] + radii[pin] * towards) * 1e3
+        begin = (motion.pin_axis[load, angle][pin] + motion.pin_radius[pin] * towards) * 1e3
         end = begin + longest * forces[disc, pin, side] / largest * towards
-        colour = colours(pressure[disc, pin] / highest)
-        face = colour if disc == 0 else "white"
-        axis.add_patch(
-            FancyArrowPatch(
-                (begin.real, begin.imag),
-                (end.real, end.imag),
-                arrowstyle=_ARROW,
-                fc=face,
-                ec=EDGE if disc == 0 else BEHIND,
-                lw=0.4,
-                shrinkA=0,
-                shrinkB=0,
-                zorder=6,
-            )
-        )
+        colour = colours(motion.pressure[load, angle][disc, pin] / highest)
+        _draw_arrow(axis, begin, end, fc=colour if disc == 0 else "white", ec=EDGE if disc == 0 else BEHIND)
         axis.plot([begin.real], [begin.imag], ".", color="#111111", ms=2.5, zorder=7)
-    if forces.any():
-        bar = round_number(largest)
-        x, y = -rim, -rim - 2.0
-        axis.add_patch(
-            FancyArrowPatch(
-                (x, y),
-                (x + longest * bar / largest, y),
-                arrowstyle=_ARROW,
-                fc="#8a97a6",
-                ec=EDGE,
-                lw=0.4,
-                shrinkA=0,
-                shrinkB=0,
-                zorder=6,
-            )
-        )
-        axis.text(x + longest * bar / largest + 1.5, y, f"{bar:g} N", va="center", fontsize=8)
-        shown = ScalarMappable(cmap=colours)
-        shown.set_clim(0.0, highest * 1e-6)
-        axis.figure.colorbar(
-            shown, ax=axis, label="contact pressure [MPa]", orientation="horizontal", shrink=0.6, pad=0.01, aspect=30
-        )
-    axis.set(xlim=(-1.04 * rim, 1.04 * rim), ylim=(-1.09 * rim, 1.04 * rim))
-    axis.set_aspect("equal")
-    axis.set_axis_off()
+
+
+def _draw_scales(axis: Axes, motion: Motion, load: int, angle: int, rim: float) -> None:
+    """Draw an arrow of a round force below the housing of radius `rim`, mm, and the colours of the pressure."""
+    from matplotlib.cm import ScalarMappable
+
+    longest, largest = _arrow_scale(motion, load, angle)
+    force = round_number(largest)
+    x, y = -rim, -rim - 2.0
+    tip = x + longest * force / largest
+    _draw_arrow(axis, complex(x, y), complex(tip, y), fc="#8a97a6", ec=EDGE)
+    axis.text(tip + 1.5, y, f"{force:g} N", va="center", fontsize=8)
+    shown = ScalarMappable(cmap=pressure_colours())
+    shown.set_clim(0.0, _highest_pressure(motion, load, angle) * 1e-6)
+    axis.figure.colorbar(
+        shown, ax=axis, label="contact pressure [MPa]", orientation="horizontal", shrink=0.6, pad=0.01, aspect=30
+    )
 
 
 def draw_error(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> None:

@@ -176,26 +176,8 @@ def plot_analysis(data: xr.Dataset) -> Figure:
     Figures that repeat in each pin pitch are drawn over one pitch, with the points of all; others over all crank
     angles.
     """
-    from matplotlib.ticker import MaxNLocator
-
     figure, axes = new_figure(4, 2)
-    angle = np.degrees(data["crank_angle"].values)
-    pitch = 360.0 / data.sizes["pin"]
-    folded, whole = np.argsort(angle % pitch), np.arange(angle.size)
-    first = np.flatnonzero(angle <= angle[0] + _ZOOMED * pitch + 1e-9)
-    alike = _repeats(data, "transmission_error")
-    near, place = (folded, angle % pitch) if alike else (first, angle)
-    for axis, shown, at in ((axes[0], whole, angle), (axes[1], near, place)):
-        for torque in data["torque"].values:
-            error = data["transmission_error"].sel(torque=torque).values * ARCSEC
-            label = f"{torque:g} N·m: mean {error.mean():.2f}″, peak to peak {np.ptp(error):.2f}″"
-            style = ".-" if shown is first else "-"  # few points of a pitch are seen as such
-            axis.plot(at[shown], error[shown] - error.mean(), style, ms=3, lw=1.0, label=label)
-        at_least(axis, _ANGLE)
-        axis.set(xlabel="crank angle [°]", ylabel="TE - mean [arcsec]")
-    axes[0].set_title("transmission error (TE) about its mean", fontsize=9)
-    zoom = f"transmission error (TE) about its mean, {_ALIKE}" if alike else f"the first {_ZOOMED} pin pitches"
-    axes[1].set_title(zoom, fontsize=9)
+    _draw_transmission_error(axes[:2], data)
     figure.legend(
         *axes[0].get_legend_handles_labels(),
         title=title_of(data),
@@ -205,7 +187,7 @@ def plot_analysis(data: xr.Dataset) -> Figure:
         fontsize=8,
         frameon=False,
     )
-    if alike:
+    if _repeats(data, "transmission_error"):
         figure.delaxes(axes[0])
         axes[1].set_subplotspec(axes[1].get_subplotspec().get_gridspec()[0, :])
     alone = " of contacts and bearings alone" if "turning_arm_force" in data else " of the mesh alone"
@@ -216,31 +198,74 @@ def plot_analysis(data: xr.Dataset) -> Figure:
         ("torsional_stiffness", f"torsional stiffness{alone}", "[N·m/arcmin]", 1.0 / ARCMIN),
     )
     for axis, (name, label, unit, factor) in zip(axes[2:6], panels, strict=True):
-        alike = _repeats(data, name)
-        seen, at = (folded, angle % pitch) if alike else (whole, angle)
-        for torque in data["torque"].values[: 1 if name == "backlash" else None]:
-            values = data[name].sel(torque=torque).values * factor
-            style = "steps-mid" if name == "contact_count" else "default"
-            axis.plot(at[seen], values[seen], lw=1.0, drawstyle=style)
-        largest = float(np.nan_to_num(np.abs(data[name].values)).max(initial=0.0)) * factor
-        at_least(axis, _ANGLE if name == "backlash" else _SHARE * largest)
-        axis.set(xlabel="crank angle [°]", ylabel=unit)
-        axis.set_title(label + (f", {_ALIKE}" if alike else ""), fontsize=9)
-        if name == "contact_count":
-            axis.yaxis.set_major_locator(MaxNLocator(integer=True))
-            axis.margins(y=0.15)
-        if np.isnan(data[name].values).all():
-            axis.text(0.5, 0.5, "no free position (interference)", ha="center", transform=axis.transAxes)
+        _draw_over_crank(axis, data, name, label, factor)
+        axis.set_ylabel(unit)
     figure.delaxes(axes[7])
     axes[6].set_subplotspec(axes[6].get_subplotspec().get_gridspec()[3, :])
-    forces = data["pin_force"].isel(torque=0, disc=0)
-    image = axes[6].pcolormesh(angle, data["pin"].values, forces.values.T, cmap="viridis", shading="nearest")
-    of_disc = ", disc 0" if data.sizes["disc"] > 1 else ""
-    axes[6].set(xlabel="crank angle [°]", ylabel="pin")
-    axes[6].set_title(f"force of each pin, {data['torque'].values[0]:g} N·m{of_disc}", fontsize=9)
-    axes[6].grid(visible=False)
-    figure.colorbar(image, ax=axes[6], label="N")
+    _draw_pin_forces(axes[6], data)
     return figure
+
+
+def _folded(data: xr.Dataset) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Crank angles folded to one pin pitch, °, and their ascending order, both of shape (crank_angle,)."""
+    angle = np.degrees(data["crank_angle"].values) % (360.0 / data.sizes["pin"])
+    return angle, np.argsort(angle)
+
+
+def _draw_transmission_error(axes: NDArray[np.object_], data: xr.Dataset) -> None:
+    """Draw the transmission error over all crank angles, and over one pitch, or the first few if it does not repeat."""
+    angle = np.degrees(data["crank_angle"].values)
+    repeated = _repeats(data, "transmission_error")
+    if repeated:
+        place, near = _folded(data)
+    else:
+        pitch = 360.0 / data.sizes["pin"]
+        place, near = angle, np.flatnonzero(angle <= angle[0] + _ZOOMED * pitch + 1e-9)
+    for axis, shown, at, style in (
+        (axes[0], np.arange(angle.size), angle, "-"),
+        (axes[1], near, place, "-" if repeated else ".-"),  # few points of a pitch are seen as such
+    ):
+        for torque in data["torque"].values:
+            error = data["transmission_error"].sel(torque=torque).values * ARCSEC
+            label = f"{torque:g} N·m: mean {error.mean():.2f}″, peak to peak {np.ptp(error):.2f}″"
+            axis.plot(at[shown], error[shown] - error.mean(), style, ms=3, lw=1.0, label=label)
+        at_least(axis, _ANGLE)
+        axis.set(xlabel="crank angle [°]", ylabel="TE - mean [arcsec]")
+    axes[0].set_title("transmission error (TE) about its mean", fontsize=9)
+    zoom = f"transmission error (TE) about its mean, {_ALIKE}" if repeated else f"the first {_ZOOMED} pin pitches"
+    axes[1].set_title(zoom, fontsize=9)
+
+
+def _draw_over_crank(axis: Axes, data: xr.Dataset, name: str, label: str, factor: float) -> None:
+    """Draw a figure, times `factor`, over the crank angle, or over one pitch if it repeats; backlash at one torque."""
+    from matplotlib.ticker import MaxNLocator
+
+    repeated = _repeats(data, name)
+    angle, order = _folded(data) if repeated else (np.degrees(data["crank_angle"].values), slice(None))
+    for torque in data["torque"].values[: 1 if name == "backlash" else None]:
+        values = data[name].sel(torque=torque).values * factor
+        style = "steps-mid" if name == "contact_count" else "default"
+        axis.plot(angle[order], values[order], lw=1.0, drawstyle=style)
+    largest = float(np.nan_to_num(np.abs(data[name].values)).max(initial=0.0)) * factor
+    at_least(axis, _ANGLE if name == "backlash" else _SHARE * largest)
+    axis.set_xlabel("crank angle [°]")
+    axis.set_title(label + (f", {_ALIKE}" if repeated else ""), fontsize=9)
+    if name == "contact_count":
+        axis.yaxis.set_major_locator(MaxNLocator(integer=True))
+        axis.margins(y=0.15)
+    if np.isnan(data[name].values).all():
+        axis.text(0.5, 0.5, "no free position (interference)", ha="center", transform=axis.transAxes)
+
+
+def _draw_pin_forces(axis: Axes, data: xr.Dataset) -> None:
+    """Draw the force of each pin of the first disc over the crank angle, at the first torque."""
+    forces, angle = data["pin_force"].isel(torque=0, disc=0), np.degrees(data["crank_angle"].values)
+    image = axis.pcolormesh(angle, data["pin"].values, forces.values.T, cmap="viridis", shading="nearest")
+    of_disc = ", disc 0" if data.sizes["disc"] > 1 else ""
+    axis.set(xlabel="crank angle [°]", ylabel="pin")
+    axis.set_title(f"force of each pin, {data['torque'].values[0]:g} N·m{of_disc}", fontsize=9)
+    axis.grid(visible=False)
+    axis.figure.colorbar(image, ax=axis, label="N")
 
 
 def plot_lines(data: xr.Dataset) -> Figure:

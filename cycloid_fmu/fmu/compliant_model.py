@@ -353,6 +353,7 @@ class CompliantModel(SteppedModel, CompliantState):
         half; all work done is stored or dissipated. Returns the crank's rotation (rad; the given one without inertia),
         its torque (N·m) and the position at the end; None if the sub-step is too long to be solved.
         """
+        # Long as it runs thousands of times in a step, and its unknowns depend on each other.
         ratio, led, start, speed = self._ratio, self._led, self._turned, self.output_speed
         rubs_crank, rubs_output = self._rubs
         crank_speed, deviation = self.crank_speed, self.output_angle - self._turned / self._ratio

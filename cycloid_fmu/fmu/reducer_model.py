@@ -244,6 +244,7 @@ class CompliantReducer(_Staged, CompliantModel):
 
     def _within_plays(self, sun: float, deviation: float, side: float) -> tuple[float, float, float, float]:
         """As `_contact` with the plays at a fraction of their range (-1 to 1), and the derivative by that fraction."""
+        # Numbers without names as it runs thousands of times in a step.
         teeth, outer = self.pair.gear_teeth, self._outer
         theta = self._crank_at(sun, deviation, side)
         energy, by_angle, gear = super()._contact(theta, (deviation - side * outer) / self._s)

@@ -25,7 +25,7 @@ from cycloid_fmu.surfaces.structured import structured_value
 InterfaceKind = Literal["kinematic", "compliant"]
 Kind = Literal["real", "integer", "boolean"]
 INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
-LossRow = tuple[float, float, float, float, float]
+LossRow = tuple[float, float, float, float, float]  # of Modelica's `LossyGear.lossTable`
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
 FRICTIONLESS = Friction()
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
@@ -212,6 +212,7 @@ def stiffness_text(pair: Pair, interface: Interface) -> str:
     return text
 
 
+# Long as it is a table of variables, in the order of their references.
 def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     driven, dynamic = interface.driven, interface.kind == "compliant"
     inside, both = not dynamic or interface.output_inertia > 0.0, interface.crank_inertia > 0.0
@@ -354,6 +355,7 @@ def _parameters(drive: DriveValue, interface: Interface) -> list[Variable]:
     return found
 
 
+# Long as it is a table of variables, in the order of their references.
 def _further(interface: Interface) -> list[Variable]:
     """Variables added after the first version, last so that earlier references do not change."""
     moving = (
@@ -760,6 +762,7 @@ _INDICATORS = {
 }
 
 
+# Long as it is a table of variables, in the order of their references.
 def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal["2.0", "3.0"]) -> dict[int, Variable]:
     """Return the variables of a native FMU, {value reference: variable}, with those of Model Exchange last.
 

@@ -330,51 +330,65 @@ class ContradictionError(edge.InputError):
 
 def _contradictions(pair: Pair) -> list[tuple[str, str]]:
     """Return the reasons why a pair or its errors are impossible: the table in a pair file, and a sentence."""
-    if pair.pins != pair.gear_teeth + 1:
-        teeth = pair.gear_teeth
-        sentence = f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}"
-        if pair.pins > teeth:
-            why = "with more pins, flanks of neighbouring teeth cross, and contact on the truncated tips"
-            sentence += f"; {why} is not modelled"
-        elif pair.pins < teeth:
-            why = "with fewer pins than lobes (hypocycloid) the flanks lie around the pins, in a ring, which"
-            sentence += f"; {why} is not modelled"
-        return [("pair", sentence)]
+    geometric = _contradiction_of_numbers(pair) or _contradiction_of_flank(pair)
+    if geometric is not None:
+        return [geometric]
+    reasons = _contradictions_of_supports(pair)
+    if not reasons:
+        try:
+            _ = pair.at_temperature
+        except edge.InputError as problem:
+            reasons.append(("temperature", f"at these temperatures, {problem}".rstrip(".")))
+    return reasons + _contradictions_of_errors(pair)
+
+
+def _contradiction_of_numbers(pair: Pair) -> tuple[str, str] | None:
+    """Return why the numbers of pins and teeth do not belong together."""
+    teeth = pair.gear_teeth
+    if pair.pins == teeth + 1:
+        return None
+    sentence = f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}"
+    if pair.pins > teeth:
+        why = "with more pins, flanks of neighbouring teeth cross, and contact on the truncated tips"
+        sentence += f"; {why} is not modelled"
+    elif pair.pins < teeth:
+        why = "with fewer pins than lobes (hypocycloid) the flanks lie around the pins, in a ring, which"
+        sentence += f"; {why} is not modelled"
+    return "pair", sentence
+
+
+def _contradiction_of_flank(pair: Pair) -> tuple[str, str] | None:
+    """Return why there is no flank with these radii, eccentricity and modification."""
     most = max(LARGEST_DEVIATION, _LARGEST_SHARE * pair.pin_circle_radius)
     for name in Modification.model_fields:
         if abs(value := getattr(pair.modification, name)) > most:
             limits = f"it must be between -{most * 1e3:.6g} mm and {most * 1e3:.6g} mm for this pin circle"
-            return [("modification", f"{name} = {_mm(value)}: {limits}")]
+            return "modification", f"{name} = {_mm(value)}: {limits}"
     k = pair.shortening
     if k >= 1.0:
         largest = pair.generating_circle_radius / pair.pins
-        return [
-            (
-                "pair",
-                f"eccentricity = {_mm(pair.eccentricity)}: eccentricity x pins / pin circle radius is {k:.4f}; "
-                f"it must stay below 1, so the eccentricity below {_mm(largest)}",
-            )
-        ]
+        return (
+            "pair",
+            f"eccentricity = {_mm(pair.eccentricity)}: eccentricity x pins / pin circle radius is {k:.4f}; "
+            f"it must stay below 1, so the eccentricity below {_mm(largest)}",
+        )
     smallest = smallest_convex_radius(pair.generating_circle_radius, pair.eccentricity, pair.pins)
     if pair.generating_pin_radius >= smallest:
-        return [
-            (
-                "pair",
-                f"pin_radius = {_mm(pair.pin_radius)}: the flank is undercut; with its modification the pin radius "
-                f"must stay below the smallest curvature radius of its centre's path, {_mm(smallest)}",
-            )
-        ]
+        return (
+            "pair",
+            f"pin_radius = {_mm(pair.pin_radius)}: the flank is undercut; with its modification the pin radius "
+            f"must stay below the smallest curvature radius of its centre's path, {_mm(smallest)}",
+        )
     gap = 2.0 * pair.pin_circle_radius * math.sin(math.pi / pair.pins)
     if 2.0 * pair.pin_radius >= gap:
         sentence = f"neighbouring pins overlap; it must stay below {_mm(gap / 2)}"
-        return [("pair", f"pin_radius = {_mm(pair.pin_radius)}: {sentence}")]
-    found = []
-    found += _contradictions_of_supports(pair)
-    if not found:
-        try:
-            _ = pair.at_temperature
-        except edge.InputError as problem:
-            found.append(("temperature", f"at these temperatures, {problem}".rstrip(".")))
+        return "pair", f"pin_radius = {_mm(pair.pin_radius)}: {sentence}"
+    return None
+
+
+def _contradictions_of_errors(pair: Pair) -> list[tuple[str, str]]:
+    """Return which lists of errors do not fit the pair's supports, discs, teeth or pins."""
+    reasons = []
     possible = kinds_of(pair)
     for kind in KINDS.values():
         stated = getattr(pair.errors, kind.file_key)
@@ -382,19 +396,19 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
             continue
         if kind.name not in possible:
             has = "no [supports]" if pair.supports is None else f'supports of kind = "{pair.supports.kind}"'
-            found.append(("errors.supports", f"{kind.file_key} is stated, but the pair has {has}"))
+            reasons.append(("errors.supports", f"{kind.file_key} is stated, but the pair has {has}"))
             continue
         rows = stated if isinstance(stated[0], tuple) else (stated,)
         if isinstance(stated[0], tuple) and len(stated) != pair.discs:
             sentence = f"{kind.file_key} has {len(stated)} lists; it needs one for each disc, {pair.discs}"
-            found.append(("errors", sentence))
+            reasons.append(("errors", sentence))
         count = kind.shape(pair)[-1]
         for row in rows:
             if len(row) != count:
                 what = kind.of.replace("_", " ")
                 sentence = f"{kind.file_key} has {len(row)} values; it needs one for each {what}, {count}"
-                found.append(("errors", sentence))
-    return found
+                reasons.append(("errors", sentence))
+    return reasons
 
 
 def _contradictions_of_supports(pair: Pair) -> list[tuple[str, str]]:

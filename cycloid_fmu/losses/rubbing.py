@@ -95,6 +95,7 @@ class Acting(NamedTuple):
     amplitude: float  # G, N or N·m
     slope: float  # its derivative by the normal force
     speed: float  # v, m or rad for each radian of the crank
+    sign: float  # s sgn v
     turns: bool  # whether the pin turns in its seat, instead of sliding on the flank
 
 
@@ -113,14 +114,14 @@ def sliding_friction(law: np.record, direction: float, radius: float, speed: flo
         if turned < ratio:
             ratio, turns = turned, True
     sign = 0.0 if speed == 0.0 else math.copysign(1.0, direction * speed)
-    return Acting(sign * ratio * force, sign * ratio, speed, turns)
+    return Acting(sign * ratio * force, sign * ratio, speed, sign, turns)
 
 
 @part
 def bearing_friction(law: np.record, direction: float, speed: float, force: float) -> Acting:
     """Friction moment of a bearing."""
     sign = math.copysign(1.0, direction * speed)
-    return Acting(sign * (law.constant + law.arm * force), sign * law.arm, speed, False)
+    return Acting(sign * (law.constant + law.arm * force), sign * law.arm, speed, sign, False)
 
 
 @part
@@ -186,77 +187,96 @@ def joint_speed(problem: Problem, assembly: Assembly, joint: np.record, d: Displ
     return float(assembly.bodies[int(joint.outer)].rate - assembly.bodies[int(joint.inner)].rate)
 
 
+@part
+def joint_friction(rubbing: Rubbing, joint: np.record, speed: float, force: float) -> Acting:
+    """Friction of an output roller, or the moment of a bearing, at its speed and normal force."""
+    law = rubbing.laws[int(joint.law)]
+    if joint.reach > 0.0:
+        return sliding_friction(law, rubbing.direction, law.outer_radius, speed, force)
+    return bearing_friction(law, rubbing.direction, speed, force)
+
+
+@part
+def write_sliding(
+    assembly: Assembly, joint: np.record, radius: float, d: Displacement, work: Work, unknowns: int, out: Array
+) -> None:
+    """Write the derivatives of a roller's sliding in its hole by the unknowns of `derivatives`; `radius` is its own."""
+    outer, seat = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.seat)].rotation
+    at, by = work.at, work.by
+    for i in range(unknowns):
+        out[i] = d.normal_x * by[1, i] - d.normal_y * by[0, i]
+        if at[i] == outer:
+            out[i] -= d.length + radius
+        elif at[i] == seat:
+            out[i] += radius
+
+
+@part
+def _add_roller(
+    assembly: Assembly, joint: np.record, d: Displacement, stiffness: float, f: Acting, work: Work, sliding: Array
+) -> None:
+    """Add the friction of an output roller to the balance."""
+    outer, seat = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.seat)].rotation
+    at, by, nx, ny = work.at, work.by, d.normal_x, d.normal_y
+    for i in range(sliding.size):
+        work.residual[at[i]] += f.amplitude * sliding[i]
+        along = nx * by[0, i] + ny * by[1, i]
+        for j in range(sliding.size):
+            closing = nx * by[0, j] + ny * by[1, j]
+            across = (nx * by[1, j] - ny * by[0, j]) / d.length
+            change = f.slope * stiffness * closing * sliding[i] - f.amplitude * across * along
+            if i == j and (at[i] == outer or at[i] == seat):
+                change += f.amplitude * along
+            if at[i] == outer:
+                change -= f.amplitude * closing
+            work.jacobian[at[i], at[j]] += change
+
+
+@part
+def _add_moment(
+    assembly: Assembly, joint: np.record, d: Displacement, stiffness: float, f: Acting, work: Work, unknowns: int
+) -> None:
+    """Add the friction moment of a bearing to the balance of its two bodies; a crank's rotation is no unknown."""
+    outer, inner = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.inner)].rotation
+    for body, sign in ((outer, 1.0), (inner, -1.0)):
+        if body >= 0:
+            work.residual[body] += sign * f.amplitude
+            for j in range(unknowns):
+                closing = d.normal_x * work.by[0, j] + d.normal_y * work.by[1, j]
+                work.jacobian[body, work.at[j]] += sign * f.slope * stiffness * closing
+
+
 @spliced
-def _add_joints(
-    problem: Problem,
-    assembly: Assembly,
-    work: Work,
-    rubbing: Rubbing,
-    slope: Slope,
-    loss: Array,
-) -> float:
+def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbing, slope: Slope, loss: Array) -> float:
     """Add the friction of joints to the balance, and their losses; return the crank's torque, and write its slope."""
-    residual, jacobian, at, by, sliding = work.residual, work.jacobian, work.at, work.by, slope.sliding
     torque = 0.0
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
-        outer, inner = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.inner)]
-        seat = assembly.bodies[int(joint.seat)].rotation
         d = displacement(assembly, joint, work)
         # Springs that only centre what is loose rub on nothing.
         acting = reaction(assembly, joint, d, 0.0)
-        nx, ny = d.normal_x, d.normal_y
-        law, speed = rubbing.laws[int(joint.law)], joint_speed(problem, assembly, joint, d, work)
-        roller = joint.reach > 0.0
-        if roller:
+        f = joint_friction(rubbing, joint, joint_speed(problem, assembly, joint, d, work), acting.force)
+        lost, by_crank, unknowns = abs(f.amplitude * f.speed), 0.0, derivatives(assembly, joint, d, work)
+        if joint.reach > 0.0:
             if acting.stiffness == 0.0:
                 continue
-            f = sliding_friction(law, rubbing.direction, law.outer_radius, speed, acting.force)
-            loss[OUTPUT + (TURNING if f.turns else SLIDING)] += abs(f.amplitude * f.speed)
+            loss[OUTPUT + (TURNING if f.turns else SLIDING)] += lost
+            radius = rubbing.laws[int(joint.law)].outer_radius
+            write_sliding(assembly, joint, radius, d, work, unknowns, slope.sliding)
+            _add_roller(assembly, joint, d, acting.stiffness, f, work, slope.sliding[:unknowns])
         else:
-            f = bearing_friction(law, rubbing.direction, speed, acting.force)
-            loss[FIRST_BEARING + int(joint.law)] += abs(f.amplitude * f.speed)
-        # Derivatives of the bodies' sliding at the point of contact; a bearing's are those of two rotations.
-        unknowns = derivatives(assembly, joint, d, work)
-        for i in range(unknowns):
-            sliding[i] = 0.0
-            if roller:
-                sliding[i] = nx * by[1, i] - ny * by[0, i]
-                if at[i] == outer.rotation:
-                    sliding[i] -= d.length + law.outer_radius
-                elif at[i] == seat:
-                    sliding[i] += law.outer_radius
-            residual[at[i]] += f.amplitude * sliding[i]
-        if not roller and outer.rotation >= 0:
-            residual[outer.rotation] += f.amplitude
-        if not roller and inner.rotation >= 0:
-            residual[inner.rotation] -= f.amplitude
+            loss[FIRST_BEARING + int(joint.law)] += lost
+            _add_moment(assembly, joint, d, acting.stiffness, f, work, unknowns)
+            by_crank = 1.0 if assembly.bodies[int(joint.inner)].rotation < 0 else 0.0
         ex, ey = eccentric(joint, work)
-        arm, along = ex * ny - ey * nx, ex * nx + ey * ny
-        torque -= acting.force * arm
-        by_force = -arm
-        if not roller and inner.rotation < 0:
-            torque -= f.amplitude
-            by_force -= f.slope
+        arm, along = ex * d.normal_y - ey * d.normal_x, ex * d.normal_x + ey * d.normal_y
+        torque -= acting.force * arm + by_crank * f.amplitude
         for j in range(unknowns):
-            closing = nx * by[0, j] + ny * by[1, j]
-            across = (nx * by[1, j] - ny * by[0, j]) / d.length if d.length > 0.0 else 0.0
-            slope.crank_torque[at[j]] += by_force * acting.stiffness * closing - acting.force * along * across
-            pressed = f.slope * acting.stiffness * closing
-            if not roller:
-                if outer.rotation >= 0:
-                    jacobian[outer.rotation, at[j]] += pressed
-                if inner.rotation >= 0:
-                    jacobian[inner.rotation, at[j]] -= pressed
-                continue
-            for i in range(unknowns):
-                along_i = nx * by[0, i] + ny * by[1, i]
-                change = pressed * sliding[i] - f.amplitude * across * along_i
-                if i == j and (at[i] == outer.rotation or at[i] == seat):
-                    change += f.amplitude * along_i
-                if at[i] == outer.rotation:
-                    change -= f.amplitude * closing
-                jacobian[at[i], at[j]] += change
+            closing = d.normal_x * work.by[0, j] + d.normal_y * work.by[1, j]
+            across = d.normal_x * work.by[1, j] - d.normal_y * work.by[0, j]
+            slope.crank_torque[work.at[j]] -= (arm + by_crank * f.slope) * acting.stiffness * closing
+            if d.length > 0.0:
+                slope.crank_torque[work.at[j]] -= acting.force * along * across / d.length
     return torque
 
 

@@ -20,12 +20,13 @@ from cycloid_fmu.losses.rubbing import (
     Rubbing,
     Slope,
     assemble_rubbing,
-    bearing_friction,
     flank_speed,
+    joint_friction,
     joint_speed,
     settle_rubbing,
     sliding_friction,
     through_first_stage,
+    write_sliding,
 )
 from cycloid_fmu.supports.balance import NEIGHBOUR, Load, solve_transposed, torsional_stiffness
 from cycloid_fmu.supports.bearing import CENTRING
@@ -101,7 +102,7 @@ def _by_coefficients(
     law: np.record, f: Acting, force: float, rolls: bool, along: float, radius: float, out: Array
 ) -> None:
     """Add `along` times the derivatives of an amplitude G by the coefficients of its law."""
-    sign = along * (math.copysign(1.0, f.amplitude) if f.amplitude != 0.0 else 0.0)
+    sign = along * f.sign
     if rolls:
         out[CONSTANT] += sign
         out[ARM] += sign * force
@@ -135,40 +136,35 @@ def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubb
 
 
 @spliced
-def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbing, direct: float, out: Array) -> None:
+def _add_joints(
+    problem: Problem,
+    assembly: Assembly,
+    work: Work,
+    rubbing: Rubbing,
+    direct: float,
+    sliding: Array,
+    out: Array,
+) -> None:
     """Subtract λ·∂r/∂p of the joints, λ in `work.step`, and add what bearings take from the crank directly.
 
     `direct` is what the crank's torque becomes for each N·m on the crank itself: 1 without a first stage.
     """
-    row, at, by = work.step, work.at, work.by
+    row, at = work.step, work.at
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
-        outer, inner = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.inner)].rotation
-        seat = assembly.bodies[int(joint.seat)].rotation
         d = displacement(assembly, joint, work)
-        unknowns = derivatives(assembly, joint, d, work)
-        force, number_ = reaction(assembly, joint, d, 0.0).force, int(joint.law)
-        law, speed = rubbing.laws[number_], joint_speed(problem, assembly, joint, d, work)
-        roller, along = joint.reach > 0.0, 0.0
-        for i in range(unknowns):
-            if roller:
-                along -= row[at[i]] * (d.normal_x * by[1, i] - d.normal_y * by[0, i])
+        force, law = reaction(assembly, joint, d, 0.0).force, rubbing.laws[int(joint.law)]
+        f = joint_friction(rubbing, joint, joint_speed(problem, assembly, joint, d, work), force)
+        along, roller = 0.0, joint.reach > 0.0
         if roller:
-            if force <= 0.0:
-                continue
-            if outer >= 0:
-                along += row[outer] * (d.length + law.outer_radius)
-            if seat >= 0:
-                along -= row[seat] * law.outer_radius
-            f = sliding_friction(law, rubbing.direction, law.outer_radius, speed, force)
+            unknowns = derivatives(assembly, joint, d, work)
+            write_sliding(assembly, joint, law.outer_radius, d, work, unknowns, sliding)
+            for i in range(unknowns):
+                along -= row[at[i]] * sliding[i]
         else:
-            if outer >= 0:
-                along -= row[outer]
-            along += row[inner] if inner >= 0 else -direct
-            f = bearing_friction(law, rubbing.direction, speed, force)
-            if f.amplitude == 0.0:
-                f = Acting(math.copysign(1e-300, rubbing.direction * speed), 0.0, speed, False)
-        _by_coefficients(law, f, force, not roller, along, law.outer_radius, out[number_])
+            outer, inner = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.inner)].rotation
+            along = (row[inner] if inner >= 0 else -direct) - (row[outer] if outer >= 0 else 0.0)
+        _by_coefficients(law, f, force, not roller, along, law.outer_radius, out[int(joint.law)])
 
 
 @compiled
@@ -212,7 +208,7 @@ def sweep_rubbing_sensitivities(
         _add_flanks(problem, thetas[i], contacts, work, rubbing, by_coefficient[i])
         factor = through_first_stage(rubbing, torque)
         direct = 1.0 - work.step[0] * (1.0 + rubbing.sun_share * factor if rubbing.sun_share > 0.0 else 0.0)
-        _add_joints(problem, assembly, work, rubbing, direct, by_coefficient[i])
+        _add_joints(problem, assembly, work, rubbing, direct, slope.sliding, by_coefficient[i])
         by_carrier[i, 0] = rubbing.direction * work.step[0]
         by_loss = factor * factor if rubbing.direction * torque > 0.0 else -1.0
         by_carrier[i, 1] = -work.step[0] * rubbing.sun_share * torque * by_loss

@@ -109,6 +109,7 @@ def solved_at(
     following
         The slope at load 0 is taken towards this load, by default the second one.
     """
+    # Wide as it takes places of a grid, and how the model is solved at them.
     pair = drive.pair
     at = loads.copy()
     if loads[0] == 0.0:

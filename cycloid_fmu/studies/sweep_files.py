@@ -86,7 +86,7 @@ def with_free_positions(data: xr.Dataset) -> xr.Dataset:
     return data.assign({**kept, "interference": data["interference"]})
 
 
-def shown_values(data: xr.Dataset, name: str) -> tuple[list[float], str]:
+def shown_values(data: xr.Dataset | xr.DataArray, name: str) -> tuple[list[float], str]:
     """Return the varied values and their unit, as given."""
     place = data[name]
     si, unit = place.attrs["units"], place.attrs["shown_units"]

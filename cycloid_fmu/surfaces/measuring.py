@@ -522,53 +522,74 @@ def fitted_circle(points: Complex, robust: bool) -> tuple[complex, float]:
     return middle + _MICRON * complex(fit[0], fit[1]), float(_MICRON * fit[2])
 
 
-def _measured_pins(pair: Pair, points: MeasuredPoints, mask: Booleans, elements: Elements) -> Any:
-    """Changes of the surface, empty elements, alignment and outliers of the pins."""
-    g = pair
-    number, z = points.number[mask], points.z[mask]
-    at = _complex(points.x[mask], points.y[mask])
-    rows = [np.flatnonzero(number == pin) for pin in range(g.pins)]
-    fits = [fitted_circle(at[row], robust=True) for row in rows]
-    centre, radius = np.array([f[0] for f in fits]), np.array([f[1] for f in fits])
+def _pin_circles(pins: int, number: Integers, at: Complex, *, robust: bool) -> tuple[Complex, Array]:
+    """Centre and radius, m, of each pin, both of shape (pins,)."""
+    circles = [fitted_circle(at[number == pin], robust) for pin in range(pins)]
+    return np.array([centre for centre, _ in circles]), np.array([radius for _, radius in circles])
+
+
+def _pin_outliers(pair: Pair, number: Integers, z: Array, at: Complex) -> tuple[Booleans, Array, Array]:
+    """Outliers, distances from neighbours, m, and angles on the pin from the direction to the circle's centre, rad."""
+    centre, radius = _pin_circles(pair.pins, number, at, robust=True)
     away = at - centre[number]
-    deviation = np.abs(away) - radius[number]
-    middle = centre.mean()
-    inwards = np.angle(away * np.conj(middle - centre)[number])
-    outlier, distance = outlying(number, inwards * g.pin_radius, z, deviation)
-    kept = ~outlier
-    facing = kept & (np.abs(inwards) <= 0.5 * np.pi)
-    _check_counts(
-        points, _sub(mask, facing), "pin", g.pins, FEWEST_PIN_POINTS, " on the half that faces the circle's centre"
-    )
-    for pin, row in enumerate(rows):
-        reach = float(np.ptp(inwards[row][kept[row]]))
+    inwards = np.angle(away * np.conj(centre.mean() - centre)[number])
+    outlier, distance = outlying(number, inwards * pair.pin_radius, z, np.abs(away) - radius[number])
+    return outlier, distance, inwards
+
+
+def _check_spans(source: str, pins: int, number: Integers, inwards: Array) -> None:
+    """Refuse pins whose points span an arc too short for their centre and radius."""
+    for pin in range(pins):
+        reach = float(np.ptp(inwards[number == pin]))
         if reach < 0.5 * np.pi:
             raise edge.InputError(
-                f"{points.source}: the points of pin {pin} span {np.degrees(reach):.0f}°; its centre and radius "
+                f"{source}: the points of pin {pin} span {np.degrees(reach):.0f}°; its centre and radius "
                 "need at least 90°."
             )
-    fits = [fitted_circle(at[row[kept[row]]], robust=False) for row in rows]
-    centre, radius = np.array([f[0] for f in fits]), np.array([f[1] for f in fits])
-    direction = np.exp(2j * np.pi * np.arange(g.pins) / g.pins)
-    nominal = g.pin_circle_radius * direction
+
+
+def _aligned_pins(pair: Pair, centre: Complex) -> tuple[complex, float, Complex]:
+    """Shift, m, and rotation, rad, of the pin circle, and the pins' errors in it, radial + i tangential, m."""
+    direction = np.exp(2j * np.pi * np.arange(pair.pins) / pair.pins)
+    nominal = pair.pin_circle_radius * direction
     shift = complex(centre.mean())
     rotation = float(np.angle(np.vdot(nominal, centre - shift)))
-    error = ((centre - shift) * np.exp(-1j * rotation) - nominal) * direction.conj()
-    if np.abs(error).max() > LARGEST_ELEMENT or np.abs(radius - g.pin_radius).max() > LARGEST_ELEMENT:
+    return shift, rotation, ((centre - shift) * np.exp(-1j * rotation) - nominal) * direction.conj()
+
+
+def _check_pins(source: str, error: Complex, thicker: Array) -> None:
+    """Refuse deviations, m, that are larger than those of any pin of this pair."""
+    if np.abs(error).max() > LARGEST_ELEMENT or np.abs(thicker).max() > LARGEST_ELEMENT:
         raise edge.InputError(
-            f"{points.source}: aligned pins deviate by {_length(float(np.abs(error).max()))} in position and "
-            f"{_length(float(np.abs(radius - g.pin_radius).max()))} in radius: check the pair, and "
+            f"{source}: aligned pins deviate by {_length(float(np.abs(error).max()))} in position and "
+            f"{_length(float(np.abs(thicker).max()))} in radius: check the pair, and "
             "that pins are numbered counter-clockwise."
         )
+
+
+def _measured_pins(pair: Pair, points: MeasuredPoints, mask: Booleans, elements: Elements) -> Any:
+    """Changes of the surface, empty elements, alignment and outliers of the pins."""
+    number, z = points.number[mask], points.z[mask]
+    at = _complex(points.x[mask], points.y[mask])
+    outlier, distance, inwards = _pin_outliers(pair, number, z, at)
+    kept = ~outlier
+    facing = _sub(mask, kept & (np.abs(inwards) <= 0.5 * np.pi))
+    _check_counts(points, facing, "pin", pair.pins, FEWEST_PIN_POINTS, " on the half that faces the circle's centre")
+    _check_spans(points.source, pair.pins, number[kept], inwards[kept])
+    centre, radius = _pin_circles(pair.pins, number[kept], at[kept], robust=False)
+    direction = np.exp(2j * np.pi * np.arange(pair.pins) / pair.pins)
+    shift, rotation, error = _aligned_pins(pair, centre)
+    _check_pins(points.source, error, radius - pair.pin_radius)
     away = (at - centre[number]) * np.exp(-1j * rotation)
     deviation = np.abs(away) - radius[number]
     # Counter-clockwise about the pin's axis from the direction to the circle's centre.
     part = np.angle(-away * direction.conj()[number]) / np.pi + 0.5
     inner = kept & (part >= 0.0) & (part < 1.0)
     row = (part[inner] * elements.angle).astype(np.int64)
-    column = _slice(z[inner], g.face_width, elements.width)
-    means, empty = element_means(number[inner], row, column, deviation[inner], (g.pins, elements.angle, elements.width))
-    thicker = radius - g.pin_radius
+    column = _slice(z[inner], pair.face_width, elements.width)
+    shape = (pair.pins, elements.angle, elements.width)
+    means, empty = element_means(number[inner], row, column, deviation[inner], shape)
+    thicker = radius - pair.pin_radius
     changes = {
         "pin_circle_radius": float(error.real.mean()),
         "pin_radial": error.real - error.real.mean(),

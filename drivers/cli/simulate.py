@@ -72,18 +72,9 @@ def simulate(
         torque=torque,
         ratio=ratio,
         turns=turns,
-        samples_per_turn=samples_per_turn,
-        direction=direction,
-        speed=speed,
-        noise=noise,
-        seed=seed,
-        hysteresis=hysteresis,
-        interface=interface,
-        channel=channel,
-        serial=serial,
-        plc=plc,
+        motion=drivers.SimulatedMotion(samples_per_turn, direction, speed, noise, seed=seed, hysteresis=hysteresis),
+        connection=drivers.SimulatedConnection(interface, channel, serial=serial, plc=plc, speed_factor=speed_factor),
         faults=faults,
-        speed_factor=speed_factor,
     )
     with recording(), bench:
         if output is not None:

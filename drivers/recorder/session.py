@@ -466,7 +466,7 @@ def record(
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, interface="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, connection="virtual") as bench:
     ...     wiring = bench.write_wiring("BENCH.toml")
     ...     done = drivers.record(wiring, "recorded.arrows", samples=96, idle="2 s")
     >>> done.samples

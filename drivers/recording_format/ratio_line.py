@@ -160,37 +160,19 @@ class Line:
         at = 0
         while at < size:
             if self._away is not None:
-                back = np.flatnonzero((off[at:] >= self._away.low) & (off[at:] <= self._away.high))
-                end = at + int(back[0]) if back.size else size
-                for role in self._away.roles:
-                    marks[role][at:end] = True
-                at = end
-                if back.size:
-                    self._away = None
-                    self._begin(keep=True)
-                    returned[at] = True
-                    sudden[at] = False
+                at = self._return(at, off, marks, returned, sudden)
                 continue
-            travel = self._travel + np.cumsum(np.abs(turned[at:]))
-            here, slack = off[at:], self._stamps * usual[at:]
-            low = np.minimum.accumulate(np.minimum(here - _FOLLOW * travel + slack, self._low))
-            high = np.maximum.accumulate(np.maximum(here + _FOLLOW * travel - slack, self._high))
-            departs = np.maximum(here - _FOLLOW * travel - slack - low, high - (here + _FOLLOW * travel + slack))
-            beyond = (departs > wide[at:]) | sudden[at:]
-            end = at + int(np.argmax(beyond)) if beyond.any() else size
-            part = slice(at, end)
-            self._take(line[part], off[part], usual[part], low[: end - at], high[: end - at], travel[: end - at])
-            at = end
-            if end == size:
+            at = self._follow(at, line, off, turned, usual, wide, sudden)
+            if at == size:
                 break
-            if sudden[end]:
-                yield self._leap(end, given, off, was, int(whose[end]), marks)
-                at, sudden[end] = end + 1, False
-            elif (found := self._departure(end, given, off, runs, marks)) is not None:
-                yield found
+            if sudden[at]:
+                yield self._leap(at, given, off, was, int(whose[at]), marks)
+                at, sudden[at] = at + 1, False
+            elif (departure := self._departure(at, given, off, runs, marks)) is not None:
+                yield departure
             else:  # no line is established yet
                 self._begin(keep=False)
-                self._low = self._high = float(off[end])
+                self._low = self._high = float(off[at])
         self._moved = bool(moved[-1])
         for place, run in enumerate(runs):
             if run[-1] < size:
@@ -198,6 +180,42 @@ class Line:
                 self._stood[place] = float(time[begun]), float(off[begun])
         angles = float(given.turning[-1]), float(given.driven[-1])
         self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(was[-1]), *rates, bool(returned[-1]))
+
+    def _return(self, at: int, off: FloatArray, marks: dict[str, Mask], returned: Mask, sudden: Mask) -> int:
+        """Mark samples off the line from `at` on; return the place of the first one back on it, or the end."""
+        assert self._away is not None
+        back = np.flatnonzero((off[at:] >= self._away.low) & (off[at:] <= self._away.high))
+        end = at + int(back[0]) if back.size else off.size
+        for role in self._away.roles:
+            marks[role][at:end] = True
+        if back.size:
+            self._away = None
+            self._begin(keep=True)
+            returned[end] = True
+            sudden[end] = False
+        return end
+
+    def _follow(
+        self,
+        at: int,
+        line: FloatArray,
+        off: FloatArray,
+        turned: FloatArray,
+        usual: FloatArray,
+        wide: FloatArray,
+        sudden: Mask,
+    ) -> int:
+        """Add samples to the line from `at` on; return the place of the first one that leaves it, or the end."""
+        travel = self._travel + np.cumsum(np.abs(turned[at:]))
+        here, slack = off[at:], self._stamps * usual[at:]
+        low = np.minimum.accumulate(np.minimum(here - _FOLLOW * travel + slack, self._low))
+        high = np.maximum.accumulate(np.maximum(here + _FOLLOW * travel - slack, self._high))
+        departs = np.maximum(here - _FOLLOW * travel - slack - low, high - (here + _FOLLOW * travel + slack))
+        beyond = (departs > wide[at:]) | sudden[at:]
+        count = int(np.argmax(beyond)) if beyond.any() else beyond.size
+        part = slice(at, at + count)
+        self._take(line[part], off[part], usual[part], low[:count], high[:count], travel[:count])
+        return at + count
 
     def _keeps(self, given: _Stretch, off: FloatArray, before: _Last) -> bool:
         """Accept samples so close to the line that they cannot be at fault; False if they are not.

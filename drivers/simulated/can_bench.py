@@ -117,7 +117,7 @@ class SimulatedCanBench(SimulatedBench):
     Parameters
     ----------
     motion, interface, channel, speed_factor, faults
-        See `simulate_bench`.
+        See `simulate.SimulatedConnection`.
     trigger
         "controller": the bench sends SYNC, with a counter unless `sync_counter` is False; "sync": the bench answers
         each SYNC of another device, such as the recorder, with the next sample; "timer": each node sends by its event

@@ -19,7 +19,7 @@ OutputAngle: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 
 @dataclasses.dataclass(frozen=True)
 class SimulatedRun:
-    """A run of the bench at a constant torque; SI values of the arguments of `simulate_bench`.
+    """A run of the bench at a constant torque; SI values of `simulate.SimulatedMotion`.
 
     Samples begin at crank angle 0, with the end of the last turn excluded; "backward" uses the same angles from the
     last to the first. `lead_in` is the number of additional samples before the first, at the same spacing, in which the

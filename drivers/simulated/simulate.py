@@ -2,49 +2,145 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 from cycloid_fmu import edge
 from drivers.arguments import in_si
+from drivers.simulated import motion as measured
 from drivers.simulated.ads_bench import SimulatedAdsBench
 from drivers.simulated.bench import SimulatedBench
-from drivers.simulated.faults import read_faults
-from drivers.simulated.motion import (
-    OutputAngle,
-    SimulatedRun,
-    fmu_output_angle,
-    simulate_hysteresis,
-    simulate_motion,
-    stated_in_fmu,
-)
+from drivers.simulated.faults import Fault, read_faults
 from drivers.simulated.serial_bench import SERIAL_BENCHES
 
 
+@dataclasses.dataclass(frozen=True)
+class SimulatedMotion:
+    """How the crank of a simulated bench moves and is sampled, and the noise of its sensors.
+
+    Attributes
+    ----------
+    samples_per_turn
+        Samples in each crank turn; with `hysteresis`, in each loop.
+    direction, speed
+        Direction and speed of the crank; speed in rad/s, or text such as "60 rpm".
+    noise, torque_noise
+        RMS noise of each encoder, rad, and of the torque, N*m, or text with a unit.
+    seed
+        Random seed of the noise.
+    hysteresis
+        Lock the input and cycle the torque 0, +T, 0, -T, 0.
+    """
+
+    samples_per_turn: int = 96
+    direction: Literal["forward", "backward"] = "forward"
+    speed: float | str = 2 * math.pi
+    noise: float | str = 0.0
+    torque_noise: float | str = 0.0
+    seed: int = 0
+    hysteresis: bool = False
+
+    def measured(self, output_angle: measured.OutputAngle, torque: float | str, turns: int) -> measured.Motion:
+        """Return the measured motion of a drive over crank turns, or loops, at a torque on the output, N*m or text."""
+        run = measured.SimulatedRun(
+            torque=in_si(torque, "N*m", "torque"),
+            turns=turns,
+            samples_per_turn=self.samples_per_turn,
+            direction=self.direction,
+            speed=in_si(self.speed, "rad/s", "speed", above=0.0),
+            noise=in_si(self.noise, "rad", "noise", least=0.0),
+            torque_noise=in_si(self.torque_noise, "N*m", "torque_noise", least=0.0),
+            seed=self.seed,
+        )
+        return (measured.simulate_hysteresis if self.hysteresis else measured.simulate_motion)(output_angle, run)
+
+
+@dataclasses.dataclass(frozen=True)
+class SimulatedConnection:
+    """How a recorder reaches a simulated bench: by a CAN bus, a serial line or a PLC.
+
+    Attributes
+    ----------
+    interface, channel, trigger
+        Interface and channel of the CAN bus in python-can ("loopback" reaches other processes on this machine,
+        "virtual" only this process), and the trigger of its encoders, see `SimulatedCanBench`; it needs the extra
+        `bench`.
+    serial
+        Encoders on a pseudo-terminal instead of CAN; "modbus" needs the extra `bench`.
+    plc
+        A Beckhoff PLC at this address of this machine, such as "127.0.0.1", instead of CAN; recording it needs the
+        extra `ads`.
+    clock_drift
+        Relative drift of the clock of the ASCII counter, the virtual or loopback bus or the PLC against the host's,
+        such as 50e-6, > 0: fast.
+    speed_factor
+        Speed relative to real time; None: as fast as a CAN bus permits, 1 on a serial line and for a PLC.
+
+    Raises
+    ------
+    edge.ArgumentError
+        If a value is invalid, or two contradict each other.
+    """
+
+    interface: str = "loopback"
+    channel: str | None = None
+    trigger: Literal["controller", "sync", "timer"] = "controller"
+    serial: Literal["amt21", "modbus", "ascii"] | None = None
+    plc: str | None = None
+    clock_drift: float = 0.0
+    speed_factor: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.speed_factor is not None and not self.speed_factor > 0:
+            raise edge.ArgumentError("speed_factor", "the factor must be above zero", self.speed_factor)
+        if self.serial is not None and self.serial not in SERIAL_BENCHES:
+            raise edge.ArgumentError("serial", f"it must be one of {', '.join(SERIAL_BENCHES)}", self.serial)
+        if self.plc is not None and self.serial is not None:
+            raise edge.ArgumentError(
+                "plc", "the encoders are either on a serial line or behind a PLC; remove one", self.plc
+            )
+        on_bus = self.serial is None and self.interface in ("virtual", "loopback")
+        if self.clock_drift and not (self.plc or self.serial == "ascii" or on_bus):
+            problem = 'only a PLC, serial "ascii" and the buses "virtual" and "loopback" have a clock'
+            raise edge.ArgumentError("clock_drift", problem, self.clock_drift)
+
+    def bench(self, motion: measured.Motion, faults: Sequence[Fault]) -> SimulatedBench:
+        """Return a bench that sends a motion in this way."""
+        pace = self.speed_factor or 1.0
+        if self.plc is not None:
+            return SimulatedAdsBench(
+                motion, host=self.plc, speed_factor=pace, clock_drift=self.clock_drift, faults=faults
+            )
+        if self.serial is not None:
+            options: dict[str, Any] = {"clock_drift": self.clock_drift} if self.serial == "ascii" else {}
+            return SERIAL_BENCHES[self.serial](motion, speed_factor=pace, faults=faults, **options)
+        from drivers.simulated.can_bench import SimulatedCanBench  # needs the extra `bench`
+
+        return SimulatedCanBench(
+            motion,
+            interface=self.interface,
+            channel=self.channel or ("239.74.163.2" if self.interface == "loopback" else "bench"),
+            trigger=self.trigger,
+            speed_factor=self.speed_factor,
+            clock_drift=self.clock_drift or None,
+            faults=faults,
+        )
+
+
 def simulate_bench(
-    drive: OutputAngle | str | os.PathLike[str] | None = None,
+    drive: measured.OutputAngle | str | os.PathLike[str] | None = None,
     *,
     torque: float | str | None = None,
     ratio: float | None = None,
     pair: str = "",
     turns: int = 39,
-    samples_per_turn: int = 96,
-    direction: Literal["forward", "backward"] = "forward",
-    speed: float | str = 2 * math.pi,
-    noise: float | str = 0.0,
-    torque_noise: float | str = 0.0,
-    seed: int = 0,
-    hysteresis: bool = False,
-    interface: str = "loopback",
-    channel: str | None = None,
-    trigger: Literal["controller", "sync", "timer"] = "controller",
-    serial: Literal["amt21", "modbus", "ascii"] | None = None,
-    plc: str | None = None,
-    clock_drift: float = 0.0,
+    motion: SimulatedMotion = SimulatedMotion(),
+    connection: SimulatedConnection | str = SimulatedConnection(),
     faults: str | os.PathLike[str] | None = None,
-    speed_factor: float | None = None,
 ) -> SimulatedBench:
     """Return a bench that waits for a recorder and then sends the signals of a motion as real sensors do.
 
@@ -64,32 +160,14 @@ def simulate_bench(
         the ratio that the drive's FMU states.
     pair
         Name or fingerprint of the gear pair for the wiring and the recording; default: the FMU's name.
-    turns, samples_per_turn
-        Number of crank turns, and samples in each; with `hysteresis`, of loops.
-    direction, speed
-        Direction and speed of the crank; speed in rad/s, or text such as "60 rpm".
-    noise, torque_noise
-        RMS noise of each encoder, rad, and of the torque, N*m, or text with a unit.
-    seed
-        Random seed of the noise.
-    hysteresis
-        Lock the input and cycle the torque 0, +T, 0, -T, 0.
-    interface, channel, trigger
-        Interface and channel of the CAN bus in python-can ("loopback" reaches other processes on this machine,
-        "virtual" only this process), and the trigger of its encoders, see `SimulatedCanBench`; it needs the extra
-        `bench`.
-    serial
-        Encoders on a pseudo-terminal instead of CAN; "modbus" needs the extra `bench`.
-    plc
-        A Beckhoff PLC at this address of this machine, such as "127.0.0.1", instead of CAN; recording it needs the
-        extra `ads`.
-    clock_drift
-        Relative drift of the clock of the ASCII counter, the virtual or loopback bus or the PLC against the host's,
-        such as 50e-6, > 0: fast.
+    turns
+        Number of crank turns; of loops with `SimulatedMotion.hysteresis`.
+    motion
+        Speed, direction and sampling of the crank, and noise.
+    connection
+        CAN bus, serial line or PLC, or the name of a CAN interface such as "virtual".
     faults
         File with a script of faults, `cycloid-faults/1`.
-    speed_factor
-        Speed relative to real time; None: as fast as a CAN bus permits, 1 on a serial line and for a PLC.
 
     Raises
     ------
@@ -99,14 +177,19 @@ def simulate_bench(
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=2, interface="virtual") as bench:
+    >>> motion = drivers.SimulatedMotion(speed="120 rpm", noise="0.5 arcsec")
+    >>> with drivers.simulate_bench(
+    ...     ratio=-39, torque="20 N*m", turns=2, motion=motion, connection="virtual"
+    ... ) as bench:
     ...     done = bench.record("simulated.arrows")
     >>> done.samples["output_angle"]
     192
     """
+    if isinstance(connection, str):
+        connection = SimulatedConnection(connection)
     if drive is None and ratio is None:
         raise edge.ArgumentError("ratio", "is missing: give a drive, or the signed ratio of an ideal one")
-    stated = stated_in_fmu(drive) if isinstance(drive, str | os.PathLike) else {}
+    stated = measured.stated_in_fmu(drive) if isinstance(drive, str | os.PathLike) else {}
     ratio = stated.get("ratio") if ratio is None else ratio
     torque = stated.get("rated_torque") if torque is None else torque
     if torque is None:
@@ -114,52 +197,11 @@ def simulate_bench(
         raise edge.ArgumentError("torque", f"is missing; give it: {problem}")
     if ratio is not None and not (math.isfinite(ratio) and ratio):
         raise edge.ArgumentError("ratio", f"write the signed ratio input/output: {edge.RATIO}", ratio)
-    if speed_factor is not None and not speed_factor > 0:
-        raise edge.ArgumentError("speed_factor", "the factor must be above zero", speed_factor)
-    if serial is not None and serial not in SERIAL_BENCHES:
-        raise edge.ArgumentError("serial", f"it must be one of {', '.join(SERIAL_BENCHES)}", serial)
-    if plc is not None and serial is not None:
-        raise edge.ArgumentError("plc", "the encoders are either on a serial line or behind a PLC; remove one", plc)
-    clocked = plc or serial == "ascii" or (serial is None and interface in ("virtual", "loopback"))
-    if clock_drift and not clocked:
-        said = 'only a PLC, serial "ascii" and the buses "virtual" and "loopback" have a clock'
-        raise edge.ArgumentError("clock_drift", said, clock_drift)
-    run = SimulatedRun(
-        torque=in_si(torque, "N*m", "torque"),
-        turns=turns,
-        samples_per_turn=samples_per_turn,
-        direction=direction,
-        speed=in_si(speed, "rad/s", "speed", above=0.0),
-        noise=in_si(noise, "rad", "noise", least=0.0),
-        torque_noise=in_si(torque_noise, "N*m", "torque_noise", least=0.0),
-        seed=seed,
-    )
     name = "ideal"
     if isinstance(drive, str | os.PathLike):
-        name, drive = Path(drive).stem, fmu_output_angle(drive)
-    moved = simulate_hysteresis if hysteresis else simulate_motion
-    motion = moved(drive or (lambda angle, _: angle / (ratio or 1.0)), run)
+        name, drive = Path(drive).stem, measured.fmu_output_angle(drive)
+    output_angle = drive or (lambda angle, _: angle / (ratio or 1.0))
     script = read_faults(faults) if faults is not None else []
-    bench: SimulatedBench
-    if plc is not None:
-        bench = SimulatedAdsBench(
-            motion, host=plc, speed_factor=speed_factor or 1.0, clock_drift=clock_drift, faults=script
-        )
-    elif serial is None:
-        from drivers.simulated.can_bench import SimulatedCanBench  # needs the extra `bench`
-
-        group = "239.74.163.2" if interface == "loopback" else "bench"
-        bench = SimulatedCanBench(
-            motion,
-            interface=interface,
-            channel=channel or group,
-            trigger=trigger,
-            speed_factor=speed_factor,
-            clock_drift=clock_drift or None,
-            faults=script,
-        )
-    else:
-        options: dict[str, Any] = {"clock_drift": clock_drift} if serial == "ascii" else {}
-        bench = SERIAL_BENCHES[serial](motion, speed_factor=speed_factor or 1.0, faults=script, **options)
+    bench = connection.bench(motion.measured(output_angle, torque, turns), script)
     bench.ratio, bench.pair = ratio, pair or name
     return bench

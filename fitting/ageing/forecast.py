@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -216,20 +216,9 @@ def forecast(
     loads, _ = duty_cycle(law, history.torque, 1.0, None, source, drive.pair)
     per_second = history.crank_turns_per_hour / HOUR
     now = max((m.crank_turns for m in measured), default=0.0) / per_second
-    end = until if until is not None else 2.0 * now
-    if until is None and now == 0.0:
-        raise edge.ArgumentError(
-            "until", "is missing; there is no recording of a drive in use, whose age it could double"
-        )
-    if not end > now or not math.isfinite(end):
-        raise edge.ArgumentError(
-            "until", f"it must lie after the last recording, {now / HOUR:g} h", f"{end / HOUR:g} h"
-        )
-    median = law.coefficient or 1.0
-    growth = 0.0
-    worn = history.bearing
-    if worn is not None:
-        growth = worn.clearance_growth / worn.within / per_second
+    end = _end(until, now)
+    median, worn = law.coefficient or 1.0, history.bearing
+    growth = 0.0 if worn is None else worn.clearance_growth / worn.within / per_second
     if life is None:
         reach = [*history.limits.stated().values(), *(m.value for m in measured)]
         most = {"dose": median * history.coefficient_factor**_BEYOND * end * per_second}
@@ -245,35 +234,14 @@ def forecast(
             workers=workers,
             progress=lambda share: progress(0.9 * share),
         )
-    left_open = _left_open(drive, max((load.torque for load in loads), key=abs), workers)
-    offset = {
-        name: math.hypot(
-            history.offsets.stated().get(name, _OFFSETS[name] / edge.ARCSEC), life.scatter[name], left_open[name]
-        )
-        for name in FIGURES
-    }
-    prior = Prior(
-        median,
-        history.coefficient_factor,
-        growth,
-        10.0 if worn is None else worn.factor,
-        offset,
-        history.load_scatter,
-        history.load_period * per_second,
-    )
+    heaviest = max((load.torque for load in loads), key=abs)
+    offset, factor = _offsets(drive, history, life, heaviest, workers), 10.0 if worn is None else worn.factor
+    period = history.load_period * per_second
+    prior = Prior(median, history.coefficient_factor, growth, factor, offset, history.load_scatter, period)
     after = posterior(life, prior, measured)
     progress(0.95)
     ages = np.linspace(0.0, end, _AGES)
-    bands, remaining = {}, {}
-    seen = {m.figure for m in measured}
-    limits = history.limits.stated()
-    for name in FIGURES:
-        if name not in seen and name not in limits and name != FIGURES[0]:
-            continue
-        mixture = after.predicted(name, ages * per_second)
-        bands[name] = np.array([mixture.quantile(p) for p in QUANTILES])
-        if name in limits:
-            remaining[name] = _remaining(limits[name], 1.0 - mixture.below(limits[name]), ages)
+    bands, remaining = _predicted(after, ages, per_second, {m.figure for m in measured}, history.limits.stated())
     placed = scores(life, prior, measured)
     progress(1.0)
     return Forecast(
@@ -289,6 +257,44 @@ def forecast(
         drive,
         "" if worn is None else worn.name,
     )
+
+
+def _end(until: float | None, now: float) -> float:
+    """Return the age at the end of the forecast, s, from the stated one and that of the last recording."""
+    if until is None and now == 0.0:
+        raise edge.ArgumentError(
+            "until", "is missing; there is no recording of a drive in use, whose age it could double"
+        )
+    end = until if until is not None else 2.0 * now
+    if not end > now or not math.isfinite(end):
+        raise edge.ArgumentError(
+            "until", f"it must lie after the last recording, {now / HOUR:g} h", f"{end / HOUR:g} h"
+        )
+    return end
+
+
+def _offsets(drive: Drive, history: History, life: LifeFigures, torque: float, workers: int | None) -> dict[str, float]:
+    """Return the standard deviation of each figure's offset from the model, rad."""
+    stated, unresolved = history.offsets.stated(), _left_open(drive, torque, workers)
+    return {
+        name: math.hypot(stated.get(name, _OFFSETS[name] / edge.ARCSEC), life.scatter[name], unresolved[name])
+        for name in FIGURES
+    }
+
+
+def _predicted(
+    after: Posterior, ages: Array, per_second: float, measured: Collection[str], limits: Mapping[str, float]
+) -> tuple[dict[str, Array], dict[str, Remaining]]:
+    """Return the bands of lost motion and all figures measured or limited, and the remaining life of the limited."""
+    bands, remaining = {}, {}
+    for name in FIGURES:
+        if name not in measured and name not in limits and name != FIGURES[0]:
+            continue
+        mixture = after.predicted(name, ages * per_second)
+        bands[name] = np.array([mixture.quantile(p) for p in QUANTILES])
+        if name in limits:
+            remaining[name] = _remaining(limits[name], 1.0 - mixture.below(limits[name]), ages)
+    return bands, remaining
 
 
 def _left_open(drive: Drive, torque: float, workers: int | None) -> dict[str, float]:

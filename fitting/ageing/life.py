@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +24,7 @@ from cycloid_fmu.errors.kinds import kinds_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, alike
 from cycloid_fmu.wear.law import Load, WearLaw
-from cycloid_fmu.wear.progress import WearState, wear_model, wear_states, worn_surface
+from cycloid_fmu.wear.progress import WearModel, WearState, wear_model, wear_states, worn_surface
 
 Array = NDArray[np.float64]
 FIGURES = ("lost_motion", "backlash", "angular_transmission_error")
@@ -176,57 +177,71 @@ def life_figures(
     unit = law if law.coefficient is None else law.replace(coefficient=_UNIT)
     scale = 1.0 if law.coefficient is None else _UNIT
     bare, made = _on_rigid_bearings(DriveValue(pair, drive.surface))
-    heaviest = max((load.torque for load in loads), key=abs)
     # Shares of a turn: the cycle's order can't matter, as nobody knows where in it a recording was made.
     total = sum(load.crank_turns for load in loads)
     shares = [load.replace(crank_turns=load.crank_turns / total) for load in loads]
 
-    def run(
-        step: float, most: float, share: float
-    ) -> tuple[list[WearState], list[ErrorSurface], list[dict[str, Array]]]:
+    def run(step: float, most: float, begun: float) -> _WornLife:
         model = wear_model(DriveValue(bare, made), unit.replace(largest_step=step), shares)
-        states: list[WearState] = []
-        surfaces: list[ErrorSurface] = []
-        found: list[dict[str, Array]] = []
-        try:
-            for state in wear_states(model, most / scale, cores):
-                worn = worn_surface(model, state.depth)
-                surfaces.append(drive.surface.replace(**{n: getattr(worn, n) for n in DEVIATIONS}, origin="worn"))
-                states.append(state)
-                found.append(figures_of(DriveValue(bare, worn), heaviest, cores))
-                grown = _value("lost_motion", found[-1]["lost_motion"]) - _value("lost_motion", found[0]["lost_motion"])
-                done = max(state.crank_turns * scale / most, grown / growth if growth < math.inf else 0.0)
-                progress(share + 0.4 * min(done, 1.0))
-                if grown >= growth:
-                    break
-        except edge.InputError:
-            # Worn so deep that contacts no longer balance the load: the life ends there.
-            if len(found) < 2:
-                raise
-            del states[len(found) :], surfaces[len(found) :]
-        return states, surfaces, found
+        return _worn_life(model, most / scale, growth, cores, lambda done: progress(begun + 0.4 * done))
 
-    states, surfaces, found = run(law.largest_step, dose, 0.0)
-    if len(states) < _STATES:
-        deepest = states[-1].depth.largest
-        states, surfaces, found = run(
-            min(law.largest_step, deepest / (2.0 * _STATES)), states[-1].crank_turns * scale, 0.4
-        )
-    at = np.array([state.crank_turns * scale for state in states])
+    life = run(law.largest_step, dose, 0.0)
+    if len(life.states) < _STATES:
+        last = life.states[-1]
+        life = run(min(law.largest_step, last.depth.largest / (2.0 * _STATES)), last.crank_turns * scale, 0.4)
+    surfaces = [
+        drive.surface.replace(**{n: getattr(worn, n) for n in DEVIATIONS}, origin="worn") for worn in life.surfaces
+    ]
+    at = np.array([state.crank_turns * scale for state in life.states])
     if at[-1] == 0.0:
         raise edge.ArgumentError("dose", "the drive does not wear at all", dose)
-    values = {name: np.array([[_value(name, row[name])] for row in found]) for name in FIGURES}
-    first, nodes = found[0], np.zeros(1)
+    values = {name: np.array([[_value(name, row[name])] for row in life.curves]) for name in FIGURES}
+    first, nodes = life.curves[0], np.zeros(1)
     if bearing is not None:
         nodes = np.linspace(0.0, min(clearance, largest_growth(pair, bearing)), _CLEARANCES)
     if pair.supports is not None:
-        first, moved, places = _on_bearings(pair, surfaces, values, bearing, nodes, heaviest, cores, progress)
+        first, moved, places = _on_bearings(
+            pair, surfaces, values, bearing, nodes, life.heaviest_torque, cores, progress
+        )
         for name in FIGURES:
             each = [np.interp(at, at[places], moved[name][:, j]) for j in range(nodes.size)]
             values[name] = values[name] + np.array(each).T
     scatter = {name: 0.0 if name not in FIGURES[:2] else float(np.std(first[name])) for name in FIGURES}
     progress(1.0)
     return LifeFigures(at, nodes, values, scatter, tuple(surfaces))
+
+
+class _WornLife(NamedTuple):
+    """States of a wear run on rigid bearings, the worn surfaces, and the curves of `figures_of` in each state."""
+
+    heaviest_torque: float
+    states: list[WearState]
+    surfaces: list[ErrorSurface]
+    curves: list[dict[str, Array]]
+
+
+def _worn_life(
+    model: WearModel, crank_turns: float, growth: float, workers: int, progress: Callable[[float], None]
+) -> _WornLife:
+    """Return a life of so many crank turns, or until lost motion has grown by `growth`, rad, or nothing balances."""
+    life = _WornLife(model.heaviest_torque, [], [], [])
+    try:
+        for state in wear_states(model, crank_turns, workers):
+            worn = worn_surface(model, state.depth)
+            curves = figures_of(DriveValue(model.pair, worn), life.heaviest_torque, workers)
+            life.states.append(state)
+            life.surfaces.append(worn)
+            life.curves.append(curves)
+            grown = _value("lost_motion", curves["lost_motion"]) - _value("lost_motion", life.curves[0]["lost_motion"])
+            done = max(state.crank_turns / crank_turns, grown / growth if growth < math.inf else 0.0)
+            progress(min(done, 1.0))
+            if grown >= growth:
+                break
+    except edge.InputError:
+        # Worn so deep that contacts no longer balance the load: the life ends there.
+        if len(life.curves) < 2:
+            raise
+    return life
 
 
 def _on_bearings(

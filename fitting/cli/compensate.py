@@ -13,6 +13,9 @@ from cycloid_fmu.edge import ARCSEC, commands
 from fitting.cli.options import separated
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cycloid_fmu.compensation.compensator import Compensator
     from cycloid_fmu.fmu.description import Version
     from cycloid_fmu.fmu.friction_file import Friction
 
@@ -84,42 +87,23 @@ def compensate(
 
     Example: [cyan]cycloid-fit compensate pair.toml --surface identified.nc --fit fit.json -o joint.c[/]
     """
-    from cycloid_fmu.compensation.compensator import Memory, step
-    from cycloid_fmu.compensation.forms.numbers import name_of
     from cycloid_fmu.compensation.forms.write import write_compensator
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.fmu.constants import LARGEST_LOAD
 
-    given = [
-        name for name, value in (("--fit", fit), ("--stiffness", stiffness), ("--loop", loop)) if value is not None
-    ]
-    if len(given) > 1:
-        raise edge.InputError(f"{given[1]}: {given[0]} determines the series compliance too; give one of the two.")
-    names: tuple[str, ...] = ()
-    if output.suffix == ".fmu":
-        from cycloid_fmu.native.build import checked_platforms
-
-        version: Version = fmi_version  # type: ignore[assignment]
-        names = checked_platforms(platforms or (), version)
-    elif platforms or fmi_version != "2.0":
-        raise edge.InputError(
-            f"{'--platform' if platforms else '--fmi'}: this option is for FMUs; give --output the ending .fmu."
-        )
-    elif output.suffix != ".csv":
-        name_of(output, "output")
+    stated = {"--fit": fit, "--stiffness": stiffness, "--loop": loop}
+    sources = [name for name, value in stated.items() if value is not None]
+    if len(sources) > 1:
+        raise edge.InputError(f"{sources[1]}: {sources[0]} determines the series compliance too; give one of the two.")
+    names = _compiled_for(output, platforms or [], fmi_version)
     drive = read_drive(drive_file, surface_file)
     friction, stiffness, compliance = _chain(fit, friction_file, stiffness, loop)
-    between = separated(temperatures)
-    if between is not None and len(between) != 2:
-        raise edge.ArgumentError(
-            "temperatures", 'give two values separated by a comma, such as "10 degC, 60 degC"', temperatures
-        )
     with commands.Bar("crank angles", None) as bar:
-        made = drive.compensator(
+        compensator = drive.compensator(
             friction=friction,
             stiffness=stiffness,
             series_compliance=compliance,
-            temperatures=None if between is None else (between[0], between[1]),
+            temperatures=_range(temperatures),
             torque_accuracy=torque_accuracy,
             residual=residual,
             sensor=sensor,
@@ -130,28 +114,66 @@ def compensate(
         if names:
             bar.update(completed=0, total=len(names), description="compiling")
         files = write_compensator(
-            made,
+            compensator,
             output,
             fmi_version=fmi_version,  # type: ignore[arg-type]
             platforms=names,
             compiled=lambda name: bar.advance(),
         )
-    rated = drive.pair.rated_torque or float(made.inverse.torque[-1]) / LARGEST_LOAD
-    warm = 0.5 * float(made.inverse.temperature[0] + made.inverse.temperature[-1])
-    bands = [step(made, Memory(0.0, one), 0.0, 0.0, rated, warm).band * ARCSEC for one in (1.0, 0.0)]
+    rated = drive.pair.rated_torque or float(compensator.inverse.torque[-1]) / LARGEST_LOAD
     if plot is not None:
         from cycloid_fmu.draw.figure import save
         from fitting.reports.compensation_plot import plot_compensator
 
-        save(plot_compensator(made, rated), plot)
-    found = made.inverse.residual * ARCSEC
-    typer.echo(
-        f"{' and '.join(map(str, files))}: tables of {made.size} bytes; largest difference from the model: "
-        f"{found:.3g}″; band (standard deviation) at {rated:.4g} N·m: {bands[0]:.3g}″, without an index "
-        f"{bands[1]:.3g}″."
-    )
-    if made.inverse.residual > residual:
+        save(plot_compensator(compensator, rated), plot)
+    _print(compensator, files, rated)
+    if compensator.inverse.residual > residual:
         typer.echo(f"No table is fine enough for the required {residual * ARCSEC:.3g}″.", err=True)
+
+
+def _compiled_for(output: Path, platforms: list[str], fmi_version: str) -> tuple[str, ...]:
+    """Return the platforms of an FMU, none for other forms, whose options and names are checked."""
+    if output.suffix == ".fmu":
+        from cycloid_fmu.native.build import checked_platforms
+
+        version: Version = fmi_version  # type: ignore[assignment]
+        return checked_platforms(platforms, version)
+    if platforms or fmi_version != "2.0":
+        raise edge.InputError(
+            f"{'--platform' if platforms else '--fmi'}: this option is for FMUs; give --output the ending .fmu."
+        )
+    if output.suffix != ".csv":
+        from cycloid_fmu.compensation.forms.numbers import name_of
+
+        name_of(output, "output")
+    return ()
+
+
+def _range(temperatures: str | None) -> tuple[str, str] | None:
+    """Return the two ends of a temperature range, each as text with a unit."""
+    ends = separated(temperatures)
+    if ends is None:
+        return None
+    if len(ends) != 2:
+        raise edge.ArgumentError(
+            "temperatures", 'give two values separated by a comma, such as "10 degC, 60 degC"', temperatures
+        )
+    return ends[0], ends[1]
+
+
+def _print(compensator: Compensator, files: Sequence[Path], rated: float) -> None:
+    from cycloid_fmu.compensation.compensator import Memory, step
+
+    inverse = compensator.inverse
+    middle = 0.5 * float(inverse.temperature[0] + inverse.temperature[-1])
+    indexed, unindexed = (
+        step(compensator, Memory(0.0, known), 0.0, 0.0, rated, middle).band * ARCSEC for known in (1.0, 0.0)
+    )
+    typer.echo(
+        f"{' and '.join(map(str, files))}: tables of {compensator.size} bytes; largest difference from the model: "
+        f"{inverse.residual * ARCSEC:.3g}″; band (standard deviation) at {rated:.4g} N·m: {indexed:.3g}″, without an "
+        f"index {unindexed:.3g}″."
+    )
 
 
 def _chain(

@@ -55,7 +55,6 @@ def identify(
     """
     import fitting
     from cycloid_fmu.drive import read_drive
-    from cycloid_fmu.geometry.pair import write_pair
     from fitting.estimation.result import as_json as content
 
     options.check_report(report)
@@ -71,16 +70,11 @@ def identify(
             form=form,
             progress=progress,
         )
-    written: list[str] = []
+    notes = list(result.notes)
     if output is not None:
         result.write(output)
     if surface is not None:
-        result.drive.write(surface)
-        if result.bearings:
-            # A surface belongs to one pair, and the bearings of this one differ from the file's.
-            made = surface.with_suffix(".toml")
-            write_pair(result.drive.pair.nominal, made)
-            written.append(f"{made}: the pair with its identified bearings, to which {surface} belongs.")
+        notes += options.write_drive(result.drive, surface, "identified" if result.bearings else "")
     if plot is not None:
         fitting.plot(result, plot)
     if report is not None:
@@ -89,7 +83,7 @@ def identify(
         commands.print_json(content(result))
         return
     _print(result)
-    options.print_notes([*result.notes, *written])
+    options.print_notes(notes)
 
 
 def _print(result: Identification) -> None:

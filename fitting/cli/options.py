@@ -12,6 +12,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
+    from cycloid_fmu.drive import Drive
     from fitting.figures.metrics import Figures
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings in any supported format.")]
@@ -65,6 +66,21 @@ def check_ratio(pair: Path | None, ratio: float | None) -> None:
 def separated(text: str | None) -> list[str] | None:
     """Return the values of an option that are separated by commas; None if it is not given."""
     return None if text is None else [part.strip() for part in text.split(",")]
+
+
+def write_drive(drive: Drive, surface: Path, bearings: str) -> list[str]:
+    """Write the surface of a drive; with `bearings` ("updated", …) that differ from the pair file's, its pair too.
+
+    A surface belongs to one pair. Returns a note on the pair's file.
+    """
+    from cycloid_fmu.geometry.pair import write_pair
+
+    drive.write(surface)
+    if not bearings:
+        return []
+    pair_file = surface.with_suffix(".toml")
+    write_pair(drive.pair.nominal, pair_file)
+    return [f"{pair_file}: the pair with its {bearings} bearings, to which {surface} belongs."]
 
 
 def print_notes(notes: Iterable[str]) -> None:

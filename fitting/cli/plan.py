@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cycloid_fmu.edge import ARCSEC, commands
 from fitting.cli import options
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from fitting.estimation.plan import Plan
 
 
 def plan(
@@ -52,7 +57,6 @@ def plan(
     """
     import fitting
     from cycloid_fmu.drive import read_drive
-    from cycloid_fmu.surfaces.structured import unit_of
 
     nominal = read_drive(drive)
     plans = fitting.plan(
@@ -69,7 +73,13 @@ def plan(
         fitting.plot(plans, plot)
     if as_json:
         commands.print_json([dataclasses.asdict(p) for p in plans])
-        return
+    else:
+        _print(plans)
+
+
+def _print(plans: Sequence[Plan]) -> None:
+    from cycloid_fmu.surfaces.structured import unit_of
+
     rows = []
     for name in [*plans[-1].standard_error, *plans[-1].held]:
         factor, unit = options.FIELD_UNITS[unit_of(name)]
@@ -79,8 +89,8 @@ def plan(
         rows.append([f"{name}, each [µm]", *(f"{p.realised[name] * 1e6:.3f}" for p in plans)])
     labels = [chr(ord("A") + i) for i in range(len(plans))]
     commands.print_table("Standard error of the errors that each set of runs would identify", ["error", *labels], rows)
-    for label, one in zip(labels, plans, strict=True):
-        typer.echo(f"{label}: {one.runs}; next {one.next_runs[0].run}")
+    for label, plan in zip(labels, plans, strict=True):
+        typer.echo(f"{label}: {plan.runs}; next {plan.next_runs[0].run}")
     further = [[n.run, *(f"{error * 1e6:.3f}" for error in n.realised.values())] for n in plans[-1].next_runs]
     each = [f"{name}, each [µm]" for name in plans[-1].realised]
     commands.print_table("Effect of a further run on every pin and tooth", ["run", *each], further)

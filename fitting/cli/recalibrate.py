@@ -79,7 +79,6 @@ def recalibrate(
     """
     import fitting
     from cycloid_fmu.drive import read_drive
-    from cycloid_fmu.geometry.pair import write_pair
     from fitting.recalibration.files import as_json as content
     from fitting.recalibration.files import read_recalibration, write_recalibration
     from fitting.recalibration.plan import plan_visit
@@ -94,7 +93,7 @@ def recalibrate(
         if plot is not None:
             fitting.plot(visits, plot)
         if as_json:
-            commands.print_json([vars(one) for one in visits])
+            commands.print_json([vars(visit) for visit in visits])
         else:
             _print_plan(visits, wanted)
         return
@@ -112,12 +111,8 @@ def recalibrate(
         write_recalibration(result, output)
     notes = list(result.notes)
     if surface is not None:
-        result.drive.write(surface)
-        if result.drive.pair.supports is not None or result.drive.first_stage is not None:
-            # A surface belongs to one pair, and the bearings of this one differ from the file's.
-            made = surface.with_suffix(".toml")
-            write_pair(result.drive.pair.nominal, made)
-            notes.append(f"{made}: the pair with its updated bearings, to which {surface} belongs.")
+        has_bearings = result.drive.pair.supports is not None or result.drive.first_stage is not None
+        notes += options.write_drive(result.drive, surface, "updated" if has_bearings else "")
     if plot is not None:
         fitting.plot(result, plot)
     if as_json:

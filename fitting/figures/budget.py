@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -176,78 +176,97 @@ def _thinned(data: LoopData, step: int) -> LoopData:
     )
 
 
-def _of_loops(
-    surveyed: Sequence[Surveyed], instruments: Instruments, ratio: float | None
-) -> dict[str, list[Contribution]]:
+_ByFigure = dict[str, list[Contribution]]
+
+
+def _of_loops(surveyed: Sequence[Surveyed], instruments: Instruments, ratio: float | None) -> _ByFigure:
     """Return the contributions of encoders and torque sensor to the figures of loops, by name of the figure."""
-    recorded = []
-    for one in surveyed:
-        if one.loops is not None:
-            step = max(1, one.loops.time.size // _SAMPLES)
-            angles = {"input": one.overview.input_angle[::step], "output": one.overview.output_angle[::step]}
-            recorded.append((_thinned(one.loops, step), angles))
-    if not recorded:
+    data, angles = [], []
+    for recording in surveyed:
+        if recording.loops is not None:
+            step = max(1, recording.loops.time.size // _SAMPLES)
+            data.append(_thinned(recording.loops, step))
+            overview = recording.overview
+            angles.append({"input": overview.input_angle[::step], "output": overview.output_angle[::step]})
+    if not data:
         return {}
-    data = [loops for loops, _ in recorded]
     nominal = _loop_values(data)
-    rated = max(loops.rated_torque for loops in data)
-    found: dict[str, list[Contribution]] = {name: [] for name in nominal}
+    contributions: _ByFigure = {name: [] for name in nominal}
+    parts = [
+        _of_loop_encoder("output", instruments.output_encoder, 1.0, data, angles, nominal),
+        _of_loop_torque(instruments.torque_sensor, data, nominal),
+    ]
+    if ratio is not None:
+        parts.insert(1, _of_loop_encoder("input", instruments.input_encoder, -1.0 / ratio, data, angles, nominal))
+    for part in parts:
+        for name, rows in part.items():
+            contributions[name] += rows
+    return contributions
 
-    def add(
-        source: str,
-        distribution: str,
-        standard: float,
-        unit: str,
-        changed: Sequence[Sequence[LoopData]],
-        step: float,
-    ) -> None:
-        """Add a quantity; `changed`: the recordings with the quantity, or each of its components, changed by `step`."""
-        values = [_loop_values(one) for one in changed]
-        for name, value in nominal.items():
-            moved = math.hypot(*(one.get(name, value) - value for one in values))
-            found[name].append(Contribution(source, "B", distribution, standard, unit, moved / step))
 
-    for shaft, encoder, scale in (
-        ("output", instruments.output_encoder, 1.0),
-        ("input", instruments.input_encoder, 0.0 if ratio is None else -1.0 / ratio),
-    ):
-        for wave in _waves(encoder, f"{shaft} encoder") if scale else []:
-            changed = [
-                [
-                    dataclasses.replace(
-                        loops,
-                        windup=loops.windup + scale * wave.standard * of(wave.order * angles[shaft]),
-                    )
-                    for loops, angles in recorded
-                ]
-                for of in (np.cos, np.sin)
+def _sensitivities(
+    nominal: Mapping[str, float], changed: Sequence[Sequence[LoopData]], step: float
+) -> Iterator[tuple[str, float]]:
+    """Yield how much each figure of loops changes with a quantity, per its unit.
+
+    `changed` are the recordings with the quantity, or each of its components, changed by `step`.
+    """
+    values = [_loop_values(loops) for loops in changed]
+    for name, value in nominal.items():
+        yield name, math.hypot(*(of.get(name, value) - value for of in values)) / step
+
+
+def _of_loop_encoder(
+    shaft: str,
+    encoder: Encoder | None,
+    scale: float,
+    data: Sequence[LoopData],
+    angles: Sequence[Mapping[str, Array]],
+    nominal: Mapping[str, float],
+) -> _ByFigure:
+    """Return the contributions of a shaft's encoder; the windup contains its angle times `scale`."""
+    rows: _ByFigure = {name: [] for name in nominal}
+    for wave in _waves(encoder, f"{shaft} encoder"):
+        changed = [
+            [
+                dataclasses.replace(loops, windup=loops.windup + scale * wave.standard * of(wave.order * angle[shaft]))
+                for loops, angle in zip(data, angles, strict=True)
             ]
-            add(wave.source, wave.distribution, wave.standard, "rad", changed, wave.standard)
-        if encoder is not None and encoder.resolution > 0.0 and scale:
-            half_step = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
-            for name in nominal:
-                readings = _READINGS.get(name)
-                if readings is None:  # stiffness: torque over the difference of two readings, mean of two sides
-                    readings = nominal[name] ** 2 / (0.5 * rated)
-                found[name].append(
-                    Contribution(
-                        f"{shaft} encoder, resolution", "B", "rectangular", half_step, "rad", abs(scale) * readings
-                    )
-                )
-    sensor = instruments.torque_sensor
-    if sensor is not None:
-        at_rated = standard_uncertainty(0.01 * sensor.accuracy_class * sensor.range, "rectangular")
-        zero = standard_uncertainty(sensor.zero, "rectangular")
-        for source, standard, gain, offset in (
-            (f"torque sensor, class {sensor.accuracy_class:g}", at_rated, 1.0 / rated, 0.0),
-            ("torque sensor, zero", zero, 0.0, 1.0),
-        ):
-            if standard > 0.0:
-                # With a smaller step, the effect of noisy samples entering or leaving an interval would dominate.
-                by = max(standard, _TORQUE_STEP * rated)
-                more = [dataclasses.replace(one, torque=one.torque * (1.0 + gain * by) + offset * by) for one in data]
-                add(source, "rectangular", standard, "N*m", [more], by)
-    return found
+            for of in (np.cos, np.sin)
+        ]
+        for name, sensitivity in _sensitivities(nominal, changed, wave.standard):
+            rows[name].append(Contribution(wave.source, "B", wave.distribution, wave.standard, "rad", sensitivity))
+    if encoder is not None and encoder.resolution > 0.0:
+        rated = max(loops.rated_torque for loops in data)
+        half_step = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
+        for name, value in nominal.items():
+            readings = _READINGS.get(name)
+            if readings is None:  # stiffness: torque over the difference of two readings, mean of two sides
+                readings = value**2 / (0.5 * rated)
+            source = f"{shaft} encoder, resolution"
+            rows[name].append(Contribution(source, "B", "rectangular", half_step, "rad", abs(scale) * readings))
+    return rows
+
+
+def _of_loop_torque(sensor: TorqueSensor | None, data: Sequence[LoopData], nominal: Mapping[str, float]) -> _ByFigure:
+    """Return the contributions of the torque sensor's accuracy class and zero."""
+    rows: _ByFigure = {name: [] for name in nominal}
+    if sensor is None:
+        return rows
+    rated = max(loops.rated_torque for loops in data)
+    at_rated = standard_uncertainty(0.01 * sensor.accuracy_class * sensor.range, "rectangular")
+    zero = standard_uncertainty(sensor.zero, "rectangular")
+    for source, standard, gain, offset in (
+        (f"torque sensor, class {sensor.accuracy_class:g}", at_rated, 1.0 / rated, 0.0),
+        ("torque sensor, zero", zero, 0.0, 1.0),
+    ):
+        if standard > 0.0:
+            # With a smaller step, the effect of noisy samples entering or leaving an interval would dominate.
+            by = max(standard, _TORQUE_STEP * rated)
+            more = [dataclasses.replace(loops, torque=loops.torque * (1.0 + gain * by) + offset * by) for loops in data]
+            for name, sensitivity in _sensitivities(nominal, [more], by):
+                rows[name].append(Contribution(source, "B", "rectangular", standard, "N*m", sensitivity))
+    return rows
 
 
 def _of_orders(

@@ -522,7 +522,7 @@ def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[flo
     freed = (without_drift(data, drift), without_drift(data, drift, more=1.0))
     lobes = data.lobes[1:] if len(data.lobes) > 2 else data.lobes
     reached = float(np.abs(data.torque).max())
-    name, found = "torsional_stiffness", {}
+    found = {}
     for number, (low, high) in enumerate(itertools.pairwise(limits), start=1):
         if reached < low + 0.9 * (high - low):
             continue
@@ -537,18 +537,7 @@ def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[flo
                 for one in freed
             )
             if values:
-                value, uncertainty, degrees = mean_of_loops(values, _moved(values, drifted))
-                parts[side] = Figure(
-                    value,
-                    uncertainty,
-                    UNITS[name],
-                    DEFINITIONS[name],
-                    (low, high),
-                    "N*m",
-                    len(values),
-                    "loops",
-                    degrees=degrees,
-                )
+                parts[side] = _mean_figure("torsional_stiffness", values, drifted, (low, high))
         if parts:
             found[f"K{number}"] = _of_sides(parts)
     return found
@@ -590,33 +579,40 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
         load of lost motion.
     """
     rated, drift = data.rated_torque, drift_of(data)
+    undrifted = without_drift(data, drift)
+    band, friction = _friction_band(_values(undrifted, False), rated)
+    values, drifted = (_values(one, band) for one in (undrifted, without_drift(data, drift, more=1.0)))
+    later = values if data.late is None else _values(dataclasses.replace(undrifted, torque=data.late), band)
+    notes = _loop_notes(data, undrifted, drift, values, band, friction)
+    figures, missing = _whole_loop_figures(data, values, drifted, later)
+    stiffness, remarks = _stiffness_figure(data, drift, values, drifted, limits)
+    if stiffness is not None:
+        figures["torsional_stiffness"] = stiffness
+    return figures, [*notes, *missing, *remarks]
+
+
+_Values = dict[str, list[_Value]]
+
+
+def _whole_loop_figures(
+    data: LoopData, values: _Values, drifted: _Values, later: _Values
+) -> tuple[dict[str, Figure], list[str]]:
+    """Return hysteresis loss, backlash and lost motion, and the reasons for missing ones.
+
+    `drifted` and `later` are the values with a standard deviation more of the drift, and with the torque read later.
+    """
+    rated = data.rated_torque
     figures: dict[str, Figure] = {}
     notes: list[str] = []
-    freed = without_drift(data, drift)
-    band, friction = _friction_band(_values(freed, False), rated)
-    values, drifted = (_values(one, band) for one in (freed, without_drift(data, drift, more=1.0)))
-    later = values if data.late is None else _values(dataclasses.replace(freed, torque=data.late), band)
-    notes += _loop_notes(data, freed, drift, values, band, friction)
-
     for name, interval in (
         ("hysteresis_loss", UNLOADING),
         ("backlash", UNLOADING),
         ("lost_motion", (-LOST_MOTION_LOAD, LOST_MOTION_LOAD)),
     ):
         if values[name]:
-            value, uncertainty, degrees = mean_of_loops(values[name], _moved(values[name], drifted[name]))
-            uncertainty = math.hypot(uncertainty, data.runaway, _moved(values[name], later[name]))
-            figures[name] = Figure(
-                value,
-                uncertainty,
-                UNITS[name],
-                DEFINITIONS[name],
-                (interval[0] * rated, interval[1] * rated),
-                "N*m",
-                len(values[name]),
-                "loops",
-                degrees=degrees,
-            )
+            figure = _mean_figure(name, values[name], drifted[name], (interval[0] * rated, interval[1] * rated))
+            uncertainty = math.hypot(figure.uncertainty, data.runaway, _moved(values[name], later[name]))
+            figures[name] = dataclasses.replace(figure, uncertainty=uncertainty)
         elif data.loops:
             notes.append(
                 f"{data.source}: {name} could not be determined: a branch has fewer than three samples in its interval."
@@ -627,38 +623,43 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
         notes.append(
             f"{data.source}: the torque is always {only}; hysteresis loss, backlash and lost motion need both signs."
         )
-    reached = float(np.abs(data.torque).max())
+    return figures, notes
+
+
+def _stiffness_figure(
+    data: LoopData, drift: Drift | None, values: _Values, drifted: _Values, limits: Sequence[float] | None
+) -> tuple[Figure | None, list[str]]:
+    """Return the torsional stiffness by side and torque range, None if the torque is too small, and a note on it."""
+    rated, reached = data.rated_torque, float(np.abs(data.torque).max())
     low, high = STIFFNESS[0] * rated, min(STIFFNESS[1] * rated, reached)
-    sides_of = [side for side in ("positive", "negative") if values[side]]
     if high < 0.75 * rated:
-        notes.append(
+        return None, [
             f"{data.source}: torsional_stiffness could not be determined: the torque reaches {reached:.4g} N·m, less "
             f"than three quarters of the rated {rated:.4g} N·m."
+        ]
+    parts = {
+        side: _mean_figure("torsional_stiffness", values[side], drifted[side], (low, high))
+        for side, _ in SIDES
+        if values[side]
+    }
+    if not parts:
+        return None, []
+    notes = []
+    if high < 0.95 * rated:
+        notes.append(
+            f"{data.source}: the torque reaches {reached:.4g} N·m of the rated {rated:.4g} N·m; the stiffness is "
+            "evaluated up to there."
         )
-    elif sides_of:
-        if high < 0.95 * rated:
-            notes.append(
-                f"{data.source}: the torque reaches {reached:.4g} N·m of the rated {rated:.4g} N·m; the stiffness is "
-                "evaluated up to there."
-            )
-        name = "torsional_stiffness"
-        parts = {}
-        for side in sides_of:
-            value, uncertainty, degrees = mean_of_loops(values[side], _moved(values[side], drifted[side]))
-            parts[side] = Figure(
-                value,
-                uncertainty,
-                UNITS[name],
-                DEFINITIONS[name],
-                (low, high),
-                "N*m",
-                len(values[side]),
-                "loops",
-                degrees=degrees,
-            )
-        segments = stiffness_segments(data, drift, limits or [share * rated for share in SEGMENTS])
-        figures[name] = dataclasses.replace(_of_sides(parts), segments=segments)
-    return figures, notes
+    segments = stiffness_segments(data, drift, limits or [share * rated for share in SEGMENTS])
+    return dataclasses.replace(_of_sides(parts), segments=segments), notes
+
+
+def _mean_figure(name: str, values: list[_Value], drifted: list[_Value], interval: tuple[float, float]) -> Figure:
+    """Return the mean of a figure's values over loops, with the drift's part of its uncertainty."""
+    value, uncertainty, degrees = mean_of_loops(values, _moved(values, drifted))
+    return Figure(
+        value, uncertainty, UNITS[name], DEFINITIONS[name], interval, "N*m", len(values), "loops", degrees=degrees
+    )
 
 
 def _loop_notes(

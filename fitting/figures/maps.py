@@ -141,6 +141,24 @@ def _points(source: Source, ratio: float) -> tuple[list[_Point], list[str]]:
         return [], [*notes, f"{problem} It is not in the maps."]
 
 
+_MAP_UNITS = {
+    "torque": "N*m",
+    "speed": "rad/s",
+    "temperature": "K",
+    "torsional_stiffness": "N*m/rad",
+    **dict.fromkeys(
+        (
+            "angular_transmission_error",
+            "angular_transmission_error_without_rig",
+            "order_amplitude",
+            "mean_transmission_error",
+            "gap",
+        ),
+        "rad",
+    ),
+}
+
+
 def _told_once(notes: Sequence[str]) -> list[str]:
     """Merge equal notes on several recordings into one that names the first."""
     of: dict[str, list[str]] = {}
@@ -195,17 +213,12 @@ def _named_orders(points: Sequence[_Point], ratio: float, drive: Drive | None) -
 def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes: list[str]) -> xr.Dataset:
     import xarray as xr
 
-    condition = np.array([p.condition for p in points])
     way = np.array([p.direction for p in points])
-    turned = np.sign(condition[:, 0]) * way
+    load = np.array([p.condition[0] for p in points])
+    turned = np.sign(load) * way
     with_motion = bool((way > 0).any() and (way < 0).any() and (turned == turned[0]).all() and turned[0])
-    sign = np.sign(condition[:, 0]) if with_motion else np.ones(way.size)
-    condition[:, 0] *= sign
-    largest = np.nanmax(np.abs(condition), axis=0, initial=0.0)
-    apart = (_ALIKE["torque"] * largest[0], _ALIKE["speed"] * largest[1], _WARM)
-    axes, numbers = zip(*(_gathered(condition[:, i], apart[i]) for i in range(3)), strict=True)
-    direction = np.where(way > 0, 0, 1)
-    at = (*numbers, direction)
+    sign = np.sign(load) if with_motion else np.ones(way.size)
+    axes, at = _axes(points, sign)
     shape = (*(a.size for a in axes), 2)
     count = np.zeros(shape, np.int64)
     np.add.at(count, at, 1)
@@ -218,29 +231,24 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
     orders = _named_orders(points, ratio, drive)
     level = np.array([p.mean for p in points])
     common = all(p.common_zero for p in points)
-    windup = mean(level * sign)
     stiffness = np.full(shape, np.nan)
     if common and axes[0].size > 1:
-        stiffness = _slope(axes[0], windup)
+        stiffness = _slope(axes[0], mean(level * sign))
     elif not common:
         notes.append(
             "No stiffness is mapped: it is not known that all recordings share the zero of the output angle. If they "
             'do, state zero_reference = "absolute" for [output_angle] in the mapping.'
         )
     gap = mean(level)[..., 0] - mean(level)[..., 1] if common else _gaps(points, at, shape[:3])
+    without_rig = [range_of_orders(without_orders(p.orders, RIG_ORDERS)) for p in points]
+    amplitude = [mean(np.array([p.orders.amplitude[k] for p in points])) for k in orders]
     grid = (*AXES, "direction")
     pair = None if drive is None else drive.pair
     data = xr.Dataset(
         {
             "angular_transmission_error": (grid, mean(np.array([range_of_orders(p.orders) for p in points]))),
-            "angular_transmission_error_without_rig": (
-                grid,
-                mean(np.array([range_of_orders(without_orders(p.orders, RIG_ORDERS)) for p in points])),
-            ),
-            "order_amplitude": (
-                ("order", *grid),
-                np.array([mean(np.array([p.orders.amplitude[k] for p in points])) for k in orders]),
-            ),
+            "angular_transmission_error_without_rig": (grid, mean(np.array(without_rig))),
+            "order_amplitude": (("order", *grid), np.array(amplitude)),
             "mean_transmission_error": (grid, mean(level)),
             "gap": (AXES, gap),
             "torsional_stiffness": (grid, stiffness),
@@ -253,25 +261,26 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
             "order_name": ("order", np.array([order_name(k, ratio, pair) for k in orders], dtype=object)),
         },
     )
-    for name, unit in (("torque", "N*m"), ("speed", "rad/s"), ("temperature", "K"), ("torsional_stiffness", "N*m/rad")):
+    for name, unit in _MAP_UNITS.items():
         data[name].attrs["units"] = unit
-    for name in (
-        "angular_transmission_error",
-        "angular_transmission_error_without_rig",
-        "order_amplitude",
-        "mean_transmission_error",
-        "gap",
-    ):
-        data[name].attrs["units"] = "rad"
-    said = _told_once(notes)
     data.attrs.update(
         format=FORMAT,
         ratio=ratio,
         torque_is=("size" if with_motion else "signed"),
         curves=len(points),
-        notes="\n".join(said),
+        notes="\n".join(_told_once(notes)),
     )
     return data
+
+
+def _axes(points: Sequence[_Point], sign: Array) -> tuple[tuple[Array, ...], tuple[NDArray[np.int64], ...]]:
+    """Return the values of torque (times `sign`), speed and temperature, and the cell of each point in the maps."""
+    condition = np.array([p.condition for p in points])
+    condition[:, 0] *= sign
+    largest = np.nanmax(np.abs(condition), axis=0, initial=0.0)
+    apart = (_ALIKE["torque"] * largest[0], _ALIKE["speed"] * largest[1], _WARM)
+    axes, numbers = zip(*(_gathered(condition[:, i], apart[i]) for i in range(3)), strict=True)
+    return axes, (*numbers, np.array([0 if p.direction > 0 else 1 for p in points]))
 
 
 def _slope(torque: Array, windup: Array) -> Array:

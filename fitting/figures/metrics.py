@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
@@ -147,31 +147,72 @@ def figures_of(
         The nominal gear pair, for the causes of orders.
     """
     notes = [n for s in surveyed for n in s.notes]
-    figures: dict[str, Figure] = {}
-    of_loops, mid_curves, groups = [], list[tuple[str, FrictionFree]](), list[LoopGroup]()
-    for one in surveyed:
-        if one.loops is not None:
-            found, added = loop_figures(one.loops, stiffness_limits)
-            notes += added
-            of_loops.append(found)
-            groups += [group_of(data) for data in one.loop_groups]
-            if (free := friction_free(one.loops)) is not None:
-                mid_curves.append((one.source, free))
-    for name in ("hysteresis_loss", "backlash", "lost_motion", "torsional_stiffness"):
-        same = [f[name] for f in of_loops if name in f]
-        if same:
-            figures[name] = pooled(same)
-    without: dict[str, Figure] = {}
-    if mid_curves:
-        without = {name: pooled([free.figures[name] for _, free in mid_curves]) for name in OF_FRICTION_FREE}
-        figures = _with_remarks(figures, without)
-    spectra: list[Spectrum | None] = []
-    of_runs: list[RunOrders] = []
-    ways: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
-    rigless: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
-    for one in surveyed:
-        for curve in one.curves:
-            way = "forward" if curve.direction > 0 else "backward"
+    loops = _loop_results(surveyed, stiffness_limits)
+    friction_free_figures = (
+        {name: pooled([free.figures[name] for _, free in loops.mid_curves]) for name in OF_FRICTION_FREE}
+        if loops.mid_curves
+        else {}
+    )
+    figures = _with_remarks(loops.figures, friction_free_figures) if friction_free_figures else loops.figures
+    ripple = _ripple_results(surveyed, rated_torque, pair)
+    starts, remarks = _starts(surveyed, ratio)
+    return Figures(
+        figures | ripple.figures | starts,
+        tuple(surveyed),
+        ripple.spectra,
+        rated_torque,
+        ratio,
+        tuple(dict.fromkeys([*notes, *loops.notes, *ripple.notes, *remarks])),
+        friction_free=friction_free_figures,
+        mid_curves=tuple(loops.mid_curves),
+        loop_groups=tuple(sorted(loops.groups, key=lambda group: -group.largest_torque)),
+        orders=ripple.orders,
+        pair=pair,
+    )
+
+
+class _LoopResults(NamedTuple):
+    """Of all loops: pooled figures, mid curves by source, groups and notes."""
+
+    figures: dict[str, Figure]
+    mid_curves: list[tuple[str, FrictionFree]]
+    groups: list[LoopGroup]
+    notes: list[str]
+
+
+def _loop_results(surveyed: Sequence[Surveyed], stiffness_limits: Sequence[float] | None) -> _LoopResults:
+    """Return the figures of the loops of all recordings."""
+    each, mid_curves, groups, notes = list[dict[str, Figure]](), list[tuple[str, FrictionFree]](), [], list[str]()
+    for recording in surveyed:
+        if recording.loops is None:
+            continue
+        figures, missing = loop_figures(recording.loops, stiffness_limits)
+        each.append(figures)
+        notes += missing
+        groups += [group_of(data) for data in recording.loop_groups]
+        if (free := friction_free(recording.loops)) is not None:
+            mid_curves.append((recording.source, free))
+    names = ("hysteresis_loss", "backlash", "lost_motion", "torsional_stiffness")
+    pools = {name: [figures[name] for figures in each if name in figures] for name in names}
+    return _LoopResults({name: pooled(pool) for name, pool in pools.items() if pool}, mid_curves, groups, notes)
+
+
+class _RippleResults(NamedTuple):
+    """Of all curves: angular transmission errors, spectra (None below a whole turn), orders and notes."""
+
+    figures: dict[str, Figure]
+    spectra: tuple[Spectrum | None, ...]
+    orders: tuple[RunOrders, ...]
+    notes: list[str]
+
+
+def _ripple_results(surveyed: Sequence[Surveyed], rated_torque: float | None, pair: Pair | None) -> _RippleResults:
+    """Return the angular transmission errors and the orders of the curves of all recordings."""
+    spectra, of_runs, notes = list[Spectrum | None](), list[RunOrders](), list[str]()
+    names = ("angular_transmission_error", "angular_transmission_error_without_rig")
+    runs: dict[str, dict[str, dict[str, Figure]]] = {name: {"forward": {}, "backward": {}} for name in names}
+    for recording in surveyed:
+        for curve in recording.curves:
             try:
                 orders = spectrum(curve)
             except edge.InputError as problem:
@@ -179,52 +220,54 @@ def figures_of(
                 spectra.append(None)
                 continue
             spectra.append(orders)
-            around, varies = abs(curve.torque), curve.torque_deviation
-            if 0.1 * around < varies < around or varies > 0.1 * (rated_torque or math.inf):
-                notes.append(
-                    f"{curve.source}: the torque varies by {varies:.3g} N·m around {curve.torque:.4g} "
-                    "N·m; the transmission error includes the resulting windup."
-                )
-            label = run_label(one.source, curve)
-            ways[way][label] = angular_transmission_error(curve, orders, one.runaway)
-            kept = angular_transmission_error(curve, without_orders(orders, RIG_ORDERS), one.runaway)
-            rigless[way][label] = kept
-            bases, limits = _stated_bases(one.overview, curve.ratio), one.overview.limits
+            notes += _windup_note(curve, rated_torque)
+            way, label = "forward" if curve.direction > 0 else "backward", run_label(recording.source, curve)
+            for name, kept in zip(names, (orders, without_orders(orders, RIG_ORDERS)), strict=True):
+                runs[name][way][label] = angular_transmission_error(curve, kept, recording.runaway)
+            bases, limits = _stated_bases(recording.overview, curve.ratio), recording.overview.limits
             coarsest = max(limits.output_resolution, limits.input_resolution / abs(curve.ratio))
             of_runs.append(orders_of_run(curve, orders, label, pair, bases, coarsest))
             notes += averaging_note(of_runs[-1])
-    for name, of_ways in (("angular_transmission_error", ways), ("angular_transmission_error_without_rig", rigless)):
-        parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in of_ways.items() if runs}
-        if parts:
-            runs = {label: f for way in of_ways.values() for label, f in way.items()}
-            largest = dataclasses.replace(max(parts.values(), key=lambda f: f.value), parts=parts, runs=runs)
-            figures[name] = dataclasses.replace(largest, definition=DEFINITIONS[name])
+    figures = {name: _largest_of_runs(name, by_way) for name, by_way in runs.items() if any(by_way.values())}
+    return _RippleResults(figures, tuple(spectra), tuple(of_runs), notes)
+
+
+def _windup_note(curve: Curve, rated_torque: float | None) -> list[str]:
+    """Return a note if the torque of a run varies so much that windup shows in its transmission error."""
+    around, varies = abs(curve.torque), curve.torque_deviation
+    if not (0.1 * around < varies < around or varies > 0.1 * (rated_torque or math.inf)):
+        return []
+    return [
+        f"{curve.source}: the torque varies by {varies:.3g} N·m around {curve.torque:.4g} "
+        "N·m; the transmission error includes the resulting windup."
+    ]
+
+
+def _largest_of_runs(name: str, by_way: Mapping[str, Mapping[str, Figure]]) -> Figure:
+    """Return the largest figure of all runs, with the largest of each direction as its parts."""
+    parts = {way: max(runs.values(), key=lambda figure: figure.value) for way, runs in by_way.items() if runs}
+    runs = {label: figure for each in by_way.values() for label, figure in each.items()}
+    largest = max(parts.values(), key=lambda figure: figure.value)
+    return dataclasses.replace(largest, parts=parts, runs=runs, definition=DEFINITIONS[name])
+
+
+def _starts(surveyed: Sequence[Surveyed], ratio: float | None) -> tuple[dict[str, Figure], list[str]]:
+    """Return the starting torques of the recordings without loops, and notes on them."""
     started: dict[str, list[Start]] = {name: [] for name in STARTS}
-    for one in surveyed:
-        if one.loops is not None or not one.overview.has_input_angle:
+    notes: list[str] = []
+    for recording in surveyed:
+        if recording.loops is not None or not recording.overview.has_input_angle:
             continue
         for name, starts_by in STARTS.items():
-            starts, added = starts_by(one.overview, ratio if ratio is not None else one.overview.ratio)
+            starts, remarks = starts_by(recording.overview, ratio if ratio is not None else recording.overview.ratio)
             started[name] += starts
-            notes += added
-            if one.averaged > 1 and starts:
+            notes += remarks
+            if recording.averaged > 1 and starts:
                 notes.append(
-                    f"{one.source}: {name}: torques are means of {one.averaged} samples, as the recording is long."
+                    f"{recording.source}: {name}: torques are means of {recording.averaged} samples, as the recording "
+                    "is long."
                 )
-    figures |= start_figures(started)
-    return Figures(
-        figures,
-        tuple(surveyed),
-        tuple(spectra),
-        rated_torque,
-        ratio,
-        tuple(dict.fromkeys(notes)),
-        friction_free=without,
-        mid_curves=tuple(mid_curves),
-        loop_groups=tuple(sorted(groups, key=lambda one: -one.largest_torque)),
-        orders=tuple(of_runs),
-        pair=pair,
-    )
+    return start_figures(started), notes
 
 
 def _stated_bases(recording: Recording, ratio: float) -> dict[str, float]:

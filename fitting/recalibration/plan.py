@@ -111,43 +111,44 @@ def plan_visit(
         raise edge.ArgumentError("bits", "it must be from 8 to 32", bits)
     drive, known = (before.drive, before.known) if isinstance(before, Recalibration) else (before, known_of(before))
     known = drifted(known, drive.pair, turns, walked)
-    sets: dict[str, tuple[list[tuple[float, int]], float | None]] = {}
+    sets: dict[str, tuple[list[tuple[float, int]], list[LostMotion]]] = {}
     for load in loads:
-        sets[f"{load:g} N·m one way"] = [(load, 1)], None
-        sets[f"{load:g} N·m both ways"] = [(load, 1), (load, -1)], None
+        sets[f"{load:g} N·m one way"] = [(load, 1)], []
+        sets[f"{load:g} N·m both ways"] = [(load, 1), (load, -1)], []
     if len(loads) > 1:
         words = f"{', '.join(f'{t:g}' for t in loads[:-1])} and {loads[-1]:g} N·m both ways"
-        sets[words] = [(t, way) for t, way in itertools.product(loads, (1, -1))], None
+        sets[words] = [(t, way) for t, way in itertools.product(loads, (1, -1))], []
     if passing is not None:
-        sets[f"an index mark passed both ways at {loads[-1]:g} N·m"] = [], passing
+        # The position of the mark has hardly any effect on the information about the mean.
+        marks = [LostMotion(0.0, passing * np.sqrt(2.0), loads[-1], 0.0)]
+        sets[f"an index mark passed both ways at {loads[-1]:g} N·m"] = [], marks
     with threadpool_limits(limits=1, user_api="blas"):
         gradient = Gradient(drive, known).gradients["backlash"]
-        found = [
-            _visit(drive, known, gradient, words, runs, at, loads[-1], bits, share, goal)
-            for words, (runs, at) in sets.items()
-        ]
-    return sorted(found, key=lambda one: one.half_width[TURNS[0]])
+        widths = {
+            words: _half_widths(drive, known, gradient, runs, marks, bits, share)
+            for words, (runs, marks) in sets.items()
+        }
+    visits = [
+        PlannedVisit(words, width, next((t for t in TURNS if goal is not None and width[t] <= goal), None))
+        for words, width in widths.items()
+    ]
+    return sorted(visits, key=lambda visit: visit.half_width[TURNS[0]])
 
 
-def _visit(
+def _half_widths(
     drive: Drive,
     known: Known,
     gradient: Array,
-    words: str,
     runs: Sequence[tuple[float, int]],
-    mark: float | None,
-    least: float,
+    marks: Sequence[LostMotion],
     bits: int,
     share: float,
-    goal: float | None,
-) -> PlannedVisit:
-    """Return the intervals of the backlash for one set of runs."""
+) -> dict[int, float]:
+    """Return half of the backlash's 95 % interval after each of `TURNS` of a set of runs, or passings of marks, rad."""
     ratio = drive.pair.ratio
     thick = round(_SAMPLES / _EACH)
     curves = [planned_curve(ratio, way * load, way, 1.0, _EACH) for load, way in runs]
     curves = [dataclasses.replace(c, sample_count=np.full_like(c.sample_count, thick)) for c in curves]
-    # The position of the mark has hardly any effect on the information about the mean.
-    marks = [] if mark is None else [LostMotion(0.0, mark * np.sqrt(2.0), least, 0.0)]
     noise = [quantised(c, bits) * np.sqrt(thick) for c in curves]
     field = field_of(curves, marks, drive, known.errors, torque_share=share, noise=noise)
     rows = Rows(drive, known, field)
@@ -160,5 +161,4 @@ def _visit(
     for count in TURNS:
         spread = linalg.cho_solve(linalg.cho_factor(count * information + np.eye(len(rows.names))), slope)
         widths[count] = float(NORMAL * np.sqrt(slope @ spread))
-    reached = [count for count, width in widths.items() if goal is not None and width <= goal]
-    return PlannedVisit(words, widths, reached[0] if reached else None)
+    return widths

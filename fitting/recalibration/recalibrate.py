@@ -157,17 +157,7 @@ def recalibrate(
     with threadpool_limits(limits=1, user_api="blas"):
         curves = observed_curves(recordings, drive)
         for curve in curves:
-            if abs(curve.ratio / drive.pair.ratio - 1.0) > 1e-9:
-                raise edge.InputError(
-                    f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {drive.pair.ratio:g}; it is of another "
-                    "drive."
-                )
-            if not curve.known_index:
-                raise edge.InputError(
-                    f"{curve.source}: the crank position at an input angle of zero is unknown, so its errors cannot be "
-                    "compared with the known ones; for a motor encoder that keeps its zero, state zero_reference = "
-                    '"absolute" of [input_angle] in the mapping, or known_index of a Run.'
-                )
+            _check_comparable(curve, drive)
         field = field_of(curves, lost_motions, drive, known.errors, bits=bits, torque_share=share)
         known = drifted(known, drive.pair, turns, walked)
         found = updated(drive, known, field)
@@ -195,6 +185,20 @@ def recalibrate(
         known=kept[1],
         notes=_notes(curves, found, field),
     )
+
+
+def _check_comparable(curve: Curve, drive: Drive) -> None:
+    """Refuse a curve of another drive, or one whose crank angle is not that of the known errors."""
+    if abs(curve.ratio / drive.pair.ratio - 1.0) > 1e-9:
+        raise edge.InputError(
+            f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {drive.pair.ratio:g}; it is of another drive."
+        )
+    if not curve.known_index:
+        raise edge.InputError(
+            f"{curve.source}: the crank position at an input angle of zero is unknown, so its errors cannot be "
+            "compared with the known ones; for a motor encoder that keeps its zero, state zero_reference = "
+            '"absolute" of [input_angle] in the mapping, or known_index of a Run.'
+        )
 
 
 def _names(drive: Drive) -> tuple[str, ...]:

@@ -271,9 +271,7 @@ def updated(drive: Drive, known: Known, field: Field, before: Updated | None = N
         base = _base(_zeros_of(field) * keep[:, None])
         left, columns = _without(base, now.left * keep), _without(base, now.columns * keep[:, None])
         now = Linearised(now.at, now.weight, left, columns)
-    z, inverse = rows.solved(now)
-    left = now.left - now.columns @ (rows.factor @ (z - now.at))
-    return _result(rows, known, z, inverse, end, now.columns, left, keep, done)
+    return _result(rows, known, now, end, keep, done)
 
 
 def _nearer(rows: Rows, now: Linearised, field: Field, done: int, settled: float = _SETTLED) -> tuple[Linearised, int]:
@@ -325,16 +323,11 @@ def _near(left: Array, running: int) -> NDArray[np.bool_]:
 
 
 def _result(
-    rows: Rows,
-    known: Known,
-    z: Array,
-    inverse: Array,
-    end: Linearised,
-    columns: Array,
-    left: Array,
-    keep: NDArray[np.bool_],
-    done: int,
+    rows: Rows, known: Known, linear: Linearised, end: Linearised, keep: NDArray[np.bool_], done: int
 ) -> Updated:
+    """Return the solution of the equations `linear`, which are those at the `end` without outliers."""
+    z, inverse = rows.solved(linear)
+    left = linear.left - linear.columns @ (rows.factor @ (z - linear.at))
     lasting, drive, state = len(rows.lasting), rows.drive, rows.state(z)
     whole = rows.factor[:lasting, :lasting]
     after = inverse[:lasting, :lasting]
@@ -370,7 +363,7 @@ def _result(
         for name, by, one in zip(rows.lasting, shift, expected, strict=True)
         if name not in rows.bench or name in rows.lowest
     }
-    of_lost_motions = columns[rows.field.running :] @ rows.factor
+    of_lost_motions = linear.columns[rows.field.running :] @ rows.factor
     variance = 1.0 - np.einsum("ij,jk,ik->i", of_lost_motions, inverse, of_lost_motions)
     return Updated(
         Drive(pair, surface, stage),

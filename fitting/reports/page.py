@@ -155,41 +155,38 @@ def _heat(panel: Panel) -> dict[str, Any]:
 def _plotly(panel: Panel) -> dict[str, Any]:
     if panel.heat:
         return _heat(panel)
-    data = []
-    for t in panel.traces:
-        one: dict[str, Any] = {
-            "type": "scatter",
-            "x": _packed(t.x),
-            "y": _packed(t.y),
-            "name": t.label,
-            "showlegend": bool(t.label),
-            "mode": "lines",
-        }
-        if t.colour >= 0:
-            one["legendgroup"] = str(t.colour)  # a click on the name hides lines and points of one colour
-        if t.style == "points":
-            named = {
-                "mode": "markers+text",
-                "text": list(t.texts),
-                "textposition": "top center",
-                "textfont": {"size": 11},
-                "cliponaxis": False,
-            }
-            one |= {"mode": "markers", "marker": {"color": "#222" if t.texts else GREY, "size": 5 if t.texts else 2}}
-            one |= named if t.texts and not panel.log_x else {}
-        elif t.style == "dots":
-            one |= {"mode": "markers", "marker": {"color": _colour(t), "size": 4}}
-        elif t.style == "words":
-            one |= {
-                "mode": "text",
-                "text": list(t.texts),
-                "textfont": {"size": 11},
-                "hoverinfo": "skip",
-                "cliponaxis": False,
-            }
-        else:
-            one["line"] = {**_PLOTLY_LINES[t.style], "color": _colour(t)}
-        data.append(one)
+    return {"data": [_scatter(trace, named=not panel.log_x) for trace in panel.traces], "layout": _layout(panel)}
+
+
+def _scatter(trace: Trace, *, named: bool) -> dict[str, Any]:
+    """Return the plotly data of a curve or of points, with the names of points beside them if `named`."""
+    data: dict[str, Any] = {
+        "type": "scatter",
+        "x": _packed(trace.x),
+        "y": _packed(trace.y),
+        "name": trace.label,
+        "showlegend": bool(trace.label),
+        "mode": "lines",
+    }
+    if trace.colour >= 0:
+        data["legendgroup"] = str(trace.colour)  # a click on the name hides lines and points of one colour
+    words = {"text": list(trace.texts), "textfont": {"size": 11}, "cliponaxis": False}
+    if trace.style == "points":
+        marker = {"color": "#222" if trace.texts else GREY, "size": 5 if trace.texts else 2}
+        data |= {"mode": "markers", "marker": marker}
+        if trace.texts and named:
+            data |= {"mode": "markers+text", "textposition": "top center", **words}
+    elif trace.style == "dots":
+        data |= {"mode": "markers", "marker": {"color": _colour(trace), "size": 4}}
+    elif trace.style == "words":
+        data |= {"mode": "text", "hoverinfo": "skip", **words}
+    else:
+        data["line"] = {**_PLOTLY_LINES[trace.style], "color": _colour(trace)}
+    return data
+
+
+def _layout(panel: Panel) -> dict[str, Any]:
+    """Return the plotly layout of a panel of curves."""
     axis = {"gridcolor": "#e5e5e5", "zeroline": False, "ticks": "outside", "automargin": True}
     layout: dict[str, Any] = {
         "margin": {"l": 60, "r": 20, "t": 30, "b": 45},
@@ -212,7 +209,7 @@ def _plotly(panel: Panel) -> dict[str, Any]:
         layout["margin"] |= {"l": 10, "r": 10, "b": 10}
         layout["xaxis"] = {"visible": False}
         layout["yaxis"] = {"visible": False, "scaleanchor": "x"}
-    return {"data": data, "layout": layout}
+    return layout
 
 
 def _name_above(panel: Panel, layout: dict[str, Any]) -> None:

@@ -350,6 +350,8 @@ def test_the_command_prints_writes_and_draws(tmp_path):
     assert (tmp_path / "l.png").stat().st_size > 20000
     assert (tmp_path / "m.png").stat().st_size > 20000
     assert "efficiency" in CliRunner().invoke(app, options).output
+    with pytest.raises(edge.InputError, match="a map over speeds needs one above zero"):
+        CliRunner().invoke(app, [*options[:3], "0 rpm", "--map", str(tmp_path / "n.png")], catch_exceptions=False)
 
 
 def test_results_are_labelled():

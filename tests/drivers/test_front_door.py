@@ -44,16 +44,34 @@ def test_the_front_door_has_exactly_the_documented_names():
         ({"torque": 20.0}, "ratio is missing"),
         ({"torque": "20 mm", "ratio": -39}, 'torque = "20 mm": the unit "mm" measures something else'),
         ({"torque": 20.0, "ratio": 0.0}, "ratio = 0.0: write the signed ratio"),
-        ({"torque": 20.0, "ratio": -39, "speed": 0.0}, "speed = 0.0: it must be above 0"),
-        ({"torque": 20.0, "ratio": -39, "noise": "-1 arcsec"}, 'noise = "-1 arcsec": it must not be below 0'),
-        ({"torque": 20.0, "ratio": -39, "serial": "morse"}, 'serial = "morse": it must be one of amt21'),
-        ({"torque": 20.0, "ratio": -39, "serial": "amt21", "clock_drift": 1e-4}, "clock_drift = 0.0001: only"),
-        ({"torque": 20.0, "ratio": -39, "speed_factor": 0.0}, "speed_factor = 0.0: the factor"),
+        (
+            {"torque": 20.0, "ratio": -39, "motion": drivers.SimulatedMotion(speed=0.0)},
+            "speed = 0.0: it must be above 0",
+        ),
+        (
+            {"torque": 20.0, "ratio": -39, "motion": drivers.SimulatedMotion(noise="-1 arcsec")},
+            'noise = "-1 arcsec": it must not be below 0',
+        ),
     ],
 )
 def test_errors_name_the_argument(arguments, said):
     with pytest.raises(edge.ArgumentError, match=said):
         drivers.simulate_bench(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"serial": "morse"}, 'serial = "morse": it must be one of amt21'),
+        ({"serial": "amt21", "plc": "127.0.0.1"}, 'plc = "127.0.0.1": the encoders are either'),
+        ({"serial": "amt21", "clock_drift": 1e-4}, "clock_drift = 0.0001: only"),
+        ({"interface": "socketcan", "clock_drift": 1e-4}, "clock_drift = 0.0001: only"),
+        ({"speed_factor": 0.0}, "speed_factor = 0.0: the factor"),
+    ],
+)
+def test_a_contradictory_connection_names_the_argument(arguments, said):
+    with pytest.raises(edge.ArgumentError, match=said):
+        drivers.SimulatedConnection(**arguments)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +84,7 @@ def test_errors_name_the_argument(arguments, said):
     ],
 )
 def test_errors_name_the_argument_of_files(tmp_path, call, said):
-    with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
+    with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as bench:
         wiring = bench.write_wiring(tmp_path / "BENCH.toml")
         with pytest.raises(edge.ArgumentError, match=said):
             call(wiring)

@@ -233,7 +233,11 @@ class Stuck:
 def test_a_stuck_encoder_is_marked_during_recording(tmp_path, bus_name, trigger):
     shown = []
     with drivers.simulate_bench(
-        Stuck(), torque=20.0, ratio=-39.0, turns=30, interface="virtual", channel=bus_name, trigger=trigger
+        Stuck(),
+        torque=20.0,
+        ratio=-39.0,
+        turns=30,
+        connection=drivers.SimulatedConnection("virtual", bus_name, trigger),
     ) as bench:
         done = bench.record(tmp_path / "run.arrows", progress=lambda live: shown.append(live_text(live)))
     recording = read_recording(done.path)
@@ -259,20 +263,17 @@ def test_a_clean_simulated_run_has_no_mark(tmp_path, bus_name, trigger, hysteres
         torque=100.0,
         ratio=-39.0,
         turns=2,
-        samples_per_turn=200,
-        speed=4 * math.pi,
-        noise=1e-6,
-        hysteresis=hysteresis,
-        interface="virtual",
-        channel=bus_name,
-        trigger=trigger,
+        motion=drivers.SimulatedMotion(200, speed=4 * math.pi, noise=1e-6, hysteresis=hysteresis),
+        connection=drivers.SimulatedConnection("virtual", bus_name, trigger),
     ) as bench:
         done = bench.record(tmp_path / "run.arrows")
     assert all("implausible" not in marks for marks in done.marks.values())
 
 
 def test_the_limits_are_stated_in_the_bench_file_and_in_the_recording(tmp_path, bus_name):
-    with drivers.simulate_bench(torque=1.0, ratio=-39.0, turns=1, interface="virtual", channel=bus_name) as bench:
+    with drivers.simulate_bench(
+        torque=1.0, ratio=-39.0, turns=1, connection=drivers.SimulatedConnection("virtual", bus_name)
+    ) as bench:
         wiring = bench.write_wiring(tmp_path / "BENCH.toml")
         text = wiring.read_text().replace("[conditions]", 'largest_deviation = "20 arcmin"\n\n[conditions]')
         wiring.write_text(text.replace("node = 1\n", 'node = 1\nlargest_speed = "3000 rpm"\n'))

@@ -204,7 +204,9 @@ with Claims() as claims:
 @needs_multicast
 def test_a_second_recording_of_a_bus_is_refused_and_the_first_one_stays_whole(tmp_path, monkeypatch):
     monkeypatch.setattr(in_use, "WAIT_SECONDS", 0.2)
-    made = drivers.simulate_bench(ratio=-39, torque=20.0, turns=20, speed="60 rpm", speed_factor=1.0)
+    made = drivers.simulate_bench(
+        ratio=-39, torque=20.0, turns=20, connection=drivers.SimulatedConnection(speed_factor=1.0)
+    )
     with made, futures.ThreadPoolExecutor(1) as threads:
         wiring, path = made.write_wiring(tmp_path / "BENCH.toml"), tmp_path / "first.arrows"
         refused = threading.Event()

@@ -100,10 +100,8 @@ def test_a_recorded_loop_is_no_curve(tmp_path):
         ratio=-39.0,
         torque=200.0,
         turns=2,
-        samples_per_turn=400,
-        hysteresis=True,
-        noise="0.1 arcsec",
-        interface="virtual",
+        motion=drivers.SimulatedMotion(400, noise="0.1 arcsec", hysteresis=True),
+        connection="virtual",
     ) as bench:
         bench.record(tmp_path / "loop.arrows")
     with pytest.raises(edge.InputError) as problem:
