@@ -104,11 +104,15 @@ def _print(drive: Drive, found: LossFigures, name: str) -> None:
     typer.echo(f"Without load the {shaft} takes {found.no_load_running_torque:.4g} N·m at this speed.")
     for load, each in found.starting.items():
         against = f"against {load:g} N·m" if load else "without load"
-        typer.echo(f"To start {against}, the {shaft} takes up to {each.max():.4g} N·m.")
+        takes = "jams at a crank angle" if math.isnan(each.max()) else f"takes up to {each.max():.4g} N·m"
+        typer.echo(f"To start {against}, the {shaft} {takes}.")
     if math.isnan(found.back_driving_torque):
         typer.echo(f"No torque up to {found.searched_to:g} N·m on the output turns the drive at every crank angle.")
     else:
         typer.echo(f"{found.back_driving_torque:.4g} N·m on the output turn the drive backwards from rest.")
-    for one in found.friction_hysteresis:
-        apart = one["value"] * edge.ARCSEC
-        typer.echo(f"Between the two directions the output differs by {apart:.3g}″ at {one['torque']:g} N·m.")
+    for hysteresis in found.friction_hysteresis:
+        if not math.isnan(hysteresis["value"]):
+            apart = hysteresis["value"] * edge.ARCSEC
+            typer.echo(
+                f"Between the two directions the output differs by {apart:.3g}″ at {hysteresis['torque']:g} N·m."
+            )

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.parts import solve_in_parts
-from cycloid_fmu.contact.transmission import along_sweep
+from cycloid_fmu.contact.transmission import Options, along_sweep
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.losses import PARTS, Bearing, Friction, Losses, Seat
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.losses.rubbing import DRAG_INPUT, LAW, Rubbing
 from cycloid_fmu.losses.sweeps import slope_of, sweep_rubbing
+from cycloid_fmu.supports import transmission as stage
 from cycloid_fmu.supports.assembly import bodies_of, kinds_of
 from cycloid_fmu.supports.joints import work_of
 from cycloid_fmu.supports.transmission import OnBearings, assembly_of, empty, of_part, problem_of, results
@@ -216,7 +217,8 @@ def solve(
     Raises
     ------
     edge.InputError
-        As `losses_of` and `laws_of`. A drive that jams is a result: NaN.
+        As `losses_of` and `laws_of`, and if a torque can't be carried even without friction. A drive that jams is a
+        result: NaN.
     """
     pair, rubbing = drive.pair, rubbing_of(drive, direction, crank_speed)
     angles, at_angles = np.array(crank_angle, dtype=float), along_sweep(np.asarray(torque, dtype=float), crank_angle)
@@ -247,6 +249,10 @@ def solve(
 
     solve_in_parts(part, angles.size, _PART, workers, lambda size: progress(size * len(at_angles)))
     jammed = found.steps == 0
+    if jammed.any():
+        # Only a torque that the drive carries without friction can jam it.
+        load, angle = np.argwhere(jammed)[0]
+        stage.solve(drive.stage, at_angles[load, angle : angle + 1], angles[angle : angle + 1], Options(slices, False))
     for values in (*found[1:4], found.max_contact_pressure, found.pin_force, found.pin_pressure, found.force, loss):
         values[jammed] = np.nan
     rate = sun_rate(drive)

@@ -250,6 +250,13 @@ def test_a_drive_jams_where_friction_outweighs_the_normal_forces():
     assert math.isnan(driving.efficiency)
 
 
+def test_a_torque_beyond_any_drive_is_no_jam():
+    """Without friction this drive can't carry it either, so friction is not to blame."""
+    sizes = {"gear_teeth": 10, "pin_circle_radius": 40e-3, "pin_radius": 4e-3, "eccentricity": 1.6e-3}
+    with pytest.raises(edge.InputError, match=r"the drive can't balance it"):
+        flank_alone(0.1, **sizes).losses(1e9, "100 rpm", angles=3, workers=1)
+
+
 @pytest.mark.parametrize("name", [path.stem for path in CASES])
 def test_derivatives_of_the_crank_torque_are_finite_differences(name):
     made, load = case(name), np.array([case(name).pair.rated_torque])
