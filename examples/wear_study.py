@@ -14,9 +14,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import cycloid_fmu as cy
-from cycloid_fmu.contact import transmission
 from cycloid_fmu.contact.loaded_contacts import contact_ratio, loaded_contacts
-from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.contact.transmission import rigid_problem
 from cycloid_fmu.wear import progress, sliding
 
 HERE = Path(__file__).parent
@@ -25,12 +24,11 @@ NO_LOAD = -1e-6  # N·m: the first pin to touch carries it alone
 PITCH = 2.0 * np.pi / 40
 
 drive = cy.read_drive(HERE / "wear-39-40.toml")
-pair, surface = drive.pair, drive.surface
 run = drive.wear(HERE / "wear.toml", TORQUE, TURNS)
 found = run.figures
 
 theta = np.linspace(0.0, PITCH, 400, endpoint=False)
-problem = transmission.drive_of(DriveValue(pair, surface))
+problem = rigid_problem(drive)
 loaded = loaded_contacts(problem, theta, TORQUE)
 speed = sliding.velocities(problem, loaded)
 coefficient = progress.contact_coefficients(run.model.law, problem, loaded)

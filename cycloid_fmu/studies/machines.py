@@ -17,8 +17,8 @@ from cycloid_fmu.studies.checkpoint import Checkpoint
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
+# Some drives of a study: their numbers, their figures (drives, columns), and a note on each, or none at all.
 Solved = tuple[Numbers, Array, Sequence[str]]
-"""Some drives of a study: their numbers, their figures (drives, columns), and a note on each, or none at all."""
 
 # Packages whose versions determine the last digits.
 _DECISIVE = ("cycloid-fmu", "numba", "numpy", "scipy")

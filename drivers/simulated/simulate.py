@@ -34,6 +34,12 @@ class SimulatedMotion:
         Random seed of the noise.
     hysteresis
         Lock the input and cycle the torque 0, +T, 0, -T, 0.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> drivers.SimulatedMotion(direction="backward", speed="60 rpm").samples_per_turn
+    96
     """
 
     samples_per_turn: int = 96
@@ -84,6 +90,12 @@ class SimulatedConnection:
     ------
     edge.ArgumentError
         If a value is invalid, or two contradict each other.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> drivers.SimulatedConnection(serial="amt21", speed_factor=2.0).interface
+    'loopback'
     """
 
     interface: str = "loopback"
