@@ -55,6 +55,7 @@ _BEGINNINGS = {
     b"%PDF": "a PDF",
 }
 _STATED = re.compile(rb'^[ \t{]*(?:format|"format")[ \t]*[=:][ \t]*"(cycloid-[\w-]+/\d+)"', re.MULTILINE)
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no header of a table, so such a file is no text
 _HEAD = 1 << 16  # bytes from the beginning that are looked at
 
 
@@ -82,7 +83,8 @@ def kind_of(path: str | os.PathLike[str]) -> str:
         if found := _STATED.search(head):
             return _of_format(found[1].decode())
         header = head.partition(b"\n")[0]
-        if b"[" in header and b"=" not in header and any(mark in header for mark in (b",", b";", b"\t")):
+        separated = any(mark in header for mark in (b",", b";", b"\t"))
+        if b"[" in header and b"=" not in header and separated and not _CONTROL.search(header):
             return _TABLE
         return next((kind for begins, kind in _BEGINNINGS.items() if head.startswith(begins)), "")
     return ""
