@@ -90,6 +90,23 @@ def test_files_that_are_not_text_are_named(command, tmp_path):
                 assert words[-1] != name or words[0] != "analyze" or "(cycloid-" in run.stderr.partition("; ")[2]
 
 
+def test_only_a_text_of_tables_has_a_first_line_for_its_format(tmp_path):
+    (tmp_path / "a.json").write_text('{"crank_turns": 3}')
+    (tmp_path / "a.toml").write_text("crank_turns = 3")
+    with pytest.raises(edge.InputError, match=r"a\.json: it states no format; .*\(cycloid-figures/1\) is needed here"):
+        edge.json_table(tmp_path / "a.json", "cycloid-figures/1", "figures")
+    with pytest.raises(edge.InputError, match=r'a\.toml: format is missing; the first line must be format = "cycloid-'):
+        edge.toml_table((tmp_path / "a.toml").read_text(), "cycloid-wear/1", "a.toml")
+
+
+def test_bytes_that_are_no_text_are_no_table(tmp_path):
+    """Whatever separators are among them."""
+    (tmp_path / "r.arrows").write_bytes(b":)p[,;\t\x05\xfe\x00\n" * 9)
+    assert kind_of(tmp_path / "r.arrows") == ""
+    (tmp_path / "t.csv").write_bytes("Zeit [s];Drehmoment [Nm];Wärme [°C]\r\n".encode("latin-1"))
+    assert kind_of(tmp_path / "t.csv") == "a table (CSV)"
+
+
 def test_a_damaged_file_of_the_right_kind_is_called_damaged(tmp_path):
     """Its kind is the needed one, so that its own error is said."""
     file = tmp_path / "pair.toml"

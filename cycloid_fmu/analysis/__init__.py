@@ -12,3 +12,4 @@ from cycloid_fmu.analysis.solver import solve as solve
 from cycloid_fmu.analysis.validity import LARGEST_PRESSURE as LARGEST_PRESSURE
 from cycloid_fmu.analysis.validity import interference_notes as interference_notes
 from cycloid_fmu.analysis.validity import notes as notes
+from cycloid_fmu.analysis.validity import tilt_notes as tilt_notes

@@ -47,7 +47,7 @@ def notes(drive: DriveValue, found: Transmission) -> list[str]:
     found
         Of `solve`.
     """
-    pair, made = drive.pair, drive.displacements
+    pair = drive.pair
     said = []
     limit = LARGEST_PRESSURE if pair.pressure_limit is None else pair.pressure_limit
     largest = found.max_contact_pressure.max(initial=0.0)
@@ -68,16 +68,35 @@ def notes(drive: DriveValue, found: Transmission) -> list[str]:
         torque = found.torque[np.abs(found.torque).argmax()]
         said.append(f"The torque {torque:g} N*m is above the rated torque, {pair.rated_torque:g} N*m.")
     said += interference_notes(found)
-    tilt = math.hypot(made["tilt_x"], made["tilt_y"])
-    if (error := float(tilt_error(pair, tilt))) > _LARGEST_TILT_ERROR:
-        said.append(
-            f"The gear's axis is tilted by {tilt * 1e3:.3g} mrad, modelled to first order: the transmission error "
-            f"is uncertain by {error * edge.ARCSEC:.2g}″ (0.02″ at "
-            f"{math.sqrt(2.0 * pair.shortening * _LARGEST_TILT_ERROR) * 1e3:.2g} mrad)."
-        )
+    said += tilt_notes(drive)
     if missing := missing_for_clearances(pair):
         said.append(f"Clearances stay as drawn at these temperatures; not stated are: {', '.join(missing)}.")
     return said
+
+
+def tilt_notes(drive: DriveValue, tilt: float | None = None, of: str = "The gear's axis is tilted by") -> list[str]:
+    """Return one sentence if the gear is tilted so far that slices err by more than 0.02″, none otherwise.
+
+    Parameters
+    ----------
+    drive
+        The drive, for its shortening coefficient and its own tilt.
+    tilt
+        Angle of the gear's axis from the pins' axes, rad; None for that of the drive. For several drives, such as
+        those within tolerances, the largest.
+    of
+        The sentence's beginning, up to the angle.
+    """
+    if tilt is None:
+        tilt = math.hypot(drive.displacements["tilt_x"], drive.displacements["tilt_y"])
+    error = float(tilt_error(drive.pair, tilt))
+    if not error > _LARGEST_TILT_ERROR:
+        return []
+    limit = math.sqrt(2.0 * drive.pair.shortening * _LARGEST_TILT_ERROR)
+    return [
+        f"{of} {tilt * 1e3:.3g} mrad, modelled to first order: the transmission error is uncertain by "
+        f"{error * edge.ARCSEC:.2g}″ (0.02″ at {limit * 1e3:.2g} mrad)."
+    ]
 
 
 def interference_notes(found: Transmission) -> list[str]:

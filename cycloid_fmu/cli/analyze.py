@@ -117,7 +117,7 @@ def analyze(
 
                 if judged.sliding:
                     plots.save(plot_duty(judged), plot.with_stem(f"{plot.stem}-duty"))
-                show_verdicts(figure, judged.verdicts)
+                show_verdicts(figure, judged.verdicts, judged.not_judged)
             plots.save(figure, plot)
             if slices is not None:
                 plots.save(plots.plot_lines(data), plot.with_stem(f"{plot.stem}-lines"))

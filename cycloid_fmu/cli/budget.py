@@ -51,7 +51,7 @@ def budget(
         verdicts = judge_budget(limits, terms["geometric_sun_locked"]["total"], upper)
         missing = not_judged(limits, verdicts)
     if plot is not None:
-        _plot(terms, stack, verdicts, plot)
+        _plot(terms, stack, verdicts, missing, plot)
     if as_json:
         judged = {"verdicts": [one.numbers() for one in verdicts], "not_judged": missing} if limits else {}
         commands.print_json(
@@ -72,14 +72,12 @@ def budget(
     leave(verdicts, missing)
 
 
-def _plot(terms: _Terms, stack: Stack | None, verdicts: list[Verdict], plot: Path) -> None:
+def _plot(terms: _Terms, stack: Stack | None, verdicts: list[Verdict], missing: list[str], plot: Path) -> None:
     from cycloid_fmu.draw import plots
     from cycloid_fmu.draw.verdicts import show_verdicts
 
     figure = plots.plot_budget(terms, stack)
-    if verdicts:
-        show_verdicts(figure, verdicts)
-    plots.save(figure, plot)
+    plots.save(show_verdicts(figure, verdicts, missing), plot)
 
 
 def _print_terms(reducer: Reducer, terms: _Terms, title: str) -> None:

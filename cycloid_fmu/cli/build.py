@@ -148,7 +148,7 @@ def build(
             "give --largest-torque."
         )
     for path, one in _drives(drive, output, draws, age or [], wear_factor, crank_turns or []).items():
-        _print_interference(one)
+        _print_notes(one)
         if native:
             tables = {"platforms": platforms or (), "largest_torque": largest_torque}
             _build_native(one, path, interface=offered, fmi_version=fmi_version, **tables)
@@ -176,15 +176,15 @@ def _drives(
     return files if worn else {output: drive, **files}
 
 
-def _print_interference(drive: Drive) -> None:
-    """Print notes on contacts that press without load."""
+def _print_notes(drive: Drive) -> None:
+    """Print notes on contacts that press without load and on a tilt beyond first order."""
     import numpy as np
 
-    from cycloid_fmu.analysis import interference_notes, solve
+    from cycloid_fmu.analysis import interference_notes, solve, tilt_notes
 
     turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     free = solve(drive, [], turn)
-    for note in interference_notes(free):
+    for note in [*interference_notes(free), *tilt_notes(drive)]:
         typer.echo(f"Note: {note}", err=True)
 
 

@@ -50,6 +50,7 @@ def draw(
     """
     import numpy as np
 
+    from cycloid_fmu.analysis import tilt_notes
     from cycloid_fmu.draw.drive_page import write_motion
     from cycloid_fmu.drive import read_drive
 
@@ -73,3 +74,5 @@ def draw(
         motion = drive.motion(loads, angles, exaggeration=exaggeration, progress=progress)
     write_motion(motion, output, first, int(np.argmin(np.abs(angles - crank_angle % (2.0 * math.pi)))))
     typer.echo(f"{output}: gaps × {motion.exaggeration:g}")
+    for note in tilt_notes(drive):
+        typer.echo(f"Note: {note}", err=True)

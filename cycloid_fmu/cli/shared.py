@@ -34,7 +34,7 @@ LimitsFile = Annotated[
     typer.Option(
         "--limits",
         metavar="REQUIREMENTS.toml",
-        help="Requirements of the application (cycloid-requirements/1), all judged; exit code 4 if one is not met.",
+        help="Requirements of the application (cycloid-requirements/1); exit code 4 if one is not met or not judged.",
     ),
 ]
 TolerancesFile = Annotated[
@@ -44,13 +44,12 @@ TolerancesFile = Annotated[
 
 def print_verdicts(title: str, verdicts: Sequence[Verdict], not_judged: Sequence[str]) -> None:
     """Print verdict, margin and position for each limit, and the limits that this command does not judge."""
-    from cycloid_fmu.studies.limits import HEAD, row_of
+    from cycloid_fmu.studies.limits import HEAD, not_judged_line, row_of
 
     if verdicts:
         commands.print_table(title, HEAD, [row_of(one) for one in verdicts])
     if not_judged:
-        names = ", ".join(name.replace("_", " ") for name in not_judged)
-        typer.echo(f"Not judged by this command, and so not met: {names}.")
+        typer.echo(not_judged_line(not_judged))
 
 
 def print_judged(judged: Judged, title: str) -> None:

@@ -17,6 +17,8 @@ from cycloid_fmu.geometry import ANGLES
 if TYPE_CHECKING:
     import xarray as xr
 
+    from cycloid_fmu.drive import Drive
+
 
 def sweep(
     pair_file: PairFile,
@@ -88,6 +90,19 @@ def sweep(
         commands.print_json({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()})
     else:
         _print(data, f"{pair_file.name}: {size} drives")
+    _print_notes(drive, data)
+
+
+def _print_notes(drive: Drive, data: xr.Dataset) -> None:
+    """Print a note if a drive of the sweep is tilted beyond first order."""
+    from cycloid_fmu.analysis import tilt_notes
+
+    tilt = {"xz": abs(drive.displacements["tilt_x"]), "yz": abs(drive.displacements["tilt_y"])}
+    for plane in tilt:
+        if (name := f"errors.misalignment_{plane}") in data.coords:
+            tilt[plane] = float(abs(data[name]).max())
+    for note in tilt_notes(drive, math.hypot(*tilt.values()), "Drives of this sweep are tilted by up to"):
+        typer.echo(f"Note: {note}", err=True)
 
 
 def _print(data: xr.Dataset, title: str) -> None:

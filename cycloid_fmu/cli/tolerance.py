@@ -78,7 +78,7 @@ def tolerance(
     verdicts = [] if asked is None else yields.judged(found.result)
     missing = [] if asked is None else not_judged(asked, verdicts)
     if plot is not None:
-        _plot(found, allocation, verdicts, plot)
+        _plot(found, allocation, verdicts, missing, plot)
     if as_json:
         judged = {"verdicts": [one.numbers() for one in verdicts], "not_judged": missing} if asked else {}
         given = None if allocation is None else dataclasses.asdict(allocation)
@@ -88,6 +88,8 @@ def tolerance(
         if limits_file is not None:
             title = f"Limits of {limits_file.name}, worst drive: met if every drive meets them"
             print_verdicts(title, verdicts, missing)
+    for note in yields.notes_of(study):
+        typer.echo(f"Note: {note}", err=True)
     leave(verdicts, missing)
 
 
@@ -98,15 +100,14 @@ def _allocated(study: Study, target: float, source: str, machines: dict[str, Any
         return allocate(study, target, source, progress=progress, **machines)
 
 
-def _plot(found: Findings, allocation: Allocation | None, verdicts: list[Verdict], plot: Path) -> None:
+def _plot(
+    found: Findings, allocation: Allocation | None, verdicts: list[Verdict], missing: list[str], plot: Path
+) -> None:
     from cycloid_fmu.draw import plots
+    from cycloid_fmu.draw.verdicts import show_verdicts
 
     factors, figure = found.result.study.factors, plots.plot_tolerance(found.result)
-    if verdicts:
-        from cycloid_fmu.draw.verdicts import show_verdicts
-
-        show_verdicts(figure, verdicts)
-    plots.save(figure, plot)
+    plots.save(show_verdicts(figure, verdicts, missing), plot)
     if found.indices:
         plots.save(plots.plot_indices(factors, found.indices), plot.with_stem(f"{plot.stem}-indices"))
     if allocation is not None:

@@ -109,7 +109,7 @@ def _plot(run: WearRun, judged: Judged | None, plot: Path) -> None:
 
     figure = plot_wear(run.model, run.states, run.new, run.figures)
     if judged is not None:
-        show_verdicts(figure, judged.verdicts)
+        show_verdicts(figure, judged.verdicts, judged.not_judged)
     save(figure, plot)
 
 

@@ -2,34 +2,38 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cycloid_fmu.draw.figure import new_figure, show_legend
-from cycloid_fmu.studies.limits import Verdict, line_of
+from cycloid_fmu.studies.limits import Verdict, line_of, not_judged_line
 from cycloid_fmu.studies.verdicts import Judged
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LINE = 0.17  # inch
+_CHARACTERS = 15  # for each inch of a line
 
 
-def show_verdicts(figure: Figure, verdicts: Sequence[Verdict]) -> Figure:
-    """Add a line for each verdict below a figure, enlarge it accordingly, and return it."""
-    if not verdicts:
-        return figure
+def show_verdicts(figure: Figure, verdicts: Sequence[Verdict], not_judged: Sequence[str] = ()) -> Figure:
+    """Add a line for each verdict and one for the limits not judged below a figure, enlarge it, and return it."""
+    lines = [(line_of(one), one.met) for one in verdicts]
     width, height = figure.get_size_inches()
-    below = _LINE * (len(verdicts) + 1)
+    lines += [(line, False) for line in textwrap.wrap(not_judged_line(not_judged), int(_CHARACTERS * width))]
+    if not lines:
+        return figure
+    below = _LINE * (len(lines) + 1)
     figure.set_size_inches(width, height + below)
     share = below / (height + below)
     if (layout := figure.get_layout_engine()) is not None:
         layout.set(rect=(0.0, share, 1.0, 1.0 - share))  # type: ignore[call-arg]
-    for k, one in enumerate(verdicts):
-        place = share * (len(verdicts) - k) / (len(verdicts) + 1)
-        figure.text(0.02, place, line_of(one), fontsize=7.5, va="center", color="black" if one.met else "tab:red")
+    for k, (line, met) in enumerate(lines):
+        place = share * (len(lines) - k) / (len(lines) + 1)
+        figure.text(0.02, place, line, fontsize=7.5, va="center", color="black" if met else "tab:red")
     return figure
 
 

@@ -24,12 +24,12 @@ FORMATS = {
     "cycloid-sequence": "a test sequence, for cycloid-bench run",
     "cycloid-faults": "a script of faults, for --faults",
     "cycloid-mapping": "a mapping of a bench file, for --mapping",
-    "cycloid-instruments": "the instruments of a bench, for --instruments",
+    "cycloid-instruments": "a list of a bench's instruments, for --instruments",
     "cycloid-certificate": "the content of a certificate, for --certificate",
     "cycloid-read-head": "a read head, for --read-head",
     "cycloid-surface": "an error surface, for --surface",
     "cycloid-recording": "a recording, for cycloid-fit metrics, curve, identify and cycloid-bench export",
-    "cycloid-figures": "the figures of a measurement, for cycloid-fit compare and --loop",
+    "cycloid-figures": "a file of measured figures, for cycloid-fit compare and --loop",
     "cycloid-identification": "the result of cycloid-fit identify, for --fit",
     "cycloid-recalibration": "the result of cycloid-fit recalibrate, for --after",
     "cycloid-study-checkpoint": "the partial results of a study, which the study's own command resumes",
@@ -55,6 +55,7 @@ _BEGINNINGS = {
     b"%PDF": "a PDF",
 }
 _STATED = re.compile(rb'^[ \t{]*(?:format|"format")[ \t]*[=:][ \t]*"(cycloid-[\w-]+/\d+)"', re.MULTILINE)
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no header of a table, so such a file is no text
 _HEAD = 1 << 16  # bytes from the beginning that are looked at
 
 
@@ -82,7 +83,8 @@ def kind_of(path: str | os.PathLike[str]) -> str:
         if found := _STATED.search(head):
             return _of_format(found[1].decode())
         header = head.partition(b"\n")[0]
-        if b"[" in header and b"=" not in header and any(mark in header for mark in (b",", b";", b"\t")):
+        separated = any(mark in header for mark in (b",", b";", b"\t"))
+        if b"[" in header and b"=" not in header and separated and not _CONTROL.search(header):
             return _TABLE
         return next((kind for begins, kind in _BEGINNINGS.items() if head.startswith(begins)), "")
     return ""
@@ -122,7 +124,7 @@ def check_format(given: object, wanted: str, source: str) -> None:
     if given == wanted:
         return
     if given is None:
-        raise InputError(f'{source}: format is missing; the first line must be format = "{wanted}".')
+        raise InputError(f"{source}: it states no format; {needed(wanted)} is needed here.")
     name, kind = str(given).partition("/")[0], _of_format(str(given))
     if name == wanted.partition("/")[0]:
         raise InputError(f'{source}: format = {shown(given)}: this version reads "{wanted}".')

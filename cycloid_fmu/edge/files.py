@@ -39,7 +39,9 @@ def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as problem:
         refused = wrong_kind(source, needed(wanted_format))
         raise refused or InputError(f"{source}: this is not TOML ({first_line(problem)}).") from None
-    check_format(table.pop("format", None), wanted_format, source)
+    if "format" not in table:
+        raise InputError(f'{source}: format is missing; the first line must be format = "{wanted_format}".')
+    check_format(table.pop("format"), wanted_format, source)
     return table
 
 

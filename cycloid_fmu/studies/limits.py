@@ -530,6 +530,12 @@ def not_judged(limits: Limits, verdicts: Iterable[Verdict]) -> list[str]:
     return [name for name in limits.stated() if name not in judged]
 
 
+def not_judged_line(names: Iterable[str]) -> str:
+    """Return limits without a verdict as one sentence for pictures and files; "" without any."""
+    said = ", ".join(name.replace("_", " ") for name in names)
+    return f"Not judged by this command, and so not met: {said}." if said else ""
+
+
 def all_met(verdicts: Iterable[Verdict], not_judged: Iterable[str] = ()) -> bool:
     """Return whether all limits are met; those that are not judged are not."""
     return not list(not_judged) and all(one.met for one in verdicts)

@@ -102,8 +102,8 @@ def varied(name: str, given: str | Iterable[float | str]) -> Varied:
         A name of `known_names`, `errors.pin_radial.order_2` for the amplitude of such an error, or `temperature` for
         that of all bodies.
     given
-        "2.5:3.5:11 mm", eleven values with both ends, "2.5, 3, 3.5 mm", or a sequence of SI numbers and texts with
-        units.
+        "2.5:3.5:11 mm", eleven values with both ends, "2.5, 3, 3.5 mm" or "2.5 mm, 3 mm, 3.5 mm", or a sequence of
+        SI numbers and texts with units.
 
     Raises
     ------
@@ -154,6 +154,8 @@ def _texts(given: str | Iterable[float | str], si: str) -> tuple[list[str], str]
     unit = (found["unit"] or found["close"] or "").strip()
     if si == "1" and unit:
         raise ValueError("this is a number without a unit")
+    if "," in unit:  # each value has its own
+        return _texts([one.strip() for one in given.split(",")], si)
     return [f"{number} {unit}".strip() for number in numbers], unit or si
 
 

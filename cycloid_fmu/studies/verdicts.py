@@ -76,12 +76,14 @@ class Judged:
         }
 
     def labelled(self, data: xr.Dataset) -> xr.Dataset:
-        """Return a sweep's dataset with the verdicts as an attribute, and the sliding over `duty`, its rows that turn.
+        """Return a sweep's dataset with the verdicts and the sliding over `duty`, its rows that turn.
 
+        The attribute `verdicts` has a line for each verdict and one for the limits not judged.
         `sliding_speed`, `friction_power` and `friction_power_density` are over duty, crank angle, disc and pin;
         `duty_torque`, `duty_output_speed` and `duty_share` state the rows.
         """
-        data = data.assign_attrs(verdicts="\n".join(judging.line_of(one) for one in self.verdicts))
+        lines = [*map(judging.line_of, self.verdicts), judging.not_judged_line(self.not_judged)]
+        data = data.assign_attrs(verdicts="\n".join(filter(None, lines)))
         if not self.sliding:
             return data
         for name, unit in (("torque", "N*m"), ("output_speed", "rad/s"), ("share", "1")):

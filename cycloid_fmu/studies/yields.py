@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from cycloid_fmu import edge
-from cycloid_fmu.analysis import series_compliance, solve
+from cycloid_fmu.analysis import series_compliance, solve, tilt_notes
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.reducer.drive_file import parts_of_file
 from cycloid_fmu.studies import limits as judging
@@ -99,6 +100,13 @@ def read_study(
     study = Study(pair, tolerances, torque=tuple(torque), first_stage=first_stage, **settings)
     check_study(study, str(pair_file), str(tolerances_file))
     return study
+
+
+def notes_of(study: Study) -> list[str]:
+    """Return where drives within the tolerances lie outside what the model is made for, one sentence each."""
+    stated = (getattr(study.tolerances, f"misalignment_{plane}", None) for plane in ("xz", "yz"))
+    tilt = math.hypot(*(one.tolerance for one in stated if one is not None))
+    return tilt_notes(study.drive, tilt, "The tolerances permit a gear's axis that is tilted by")
 
 
 def judged(result: Result) -> list[judging.Verdict]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from cycloid_fmu import edge
+from cycloid_fmu.analysis import tilt_notes
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ARCSEC
@@ -365,6 +366,7 @@ def result_of(
             *((lag_note(lag),) if lag else ()),
             *_notes(pair, fit, verdict, run_out),
             *form_note(parameters, form),
+            *tilt_notes(DriveValue(pair, state.surface)),
             *_of_discs(len(others)),
             *(
                 f"{n} ends at {found[n].value * 1e3:.2g} {'mm' if unit_of(n) == 'm' else 'mrad'}, as far as it can be; "

@@ -789,13 +789,19 @@ def loops_of(
     locked = float(np.ptp(recording.input_angle)) < LOCKED
     at_rest = "the input is at rest" if recording.has_input_angle else "no input angle is mapped"
     at_rest = f"the {recording.locked} is locked" if recording.locked else at_rest
-    # A drive with a locked input does not move its output as far as a turn of the input would.
+    # A drive with a locked input does not move its output as far as a turn of the input would. Where a lock is stated,
+    # the limit is a turn of the output itself, which no windup comes near, however soft the drive.
     turned = float(np.ptp(recording.output_angle)) / (2.0 * np.pi)
-    if locked and not recording.locked and turned * abs(ratio or 1.0) > 1.0:
-        return None, [
-            f"{recording.source}: {at_rest}, but the output turns by {turned:.3g} turns, more than that of a drive "
-            "with a locked input: there is neither a loop nor a transmission error."
-        ]
+    if locked and turned * (1.0 if recording.locked else abs(ratio or 1.0)) > 1.0:
+        if recording.locked:
+            said = (
+                f"the {recording.locked} is stated to be locked, but the angle spans {turned:.3g} turns of the output"
+            )
+            most = "more than any windup"
+        else:
+            said = f"{at_rest}, but the output turns by {turned:.3g} turns"
+            most = "more than that of a drive with a locked input"
+        return None, [f"{recording.source}: {said}, {most}: there is neither a loop nor a transmission error."]
     largest = float(np.abs(torque).max())
     if not largest > 0.0:  # none, or unknown
         return None, []

@@ -118,8 +118,9 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
             for x, y, text in zip(trace.x, trace.y, trace.texts, strict=True):
                 axis.annotate(text, (x, y), ha="center", va="center", fontsize=7)
             continue
-        style = "--" if trace.style == "dashed" else "-"
-        axis.plot(trace.x, trace.y, style, lw=_WIDTHS[trace.style], color=colour, label=trace.label or None)
+        style, width = "--" if trace.style == "dashed" else "-", _WIDTHS[trace.style]
+        cap = "butt" if trace.style == "thick" else "projecting"  # a bar is as long as its value
+        axis.plot(trace.x, trace.y, style, lw=width, solid_capstyle=cap, color=colour, label=trace.label or None)
     axis.set(xlabel=panel.x_label, ylabel=panel.y_label)
     if panel.from_zero:
         ends = [float(end(t.y[np.isfinite(t.y)], initial=0.0)) for t in panel.traces for end in (np.min, np.max)]

@@ -19,7 +19,7 @@ from cycloid_fmu.analysis.validity import tilt_error
 from cycloid_fmu.contact import compiling
 from cycloid_fmu.contact.deviations import Facing, added_curvature
 from cycloid_fmu.contact.transmission import rigid_problem
-from cycloid_fmu.drive import read_drive
+from cycloid_fmu.drive import Drive, read_drive
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.geometry import ANGLES
@@ -721,6 +721,29 @@ def test_slices_of_a_tilted_gear_err_by_less_than_the_note_says(sizes, torque, d
         assert any("tilted by" in note for note in notes(DriveValue(pair, surface), found)) == (tilt > limit)
     assert errors[0.0] < 0.002 * ARCSEC
     assert 0.3 * tilt_error(pair, 1e-3) < errors[1e-3] < tilt_error(pair, 1e-3)
+
+
+@pytest.mark.parametrize(("tilt", "noted"), [("0.3 mrad", False), ("2 mrad", True)])
+def test_every_command_notes_a_tilt_beyond_the_first_order(tilt, noted, command, tmp_path):
+    """As a stated error, as a tolerance and as a value that is varied; 0.02″ is at 0.4 mrad for K = 0.81."""
+    pair = make_pair(PAIR, rated_torque="100 N*m")
+    Drive(pair.replace(errors={"misalignment_yz": tilt})).write(tmp_path / "tilted.toml")
+    Drive(pair).write(tmp_path / "pair.toml")
+    (tmp_path / "t.toml").write_text(f'format = "cycloid-tolerances/1"\n[misalignment_xz]\ntolerance = "{tilt}"\n')
+    few = ["--angles", "20"]
+    for words in (
+        ["analyze", "tilted.toml", *few],
+        ["draw", "tilted.toml", "-o", "t.svg"],
+        ["build", "tilted.toml", "-o", "t.fmu"],
+        ["sweep", "tilted.toml", "--vary", "offset=-40, -30 um", *few],
+        ["sweep", "pair.toml", "--vary", f"errors.misalignment_xz=0, {tilt}", *few],
+        ["tolerance", "pair.toml", "--tolerances", "t.toml", "--samples", "2", "--workers", "1", *few],
+    ):
+        run = command("cycloid-fmu", *words)
+        assert run.returncode == 0, run.stderr
+        assert (f"tilted by {'up to ' * ('--vary' in words)}{tilt}, modelled to first order" in run.stderr) == noted, (
+            words
+        )
 
 
 def test_default_crank_angles_are_out_of_step_with_any_pins():

@@ -238,9 +238,14 @@ def test_a_refused_value_or_step_is_an_error_status_with_a_message_and_nothing_b
 
 
 def test_inspect_says_that_damping_is_an_assumption(fmus):
+    """With the range that is published, also in the FMU's own description, which every tool shows."""
     shown = CliRunner().invoke(app, ["inspect", str(fmus("inertia", "3.0"))]).stdout
     assert "an assumption unless you have measured it" in shown
-    assert "0.03 to 0.17" in shown
+    assert "0.03 to 0.17" in shown.rpartition("mesh_damping is")[2]
+    described = fmpy.read_model_description(str(fmus("inertia", "3.0"))).modelVariables
+    (damping,) = (one for one in described if one.name == "mesh_damping")
+    assert "an assumption" in damping.description
+    assert damping.description.endswith("0.03 to 0.17")
     assert "mesh_damping is" not in CliRunner().invoke(app, ["inspect", str(fmus("kinematic", "3.0"))]).stdout
 
 

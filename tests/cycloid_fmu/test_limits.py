@@ -15,10 +15,12 @@ import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import series_compliance
 from cycloid_fmu.contact.hertz import half_width
+from cycloid_fmu.desk.view import look, open_desk
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.chain import with_chain
 from cycloid_fmu.geometry.profile import flank_points
 from cycloid_fmu.studies import limits as asked
+from cycloid_fmu.studies.design import DesignTask, search
 from cycloid_fmu.studies.tolerance import Study, surface_of
 from cycloid_fmu.studies.yields import conduct
 from cycloid_fmu.studies.yields import judged as judged_of
@@ -409,6 +411,9 @@ def test_a_limit_that_is_not_judged_is_not_met(tmp_path, command):
     limits = asked.Requirements(limits={"backlash": "9 arcmin", "wear_depth": "1 um"})
     judged = cy.Drive(make_pair()).judge(limits, 20.0, angles=20)
     assert judged.not_judged == ("wear_depth",)
+    met, missing = judged.labelled(cy.Drive(make_pair()).analyze(20.0, angles=20)).verdicts.split("\n")
+    assert met == asked.line_of(judged.verdicts[0])
+    assert missing == "Not judged by this command, and so not met: wear depth."
     assert not judged.met
 
 
@@ -444,3 +449,11 @@ def test_a_jammed_drive_on_bearings_is_not_free(tmp_path, command):
     built = command("cycloid-fmu", "build", "jam.toml", "-o", "jam.fmu")
     assert built.returncode == 0
     assert "32 pins are pressed" in built.stderr
+    desk = open_desk(tmp_path / "jam.toml", tmp_path / "r.toml")
+    seen = look(desk, desk.values)
+    assert any("32 pins are pressed" in note for note in seen.notes)
+    assert [(one.figure, one.met) for one in seen.verdicts] == [("interference", False)]
+    duty = [{"torque": "20 N*m", "output_speed": "1 rpm", "share": 1.0}]
+    vary = {"offset": ("20 um", "40 um")}
+    task = DesignTask(drive="jam.toml", goals=["backlash"], vary=vary, limits={"interference": "0 um"}, duty=duty)
+    assert not any(one.met for one in search(pair, task, starts=0))

@@ -9,13 +9,14 @@ from common import EXAMPLES
 import cycloid_fmu as cy
 from cycloid_fmu.draw.designs import plot_designs
 from cycloid_fmu.draw.drive_picture import close_up
+from cycloid_fmu.draw.figure import new_figure
 from cycloid_fmu.draw.plots import plot_analysis, plot_bearings
 from cycloid_fmu.draw.sweeps import plot_sweep
-from cycloid_fmu.draw.verdicts import plot_duty
+from cycloid_fmu.draw.verdicts import plot_duty, show_verdicts
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.studies.design import DesignTask, on_front
-from cycloid_fmu.studies.limits import read_requirements
+from cycloid_fmu.studies.limits import Limits, line_of, not_judged, not_judged_line, read_requirements, verdict
 from cycloid_fmu.studies.verdicts import judge_drive, loads_of
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
@@ -91,6 +92,23 @@ def test_bars_start_at_zero_and_lives_on_a_logarithmic_axis_are_dots():
     assert axis.lines[0].get_xdata() == pytest.approx(
         [one.life / 3600.0 for one in judged.lives if np.isfinite(one.life)]
     )
+
+
+def test_a_picture_lists_the_limits_that_are_not_judged_within_its_width():
+    asked = Limits(backlash="1 arcmin", **dict.fromkeys(["wear_depth", "interference"], "1 um"), static_safety=2.0)
+    verdicts = [verdict("backlash", 2e-4, asked.backlash)]
+    missing = not_judged(asked, verdicts)
+    assert missing == ["interference", "static_safety", "wear_depth"]
+    figure = show_verdicts(new_figure()[0], verdicts, missing * 5)
+    figure.canvas.draw()
+    met, *rest = figure.texts
+    assert (met.get_text(), met.get_color()) == (line_of(verdicts[0]), "black")
+    assert " ".join(line.get_text() for line in rest) == not_judged_line(missing * 5)
+    assert not_judged_line(missing).endswith("and so not met: interference, static safety, wear depth.")
+    for line in rest:
+        assert line.get_color() == "tab:red"
+        assert line.get_window_extent().x1 <= figure.bbox.x1
+    assert show_verdicts(new_figure()[0], []).texts == []
 
 
 def task_for(*goals):

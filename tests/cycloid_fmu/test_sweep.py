@@ -136,6 +136,17 @@ def test_workers_change_no_bit():
 # Values and their names
 
 
+@pytest.mark.parametrize("given", ["2.5, 3 mm", "2.5 mm, 3 mm", "2.5mm,3000um", "0.25 cm , 3 mm"])
+def test_a_list_has_one_unit_or_one_each(given):
+    assert varied("pin_radius", given).values == pytest.approx((2.5e-3, 3e-3), rel=1e-12)
+
+
+@pytest.mark.parametrize("given", ["2.5 mm, 3", "2.5 mm, 3 deg", "2.5 mm, , 3 mm"])
+def test_a_list_with_units_is_of_lengths_throughout(given):
+    with pytest.raises(edge.InputError, match='vary = "pin_radius=' + given):
+        varied("pin_radius", given)
+
+
 @settings(max_examples=40)
 @given(st.floats(-50, 50), st.floats(0.1, 50), st.integers(2, 30), st.sampled_from(["um", "mm", "nm"]))
 def test_a_range_has_both_ends_and_even_steps(first, width, count, unit):

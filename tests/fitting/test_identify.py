@@ -138,6 +138,15 @@ def test_parameters_that_are_not_lmfit_s_are_refused(found, tmp_path, change, sa
 
 
 @pytest.mark.slow(3)
+@pytest.mark.slow(12)
+def test_a_fitted_drive_that_is_tilted_beyond_the_first_order_has_the_note():
+    """Of a tilt that the pair file states and these transmission errors leave alone."""
+    drive = Drive(read_pair(BENCH / "pair.toml").replace(errors={"misalignment_xz": "1 mrad"}))
+    runs = fitting.read_recordings(sorted(BENCH.glob("100Nm-*.csv")))
+    (note,) = (one for one in fitting.identify(runs, drive, held_out=False).notes if "tilted by" in one)
+    assert note.startswith("The gear's axis is tilted by 1.0")
+
+
 def test_each_recording_s_own_zero_and_a_bench_without_index(measured, nominal, made):
     zeros = (3e-4, -2e-4, 1e-4, 5e-5)
     curves = measured(2, zeros=zeros, crank=0.02, common_zero=False, known_index=False)

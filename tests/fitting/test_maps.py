@@ -10,6 +10,7 @@ from common import ARCSEC
 import fitting
 from fitting.figures.maps import write_maps
 from fitting.reports.maps_report import map_panels
+from fitting.reports.plots import plot_panels
 
 TURN = np.linspace(0.0, 2.0 * np.pi, 1500, endpoint=False)
 STIFFNESS, GAP = 3.0e6, 30 * ARCSEC
@@ -141,6 +142,8 @@ def test_a_single_condition_is_drawn_as_bars():
     bars = [t for t in panel.traces if t.style == "thick"]
     assert len(bars) == len(panel.y_names) == 5 + 2 * one.order.size
     assert all(bar.x[0] == 0.0 for bar in bars)
+    drawn = [line for line in plot_panels([panel]).axes[0].lines if line.get_linewidth() > 2.0]
+    assert [line.get_solid_capstyle() for line in drawn] == ["butt"] * len(bars)
     lengths = {(panel.y_names[-int(bar.y[0])], bar.colour): bar.x[1] for bar in bars}
     assert lengths["order 39, input turn", 0] == pytest.approx(7.0, abs=0.1)
     assert lengths["order 40", 1] == pytest.approx(3.0, abs=0.1)

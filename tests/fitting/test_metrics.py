@@ -585,6 +585,20 @@ def test_an_output_that_turns_has_no_figure_without_the_angle_of_the_input(comma
     assert command("cycloid-fit", "report", *words, "-o", "report.html").returncode == 3
 
 
+@pytest.mark.parametrize("shaft", ["input", "output"])
+def test_no_windup_is_a_turn_of_the_output_whichever_shaft_is_stated_to_be_locked(command, tmp_path, shaft):
+    time, angle, torque = ramp_of_speed()
+    table = np.column_stack([time, angle, torque])
+    np.savetxt(tmp_path / "ramp.csv", table, delimiter=",", header="time,output_angle,torque", comments="")
+    units = {"time": "s", "output_angle": "rad", "torque": "N*m"}
+    roles = [f'[{role}]\ncolumn = "{role}"\nunit = "{unit}"' for role, unit in units.items()]
+    head = f'format = "cycloid-mapping/1"\nratio = 13\nlocked = "{shaft}"'
+    (tmp_path / "map.toml").write_text("\n".join([head, *roles]) + "\n")
+    run = command("cycloid-fit", "metrics", "ramp.csv", "--mapping", "map.toml")
+    assert (run.returncode, run.stdout) == (3, "")
+    assert f"the {shaft} is stated to be locked, but the angle spans 26 turns of the output" in run.stderr
+
+
 def test_a_loop_without_an_input_angle_has_the_figures_of_one_at_rest(command, tmp_path):
     torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, loops=2)
     rows = [f"{i / 100:.2f},{a:.12f},{t:.9f},1.5" for i, (t, a) in enumerate(zip(torque, angle, strict=True))]
