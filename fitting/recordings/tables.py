@@ -197,7 +197,7 @@ def find_dialect(data: bytes, source: str) -> Dialect:
     decimal = "," if delimiter != "," and commas > sum("." in cell for cell in fits) else "."
     above = [row for row in table.rows[:begin] if any(c.strip() for c in row)]
     named = [name_and_unit(c) for c in above[-1]] if above else [("", "") for _ in table.kinds]
-    if len(above) > 1 and not any(u for _, u in named) and 2 * sum(map(_looks_like_unit, above[-1])) > len(named):
+    if len(above) > 1 and _are_units_of(above[-2], above[-1]):
         units_below = [c.strip().strip("[]()") for c in above[-1]]
         named = [(name_and_unit(n)[0], u) for n, u in zip(above[-2], units_below, strict=True)]
     names = tuple(n or f"column {i + 1}" for i, (n, _) in enumerate(named))
@@ -205,10 +205,19 @@ def find_dialect(data: bytes, source: str) -> Dialect:
     return Dialect(encoding, delimiter, decimal, names, units, table.lines[begin], table.kinds)
 
 
+def _are_units_of(names: Sequence[str], row: Sequence[str]) -> bool:
+    """Return whether the row below a header states units: most of its cells, each below a name."""
+    stated = [(name, cell) for name, cell in zip(names, row, strict=True) if cell.strip()]
+    units = [name for name, cell in stated if _looks_like_unit(cell)]
+    return all(name.strip() for name in units) and 2 * len(units) > len(stated)
+
+
 def _looks_like_unit(cell: str) -> bool:
     text = unit_text(cell.strip().strip("[]()"))
     if not text:
         return False
+    if text == "-":  # a quantity without a unit
+        return True
     try:
         edge.parse_unit(text)
     except ValueError:
