@@ -44,6 +44,7 @@ def _number(decimal: str) -> str:
 _MARKS = {".": "point", ",": "comma"}
 _NUMBERS = {mark: _number(f"[{mark}]") for mark in _MARKS}
 _ANY_NUMBER = re.compile("|".join(_NUMBERS.values()))
+_THOUSANDS = re.compile(r"[+-]?\d{1,3},\d{3}")
 
 
 @dataclass(frozen=True)
@@ -194,7 +195,9 @@ def find_dialect(data: bytes, source: str) -> Dialect:
     begin = table.begin()
     fits = [cell for row in range(begin, len(table.rows)) for cell in table.fits(row) if not _STAMP.fullmatch(cell)]
     commas = sum("," in cell for cell in fits)
-    decimal = "," if delimiter != "," and commas > sum("." in cell for cell in fits) else "."
+    decimal = "," if commas > sum("." in cell for cell in fits) else "."
+    if delimiter == "," and all(_THOUSANDS.fullmatch(cell.strip()) for cell in fits if "," in cell):
+        decimal = "."  # quoted cells such as "1,234" are refused: they may be whole thousands
     above = [row for row in table.rows[:begin] if any(c.strip() for c in row)]
     named = [name_and_unit(c) for c in above[-1]] if above else [("", "") for _ in table.kinds]
     if len(above) > 1 and _are_units_of(above[-2], above[-1]):

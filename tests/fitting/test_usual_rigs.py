@@ -468,6 +468,8 @@ def test_ticks_are_the_same_over_the_seams_of_pieces(tmp_path, monkeypatch, piec
         ("t;a\n0,5;2;\n1,5;3;\n", {"t": [0.5, 1.5], "a": [2.0, 3.0], "column 3": [None, None]}),
         ("time [UTC];a\n2024-03-01T12:00:00Z;1\n2024-03-01T12:00:01Z;2\n", {"time": [0.0, 1.0], "a": [1.0, 2.0]}),
         ("a,b,c\n1,2,3\n,,\n4,,6\n", {"a": [1.0, None, 4.0], "b": [2.0, None, None], "c": [3.0, None, 6.0]}),
+        ('"t","a"\n"0,50","2,125"\n"1,50","3"\n', {"t": [0.5, 1.5], "a": [2.125, 3.0]}),
+        ('"S";"t";"a"\n"";"[s]";"[-]"\n"OK";0,5;2\n"OK";1,5;2,5\n', {"t": [0.5, 1.5], "a": [2.0, 2.5]}),
     ],
 )
 def test_the_columns_of_numbers_decide(tmp_path, text, expected):
@@ -477,6 +479,12 @@ def test_the_columns_of_numbers_decide(tmp_path, text, expected):
     for name, values in expected.items():
         found = np.concatenate([part.values[name] for part in parts])
         assert [None if np.isnan(one) else float(one) for one in found] == values
+
+
+def test_quoted_numbers_that_may_be_thousands_are_refused(tmp_path):
+    file = formats.open_bench_file(written(tmp_path, "a.csv", 't,a\n0,"1,234"\n1,"2,345"\n'))
+    with pytest.raises(edge.InputError, match='line 2: a is "1,234"; it must be a number with a decimal point'):
+        [*file.pieces(["t", "a"])]
 
 
 @given(
