@@ -558,7 +558,7 @@ def test_what_a_compressed_file_may_not_be_is_one_sentence(tmp_path, monkeypatch
     with pytest.raises(edge.InputError, match=r"a\.csv\.gz: this is not a \.gz file"):
         formats.open_bench_file(packed)
     packed.write_bytes(gzip.compress(b"1,2\n" * 1000))
-    monkeypatch.setattr(edge, "MOST_BYTES", 3000)
+    monkeypatch.setattr("cycloid_fmu.edge.files._MOST_BYTES", 3000)
     with pytest.raises(edge.InputError, match=r"a\.csv\.gz: it unpacks to more than"):
         formats.open_bench_file(packed)
     (tmp_path / "a.rug.gz").write_bytes(packed.read_bytes())
