@@ -122,7 +122,7 @@ def maps(
     if len(ratios) > 1:
         stated = edge.listed(f"{one:g} ({table})" for one, table in ratios.items())
         raise edge.InputError(f"the recordings state several ratios, {stated}; maps are those of one drive.")
-    return _dataset(points, *ratios, drive if isinstance(drive, Drive) else None, notes)
+    return _dataset(points, points[0].ratio, drive if isinstance(drive, Drive) else None, notes)
 
 
 def _taken(given: Sequence[Source], ratio: float | None) -> Iterator[tuple[list[_Point], list[str]]]:
