@@ -79,8 +79,12 @@ def test_a_crash_is_one_sentence():
     assert edge.call_limited(HERE, os.getpid) != worker
 
 
-def test_a_small_file_has_ten_seconds_and_large_ones_more_time_and_memory(tmp_path):
-    assert limited.limits_of(HERE).seconds < 11.0
+def test_a_small_file_has_three_seconds_and_large_ones_more_time_and_memory(tmp_path):
+    """A busy machine takes several times the processor time, and a user waits for no more than 20 s."""
+    assert limited.limits_of(HERE).seconds < 3.5
+    with (tmp_path / "vehicle.dbc").open("wb") as file:
+        file.truncate(10**6)
+    assert limited.limits_of(tmp_path / "vehicle.dbc").seconds > 10.0
     assert limited.limits_of(HERE).memory < 1.1e9
     with (tmp_path / "large").open("wb") as file:
         file.truncate(10**9)
@@ -110,7 +114,7 @@ def test_a_reader_ends_with_the_process_that_it_reads_for(number):
     """Ctrl-C reaches both processes; after SIGKILL nobody is left to watch the reader, which ends itself."""
     code = (
         "import itertools, os; from cycloid_fmu import edge; from cycloid_fmu.edge import limited\n"
-        "limited._SECONDS = 2.0\n"
+        "limited._SECONDS = 0.5\n"
         f"print(edge.call_limited({HERE!r}, os.getpid), flush=True)\n"
         f"edge.call_limited({HERE!r}, sum, itertools.repeat(1))"
     )

@@ -193,6 +193,20 @@ def test_toml_that_nests_without_end_is_refused(value):
         parse_pair(f"{PAIR}\na = {value}", "pair.toml")
 
 
+@tries(TOML)
+def test_toml_keys_of_many_parts_are_refused():
+    """Its parser keeps every beginning of a key: 20,000 parts in 40 kB took 1.7 GB."""
+    for part in ("a", '"a"', "'b c'", "a-1"):
+        for line in (".".join([part] * 20_000) + " = 1", f"[{' . '.join([part] * 20_000)}]"):
+            with pytest.raises(edge.InputError, match=r"^pair.toml: .*a key of more than 50 parts"):
+                parse_pair(f"{PAIR}\n{line}", "pair.toml")
+    begun = time.process_time()
+    for text in ("a" * 10**6, "a " * 10**6, "'" * 10**6, "\"'" * 10**6, ".".join(["a"] * 40) + "\n", "'a" * 10**6):
+        with pytest.raises(edge.InputError, match=r"^pair.toml: "):
+            parse_pair(f"{PAIR}\n{text}", "pair.toml")
+    assert time.process_time() - begun < 5.0
+
+
 # --- bench and sequence -------------------------------------------------------------------------------------------
 
 BENCH = "Bench (`BENCH.toml`)"
@@ -659,7 +673,7 @@ def test_an_fmu_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     with zipfile.ZipFile(tmp_path / "a.fmu", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("modelDescription.xml", "<a/>")
         archive.writestr("resources/zeros", bytes(1 << 20))
-    monkeypatch.setattr("cycloid_fmu.edge.files.MOST_BYTES", 1 << 19)
+    monkeypatch.setattr("cycloid_fmu.edge.files._MOST_BYTES", 1 << 19)
     with pytest.raises(edge.InputError, match="it unpacks to more than"):
         edge.zip_archive(tmp_path / "a.fmu", "FMU")
 
@@ -670,11 +684,31 @@ def test_a_compressed_file_that_unpacks_to_too_much_is_refused(tmp_path, monkeyp
     (tmp_path / "a.csv.gz").write_bytes(gzip.compress(TABLE.encode() + b"0,0,0,5\n" * 200_000))
     (tmp_path / "t").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "t"))
-    monkeypatch.setattr("cycloid_fmu.edge.MOST_BYTES", 1 << 19)
+    monkeypatch.setattr("cycloid_fmu.edge.files._MOST_BYTES", 1 << 19)
     done = command("cycloid-fit", "inspect", "a.csv.gz")
     assert done.returncode == edge.BAD_INPUT
     assert "a.csv.gz: it unpacks to more than" in done.stderr
     assert not list((tmp_path / "t").iterdir())
+
+
+@tries("Compressed files (`.gz`)")
+@tries(FMU)
+@pytest.mark.parametrize("name", ["a.csv.gz", "a.fmu"])
+def test_what_unpacks_to_a_hundred_times_its_size_fills_no_disk(tmp_path, monkeypatch, name):
+    """Zeros, which are packed to a thousandth: refused at 64 MiB and a hundred times the file, not at 4 GiB."""
+    rows = TABLE.encode() + b"0,0,0,5\n" * (9 << 20)
+    if name.endswith(".fmu"):
+        with zipfile.ZipFile(tmp_path / name, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("modelDescription.xml", "<a/>")
+            archive.writestr("resources/zeros", rows * 2)
+        with pytest.raises(edge.InputError, match="it unpacks to more than"):
+            edge.zip_archive(tmp_path / name, "FMU")
+        return
+    (tmp_path / name).write_bytes(gzip.compress(rows * 2))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(edge.InputError, match=f"{name}: it unpacks to more than"):
+        open_bench_file(tmp_path / name)
+    assert [file.name for file in tmp_path.iterdir()] == [name]
 
 
 def test_a_report_shows_names_as_names():

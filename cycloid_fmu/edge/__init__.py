@@ -30,7 +30,6 @@ from cycloid_fmu.edge.config import (
 )
 from cycloid_fmu.edge.file_kinds import check_format, wrong_kind
 from cycloid_fmu.edge.files import (
-    MOST_BYTES,
     PICTURES,
     csv_rows,
     decoded,
@@ -39,6 +38,7 @@ from cycloid_fmu.edge.files import (
     format_of,
     json_table,
     json_text,
+    most_unpacked,
     naming,
     number_rows,
     output_path,
@@ -89,7 +89,6 @@ __all__ = [
     "DONE",
     "FAILED",
     "INTERRUPTED",
-    "MOST_BYTES",
     "NOT_MET",
     "NO_DATA",
     "PICTURES",
@@ -133,6 +132,7 @@ __all__ = [
     "json_text",
     "listed",
     "missing_package",
+    "most_unpacked",
     "naming",
     "needs_extra",
     "netcdf",

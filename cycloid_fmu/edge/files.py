@@ -9,6 +9,7 @@ import errno
 import json
 import math
 import os
+import re
 import shutil
 import stat
 import sys
@@ -26,16 +27,35 @@ from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, first_line
 from cycloid_fmu.edge.quantities import unit_scale
 
 _LARGEST_NUMBER = 1e15  # in a table, in its own unit
-MOST_BYTES = 4 << 30  # largest size of data unpacked or loaded as a whole
+_MOST_PARTS = 50  # of a TOML key such as material.gear.youngs_modulus
+_MOST_BYTES = 4 << 30  # largest size of data unpacked
+_MOST_SMALL, _MOST_RATIO = 64 << 20, 100  # bytes of any archive unpacked, and for each byte of it: logs reach about 30
 _LONGEST_XML = 16 << 20  # about 150,000 variables of an FMU, read in 10 s
 PICTURES = (".png", ".pdf")
 """Endings of plot files."""
 
 
+def most_unpacked(path: str | os.PathLike[str]) -> int:
+    """Return how many bytes a compressed file may unpack to; more than its contents explain is made to fill a disk."""
+    return min(_MOST_BYTES, _MOST_SMALL + _MOST_RATIO * Path(path).stat().st_size)
+
+
+_KEY = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?<![\w-]){_KEY}(?:[ \t]*+\.[ \t]*+{_KEY}){{{_MOST_PARTS}}}")
+
+
+def _toml(text: str) -> dict[str, Any]:
+    """Return the table of a TOML text; raise a ValueError if it is none."""
+    if long := _LONG_KEY.search(text):  # tomllib's time and memory grow with the square of its parts
+        line = text.count("\n", 0, long.start()) + 1
+        raise ValueError(f"line {line}: a key of more than {_MOST_PARTS} parts")
+    return tomllib.loads(text)
+
+
 def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
     """Return the table of a TOML text of the wanted format, without its `format` key."""
     try:
-        table = tomllib.loads(text)
+        table = _toml(text)
     except (ValueError, RecursionError) as problem:
         refused = wrong_kind(source, needed(wanted_format))
         raise refused or InputError(f"{source}: this is not TOML ({first_line(problem)}).") from None
@@ -68,7 +88,7 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
 def format_of(path: str | os.PathLike[str]) -> object:
     """Return the `format` of a TOML file; None if it has none or can't be read, which its reader reports."""
     try:
-        return tomllib.loads(read_text(path)).get("format")
+        return _toml(read_text(path)).get("format")
     except (ValueError, RecursionError):
         return None
 
@@ -407,8 +427,8 @@ def zip_archive(path: str | os.PathLike[str], what: str, description: str | None
     if not zipfile.is_zipfile(existing(path)):
         raise wrong_kind(path, f"an {what}") or InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
     with parsed_by_others(path, f"this is not an {what}, or it is damaged"), zipfile.ZipFile(path) as archive:
-        if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
-            raise InputError(f"{path}: it unpacks to more than {MOST_BYTES >> 30} GiB.")
+        if sum(member.file_size for member in archive.infolist()) > (most := most_unpacked(path)):
+            raise InputError(f"{path}: it unpacks to more than {most / 1e6:.0f} MB.")
         if description is not None and description in archive.namelist():
             if archive.getinfo(description).file_size > _LONGEST_XML:
                 raise InputError(f"{path}: its {description} is longer than {_LONGEST_XML >> 20} MiB.")

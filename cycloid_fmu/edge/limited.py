@@ -31,10 +31,12 @@ from cycloid_fmu.edge.problems import InputError, first_line
 
 T = TypeVar("T")
 
-_SECONDS, _BYTES_PER_SECOND = 10.0, 4e6  # processor time for any file, and how fast a large one is read at least
+_SECONDS = 3.0  # processor time for any file, s
+_TEXT, _TEXT_PER_SECOND = 350e3, 5e4  # bytes, and how fast they are read at least: the slowest parser is that of a DBC
+_BYTES_PER_SECOND = 4e6  # how fast a large file is read at least
 _BYTES, _BYTES_PER_BYTE = 1 << 30, 4  # memory for any file, and for each byte of it
 _POLL = 0.05  # s between looks at the process
-_BACKSTOP = 5  # a process that nobody watches any more ends itself after this multiple of the limit
+_BACKSTOP = 20  # a process that nobody watches any more ends itself after this multiple of the limit, by the clock
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from cycloid_fmu.edge import limited; limited.serve()"
 )
@@ -51,7 +53,8 @@ class Limits(NamedTuple):
 def limits_of(source: str | os.PathLike[str]) -> Limits:
     """Return the limits of reading a file; they grow with its size."""
     size = Path(source).stat().st_size
-    return Limits(_SECONDS + size / _BYTES_PER_SECOND, _BYTES + _BYTES_PER_BYTE * size)
+    seconds = _SECONDS + min(size, _TEXT) / _TEXT_PER_SECOND + size / _BYTES_PER_SECOND
+    return Limits(seconds, _BYTES + _BYTES_PER_BYTE * size)
 
 
 def call_limited(source: str | os.PathLike[str], function: Callable[..., T], *args: object, needs: str = "") -> T:

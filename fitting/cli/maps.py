@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from cycloid_fmu import edge
 from cycloid_fmu.edge import commands
 from fitting.cli import options
 
@@ -26,18 +25,17 @@ def maps(
 ) -> None:
     """Compute maps over torque, speed and temperature: transmission error, orders, gap between directions, stiffness.
 
-    Example: [cyan]cycloid-fit maps campaign/*.csv --mapping map.toml --ratio -39 -o maps.nc --report maps.html[/]
+    Without --pair and --ratio, the ratio is that of the mapping or the recording.
+
+    Example: [cyan]cycloid-fit maps campaign/*.csv --mapping map.toml -o maps.nc --report maps.html[/]
     """
     import fitting
     from cycloid_fmu.drive import read_drive
     from fitting.figures.maps import write_maps
 
-    if (drive is None) == (ratio is None):
-        raise edge.InputError(f"--pair or --ratio: give one of the two; the ratio is {edge.RATIO}.")
+    options.check_ratio(drive, ratio)
     options.check_report(report)
-    nominal = read_drive(drive) if drive is not None else float(ratio or 0.0)
-    if not nominal:
-        raise edge.ArgumentError("ratio", f"give the signed ratio input/output: {edge.RATIO}", ratio)
+    nominal = ratio if drive is None else read_drive(drive)
     with commands.status() as progress:
         found = fitting.maps(fitting.read_recordings(files, mapping), nominal, progress=progress)
     if output is not None:

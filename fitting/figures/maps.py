@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
+from fitting.arguments import check_ratio
 from fitting.figures.spectrum import (
     RIG_ORDERS,
     Spectrum,
@@ -50,6 +51,7 @@ class _Point:
     condition: tuple[float, float, float]
     direction: int
     table: str
+    ratio: float
     mean: float
     orders: Spectrum
     common_zero: bool
@@ -57,7 +59,7 @@ class _Point:
 
 def maps(
     recordings: Source | Iterable[Source],
-    drive: Drive | float,
+    drive: Drive | float | None = None,
     *,
     progress: Callable[[str], None] = lambda step: None,
 ) -> xr.Dataset:
@@ -69,7 +71,7 @@ def maps(
         Recordings from `fitting.read_recordings`, or `fitting.Run`, or one of them: whole output turns at one load
         each.
     drive
-        The drive, or its signed ratio input/output.
+        The drive, or its signed ratio input/output; by default the ratio of the mappings or recordings.
     progress
         Called with the number of the recording being read, as text.
 
@@ -88,7 +90,7 @@ def maps(
     Raises
     ------
     edge.InputError
-        If no recording has a curve over a whole output turn.
+        If no recording has a curve over a whole output turn, or their ratios differ.
 
     Examples
     --------
@@ -103,7 +105,8 @@ def maps(
     >>> round(float(found.torsional_stiffness.sel(direction="forward").values[0, 0, 0]))
     1000000
     """
-    ratio = float(drive) if isinstance(drive, float | int) else drive.ratio
+    ratio = drive.ratio if isinstance(drive, Drive) else None if drive is None else float(drive)
+    check_ratio(ratio)
     given: list[Source] = each_source(recordings)
     points: list[_Point] = []
     notes: list[str] = []
@@ -113,10 +116,16 @@ def maps(
         notes += said
     if not points:
         raise edge.NoDataError(" ".join(["no recording has a curve over a whole output turn.", *notes[:3]]))
-    return _dataset(points, ratio, drive if isinstance(drive, Drive) else None, notes)
+    ratios: dict[float, str] = {}
+    for point in points:
+        ratios.setdefault(point.ratio, point.table)
+    if len(ratios) > 1:
+        stated = edge.listed(f"{one:g} ({table})" for one, table in ratios.items())
+        raise edge.InputError(f"the recordings state several ratios, {stated}; maps are those of one drive.")
+    return _dataset(points, points[0].ratio, drive if isinstance(drive, Drive) else None, notes)
 
 
-def _taken(given: Sequence[Source], ratio: float) -> Iterator[tuple[list[_Point], list[str]]]:
+def _taken(given: Sequence[Source], ratio: float | None) -> Iterator[tuple[list[_Point], list[str]]]:
     """Yield the values of each recording; many files are read by all processors, each with one recording in memory."""
     if len(given) < _MANY or not all(isinstance(one, RecordingFile) for one in given):
         yield from (_points(one, ratio) for one in given)
@@ -127,7 +136,7 @@ def _taken(given: Sequence[Source], ratio: float) -> Iterator[tuple[list[_Point]
     yield from parallel(joblib.delayed(_points)(one, ratio) for one in given)
 
 
-def _points(source: Source, ratio: float) -> tuple[list[_Point], list[str]]:
+def _points(source: Source, ratio: float | None) -> tuple[list[_Point], list[str]]:
     """Return the values of a recording, and its notes."""
     notes: list[str] = []
     try:
@@ -178,6 +187,7 @@ def _point(curve: Curve, table: str) -> _Point:
         (curve.torque, speed, temperature),
         curve.direction,
         table,
+        curve.ratio,
         float(orders.coefficient[0].real),
         orders,
         curve.common_zero,

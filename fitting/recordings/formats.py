@@ -192,7 +192,7 @@ class UnpackedFile(BenchFile):
     Raises
     ------
     edge.InputError
-        If it is no such file, or unpacks to more than `edge.MOST_BYTES`.
+        If it is no such file, or unpacks to more than `edge.most_unpacked`.
     """
 
     def __init__(self, source: str, dbc: str | os.PathLike[str] | None = None) -> None:
@@ -209,7 +209,7 @@ class UnpackedFile(BenchFile):
 
     def _unpack(self, source: str) -> list[str]:
         """Write the copy; return a sentence if the compressed file is damaged after its beginning."""
-        size = 0
+        size, most = 0, edge.most_unpacked(source)
         with gzip.open(source) as packed, edge.naming(self._copy), self._copy.open("wb") as copy:
             while True:
                 try:
@@ -224,8 +224,8 @@ class UnpackedFile(BenchFile):
                 if not block:
                     return []
                 size += len(block)
-                if size > edge.MOST_BYTES:
-                    raise edge.InputError(f"{source}: it unpacks to more than {edge.MOST_BYTES >> 30} GiB.")
+                if size > most:
+                    raise edge.InputError(f"{source}: it unpacks to more than {most / 1e6:.0f} MB.")
                 copy.write(block)
 
     @contextlib.contextmanager
@@ -357,6 +357,10 @@ _SPELLINGS = {
     "1/min": "rpm",
     "umdr": "rev",
     "umdr.": "rev",
+    "tr": "rev",
+    "tour": "rev",
+    "tours": "rev",
+    "tr/min": "rpm",
     "min-1": "rpm",
     "bogensekunden": "arcsec",
     "bogenminuten": "arcmin",

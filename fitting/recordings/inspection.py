@@ -24,16 +24,17 @@ from fitting.recordings.proposal import ErrorRun, error_runs, name_patterns, sta
 Array = NDArray[np.float64]
 
 _NAMES = {
-    "time": r"\btime|zeit|^t$|stamp|\bsec",
-    "input_angle": r"input|\bin\b|motor|crank|antrieb|eingang|\ban\b|drive|sun|enc\w*1|phi_?1|servo",
-    "output_angle": r"output|\bout\b|abtrieb|ausgang|\bab\b|load|flange|enc\w*2|phi_?2",
-    "torque": r"torque|moment|\bmd\b|\bnm\b|trq",
+    "time": r"time|zeit|^t(_|$)|tick|stamp|\bsec|temps|horodat",
+    "input_angle": r"input|(?<![a-z])in(?![a-z])|mot(o|eu)r|crank|antrieb|eingang|\ban\b|entr(é|e)e|drive|sun|enc\w*1"
+    r"|phi_?1|servo",
+    "output_angle": r"output|(?<![a-z])out(?![a-z])|abtrieb|ausgang|\bab\b|sortie|load|flange|enc\w*2|phi_?2",
+    "torque": r"torque|moment|couple|\bmd\b|\bnm\b|trq",
     "temperature": r"temp|°c",
-    "speed": r"speed|drehzahl|rpm|veloc|^n$",
+    "speed": r"speed|drehzahl|rpm|veloc|vitesse|^n$",
 }
 _COMMANDED = r"control(?!ler)|command|cmd|set[ _-]?(point|value|torque|pos|speed|angle)|(?<![a-z])set(?![a-z])"
-_COMMANDED += r"|soll|target|demand|desired|vorgabe|(?<![a-z])ref$"
-_ANGLE_NAMES = r"angle|winkel|pos|phi|enc|theta|rot|count|ink"
+_COMMANDED += r"|soll|target|demand|desired|vorgabe|consigne|(?<![a-z])ref$"
+_ANGLE_NAMES = r"angle|winkel|pos|phi|enc|theta|rot|count|cnt|ink"
 _UNITS = {"time": "s", "torque": "N*m", "input_torque": "N*m", "temperature": "degC", "speed": "rpm"}
 _ABSENT = {
     "input_angle": '  (omit this table if a shaft was locked, and write locked = "input" or "output" at the top)',
@@ -207,7 +208,11 @@ def roles_of(file: BenchFile, looks: Sequence[FirstSamples]) -> dict[str, FirstS
         angles = [o for o in left if re.search(_ANGLE_NAMES, o.channel.name, re.IGNORECASE) or o in angles]
     ins, outs = _named(angles, "input_angle"), _named(angles, "output_angle")
     ins, outs = [o for o in ins if o not in outs] or ins, [o for o in outs if o not in ins] or outs
-    by_travel = sorted(angles, key=lambda o: -o.travel)
+    scales = [_angle_unit(o)[1] for o in angles]  # the travels are compared as angles where all units are known
+    turned = {
+        o.channel.name: o.travel * (1.0 if None in scales else s or 1.0) for o, s in zip(angles, scales, strict=True)
+    }
+    by_travel = sorted(angles, key=lambda o: -turned[o.channel.name])
     if len(angles) >= 2:
         output = outs[0] if outs else next(o for o in reversed(by_travel) if o not in ins[:1])
         given = ins[0] if ins and ins[0] is not output else next(o for o in by_travel if o is not output)
@@ -320,7 +325,16 @@ def _channel_lines(one: FirstSamples, role: str) -> list[str]:
         return [*lines, f"unit = {_quoted(unit_text(one.channel.unit))}"]
     if stated := stated_unit(one):
         return [*lines, f"unit = {_quoted(stated)}               # from its name"]
-    return [*lines, f'unit = ""                   # not stated in the file; such as "{_UNITS.get(role, "rad")}"']
+    such = f'"{_UNITS.get(role, "rad")}"'
+    if role == "time" and _are_whole(one.values):
+        such += "; or instead rate = …, ticks per second"
+    return [*lines, f'unit = ""                   # not stated in the file; such as {such}']
+
+
+def _are_whole(values: Array) -> bool:
+    """Return whether all values that there are are whole numbers."""
+    finite = values[np.isfinite(values)]
+    return bool((finite == np.round(finite)).all())
 
 
 def _angle_unit(one: FirstSamples) -> tuple[str, float | None]:
@@ -330,7 +344,7 @@ def _angle_unit(one: FirstSamples) -> tuple[str, float | None]:
         return f"unit = {_quoted(stated)}{comment}", edge.unit_scale(stated, "rad")
     finite = one.values[np.isfinite(one.values)]
     low, high = float(finite.min()), float(finite.max())
-    whole = bool((finite == np.round(finite)).all())
+    whole = _are_whole(finite)
     jumps = finite.size > 1 and np.abs(np.diff(finite)).max() > 0.5 * (high - low) > 0.0
     if jumps and 350.0 < high - low <= 360.0 and not whole:
         return 'unit = "deg"                # it rolls over within 360', np.radians(1.0)

@@ -89,7 +89,17 @@ class PulleyMapping(edge.Config):
 
 
 class TimeMapping(edge.Config):
-    """`[time]`: the channel with the time, or the constant sampling rate, samples per second."""
+    """`[time]`: the channel with the time, a channel that counts ticks, or samples at a constant rate.
+
+    Attributes
+    ----------
+    column
+        The channel's name in the file.
+    unit
+        Unit of the numbers; required if the file states none.
+    rate
+        With a column, in place of a unit: its ticks per second. Without: samples per second.
+    """
 
     column: str | None = None
     unit: str | None = None
@@ -209,9 +219,13 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
     for run, one in mapping.each():
         _check_channels(one, f"{source}: [[runs]] {run}" if run else source)
     if mapping.time is not None:
-        if (mapping.time.column is None) == (mapping.time.rate is None):
-            raise edge.InputError(f"{source}: [time] needs either column or rate (samples per second).")
-        if mapping.time.rate is not None and not mapping.time.rate > 0.0:
+        if mapping.time.column is None and mapping.time.rate is None:
+            raise edge.InputError(f"{source}: [time] needs a column, or a rate (samples per second).")
+        if mapping.time.rate is not None and mapping.time.unit is not None:
+            raise edge.InputError(
+                f"{source}: [time] rate and unit: give one of the two; the rate is in ticks per second."
+            )
+        if mapping.time.rate is not None and not 0.0 < mapping.time.rate < math.inf:
             raise edge.InputError(f"{source}: [time] rate = {mapping.time.rate}: it must be above zero.")
     if mapping.pulley is not None and not (math.isfinite(mapping.pulley.ratio) and mapping.pulley.ratio):
         raise edge.InputError(
@@ -232,6 +246,8 @@ def columns_of(mapping: FileMapping) -> set[str]:
 def chosen_mapping(given: Mapping[str, tuple[BenchFile, FileMapping]]) -> tuple[BenchFile, FileMapping]:
     """Return the mapping whose columns a file has, and the file; if there is none, that of our names.
 
+    Of two mappings that suit, the one with all columns of the other and more is taken.
+
     Parameters
     ----------
     given
@@ -245,10 +261,12 @@ def chosen_mapping(given: Mapping[str, tuple[BenchFile, FileMapping]]) -> tuple[
     held = {name: {c.name for c in file.channels} for name, (file, _) in given.items()}
     needed = {name: columns_of(mapping) for name, (_, mapping) in given.items()}
     suited = [name for name in given if needed[name] <= held[name]]
+    # A mapping of a run suits where that of a loop of the same rig does, and maps more.
+    suited = [name for name in suited if not any(needed[name] < needed[other] for other in suited)]
     file, only = next(iter(given.values()))
     if len(suited) > 1:
         raise edge.InputError(
-            f"{file.source}: it has the columns of several mappings, {edge.listed(suited)}; give only one of them with "
+            f"{file.source}: several mappings suit its columns, {edge.listed(suited)}; give only one of them with "
             "this file."
         )
     if suited:
@@ -415,6 +433,8 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
             si, constant = "A", _torque_constant(channel.constant, f"{file.source}: [{role}] constant")
         if isinstance(channel, ChannelMapping) and channel.counts_per_turn is not None:
             scale, offset = _TURN / channel.counts_per_turn, 0.0
+        elif isinstance(channel, TimeMapping) and channel.rate is not None:
+            scale, offset = 1.0 / channel.rate, 0.0
         else:
             unit = channel.unit or channels[channel.column].unit or ("1" if role == "group" else "")
             if not unit:

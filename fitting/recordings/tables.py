@@ -44,6 +44,7 @@ def _number(decimal: str) -> str:
 _MARKS = {".": "point", ",": "comma"}
 _NUMBERS = {mark: _number(f"[{mark}]") for mark in _MARKS}
 _ANY_NUMBER = re.compile("|".join(_NUMBERS.values()))
+_THOUSANDS = re.compile(r"[+-]?\d{1,3},\d{3}")
 
 
 @dataclass(frozen=True)
@@ -194,10 +195,12 @@ def find_dialect(data: bytes, source: str) -> Dialect:
     begin = table.begin()
     fits = [cell for row in range(begin, len(table.rows)) for cell in table.fits(row) if not _STAMP.fullmatch(cell)]
     commas = sum("," in cell for cell in fits)
-    decimal = "," if delimiter != "," and commas > sum("." in cell for cell in fits) else "."
+    decimal = "," if commas > sum("." in cell for cell in fits) else "."
+    if delimiter == "," and all(_THOUSANDS.fullmatch(cell.strip()) for cell in fits if "," in cell):
+        decimal = "."  # quoted cells such as "1,234" are refused: they may be whole thousands
     above = [row for row in table.rows[:begin] if any(c.strip() for c in row)]
     named = [name_and_unit(c) for c in above[-1]] if above else [("", "") for _ in table.kinds]
-    if len(above) > 1 and not any(u for _, u in named) and 2 * sum(map(_looks_like_unit, above[-1])) > len(named):
+    if len(above) > 1 and _are_units_of(above[-2], above[-1]):
         units_below = [c.strip().strip("[]()") for c in above[-1]]
         named = [(name_and_unit(n)[0], u) for n, u in zip(above[-2], units_below, strict=True)]
     names = tuple(n or f"column {i + 1}" for i, (n, _) in enumerate(named))
@@ -205,10 +208,19 @@ def find_dialect(data: bytes, source: str) -> Dialect:
     return Dialect(encoding, delimiter, decimal, names, units, table.lines[begin], table.kinds)
 
 
+def _are_units_of(names: Sequence[str], row: Sequence[str]) -> bool:
+    """Return whether the row below a header states units: most of its cells, each below a name."""
+    stated = [(name, cell) for name, cell in zip(names, row, strict=True) if cell.strip()]
+    units = [name for name, cell in stated if _looks_like_unit(cell)]
+    return all(name.strip() for name in units) and 2 * len(units) > len(stated)
+
+
 def _looks_like_unit(cell: str) -> bool:
     text = unit_text(cell.strip().strip("[]()"))
     if not text:
         return False
+    if text == "-":  # a quantity without a unit
+        return True
     try:
         edge.parse_unit(text)
     except ValueError:

@@ -128,8 +128,8 @@ def test_maps_from_the_command_line(command, tmp_path):
     printed = command("cycloid-fit", "maps", *files, "--mapping", "m.toml", "--ratio", "-39", "--json")
     assert json.loads(printed.stdout)["torque"] == pytest.approx([100, 200])
     refused = command("cycloid-fit", "maps", *files, "--mapping", "m.toml")
-    assert refused.returncode == 2
-    assert "--ratio" in refused.stderr
+    assert refused.returncode == 3
+    assert "Give the drive, or its ratio" in refused.stderr
 
 
 def test_a_single_condition_is_drawn_as_bars():

@@ -143,7 +143,7 @@ def test_counts_direction_rollover_and_temperature(tmp_path):
         ('[torque]\ncolumn = "M"\n', "output_angle is missing"),
         ('[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\ncounts_per_turn = 5\n', "this is for angles"),
         ('[output_angle]\ncolumn = "a"\nunit = "deg"\ncounts_per_turn = 5\n[torque]\ncolumn = "M"\n', "no unit"),
-        ('[time]\n[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\n', "either column or rate"),
+        ('[time]\n[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\n', "needs a column, or a rate"),
         ('[time]\nrate = -1\n[output_angle]\ncolumn = "a"\n[torque]\ncolumn = "M"\n', "above zero"),
         ('[output_angle]\ncolumn = "a"\ndirection = 2\n[torque]\ncolumn = "M"\n', "direction"),
     ],

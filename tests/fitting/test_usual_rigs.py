@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import re
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -183,7 +184,7 @@ def test_rigs_with_other_headers_share_a_report(command, tmp_path, made):
     (tmp_path / "again.toml").write_text((tmp_path / "2.toml").read_text())
     run = command("cycloid-fit", "metrics", "loop.csv.gz", "--mapping", "2.toml", "--mapping", "again.toml")
     assert run.returncode == 2
-    said = "loop.csv.gz: it has the columns of several mappings, 2.toml, again.toml; give only one of them"
+    said = "loop.csv.gz: several mappings suit its columns, 2.toml, again.toml; give only one of them"
     assert run.stderr.strip() == f"{said} with this file."
     run = command("cycloid-fit", "metrics", "loop.csv.gz", "--mapping", "0.toml", "--mapping", "1.toml")
     assert run.returncode == 2
@@ -204,6 +205,120 @@ def written(tmp_path, name, text):
 def table(tmp_path, columns, name="run.csv"):
     rows = [",".join(f"{v:.10g}" for v in row) for row in zip(*columns.values(), strict=True)]
     return written(tmp_path, name, "\n".join([",".join(columns), *rows, ""]))
+
+
+def quoted_in_german(path, torque, output, crank=None):
+    """A rig's export: UTF-8 with a mark, quoted text, a row of units, a trailing semicolon, a constant temperature."""
+    names, units = ["Status", "Zeit", "Drehmoment Abtrieb", "Winkel Abtrieb"], ["", "[ms]", "[Nm]", "[°]"]
+    columns = [torque, np.degrees(output)]
+    if crank is not None:
+        names, units, columns = [*names, "Winkel Antrieb"], [*units, "[°]"], [*columns, np.degrees(crank)]
+    rows = [[*names, "Öltemperatur", "Zähler"], [*units, "[°C]", "[-]"]]
+    lines = ['"Prüfprotokoll";"Getriebe 17"', ""] + [";".join(f'"{cell}"' for cell in row) + ";" for row in rows]
+    for i, values in enumerate(zip(*columns, strict=True)):
+        state = "gültig" if i % 97 else "Messbereich überschritten"
+        cells = [f'"{state}"', comma(2.0 * i, 1), *map(comma, values), "23,5", str(i % 7)]
+        lines.append(";".join(cells) + ";")
+    path.write_bytes(b"\xef\xbb\xbf" + ("\r\n".join(lines) + "\r\n").encode())
+
+
+def stamped_in_french(path, torque, output, crank=None):
+    """Tabs, Windows-1252, ISO 8601 stamps with a decimal comma and a zone, the command before the measured torque."""
+    begun = datetime(2024, 3, 31, 1, 59, 58)
+    names = ["Horodatage", "État", "Consigne couple [N·m]", "Couple mesuré [N·m]", "Angle sortie [°]"]
+    lines = ["\t".join(names + ([] if crank is None else ["Angle entrée [tr]"]) + ["Température [°C]"])]
+    for i, (load, angle) in enumerate(zip(torque, np.degrees(output), strict=True)):
+        stamp = (begun + timedelta(seconds=0.005 * i)).isoformat(timespec="milliseconds").replace(".", ",") + "+01:00"
+        cells = [stamp, "prêt" if i < 3 else "mesure", comma(round(load, -1), 0), comma(load), comma(angle)]
+        cells += [] if crank is None else [comma(crank[i] / (2 * np.pi))]
+        lines.append("\t".join([*cells, "---" if i % 50 == 7 else "21,00"]))
+    path.write_bytes(("\n".join(lines) + "\n").encode("cp1252"))
+
+
+def counted_ticks(path, torque, output, crank=None):
+    """UTF-16, bars, whole ticks of 1/64 s with eight samples each, counts of the motor that roll over, a command."""
+    counts = "" if crank is None else "MOTOR_CNT|"
+    lines = ["# logger v2.1", f"TICK_TIME|MODE|{counts}OUT_ANGLE [rad]|TORQUE [Nm]|TORQUE_CMD [Nm]"]
+    for i, (load, angle) in enumerate(zip(torque, output, strict=True)):
+        count = "" if crank is None else f"{int(np.floor(crank[i] / (2 * np.pi) * 65536)) % 65536}|"
+        lines.append(f'{i // 8}|"RUN"|{count}{angle:.10f}|{load:.4f}|{load:.0f}')
+    path.write_bytes(("\r\n".join(lines) + "\r\n").encode("utf-16"))
+
+
+RIGS = {"German": (quoted_in_german, 24), "French": (stamped_in_french, 24), "ticks": (counted_ticks, 48)}
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_a_rig_s_loop_and_run_go_from_inspect_to_a_report(command, tmp_path, made, rig):
+    """The figures are those of the simulated drive and joint; the loop's mapping suits the run too, with less of it."""
+    write, each = RIGS[rig]
+    crank, output = turned(made, 160.0, each=each)
+    torque, angle = looped(160.0, 6e4, 1.2 * ARCMIN, 6.0)
+    write(tmp_path / "run.csv", np.full(crank.size, 160.0), output, crank)
+    write(tmp_path / "loop.csv", torque, angle)
+    for name in ("run", "loop"):
+        assert command("cycloid-fit", "inspect", f"{name}.csv", "-o", f"{name}.toml").returncode == 0
+        if rig == "ticks":  # no file says how long they are
+            text = (tmp_path / f"{name}.toml").read_text(encoding="utf-8")
+            written(tmp_path, f"{name}.toml", re.sub('unit = "" .*ticks per second', "rate = 64", text))
+    mapping = read_mapping(tmp_path / "run.toml")
+    assert mapping.ratio == RATIO
+    assert mapping.torque.column == {"German": "Drehmoment Abtrieb", "French": "Couple mesuré", "ticks": "TORQUE"}[rig]
+    words = ("run.csv", "loop.csv", "--mapping", "loop.toml", "--mapping", "run.toml", "--rated-torque", "160 N*m")
+    run = command("cycloid-fit", "report", *words, "-o", "report.html")
+    assert run.returncode == 0, run.stderr
+    run = command("cycloid-fit", "metrics", *words, "--json")
+    assert run.returncode == 0, run.stderr
+    figures = json.loads(run.stdout)
+    truth = {
+        "angular_transmission_error": np.ptp(output - crank / RATIO),
+        "backlash": 1.2 * ARCMIN,
+        "hysteresis_loss": 1.2 * ARCMIN + 12.0 / 6e4,
+        "torsional_stiffness": 6e4,
+    }
+    for name, value in truth.items():
+        assert figures[name]["value"] == pytest.approx(value, rel=0.03), name
+    samples_per_second = {"German": 500.0, "French": 200.0, "ticks": 512.0}[rig]
+    (curve,) = fitting.curves(fitting.read_recordings(tmp_path / "run.csv", tmp_path / "run.toml"))
+    assert curve.running_speed == pytest.approx(samples_per_second / each * 2 * np.pi / 39, rel=2e-3)
+    run = command("cycloid-fit", "maps", "run.csv", "--mapping", "run.toml", "--json")
+    assert run.returncode == 0, run.stderr
+
+
+def test_maps_are_those_of_one_drive(tmp_path):
+    """Without a pair or ratio the recordings state it; two ratios are refused."""
+    for teeth in (39, 29):
+        crank = np.linspace(0.0, 2 * np.pi * teeth, 3000)
+        path = table(tmp_path, {"motor [rad]": crank, "flange [rad]": -crank / teeth}, f"{teeth}.csv")
+        inspect(path).write(path.with_suffix(".toml"))
+    recordings = {
+        teeth: fitting.read_recordings(tmp_path / f"{teeth}.csv", tmp_path / f"{teeth}.toml") for teeth in (39, 29)
+    }
+    assert fitting.maps(recordings[29]).attrs["ratio"] == -29
+    with pytest.raises(
+        edge.InputError, match=r"the recordings state several ratios, -39 \(.*39.csv\), -29 \(.*29.csv\); "
+    ):
+        fitting.maps([*recordings[39], *recordings[29]])
+
+
+def test_of_two_nameless_angles_the_input_turns_further_whatever_their_units(tmp_path):
+    turns = np.linspace(0.0, 39.0, 500)
+    found = inspect(table(tmp_path, {"B [deg]": turns / 39 * 360.0, "A [rev]": turns}))
+    assert {role: one.channel.name for role, one in found.roles.items()} == {"input_angle": "A", "output_angle": "B"}
+    assert found.ratio == 39.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('time = {column = "t", rate = 64, unit = "s"}', r"\[time\] rate and unit: give one of the two"),
+        ('time = {unit = "s"}', r"\[time\] needs a column, or a rate"),
+        ('time = {column = "t", rate = inf}', r"\[time\] rate = inf: it must be"),
+    ],
+)
+def test_a_clock_has_a_unit_or_a_rate(tmp_path, text, said):
+    with pytest.raises(edge.InputError, match=said):
+        read_mapping(written(tmp_path, "map.toml", f'{MAP}output_angle = {{column = "a"}}\n{text}\n'))
 
 
 @pytest.mark.parametrize("pulley", [-3.346, 2.5])
@@ -353,6 +468,8 @@ def test_ticks_are_the_same_over_the_seams_of_pieces(tmp_path, monkeypatch, piec
         ("t;a\n0,5;2;\n1,5;3;\n", {"t": [0.5, 1.5], "a": [2.0, 3.0], "column 3": [None, None]}),
         ("time [UTC];a\n2024-03-01T12:00:00Z;1\n2024-03-01T12:00:01Z;2\n", {"time": [0.0, 1.0], "a": [1.0, 2.0]}),
         ("a,b,c\n1,2,3\n,,\n4,,6\n", {"a": [1.0, None, 4.0], "b": [2.0, None, None], "c": [3.0, None, 6.0]}),
+        ('"t","a"\n"0,50","2,125"\n"1,50","3"\n', {"t": [0.5, 1.5], "a": [2.125, 3.0]}),
+        ('"S";"t";"a"\n"";"[s]";"[-]"\n"OK";0,5;2\n"OK";1,5;2,5\n', {"t": [0.5, 1.5], "a": [2.0, 2.5]}),
     ],
 )
 def test_the_columns_of_numbers_decide(tmp_path, text, expected):
@@ -362,6 +479,12 @@ def test_the_columns_of_numbers_decide(tmp_path, text, expected):
     for name, values in expected.items():
         found = np.concatenate([part.values[name] for part in parts])
         assert [None if np.isnan(one) else float(one) for one in found] == values
+
+
+def test_quoted_numbers_that_may_be_thousands_are_refused(tmp_path):
+    file = formats.open_bench_file(written(tmp_path, "a.csv", 't,a\n0,"1,234"\n1,"2,345"\n'))
+    with pytest.raises(edge.InputError, match='line 2: a is "1,234"; it must be a number with a decimal point'):
+        [*file.pieces(["t", "a"])]
 
 
 @given(
@@ -435,7 +558,7 @@ def test_what_a_compressed_file_may_not_be_is_one_sentence(tmp_path, monkeypatch
     with pytest.raises(edge.InputError, match=r"a\.csv\.gz: this is not a \.gz file"):
         formats.open_bench_file(packed)
     packed.write_bytes(gzip.compress(b"1,2\n" * 1000))
-    monkeypatch.setattr(edge, "MOST_BYTES", 3000)
+    monkeypatch.setattr("cycloid_fmu.edge.files._MOST_BYTES", 3000)
     with pytest.raises(edge.InputError, match=r"a\.csv\.gz: it unpacks to more than"):
         formats.open_bench_file(packed)
     (tmp_path / "a.rug.gz").write_bytes(packed.read_bytes())
