@@ -711,6 +711,26 @@ def test_what_unpacks_to_a_hundred_times_its_size_fills_no_disk(tmp_path, monkey
     assert [file.name for file in tmp_path.iterdir()] == [name]
 
 
+@tries("Parquet and recordings (`.arrows`)")
+def test_a_parquet_file_of_nothing_but_zeros_is_refused_and_a_long_run_is_not(tmp_path):
+    """40 million zeros in four columns are packed to a thousandth; a noisy angle takes most of its bytes."""
+    names, noise = ("time [s]", "input_angle [rad]", "output_angle [rad]"), np.random.default_rng(1)
+    zeros = pa.table({name: np.zeros(4_000_000) for name in names})
+    with parquet.ParquetWriter(tmp_path / "zeros.parquet", zeros.schema, compression="zstd") as writer:
+        for _ in range(10):
+            writer.write_table(zeros)
+    with pytest.raises(edge.InputError, match=r"zeros\.parquet: it unpacks to 960 MB; at most are read"):
+        open_bench_file(tmp_path / "zeros.parquet")
+    angle = noise.normal(np.arange(4_000_000) * 1e-3, 1e-6)
+    run = pa.table({name: angle for name in names[1:]} | {names[0]: np.arange(4_000_000) * 1e-4})
+    parquet.write_table(run, tmp_path / "run.parquet", compression="zstd")
+    assert [c.name for c in open_bench_file(tmp_path / "run.parquet").channels] == [
+        "input_angle",
+        "output_angle",
+        "time",
+    ]
+
+
 def test_a_report_shows_names_as_names():
     hostile = "</script><script>alert(1)</script><!--<script>"
     trace = Trace(hostile, np.zeros(2), np.zeros(2))

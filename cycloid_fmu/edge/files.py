@@ -35,9 +35,18 @@ PICTURES = (".png", ".pdf")
 """Endings of plot files."""
 
 
-def most_unpacked(path: str | os.PathLike[str]) -> int:
-    """Return how many bytes a compressed file may unpack to; more than its contents explain is made to fill a disk."""
-    return min(_MOST_BYTES, _MOST_SMALL + _MOST_RATIO * Path(path).stat().st_size)
+def most_unpacked(path: str | os.PathLike[str], kept: bool = True) -> int:
+    """Return how many bytes a compressed file may unpack to; more than its contents explain is made to fill a disk.
+
+    Parameters
+    ----------
+    path
+        The file.
+    kept
+        Whether all of it is unpacked at once, which is limited for any file, and not piece by piece.
+    """
+    explained = _MOST_SMALL + _MOST_RATIO * Path(path).stat().st_size
+    return min(_MOST_BYTES, explained) if kept else explained
 
 
 _KEY = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""

@@ -406,12 +406,24 @@ class CsvFile(BenchFile):
 
 
 class ParquetFile(BenchFile):
-    """A Parquet file."""
+    """A Parquet file.
+
+    Raises
+    ------
+    edge.InputError
+        If it unpacks to more than `edge.most_unpacked`.
+    """
 
     def __init__(self, source: str, dbc: object = None) -> None:
         from pyarrow import parquet
 
         self._file = parquet.ParquetFile(source)
+        size, most = (
+            8 * self._file.metadata.num_rows * self._file.metadata.num_columns,
+            edge.most_unpacked(source, False),
+        )
+        if size > most:
+            raise edge.InputError(f"{source}: it unpacks to {size / 1e6:.0f} MB; at most are read {most / 1e6:.0f} MB.")
         self._names, channels = {}, []
         for number, part in enumerate(self._file.schema_arrow):
             stamps = pa.types.is_timestamp(part.type)
