@@ -112,14 +112,6 @@ class Seat(Friction):
 
     Attributes
     ----------
-    friction
-        Name of an entry of `friction_values.VALUES`, such as "steel, grease", instead of both coefficients.
-    friction_coefficient
-        μ at speed.
-    static_friction_coefficient
-        μ_s at rest; default: μ.
-    stribeck_speed
-        v_s, m/s; without it the coefficient is μ at any speed above zero.
     radius
         r_J, m: of a seat the pin's radius, of a sleeve its bore, of needles their pitch radius.
     pressure
@@ -141,19 +133,6 @@ class OutputRoller(Seat):
 
     Attributes
     ----------
-    friction
-        Name of an entry of `friction_values.VALUES`, such as "steel, grease", instead of both coefficients.
-    friction_coefficient
-        μ at speed.
-    static_friction_coefficient
-        μ_s at rest; default: μ.
-    stribeck_speed
-        v_s, m/s; without it the coefficient is μ at any speed above zero.
-    radius
-        r_J, m: of a seat the pin's radius, of a sleeve its bore, of needles their pitch radius.
-    pressure
-        Distribution of the pressure around it, which gives the moment κ μ F r_J: a "line" (κ = 1) or over the half
-        shell as the "cosine" (κ = 4/π).
     outer_radius
         r_w of a roller, or of a pin that does not turn, m.
     """
@@ -173,14 +152,6 @@ class Bearing(Friction):
 
     Attributes
     ----------
-    friction
-        Name of an entry of `friction_values.VALUES`, such as "steel, grease", instead of both coefficients.
-    friction_coefficient
-        μ at speed.
-    static_friction_coefficient
-        μ_s at rest; default: μ.
-    stribeck_speed
-        v_s, m/s; without it the coefficient is μ at any speed above zero.
     mean_diameter
         d_m of a rolling bearing, m.
     load_factor
