@@ -69,6 +69,14 @@ def _torques(given: Any, pair: Pair) -> list[float]:
     return [_torque(one) for one in ([given] if isinstance(given, str) or np.ndim(given) == 0 else given)]
 
 
+def _requirements(given: Requirements | str | os.PathLike[str]) -> Requirements:
+    if isinstance(given, str | os.PathLike):
+        from cycloid_fmu.studies.limits import read_requirements
+
+        return read_requirements(given)
+    return given
+
+
 def _tolerances(given: Tolerances | str | os.PathLike[str]) -> Tolerances:
     if isinstance(given, str | os.PathLike):
         from cycloid_fmu.surfaces.sampling import read_tolerances
@@ -378,10 +386,9 @@ class Drive(DriveValue):
         >>> [(one.figure, one.met) for one in cy.Drive(pair).judge(asked, "181 N*m", angles=45).verdicts]
         [('backlash', True), ('max_contact_pressure', False)]
         """
-        from cycloid_fmu.studies.limits import Requirements, read_requirements
         from cycloid_fmu.studies.verdicts import judge_drive
 
-        stated = requirements if isinstance(requirements, Requirements) else read_requirements(requirements)
+        stated = _requirements(requirements)
         return judge_drive(
             self,
             stated,
@@ -543,6 +550,7 @@ class Drive(DriveValue):
         samples: int = 1000,
         seed: int = 1,
         angles: int = ANGLES,
+        requirements: Requirements | str | os.PathLike[str] | None = None,
         workers: int | None = None,
         progress: Callable[[int], None] = lambda drives: None,
     ) -> Findings:
@@ -556,6 +564,8 @@ class Drive(DriveValue):
             Torque on the output, N·m or text with a unit; one or several, by default plus and minus the rated torque.
         samples, seed, angles
             Number of drives, seed that determines them, and number of crank angles of each.
+        requirements
+            Requirements of the application, or their file, whose limits hold in place of those of the tolerances.
         workers, progress
             Number of processes, by default one per core; function called with the number of drives just finished.
 
@@ -590,6 +600,8 @@ class Drive(DriveValue):
             angles=angles,
             first_stage=self.first_stage,
         )
+        if requirements is not None:
+            study = yields.with_requirements(study, _requirements(requirements))
         check_study(study, "pair", "tolerances")
         return yields.conduct(study, workers=workers or os.cpu_count() or 1, progress=progress)
 

@@ -60,15 +60,6 @@ class Limits(sampling.Limits):
         Largest allowed friction power per contact area, μ p v with the mean Hertzian pressure, W/m²; by [losses.flank].
     wear_depth
         Largest allowed on flanks and pins, m.
-    efficiency
-        Smallest allowed of the driving drive, at every row of the duty that turns under load; by [losses].
-    starting_torque
-        Largest allowed at the input without a load, from rest, over the crank angles, N·m.
-    back_driving_torque
-        Largest allowed on the output that turns the drive backwards from rest, over the crank angles, N·m.
-    self_locking
-        Whether no torque up to the rated one may turn the drive backwards from rest (true: at no crank angle; false: at
-        every crank angle some torque must).
     """
 
     torsional_stiffness: Annotated[edge.TorsionalStiffness, _ABOVE_ZERO] | None = None
@@ -78,10 +69,6 @@ class Limits(sampling.Limits):
     sliding_speed: Annotated[edge.Velocity, _ABOVE_ZERO] | None = None
     friction_power_density: Annotated[edge.PowerDensity, _ABOVE_ZERO] | None = None
     wear_depth: Annotated[edge.Length, _ABOVE_ZERO] | None = None
-    efficiency: float | None = pydantic.Field(default=None, gt=0.0, le=1.0)
-    starting_torque: Annotated[edge.Torque, _ABOVE_ZERO] | None = None
-    back_driving_torque: Annotated[edge.Torque, _ABOVE_ZERO] | None = None
-    self_locking: bool | None = pydantic.Field(default=None, strict=True)
 
     @property
     def of_study(self) -> sampling.Limits:
@@ -262,8 +249,14 @@ def verdict(name: str, value: float, limit: float, where: Mapping[str, Any] | No
     (True, 400, 0.267)
     """
     unit = edge.unit_of_field(Limits.model_fields[name]) or "1"
-    smallest = name in LOWER or (name == "self_locking" and bool(limit))
-    return Verdict(name, unit, float(value), float(limit), "min" if smallest else "max", where or {}, basis)
+    return Verdict(
+        name, unit, float(value), float(limit), "min" if is_lower(name, limit) else "max", where or {}, basis
+    )
+
+
+def is_lower(name: str, limit: float) -> bool:
+    """Return whether a limit is the smallest allowed value: those of `LOWER`, and a required self-locking."""
+    return name in LOWER or (name == "self_locking" and bool(limit))
 
 
 def static_safety(pair: Pair, pressure: float) -> float:

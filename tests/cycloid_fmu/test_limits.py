@@ -261,7 +261,7 @@ def test_one_requirements_file_judges_drives_with_and_without_bearings(command):
     )
     assert shown.returncode == edge.NOT_MET, shown.stderr
     of_friction = "efficiency, starting torque, back driving torque, self locking"
-    assert f"not met: bearing life, friction power density, wear depth, {of_friction}." in shown.stdout
+    assert f"not met: {of_friction}, bearing life, friction power density, wear depth." in shown.stdout
     assert "Efficiency needs [losses]: no friction stated." in shown.stdout
     assert "Bearing life needs a bearing of [supports] with its dynamic_capacity." in shown.stdout
 
