@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.first_stage import FirstStage
     from cycloid_fmu.losses.figures import LossFigures
+    from cycloid_fmu.losses.heat import Heat
     from cycloid_fmu.motion import Motion
     from cycloid_fmu.reducer.description import Reducer
     from cycloid_fmu.studies.design import Design
@@ -282,6 +283,74 @@ class Drive(DriveValue):
             _torques(torque, self.pair),
             np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
             speed,
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
+
+    def heat(
+        self,
+        torque: float | str | None = None,
+        crank_speed: float | str | None = None,
+        *,
+        requirements: Requirements | str | os.PathLike[str] | None = None,
+        angles: int = ANGLES,
+        turns: int = 1,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda temperatures: None,
+    ) -> Heat:
+        """Steady temperature and warm-up, by the losses of `[losses]` and what `[thermal]` gives off.
+
+        Viscosity and clearances are those of each temperature. The loads are driven.
+
+        Parameters
+        ----------
+        torque
+            Torque of the environment on the output, N·m or text with a unit; by default the rated torque.
+        crank_speed
+            Speed of the crank, rad/s or text with a unit.
+        requirements
+            Requirements of the application, or their file, with the duty in place of torque and speed.
+        angles, turns
+            Number of crank angles, and of the crank turns that they span.
+        workers, progress
+            As for `analyze`; function called with 1 for each temperature that was just solved.
+
+        Raises
+        ------
+        edge.InputError
+            If [thermal] or [losses] is missing, nothing turns, or the drive jams at the surroundings' temperature.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+        ...     rated_torque="181 N*m",
+        ...     supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm", "main": {"stiffness": "900 N/um"}},
+        ...     losses={"flank": {"friction_coefficient": 0.06}},
+        ...     thermal={"resistance": "1.5 K/W", "capacity": "3 kJ/K", "ambient": "20 degC"},
+        ... )
+        >>> found = cy.Drive(pair).heat(crank_speed="600 rpm", angles=40)
+        >>> round(found.oil - 273.15), round(found.time_to(0.95) / 60)
+        (53, 225)
+        """
+        from cycloid_fmu.losses.heat import Running, heat
+
+        if requirements is not None:
+            rows = _requirements(requirements).duty
+            running = [Running(row.torque, row.output_speed * abs(self.pair.ratio), row.share) for row in rows]
+        else:
+            speed = _quantity("crank_speed", 0.0 if crank_speed is None else crank_speed, "rad/s")
+            running = [Running(_torques(torque, self.pair)[0], speed)]
+        turning = [load for load in running if load.crank_speed > 0.0]
+        if not turning:
+            raise edge.ArgumentError(
+                "crank_speed", "a drive that gets warm turns; give a speed above zero", crank_speed
+            )
+        return heat(
+            self,
+            turning,
+            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
             workers=workers or os.cpu_count() or 1,
             progress=progress,
         )

@@ -64,6 +64,10 @@ QUANTITIES = {
     "m^2/s": "kinematic viscosity",
     "m/s": "velocity",
     "W/m^2": "power over area",
+    "W/(m^2*K)": "heat transfer coefficient",
+    "K/W": "thermal resistance",
+    "J/K": "heat capacity",
+    "m^2": "area",
 }
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification], [material] and [supports] are those of a pair file
 INTRODUCTION = """# Files

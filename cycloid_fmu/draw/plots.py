@@ -57,6 +57,7 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     from cycloid_fmu.draw.profiles import plot_profile
     from cycloid_fmu.draw.sweeps import plot_sweep
     from cycloid_fmu.losses.figures import LossFigures
+    from cycloid_fmu.losses.heat import Heat
     from cycloid_fmu.motion import Motion
     from cycloid_fmu.studies.sweep import FORMAT as SWEEP
     from cycloid_fmu.studies.yields import Findings
@@ -80,6 +81,10 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
         from cycloid_fmu.draw.losses import plot_losses
 
         figure = plot_losses(result)
+    elif isinstance(result, Heat):
+        from cycloid_fmu.draw.losses import plot_heat
+
+        figure = plot_heat([result])
     elif isinstance(result, WearRun):
         from cycloid_fmu.draw.wear_plots import plot_wear
 

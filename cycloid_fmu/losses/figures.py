@@ -245,12 +245,7 @@ def figures(
     idle = solve(drive, np.zeros(1), angles, 1, crank_speed, workers=workers)
     rated, largest = drive.pair.rated_torque, float(np.abs(loads).max(initial=0.0))
     searched = largest if rated is None else rated
-    ends: tuple[LossFigures, ...] = ()
-    losses = losses_of(drive)
-    if losses.from_table:
-        pairs = [drive.pair.replace(losses=losses.at_end(high)) for high in (False, True)]
-        drives = [DriveValue(pair, drive.surface, drive.first_stage) for pair in pairs]
-        ends = tuple(figures(end, torque, crank_angle, crank_speed, workers=workers) for end in drives)
+    ends = tuple(figures(end, torque, crank_angle, crank_speed, workers=workers) for end in at_ends(drive))
     at_rest = starting(drive, sorted({0.0, *np.abs(loads).tolist()}), angles, workers=workers)
     by_direction = [load_cases(drive, sweep) for sweep in sweeps.values()]
     return LossFigures(
@@ -264,6 +259,13 @@ def figures(
         angles,
         ends,
     )
+
+
+def at_ends(drive: DriveValue) -> list[DriveValue]:
+    """Return the drive with all friction from the table at its low and at its high end; none without such friction."""
+    losses = losses_of(drive)
+    pairs = [drive.pair.replace(losses=losses.at_end(high)) for high in (False, True)] if losses.from_table else []
+    return [DriveValue(pair, drive.surface, drive.first_stage) for pair in pairs]
 
 
 @dataclass(frozen=True)

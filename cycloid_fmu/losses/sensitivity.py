@@ -90,6 +90,7 @@ def sensitivity(drive: DriveValue, found: Rubbed, load: int = 0, slices: int | N
                 by[f"{part}.{coefficient}"] = np.einsum("alc,lc->a", by_law, each)
     by["output_drag.coulomb"] = by_carrier[:, 0]
     by["output_drag.viscous"] = by_carrier[:, 0] * found.crank_speed / pair.gear_teeth
+    by["output_drag.churning"] = by["output_drag.viscous"] * losses.thinning
     if losses.first_stage is not None and drive.first_stage is not None:
         by["first_stage.loss"] = by_carrier[:, 1]
         if losses.first_stage.loss is None:

@@ -337,11 +337,11 @@ def friction_of(study: Study, surface: ErrorSurface) -> FrictionFigures:
 def _worst_of(friction: FrictionFigures) -> dict[str, float]:
     """Return the figures of a drive, by their names in `FIGURES`; those that were not asked for are missing."""
     efficiency, starting, back_driving, _ = friction
-    found = {"efficiency": efficiency.min()} if efficiency.size else {}
-    found |= {"starting_torque": starting.max()} if starting.size else {}
+    worst = {"efficiency": efficiency.min()} if efficiency.size else {}
+    worst |= {"starting_torque": starting.max()} if starting.size else {}
     if back_driving.size:
-        found |= {"back_driving_torque": back_driving.max(), "self_locking": np.isinf(back_driving).mean()}
-    return found
+        worst |= {"back_driving_torque": back_driving.max(), "self_locking": np.isinf(back_driving).mean()}
+    return worst
 
 
 def _loads(pair: Pair, torque: Sequence[float], angles: Array) -> list[tuple[float, Array]]:

@@ -416,6 +416,38 @@ def test_limits_of_friction_are_judged():
         Requirements(limits={"efficiency": 0.9})
 
 
+@pytest.mark.parametrize("seat", [None, {"radius": 2e-3, "friction_coefficient": 0.02}])
+def test_the_pins_friction_power_is_the_flanks_loss(seat):
+    """Over whole turns within 1 %, by closed forms of velocities; on pins that turn in their seats nothing slides."""
+    from cycloid_fmu.studies.limits import Requirements
+
+    flank = {"friction_coefficient": 0.06, "static_friction_coefficient": 0.12, "stribeck_speed": "0.1 m/s"}
+    made, speed = drive({"flank": flank, "pin": seat}), 39 * 15.0 * math.pi / 30.0
+    duty = [{"torque": "181 N*m", "output_speed": "15 rpm", "share": 1.0}]
+    ((_, slides),) = made.judge(Requirements(duty=duty), angles=117, turns=39, workers=1).sliding
+    case = made.losses(181.0, speed, angles=117, turns=39, workers=1).cases[0]
+    lost = speed * (case.loss["flank"] + case.loss["pin_joint"])
+    assert slides.friction_power.sum(axis=(1, 2)).mean() == pytest.approx(lost, rel=0.01)
+    assert bool(case.loss["pin_joint"]) == (seat is not None)
+    assert slides.sliding_speed.any() == (seat is None)
+    assert slides.friction_power_density.any() == (seat is None)
+
+
+def test_the_friction_of_wear_is_the_drive_s():
+    """A seat that turns takes its friction; stated twice it is refused."""
+    from cycloid_fmu.wear.law import WearLaw
+    from cycloid_fmu.wear.life import friction_of
+
+    law = WearLaw(pins="fixed", coefficient="1e-18 m^2/N")
+    assert friction_of(drive().pair, law) is None
+    assert friction_of(drive().pair, law.replace(friction_coefficient=0.08)) == 0.08
+    assert friction_of(drive(FRICTION).pair, law) == 0.06
+    seat = {"radius": 2e-3, "friction_coefficient": 0.03, "pressure": "cosine"}
+    assert friction_of(drive({**FRICTION, "pin": seat}).pair, law) == pytest.approx(4.0 / math.pi * 0.03 * 2.0 / 3.0)
+    with pytest.raises(edge.InputError, match=r"friction_coefficient = 0.08 is stated by \[losses.flank\]"):
+        friction_of(drive(FRICTION).pair, law.replace(friction_coefficient=0.08))
+
+
 def test_a_tolerance_study_judges_friction():
     """Its figures are those of each drawn drive alone; efficiency and self-locking are kept above their limits."""
     from cycloid_fmu.studies.limits import Requirements
@@ -450,7 +482,7 @@ def test_a_tolerance_study_judges_friction():
 
 
 def test_a_tolerance_study_counts_drives_that_lock_themselves():
-    """A printed drive that locks at every angle has no back-driving torque, whatever its tolerances, and no mean of it."""
+    """A printed drive that locks at every angle has no back-driving torque, and so no mean of it."""
     locking = case("printed-self-locking")
     limits = {"self_locking": True, "back_driving_torque": "1 N*m"}
     tolerances = cy.Tolerances(pin_radius={"tolerance": "5 um"}, limits=limits)
