@@ -17,6 +17,7 @@ import numpy as np
 
 import cycloid_fmu as cy
 from cycloid_fmu.geometry.friction_values import VALUES
+from cycloid_fmu.losses.figures import breakaway
 from cycloid_fmu.losses.solver import solve
 
 PAGE = Path(__file__).parent / "losses_published.md"
@@ -111,22 +112,6 @@ def printed(end: str, turning: bool) -> cy.Drive:
     )
 
 
-def breakaway(drive: cy.Drive, load: float = 15.0, angles: int = 60) -> tuple[float, float]:
-    """Friction at the output without load (N·m) and per load, as a loop with the output locked shows it.
-
-    Upwards the input drives against the output's torque, downwards it holds it, from rest both: friction is half of
-    their difference, the spring's torque half of their sum. Where the drive jams the friction per load is infinite.
-    """
-    angle = np.linspace(0.0, 2.0 * np.pi, angles, endpoint=False)
-    up, down = (
-        drive.pair.gear_teeth * solve(drive, np.array([0.0, load]), angle, s, 0.0).input_torque.mean(axis=1)
-        for s in (1, -1)
-    )
-    rubbing, spring = 0.5 * (up - down), 0.5 * (up + down)
-    per_load = float((rubbing[1] - rubbing[0]) / (spring[1] - spring[0]))
-    return float(rubbing[0]), math.inf if math.isnan(per_load) else per_load
-
-
 def rv(end: str, mean_diameter: str = "22 mm") -> cy.Drive:
     """RV-20E-like: the example's sizes, which are published, with bearings that are assumed."""
     drive = cy.read_drive(ROOT / "examples" / "rv-20e-bearings.toml")
@@ -191,7 +176,8 @@ def rows() -> list[Row]:
     """All figures that can be predicted; it takes a minute."""
     predictions, pins = [], {False: "pins and output pins fixed", True: "on bushings (iglidur J, r 2 mm)"}
     for turning, said in pins.items():
-        loops = [breakaway(printed(end, turning)) for end in ENDS]
+        angle = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+        loops = [breakaway(printed(end, turning), 15.0, angle) for end in ENDS]
         name, sizes = "printed 13/14", f"{said}; eccentric on a ball bearing"
         predictions.append(
             Row(name, "friction per load, from rest", (0.3, 0.7), sizes, _range(b for _, b in loops), "")

@@ -5,6 +5,7 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from common import MEASURED
 
@@ -37,7 +38,7 @@ def test_breakaway_without_friction_is_none_and_with_a_stated_drag_is_that_drag(
     """Half the difference of the two directions is the output's drag, whatever the load."""
     drive = published.printed("low", turning=True)
     smooth = drive.replace(losses={"flank": {}, "output_drag": {"coulomb": "2.5 N*m"}})
-    without, per_load = published.breakaway(smooth, angles=26)
+    without, per_load = published.breakaway(smooth, 15.0, np.linspace(0.0, 2.0 * np.pi, 26, endpoint=False))
     assert without == pytest.approx(2.5, rel=0.02)
     assert per_load == pytest.approx(0.0, abs=5e-3)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,6 +209,28 @@ def back_driving(drive: DriveValue, largest: float, crank_angle: Array, **option
                 break
         return np.where(bracketed, torque, np.where(at_outer > 0.0, 0.0, np.nan))
     return np.where(at_outer > 0.0, 0.0, np.nan)
+
+
+class Breakaway(NamedTuple):
+    """Friction at the output from rest, as a loop with a locked shaft shows it."""
+
+    without_load: float  # N·m
+    per_load: float  # of the spring's torque, 1; infinite where the drive jams
+
+
+def breakaway(drive: DriveValue, load: float, crank_angle: Array, **options: Any) -> Breakaway:
+    """Return the friction of a loop between no load and one (N·m), mean over the crank angles (rad).
+
+    One way the input drives against the output's torque, the other way it holds it, both from rest: friction is half of
+    the difference of the two torques, the spring's torque half of their sum. Which shaft is locked makes no difference.
+    """
+    up, down = (
+        abs(drive.ratio) * solve(drive, np.array([0.0, load]), crank_angle, s, 0.0, **options).input_torque.mean(axis=1)
+        for s in (1, -1)
+    )
+    friction, spring = 0.5 * np.abs(up - down), 0.5 * np.abs(up + down)
+    growth = float((friction[1] - friction[0]) / (spring[1] - spring[0]))
+    return Breakaway(float(friction[0]), math.inf if math.isnan(growth) else growth)
 
 
 def figures(
