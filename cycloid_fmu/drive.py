@@ -318,7 +318,7 @@ class Drive(DriveValue):
         Raises
         ------
         edge.InputError
-            If [thermal] or [losses] is missing, nothing turns, or the drive jams at the surroundings' temperature.
+            If [thermal] or [losses] is missing, or nothing turns.
 
         Examples
         --------

@@ -121,7 +121,7 @@ def _print_heat(warm: list[Heat]) -> None:
         if each.reason:
             rows.append([load, "none"])
             continue
-        efficiency = ", ".join(f"{value:.2%}" for value in each.efficiency)
+        efficiency = ", ".join("-" if math.isnan(value) else f"{value:.2%}" for value in each.efficiency)
         degrees = [f"{kelvin - 273.15:.1f} °C" for kelvin in (each.oil, each.housing)]
         rows.append([load, *degrees, f"{each.power:.3g} W", efficiency, *minutes])
     if rows:

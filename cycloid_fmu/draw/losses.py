@@ -92,7 +92,7 @@ def plot_heat(warm: Sequence[Heat]) -> Figure:
                 reached = each.thermal.ambient + share * (each.oil - each.thermal.ambient)
                 axes[1].plot(each.time_to(share) / 3600.0, reached - _ICE, "o", ms=4, color=f"C{k}")
     thermal = warm[0].thermal
-    oil = np.array([min(each.scanned[0] for each in warm), max(each.scanned[-1] for each in warm)])
+    oil = np.array([thermal.ambient, max([thermal.ambient + 1.0, *(each.scanned.max(initial=0.0) for each in warm)])])
     axes[0].plot(oil - _ICE, (oil - thermal.ambient) / thermal.whole, "k--", lw=1, label="given off")
     axes[0].set_title("Heat made and given off; steady where they meet")
     axes[0].set_xlabel("temperature of the oil, °C")

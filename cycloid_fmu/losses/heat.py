@@ -29,6 +29,7 @@ SCANNED = 13
 _INSIDE = 6  # more of them below the steady temperature, for the warm-up
 _STEPS, _TIME_CONSTANTS = 400, 5.0  # of the warm-up
 _CLOSE, _TRIFLE = 1e-3, 0.1  # K
+_HALVINGS = 8  # towards the temperature from which the drive can't run
 
 
 class Running(NamedTuple):
@@ -157,6 +158,13 @@ class _Losing:
         (case,) = load_cases(warm, rubbed)
         return case
 
+    def problem(self, oil: float) -> str:
+        """Return why the drive can't run at a temperature of the oil; empty if it can."""
+        try:
+            return "the drive jams" if math.isnan(self(oil)) else ""
+        except edge.InputError as refused:
+            return str(refused).rstrip(".")
+
     def surplus(self, oil: float, thermal: Thermal) -> float:
         """Return the heat that is not given off, W."""
         return self(oil) - (oil - thermal.ambient) / thermal.whole
@@ -187,8 +195,8 @@ def heat(
     Raises
     ------
     edge.InputError
-        As `solver.solve`, if [thermal] is missing, or if the drive jams at the surroundings' temperature. One that gets
-        too warm for any balance is a result, with a `reason`.
+        As `solver.solve`, or if [thermal] is missing. A drive that gets too warm for any balance, or jams, is a result
+        with a `reason`.
     """
     thermal, losing = thermal_of(drive), _Losing(drive, running, crank_angle, workers)
     scanned, reason = _scan(losing, thermal, progress)
@@ -219,20 +227,23 @@ def heat(
 
 def _scan(losing: _Losing, thermal: Thermal, progress: Callable[[int], None]) -> tuple[list[float], str]:
     """Return temperatures of the oil, K, up to those that the drive can't have, and what is wrong if none is steady."""
+    losing(thermal.ambient)
     at_oil_temperature(losing.drive, thermal.ambient + _TRIFLE)  # what can't expand at all is not too warm
     scanned = list[float]()
     for oil in np.linspace(thermal.ambient, HOTTEST, SCANNED).tolist():
-        try:
-            problem = "the drive jams" if math.isnan(losing(oil)) else ""
-        except edge.InputError as refused:
+        if problem := losing.problem(oil):
             if not scanned:
-                raise
-            problem = str(refused).rstrip(".")
-        if problem and not scanned:
-            raise edge.InputError(f"the drive jams at {_celsius(oil)}, the temperature of its surroundings.")
-        if problem:
-            cold = _celsius(scanned[-1])
-            return scanned, f"up to {cold} it makes more heat than it gives off, and at {_celsius(oil)} {problem}"
+                return [], f"at {_celsius(oil)}, the temperature of its surroundings, {problem}"
+            low, high = scanned[-1], oil
+            for _ in range(_HALVINGS):
+                middle = 0.5 * (low + high)
+                worse = losing.problem(middle)
+                low, high, problem = (low, middle, worse) if worse else (middle, high, problem)
+                scanned += [] if worse else [middle]
+            return (
+                scanned,
+                f"up to {_celsius(low)} it makes more heat than it gives off, and at {_celsius(high)} {problem}",
+            )
         scanned.append(oil)
         progress(1)
     given = (HOTTEST - thermal.ambient) / thermal.whole
@@ -244,7 +255,7 @@ def _balanced(losing: _Losing, thermal: Thermal, scanned: Sequence[float]) -> li
     from scipy.optimize import brentq
 
     surplus = [losing.surplus(oil, thermal) for oil in scanned]
-    balanced = [scanned[0]] if surplus[0] <= 0.0 else []
+    balanced = [scanned[0]] if surplus and surplus[0] <= 0.0 else []
     for k in range(len(scanned) - 1):
         if (surplus[k] > 0.0) != (surplus[k + 1] > 0.0):
             balanced.append(brentq(losing.surplus, scanned[k], scanned[k + 1], args=(thermal,), xtol=_CLOSE))

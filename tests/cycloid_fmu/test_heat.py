@@ -152,6 +152,33 @@ def test_a_second_balance_of_heat_is_stated():
     assert power > (second + 5.0 - 293.15) / 0.75
 
 
+def test_a_clearance_that_is_used_up_ends_the_search_where_it_is():
+    """The carrier outgrows the main bearing by E (ε_c - ε_r): below that a steady temperature is found, above none."""
+    main = {"stiffness": "1200 N/um", "clearance": "5 um", "raceway_diameter": "100 mm"}
+    supports = {**PAIR["supports"], "main": main}
+    expansion = dict.fromkeys(("carrier", "discs"), 12.6e-6)
+    limit = 293.15 + 5e-6 / (0.1 * 1.1e-6)
+    for resistance, steady in ((0.6, True), (2.0, False)):
+        thermal = {"resistance": resistance, "capacity": 3000.0, "ambient": "20 degC"}
+        made = drive(DRY, thermal, supports=supports, expansion=expansion)
+        found = made.heat(crank_speed=SPEED, angles=10, workers=1)
+        assert math.isnan(found.oil) != steady
+        assert found.scanned[-1] == pytest.approx(limit, abs=0.3)
+        if not steady:
+            assert "clearance of main" in found.reason
+        else:
+            assert found.power == pytest.approx((found.oil - 293.15) / resistance, rel=1e-3)
+
+
+def test_a_drive_that_jams_has_no_temperature():
+    """Fixed pins of a 10/11 pair jam near a coefficient of 0.37."""
+    sizes = {"gear_teeth": 10, "pin_circle_radius": 40e-3, "pin_radius": 4e-3, "eccentricity": 1.6e-3}
+    found = drive({"flank": {"friction_coefficient": 0.9}}, THERMAL, **sizes).heat(0.1, 10.0, angles=6, workers=1)
+    assert math.isnan(found.oil)
+    assert "jams" in found.reason
+    assert not found.time.size
+
+
 def test_churning_falls_with_the_oil_s_viscosity():
     """At the input alone: D ν/ν_40 W, and the carrier's over z_c²."""
     oil = {"viscosity_40": 150e-6, "viscosity_100": 15e-6}
