@@ -79,6 +79,22 @@ def loss_coefficients(fit: FrictionFit, drive: DriveValue, loop: str | os.PathLi
     ------
     edge.InputError
         If no friction is stated, there is a first stage, or the drive jams at a load of the runs.
+
+    Examples
+    --------
+    >>> import numpy as np, cycloid_fmu as cy, fitting
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+    ...     supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm", "main": {"stiffness": "900 N/um"}},
+    ...     losses={"flank": {"friction_coefficient": 0.06}},
+    ... )
+    >>> time = np.linspace(0.0, 60.0, 6001)
+    >>> speed = 2.0 * np.sin(np.pi * time / 30.0)
+    >>> angle = 60.0 / np.pi * (1.0 - np.cos(np.pi * time / 30.0))
+    >>> run = fitting.Run(input_angle=0.0, output_angle=angle, torque=3.9 * np.sign(speed), time=time)
+    >>> fit = fitting.loss_coefficients(fitting.friction(run), cy.Drive(pair))
+    >>> round(fit.coefficients["input_drag.coulomb"].value, 3)
+    0.1
     """
     figures, notes = _coefficients(fit, drive)
     if loop is not None:
