@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.first_stage import FirstStage
     from cycloid_fmu.losses.figures import LossFigures
+    from cycloid_fmu.losses.heat import Heat
     from cycloid_fmu.motion import Motion
     from cycloid_fmu.reducer.description import Reducer
     from cycloid_fmu.studies.design import Design
@@ -67,6 +68,14 @@ def _torques(given: Any, pair: Pair) -> list[float]:
     if given is None:
         return [pair.rated_load()]
     return [_torque(one) for one in ([given] if isinstance(given, str) or np.ndim(given) == 0 else given)]
+
+
+def _requirements(given: Requirements | str | os.PathLike[str]) -> Requirements:
+    if isinstance(given, str | os.PathLike):
+        from cycloid_fmu.studies.limits import read_requirements
+
+        return read_requirements(given)
+    return given
 
 
 def _tolerances(given: Tolerances | str | os.PathLike[str]) -> Tolerances:
@@ -278,6 +287,74 @@ class Drive(DriveValue):
             progress=progress,
         )
 
+    def heat(
+        self,
+        torque: float | str | None = None,
+        crank_speed: float | str | None = None,
+        *,
+        requirements: Requirements | str | os.PathLike[str] | None = None,
+        angles: int = ANGLES,
+        turns: int = 1,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda temperatures: None,
+    ) -> Heat:
+        """Steady temperature and warm-up, by the losses of `[losses]` and what `[thermal]` gives off.
+
+        Viscosity and clearances are those of each temperature. The loads are driven.
+
+        Parameters
+        ----------
+        torque
+            Torque of the environment on the output, N·m or text with a unit; by default the rated torque.
+        crank_speed
+            Speed of the crank, rad/s or text with a unit.
+        requirements
+            Requirements of the application, or their file, with the duty in place of torque and speed.
+        angles, turns
+            Number of crank angles, and of the crank turns that they span.
+        workers, progress
+            As for `analyze`; function called with 1 for each temperature that was just solved.
+
+        Raises
+        ------
+        edge.InputError
+            If [thermal] or [losses] is missing, or nothing turns.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+        ...     rated_torque="181 N*m",
+        ...     supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm", "main": {"stiffness": "900 N/um"}},
+        ...     losses={"flank": {"friction_coefficient": 0.06}},
+        ...     thermal={"resistance": "1.5 K/W", "capacity": "3 kJ/K", "ambient": "20 degC"},
+        ... )
+        >>> found = cy.Drive(pair).heat(crank_speed="600 rpm", angles=40)
+        >>> round(found.oil - 273.15), round(found.time_to(0.95) / 60)
+        (53, 225)
+        """
+        from cycloid_fmu.losses.heat import Running, heat
+
+        if requirements is not None:
+            rows = _requirements(requirements).duty
+            running = [Running(row.torque, row.output_speed * abs(self.pair.ratio), row.share) for row in rows]
+        else:
+            speed = _quantity("crank_speed", 0.0 if crank_speed is None else crank_speed, "rad/s")
+            running = [Running(_torques(torque, self.pair)[0], speed)]
+        turning = [load for load in running if load.crank_speed > 0.0]
+        if not turning:
+            raise edge.ArgumentError(
+                "crank_speed", "a drive that gets warm turns; give a speed above zero", crank_speed
+            )
+        return heat(
+            self,
+            turning,
+            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
+
     def motion(
         self,
         torque: ArrayLike | str | Sequence[float | str] | None = None,
@@ -378,10 +455,9 @@ class Drive(DriveValue):
         >>> [(one.figure, one.met) for one in cy.Drive(pair).judge(asked, "181 N*m", angles=45).verdicts]
         [('backlash', True), ('max_contact_pressure', False)]
         """
-        from cycloid_fmu.studies.limits import Requirements, read_requirements
         from cycloid_fmu.studies.verdicts import judge_drive
 
-        stated = requirements if isinstance(requirements, Requirements) else read_requirements(requirements)
+        stated = _requirements(requirements)
         return judge_drive(
             self,
             stated,
@@ -543,6 +619,7 @@ class Drive(DriveValue):
         samples: int = 1000,
         seed: int = 1,
         angles: int = ANGLES,
+        requirements: Requirements | str | os.PathLike[str] | None = None,
         workers: int | None = None,
         progress: Callable[[int], None] = lambda drives: None,
     ) -> Findings:
@@ -556,6 +633,8 @@ class Drive(DriveValue):
             Torque on the output, N·m or text with a unit; one or several, by default plus and minus the rated torque.
         samples, seed, angles
             Number of drives, seed that determines them, and number of crank angles of each.
+        requirements
+            Requirements of the application, or their file, whose limits hold in place of those of the tolerances.
         workers, progress
             Number of processes, by default one per core; function called with the number of drives just finished.
 
@@ -590,6 +669,8 @@ class Drive(DriveValue):
             angles=angles,
             first_stage=self.first_stage,
         )
+        if requirements is not None:
+            study = yields.with_requirements(study, _requirements(requirements))
         check_study(study, "pair", "tolerances")
         return yields.conduct(study, workers=workers or os.cpu_count() or 1, progress=progress)
 

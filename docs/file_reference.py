@@ -64,6 +64,10 @@ QUANTITIES = {
     "m^2/s": "kinematic viscosity",
     "m/s": "velocity",
     "W/m^2": "power over area",
+    "W/(m^2*K)": "heat transfer coefficient",
+    "K/W": "thermal resistance",
+    "J/K": "heat capacity",
+    "m^2": "area",
 }
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification], [material] and [supports] are those of a pair file
 INTRODUCTION = """# Files
@@ -86,6 +90,9 @@ class _Schema(GenerateJsonSchema):
 
     def model_schema(self, schema: ModelSchema) -> dict:
         found, stated = super().model_schema(schema), STATED_BY.get(schema["cls"])
+        # A table has the keys of the class that it extends too.
+        inherited = [_meanings(base.__doc__) for base in reversed(schema["cls"].__mro__[1:])]
+        found["inherited"] = {name: text for meanings in inherited for name, text in meanings.items()}
         if stated is not None:
             own, (summary, *rest) = schema["cls"].__doc__, inspect.cleandoc(stated.__doc__ or "").split("\n\n")
             found["description"] = "\n\n".join([own or summary, *rest])
@@ -173,7 +180,8 @@ def _tables(schema: dict, definitions: dict) -> dict[str, tuple[list[str], dict]
 
 def _rows(schema: dict, definitions: dict) -> list[str]:
     """The keys of one table that are no tables themselves."""
-    meanings, needed, rows = _meanings(schema.get("description", "")), schema.get("required", ()), []
+    meanings = schema.get("inherited", {}) | _meanings(schema.get("description", ""))
+    needed, rows = schema.get("required", ()), []
     for key, one in schema.get("properties", {}).items():
         each = one.get("additionalProperties")
         table = _reference(one) or (_reference(each) if isinstance(each, dict) else None)

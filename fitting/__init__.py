@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from fitting.estimation.plan import Plan as Plan
     from fitting.estimation.plan import plan as plan
     from fitting.estimation.result import Identification as Identification
+    from fitting.figures.coefficients import loss_coefficients as loss_coefficients
     from fitting.figures.comparison import compare as compare
     from fitting.figures.friction import FrictionFit as FrictionFit
     from fitting.figures.friction import friction as friction
@@ -33,6 +34,7 @@ _NAMES = {
     "estimation.identify": "identify",
     "estimation.plan": "Plan plan",
     "estimation.result": "Identification",
+    "figures.coefficients": "loss_coefficients",
     "figures.comparison": "compare",
     "figures.friction": "FrictionFit friction",
     "figures.maps": "maps",

@@ -422,6 +422,7 @@ def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):
         "`errors`",
         "`supports`",
         "`losses`",
+        "`thermal`",
         "`expansion`",
     }
     assert all(meanings.values())

@@ -136,6 +136,8 @@ def analyze(
                 typer.echo("Bearing life needs a bearing of [supports] with its dynamic_capacity.")
             if drive.pair.losses is None and "efficiency" in judged.not_judged:
                 typer.echo("Efficiency needs [losses]: no friction stated.")
+            if "temperature" in judged.not_judged:
+                typer.echo("Temperature needs [supports], [losses] and [thermal].")
     for note in notes(drive.stage, found):
         typer.echo(f"Note: {note}", err=True)
     if finished < angles:

@@ -17,6 +17,7 @@ from cycloid_fmu.geometry import ANGLES
 if TYPE_CHECKING:
     from cycloid_fmu.drive import Drive
     from cycloid_fmu.losses.figures import LossFigures
+    from cycloid_fmu.losses.heat import Heat
 
 
 def losses(
@@ -36,12 +37,22 @@ def losses(
             edge.PICTURES, "FILE.png|pdf", "Draw the efficiency over torque and speed, up to the given ones.", "--map"
         ),
     ] = None,
+    duty_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--duty",
+            metavar="REQUIREMENTS.toml",
+            help="Heat over this duty (cycloid-requirements/1), in place of each torque; it needs a thermal table.",
+        ),
+    ] = None,
     surface_file: SurfaceFile = None,
     as_json: commands.AsJson = False,
     angles: Annotated[int, typer.Option(min=1, help="Number of crank angles from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Number of crank turns that the angles span.")] = 1,
 ) -> None:
     """Efficiency, losses by part, and the torques to start, to run and to be driven backwards, with stated friction.
+
+    With a thermal table also how warm the drive gets, and how fast; exit code 4 above its largest temperature.
 
     Example: [cyan]cycloid-fmu losses pair.toml --crank-speed "600 rpm" --torque "181 N*m" --plot losses.png[/]
     """
@@ -60,7 +71,7 @@ def losses(
 
         edge.write_netcdf(labelled_losses(drive, found), output)
     if plot is not None or map_file is not None:
-        from cycloid_fmu.draw.losses import plot_losses, plot_map, save
+        from cycloid_fmu.draw.losses import plot_heat, plot_losses, plot_map, save
 
         if plot is not None:
             save(plot_losses(found), plot)
@@ -69,10 +80,63 @@ def losses(
 
             drawn = efficiency_map(drive, max(map(abs, loads)), crank_speed, found.crank_angle, os.cpu_count() or 1)
             save(plot_map(drawn), map_file)
+    warm = _heat(drive, loads, crank_speed, duty_file, (angles, turns), str(pair_file))
+    if plot is not None and warm:
+        save(plot_heat(warm), plot.with_stem(f"{plot.stem}-heat"))
     if as_json:
-        commands.print_json(found.numbers())
-        return
-    _print(drive, found, pair_file.name)
+        commands.print_json(found.numbers() | ({"thermal": [each.numbers() for each in warm]} if warm else {}))
+    else:
+        _print(drive, found, pair_file.name)
+        _print_heat(warm)
+    if any(each.too_warm for each in warm):
+        raise typer.Exit(edge.NOT_MET)
+
+
+def _heat(
+    drive: Drive, loads: list[float], crank_speed: float, duty_file: Path | None, sweep: tuple[int, int], source: str
+) -> list[Heat]:
+    """Return how warm the drive gets over the duty, or at each torque at the speed; nothing without [thermal]."""
+    from cycloid_fmu.losses.heat import SCANNED, thermal_of
+
+    if duty_file is not None:
+        thermal_of(drive, source)
+    if drive.pair.thermal is None or (duty_file is None and crank_speed == 0.0):
+        return []
+    angles, turns = sweep
+    with commands.progress("temperatures", SCANNED * (1 if duty_file else len(loads))) as progress:
+        if duty_file is not None:
+            return [drive.heat(requirements=duty_file, angles=angles, turns=turns, progress=progress)]
+        return [drive.heat(load, crank_speed, angles=angles, turns=turns, progress=progress) for load in loads]
+
+
+def _print_heat(warm: list[Heat]) -> None:
+    from cycloid_fmu.losses.heat import SHARES
+
+    rows = []
+    for each in warm:
+        (torque, speed, _), several = each.running[0], len(each.running) > 1
+        load = "the duty" if several else f"{torque:g} N·m, {speed * 30.0 / math.pi:.4g} rpm"
+        times = [each.time_to(share) for share in SHARES]
+        minutes = ["" if math.isnan(time) else f"{time / 60.0:.3g} min" for time in times]
+        if each.reason:
+            rows.append([load, "none"])
+            continue
+        efficiency = ", ".join("-" if math.isnan(value) else f"{value:.2%}" for value in each.efficiency)
+        degrees = [f"{kelvin - 273.15:.1f} °C" for kelvin in (each.oil, each.housing)]
+        rows.append([load, *degrees, f"{each.power:.3g} W", efficiency, *minutes])
+    if rows:
+        head = ["load", "oil", "housing", "heat", "efficiency", "63 % warm", "95 % warm"]
+        commands.print_table("Steady temperature", head, [row + [""] * (len(head) - len(row)) for row in rows])
+    for each, row in zip(warm, rows, strict=True):
+        if each.reason:
+            typer.echo(f"At {row[0]} no temperature is steady: {each.reason}.")
+        if each.others:
+            typer.echo(f"At {row[0]} it would get still warmer above {each.others[0] - 273.15:.4g} °C of the oil.")
+        if each.ends:
+            ends = ["none" if end.reason else f"{end.oil - 273.15:.1f} °C" for end in each.ends]
+            typer.echo(f"Within the ranges of the friction the oil at {row[0]} is at {' to '.join(ends)}.")
+        if each.too_warm and each.thermal.largest is not None:
+            typer.echo(f"At {row[0]} the oil is warmer than the largest {each.thermal.largest - 273.15:g} °C.")
 
 
 def _print(drive: Drive, found: LossFigures, name: str) -> None:

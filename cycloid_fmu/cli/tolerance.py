@@ -65,10 +65,10 @@ def tolerance(
     from cycloid_fmu.studies.allocation import check_target
     from cycloid_fmu.studies.limits import not_judged, read_requirements
 
-    asked = None if limits_file is None else read_requirements(limits_file).limits
-    limits = None if asked is None else (asked, str(limits_file))
+    asked = None if limits_file is None else read_requirements(limits_file)
+    requirements = None if asked is None else (asked, str(limits_file))
     settings = {"samples": samples, "seed": seed, "design": design, "angles": angles, "turns": turns}
-    study = yields.read_study(pair_file, tolerances_file, torque, limits, **settings)
+    study = yields.read_study(pair_file, tolerances_file, torque, requirements, **settings)
     if target is not None:
         check_target(study, target, str(tolerances_file))
     machines = {"workers": workers, "scheduler": scheduler}
@@ -76,7 +76,7 @@ def tolerance(
         found = yields.conduct(study, output, progress=progress, **machines)  # type: ignore[arg-type]
     allocation = None if target is None else _allocated(study, target, str(tolerances_file), machines)
     verdicts = [] if asked is None else yields.judged(found.result)
-    missing = [] if asked is None else not_judged(asked, verdicts)
+    missing = [] if asked is None else not_judged(asked.limits, verdicts)
     if plot is not None:
         _plot(found, allocation, verdicts, missing, plot)
     if as_json:
@@ -149,14 +149,17 @@ def _print_statistics(found: Findings, title: str) -> None:
 
 
 def _print_yields(found: Findings) -> None:
+    from cycloid_fmu.studies.limits import is_lower
+
     rows, units = [], _units()
     for name, limit in found.result.study.tolerances.limits.stated().items():
         unit, factor = units[name]
-        rows.append([name.replace("_", " "), f"{limit * factor:g} {unit}", f"{found.yields[name]['share']:.2%}"])
+        allowed = f"{'≥' if is_lower(name, limit) else '≤'} {limit * factor:g} {unit}"
+        rows.append([name.replace("_", " "), allowed, f"{found.yields[name]['share']:.2%}"])
     if rows:
         whole = found.yields["all"]
         rows.append(["all", "", f"{whole['share']:.2%} ({whole['low']:.2%} … {whole['high']:.2%})"])
-        commands.print_table("Yield", ["limit", "largest allowed", "yield (95 % interval)"], rows)
+        commands.print_table("Yield", ["limit", "allowed", "yield (95 % interval)"], rows)
 
 
 def _print_indices(found: Findings) -> None:

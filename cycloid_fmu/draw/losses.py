@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cycloid_fmu.draw.figure import new_figure, show_legend
 from cycloid_fmu.draw.figure import save as save  # re-exported for the command
+from cycloid_fmu.losses.heat import SHARES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from cycloid_fmu.losses.figures import EfficiencyMap, LossFigures
+    from cycloid_fmu.losses.heat import Heat
 
-_RPM = 30.0 / math.pi
+_RPM, _ICE = 30.0 / math.pi, 273.15
 
 
 def plot_losses(found: LossFigures) -> Figure:
@@ -70,6 +73,41 @@ def _show_parts(axis: Axes, found: LossFigures) -> None:
     axis.set_title("Losses by part; efficiency above each bar")
     axis.set_ylabel("W" if found.crank_speed else "J/rad of the crank")
     show_legend(axis, loc="upper right")
+
+
+def plot_heat(warm: Sequence[Heat]) -> Figure:
+    """Draw heat and what is given off over the oil's temperature, and the course of warming up."""
+    timed = any(each.time.size for each in warm)
+    figure, axes = new_figure(1 + timed)
+    figure.set_figheight(3.2 * (1 + timed))
+    for k, each in enumerate(warm):
+        torque, speed, _ = each.running[0]
+        load = "the duty" if len(each.running) > 1 else f"{torque:g} N·m, {speed * _RPM:.4g} rpm of the crank"
+        axes[0].plot(each.scanned - _ICE, each.scanned_power, ".-", color=f"C{k}", label=load)
+        axes[0].plot(each.oil - _ICE, each.power, "o", color=f"C{k}")
+        if each.time.size:
+            hours = each.time / 3600.0
+            axes[1].plot(hours, each.warming - _ICE, color=f"C{k}", label=load)
+            for share in SHARES:
+                reached = each.thermal.ambient + share * (each.oil - each.thermal.ambient)
+                axes[1].plot(each.time_to(share) / 3600.0, reached - _ICE, "o", ms=4, color=f"C{k}")
+    thermal = warm[0].thermal
+    oil = np.array([thermal.ambient, max([thermal.ambient + 1.0, *(each.scanned.max(initial=0.0) for each in warm)])])
+    axes[0].plot(oil - _ICE, (oil - thermal.ambient) / thermal.whole, "k--", lw=1, label="given off")
+    axes[0].set_title("Heat made and given off; steady where they meet")
+    axes[0].set_xlabel("temperature of the oil, °C")
+    axes[0].set_ylabel("W")
+    if timed:
+        axes[1].set_title("Warming up from the surroundings; dots: 63 and 95 % of the rise")
+        axes[1].set_xlabel("h")
+        axes[1].set_ylabel("temperature of the oil, °C")
+    if thermal.largest is not None:
+        axes[0].axvline(thermal.largest - _ICE, color="r", lw=1, label="largest permissible")
+        if timed:
+            axes[1].axhline(thermal.largest - _ICE, color="r", lw=1, label="largest permissible")
+    for axis in axes:
+        show_legend(axis)
+    return figure
 
 
 def plot_map(found: EfficiencyMap) -> Figure:

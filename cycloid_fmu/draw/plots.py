@@ -57,6 +57,7 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     from cycloid_fmu.draw.profiles import plot_profile
     from cycloid_fmu.draw.sweeps import plot_sweep
     from cycloid_fmu.losses.figures import LossFigures
+    from cycloid_fmu.losses.heat import Heat
     from cycloid_fmu.motion import Motion
     from cycloid_fmu.studies.sweep import FORMAT as SWEEP
     from cycloid_fmu.studies.yields import Findings
@@ -80,6 +81,10 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
         from cycloid_fmu.draw.losses import plot_losses
 
         figure = plot_losses(result)
+    elif isinstance(result, Heat):
+        from cycloid_fmu.draw.losses import plot_heat
+
+        figure = plot_heat([result])
     elif isinstance(result, WearRun):
         from cycloid_fmu.draw.wear_plots import plot_wear
 
@@ -406,7 +411,7 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
 
 
 # SI unit of a tolerance study's figures: (unit shown, its factor)
-SHOWN = {"rad": ("arcsec", ARCSEC), "Pa": ("MPa", 1e-6), "m": ("µm", 1e6)}
+SHOWN = {"rad": ("arcsec", ARCSEC), "Pa": ("MPa", 1e-6), "m": ("µm", 1e6), "N*m": ("N·m", 1.0), "1": ("%", 100.0)}
 
 
 def plot_tolerance(result: object) -> Figure:
@@ -429,15 +434,20 @@ def plot_tolerance(result: object) -> Figure:
     for axis, name in zip(axes, names, strict=False):
         unit, factor = SHOWN[FIGURES[name][0]]
         values = result.figure(name)[result.independent] * factor
+        infinite = int(np.isinf(values).sum())
+        values = values[np.isfinite(values)] if infinite else values
         signed = name == "mean_transmission_error"  # both directions together would have a gap between them
         for k, column in enumerate(values.reshape(len(values), -1).T):
             label = f"{study.torque[k]:g} N·m" if name in PER_TORQUE else None
             column = column * np.sign(study.torque[k] or 1.0) if signed else column
-            if _varies(column):
+            if not column.size:
+                axis.text(0.5, 0.5, "none in any drive", transform=axis.transAxes, ha="center")
+            elif _varies(column):
                 axis.hist(column, bins="auto", histtype="stepfilled", alpha=0.5, label=label)
             else:
                 axis.plot(column[0], column.size, "o", label=label or "all drives")
-        axis.set(xlabel=f"{name.replace('_', ' ')}{', along the load' if signed else ''} [{unit}]", ylabel="drives")
+        said = ", along the load" if signed else f", none in {infinite} drives" if infinite else ""
+        axis.set(xlabel=f"{name.replace('_', ' ')}{said} [{unit}]", ylabel="drives")
         axis.yaxis.set_major_locator(MaxNLocator(integer=True))
         if name in limits:
             _show_limit(
@@ -452,7 +462,7 @@ def plot_tolerance(result: object) -> Figure:
 
 def _varies(values: NDArray[np.float64]) -> bool:
     """Whether the drives of a study differ by more than rounding."""
-    return bool(np.ptp(values) > 1e-6 * np.abs(values).max())
+    return bool(np.isinf(values).any() or np.ptp(values) > 1e-6 * np.abs(values).max())
 
 
 def _show_limit(axis: Axes, limit: float, label: str) -> None:

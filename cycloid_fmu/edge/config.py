@@ -77,6 +77,10 @@ ThermalExpansion = Annotated[float, *_in_unit("1/K")]
 TemperatureCoefficient = Annotated[float, *_in_unit("1/K")]
 PressureViscosity = Annotated[float, *_in_unit("1/Pa")]
 KinematicViscosity = Annotated[float, *_in_unit("m^2/s")]
+ThermalResistance = Annotated[float, *_in_unit("K/W")]
+HeatTransfer = Annotated[float, *_in_unit("W/(m^2*K)")]
+HeatCapacity = Annotated[float, *_in_unit("J/K")]
+Area = Annotated[float, *_in_unit("m^2")]
 WearCoefficient = Annotated[float, *_in_unit("m^2/N")]
 
 

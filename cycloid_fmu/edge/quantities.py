@@ -46,6 +46,10 @@ EXAMPLES = {
     "N*m*s/rad": "1e-3 N*m*s/rad",
     "m/s": "0.5 m/s",
     "W/m^2": "20 W/mm^2",
+    "W/(m^2*K)": "20 W/(m^2*K)",
+    "K/W": "0.5 K/W",
+    "J/K": "4 kJ/K",
+    "m^2": "0.1 m^2",
 }
 # The usual units, so that reading them takes no half a second to load pint; a test compares each with pint.
 USUAL = {
@@ -92,6 +96,10 @@ USUAL = {
     "N*m*s/rad": {"N*m*s/rad": 1.0},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "W/m^2": {"W/m^2": 1.0, "W/mm^2": 1e6},
+    "W/(m^2*K)": {"W/(m^2*K)": 1.0},
+    "K/W": {"K/W": 1.0},
+    "J/K": {"J/K": 1.0, "kJ/K": 1e3},
+    "m^2": {"m^2": 1.0, "cm^2": 1e-4},
     "N/m": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6, "kN/mm": 1e6},
 }
 _CELSIUS, _ICE = ("degC", "°C"), 273.15  # the one unit with an offset: a temperature, never a difference

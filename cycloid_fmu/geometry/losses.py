@@ -112,14 +112,6 @@ class Seat(Friction):
 
     Attributes
     ----------
-    friction
-        Name of an entry of `friction_values.VALUES`, such as "steel, grease", instead of both coefficients.
-    friction_coefficient
-        μ at speed.
-    static_friction_coefficient
-        μ_s at rest; default: μ.
-    stribeck_speed
-        v_s, m/s; without it the coefficient is μ at any speed above zero.
     radius
         r_J, m: of a seat the pin's radius, of a sleeve its bore, of needles their pitch radius.
     pressure
@@ -141,19 +133,6 @@ class OutputRoller(Seat):
 
     Attributes
     ----------
-    friction
-        Name of an entry of `friction_values.VALUES`, such as "steel, grease", instead of both coefficients.
-    friction_coefficient
-        μ at speed.
-    static_friction_coefficient
-        μ_s at rest; default: μ.
-    stribeck_speed
-        v_s, m/s; without it the coefficient is μ at any speed above zero.
-    radius
-        r_J, m: of a seat the pin's radius, of a sleeve its bore, of needles their pitch radius.
-    pressure
-        Distribution of the pressure around it, which gives the moment κ μ F r_J: a "line" (κ = 1) or over the half
-        shell as the "cosine" (κ = 4/π).
     outer_radius
         r_w of a roller, or of a pin that does not turn, m.
     """
@@ -173,14 +152,6 @@ class Bearing(Friction):
 
     Attributes
     ----------
-    friction
-        Name of an entry of `friction_values.VALUES`, such as "steel, grease", instead of both coefficients.
-    friction_coefficient
-        μ at speed.
-    static_friction_coefficient
-        μ_s at rest; default: μ.
-    stribeck_speed
-        v_s, m/s; without it the coefficient is μ at any speed above zero.
     mean_diameter
         d_m of a rolling bearing, m.
     load_factor
@@ -260,14 +231,17 @@ class Drag(Config):
         Part that does not depend on the speed, N·m.
     viscous
         Part proportional to the speed, N·m·s/rad.
+    churning
+        Part proportional to the speed and to the lubricant's viscosity, at its viscosity at 40 °C, N·m·s/rad.
     """
 
     coulomb: Annotated[edge.Torque, pydantic.AfterValidator(_not_negative)] = 0.0
     viscous: Annotated[edge.RotationalDamping, pydantic.AfterValidator(_not_negative)] = 0.0
+    churning: Annotated[edge.RotationalDamping, pydantic.AfterValidator(_not_negative)] = 0.0
 
-    def torque(self, speed: float) -> float:
-        """Return the drag at a speed (rad/s), N·m."""
-        return self.coulomb + self.viscous * abs(speed)
+    def torque(self, speed: float, thinning: float) -> float:
+        """Return the drag at a speed (rad/s) and at ν/ν_40 of the lubricant, N·m."""
+        return self.coulomb + (self.viscous + thinning * self.churning) * abs(speed)
 
 
 class Lubricant(Config):
@@ -353,6 +327,8 @@ class Losses(Config):
     def _whole(self) -> Losses:
         if self.output_contact != Friction() and self.output_roller is None:
             raise ValueError("[losses.output_contact] needs [losses.output_roller] outer_radius, which is missing")
+        if self.lubricant is None and (self.input_drag.churning > 0.0 or self.output_drag.churning > 0.0):
+            raise ValueError("[losses.lubricant] is missing: churning needs its viscosity")
         return self
 
     def at_end(self, high: bool) -> Losses:

@@ -24,6 +24,7 @@ from cycloid_fmu.geometry import temperature as thermal
 from cycloid_fmu.geometry.losses import Losses
 from cycloid_fmu.geometry.supports import Supports
 from cycloid_fmu.geometry.temperature import Expansions, Temperatures
+from cycloid_fmu.geometry.thermal import Thermal
 
 FORMAT = "cycloid-pair/1"
 LOST_MOTION_LOAD = 0.03  # share of the rated torque (GB/T 40731)
@@ -128,6 +129,7 @@ class _File(Config):
     material: Materials = Materials()
     supports: Supports | None = None
     losses: Losses | None = None
+    thermal: Thermal | None = None
     temperature: Temperatures | None = None
     expansion: Expansions = Expansions()
 
@@ -168,6 +170,8 @@ class Pair(Config):
         Supports of discs and carrier; None for rigid bearings.
     losses
         Friction and drags; None if no friction is stated. Part of `Drive.losses` alone.
+    thermal
+        How the drive gives off heat; None if that is not stated. Part of `Drive.heat` alone.
     temperature
         Temperatures of the bodies; None for 20 °C, the reference of the drawing.
     expansion
@@ -210,6 +214,7 @@ class Pair(Config):
     material: Materials = Materials()
     supports: Supports | None = None
     losses: Losses | None = None
+    thermal: Thermal | None = None
     temperature: Temperatures | None = None
     expansion: Expansions = Expansions()
     errors: pydantic.InstanceOf[Errors] = Errors()
@@ -488,6 +493,10 @@ _SHOWN_UNITS = {
     "m^2/s": ("mm^2/s",),
     "N*m*s/rad": (),
     "1/K": (),
+    "W/(m^2*K)": (),
+    "K/W": (),
+    "J/K": (),
+    "m^2": (),
 }
 
 
@@ -551,6 +560,8 @@ def _text_of(pair: Pair) -> str:
         lines += [*_table_lines("supports", pair.supports, Supports), *_tables_below("supports", pair.supports)]
     if pair.losses is not None:
         lines += _tables_below("losses", pair.losses) or ["[losses]"]
+    if pair.thermal is not None:
+        lines += _table_lines("thermal", pair.thermal, Thermal)
     if pair.temperature is not None:
         lines += _table_lines("temperature", pair.temperature, Temperatures)
     if pair.expansion != Expansions():
@@ -597,6 +608,7 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
             material=file.material,
             supports=file.supports,
             losses=file.losses,
+            thermal=file.thermal,
             temperature=file.temperature,
             expansion=file.expansion,
             errors=errors,

@@ -24,7 +24,7 @@ REFERENCE = 293.15
 """K: temperature at which the sizes of a drawing hold (ISO 1)."""
 STEEL = 11.5e-6
 """1/K: expansion of steel, that of gauge blocks between 10 and 30 °C, ± 1e-6 (ISO 3650)."""
-_COLDEST, _HOTTEST = 213.15, 473.15
+_COLDEST, HOTTEST = 213.15, 473.15
 _LARGEST_EXPANSION = 3e-4  # 1/K, above that of any polymer that gears are made of
 BODIES = ("ring", "pins", "discs", "carrier", "crank")
 _AROUND = {
@@ -39,7 +39,7 @@ _AROUND = {
 
 
 def _in_range(value: float) -> float:
-    if not _COLDEST <= value <= _HOTTEST:
+    if not _COLDEST <= value <= HOTTEST:
         raise ValueError("a temperature must be between -60 degC and 200 degC")
     return value
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +121,7 @@ class LossFigures:
 
     def numbers(self) -> dict[str, Any]:
         """Return everything for scripts, SI."""
-        ranges = [[one.efficiency for one in each] for each in zip(*(end.cases for end in self.ends), strict=True)]
+        ranges = [[end.efficiency for end in case] for case in zip(*(end.cases for end in self.ends), strict=True)]
         results = [case.numbers() for case in self.cases]
         for result, ends in zip(results, ranges, strict=False):
             result["efficiency_range"] = ends
@@ -145,12 +145,12 @@ def _largest(values: Array) -> float:
     return float(values.max())
 
 
-def load_cases(drive: DriveValue, found: Rubbed) -> list[LoadCase]:
+def load_cases(drive: DriveValue, rubbed: Rubbed) -> list[LoadCase]:
     """Return efficiency and losses at every torque of a sweep."""
     cases = []
-    for k, torque in enumerate(found.motion.torque):
-        work_in, work_out = float(found.input_work[k]), -found.direction * float(torque) / drive.pair.gear_teeth
-        loss = {name: float(value) for name, value in zip(PARTS, found.loss[k].mean(axis=0), strict=True)}
+    for k, torque in enumerate(rubbed.motion.torque):
+        work_in, work_out = float(rubbed.input_work[k]), -rubbed.direction * float(torque) / drive.pair.gear_teeth
+        loss = {name: float(value) for name, value in zip(PARTS, rubbed.loss[k].mean(axis=0), strict=True)}
         efficiency, jams = math.nan, math.isnan(work_in)
         if work_out < 0.0:
             # An input that helps the driven output has no efficiency either.
@@ -158,15 +158,15 @@ def load_cases(drive: DriveValue, found: Rubbed) -> list[LoadCase]:
             jams = jams or 0.0 <= efficiency < JAMMED
         elif work_out > 0.0:
             efficiency = -work_in / work_out
-        heat = found.crank_speed * sum(loss.values())
-        cases.append(LoadCase(float(torque), found.direction, math.nan if jams else efficiency, jams, loss, heat))
+        heat = rubbed.crank_speed * sum(loss.values())
+        cases.append(LoadCase(float(torque), rubbed.direction, math.nan if jams else efficiency, jams, loss, heat))
     return cases
 
 
 def starting(drive: DriveValue, loads: Sequence[float], crank_angle: Array, **options: Any) -> dict[float, Array]:
     """Return the torque of the input (N·m) that starts a drive from rest at every angle, by load (N·m, not below 0)."""
-    found = solve(drive, np.array(loads), crank_angle, 1, 0.0, **options)
-    return dict(zip(loads, np.abs(found.input_torque), strict=True))
+    at_rest = solve(drive, np.array(loads), crank_angle, 1, 0.0, **options)
+    return dict(zip(loads, np.abs(at_rest.input_torque), strict=True))
 
 
 def back_driving(drive: DriveValue, largest: float, crank_angle: Array, **options: Any) -> Array:
@@ -178,37 +178,59 @@ def back_driving(drive: DriveValue, largest: float, crank_angle: Array, **option
 
     def work(torque: Array, near: Array | None) -> tuple[Array, Array]:
         """Work that the input gives off; a drive that jams gives off none."""
-        found = solve(drive, torque[None], crank_angle, -1, 0.0, near=near, **options)
-        given = found.direction * found.input_rate * found.input_torque[0]
-        return np.where(np.isnan(given), -1.0, -given), np.nan_to_num(found.place)
+        at_rest = solve(drive, torque[None], crank_angle, -1, 0.0, near=near, **options)
+        given = at_rest.direction * at_rest.input_rate * at_rest.input_torque[0]
+        return np.where(np.isnan(given), -1.0, -given), np.nan_to_num(at_rest.place)
 
     angles = np.asarray(crank_angle)
     outer, inner = np.full(angles.size, largest), np.zeros(angles.size)
     at_outer, place = work(outer, None)
-    at_inner, found = at_outer.copy(), np.zeros(angles.size, dtype=bool)
+    at_inner, bracketed = at_outer.copy(), np.zeros(angles.size, dtype=bool)
     for share in _LOADS[1:]:
-        torque = np.where(found, outer, share * largest)
+        torque = np.where(bracketed, outer, share * largest)
         now, place = work(torque, place)
-        passed = ~found & ((now > 0.0) != (at_outer > 0.0))
+        passed = ~bracketed & ((now > 0.0) != (at_outer > 0.0))
         inner, at_inner = np.where(passed, torque, inner), np.where(passed, now, at_inner)
-        found |= passed
-        outer, at_outer = np.where(found, outer, torque), np.where(found, at_outer, now)
-        if found.all():
+        bracketed |= passed
+        outer, at_outer = np.where(bracketed, outer, torque), np.where(bracketed, at_outer, now)
+        if bracketed.all():
             break
-    if found.any():
+    if bracketed.any():
         for _ in range(_STEPS):
             # Illinois: a bisection where the straight line would not halve the bracket from both sides.
             line = inner - at_inner * (outer - inner) / np.where(at_outer != at_inner, at_outer - at_inner, 1.0)
-            torque = np.where(found, line, outer)
+            torque = np.where(bracketed, line, outer)
             now, place = work(torque, place)
             same = (now > 0.0) == (at_outer > 0.0)
             at_inner = np.where(same, 0.5 * at_inner, now)
             at_outer = np.where(same, now, 0.5 * at_outer)
             outer, inner = np.where(same, torque, outer), np.where(same, inner, torque)
-            if not (np.abs(now[found]) > _CLOSE * largest / drive.pair.gear_teeth).any():
+            if not (np.abs(now[bracketed]) > _CLOSE * largest / drive.pair.gear_teeth).any():
                 break
-        return np.where(found, torque, np.where(at_outer > 0.0, 0.0, np.nan))
+        return np.where(bracketed, torque, np.where(at_outer > 0.0, 0.0, np.nan))
     return np.where(at_outer > 0.0, 0.0, np.nan)
+
+
+class Breakaway(NamedTuple):
+    """Friction at the output from rest, as a loop with a locked shaft shows it."""
+
+    without_load: float  # N·m
+    per_load: float  # of the spring's torque, 1; infinite where the drive jams
+
+
+def breakaway(drive: DriveValue, load: float, crank_angle: Array, **options: Any) -> Breakaway:
+    """Return the friction of a loop between no load and one (N·m), mean over the crank angles (rad).
+
+    One way the input drives against the output's torque, the other way it holds it, both from rest: friction is half of
+    the difference of the two torques, the spring's torque half of their sum. Which shaft is locked makes no difference.
+    """
+    up, down = (
+        abs(drive.ratio) * solve(drive, np.array([0.0, load]), crank_angle, s, 0.0, **options).input_torque.mean(axis=1)
+        for s in (1, -1)
+    )
+    friction, spring = 0.5 * np.abs(up - down), 0.5 * np.abs(up + down)
+    growth = float((friction[1] - friction[0]) / (spring[1] - spring[0]))
+    return Breakaway(float(friction[0]), math.inf if math.isnan(growth) else growth)
 
 
 def figures(
@@ -245,17 +267,13 @@ def figures(
     idle = solve(drive, np.zeros(1), angles, 1, crank_speed, workers=workers)
     rated, largest = drive.pair.rated_torque, float(np.abs(loads).max(initial=0.0))
     searched = largest if rated is None else rated
-    ends: tuple[LossFigures, ...] = ()
-    losses = losses_of(drive)
-    if losses.from_table:
-        pairs = [drive.pair.replace(losses=losses.at_end(high)) for high in (False, True)]
-        drives = [DriveValue(pair, drive.surface, drive.first_stage) for pair in pairs]
-        ends = tuple(figures(one, torque, crank_angle, crank_speed, workers=workers) for one in drives)
+    ends = tuple(figures(end, torque, crank_angle, crank_speed, workers=workers) for end in at_ends(drive))
     at_rest = starting(drive, sorted({0.0, *np.abs(loads).tolist()}), angles, workers=workers)
+    by_direction = [load_cases(drive, sweep) for sweep in sweeps.values()]
     return LossFigures(
         crank_speed,
         sweeps,
-        tuple(case for k in range(loads.size) for case in (load_cases(drive, sweeps[s])[k] for s in (1, -1))),
+        tuple(case for cases in zip(*by_direction, strict=True) for case in cases),
         float(np.abs(idle.input_torque.mean())),
         at_rest,
         back_driving(drive, searched, angles, workers=workers),
@@ -263,6 +281,13 @@ def figures(
         angles,
         ends,
     )
+
+
+def at_ends(drive: DriveValue) -> list[DriveValue]:
+    """Return the drive with all friction from the table at its low and at its high end; none without such friction."""
+    losses = losses_of(drive)
+    pairs = [drive.pair.replace(losses=losses.at_end(high)) for high in (False, True)] if losses.from_table else []
+    return [DriveValue(pair, drive.surface, drive.first_stage) for pair in pairs]
 
 
 @dataclass(frozen=True)

@@ -256,10 +256,10 @@ def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbi
         # Springs that only centre what is loose rub on nothing.
         acting = reaction(assembly, joint, d, 0.0)
         f = joint_friction(rubbing, joint, joint_speed(problem, assembly, joint, d, work), acting.force)
+        if joint.reach > 0.0 and acting.stiffness == 0.0:
+            continue
         lost, by_crank, unknowns = abs(f.amplitude * f.speed), 0.0, derivatives(assembly, joint, d, work)
         if joint.reach > 0.0:
-            if acting.stiffness == 0.0:
-                continue
             loss[OUTPUT + (TURNING if f.turns else SLIDING)] += lost
             radius = rubbing.laws[int(joint.law)].outer_radius
             write_sliding(assembly, joint, radius, d, work, unknowns, slope.sliding)

@@ -26,8 +26,8 @@ def _alone(losses: Losses, part: str, coefficient: str) -> Losses | None:
     if stated is None or (part == "output_contact" and losses.output_roller is None):
         return None
     zeros = {name: 0.0 for name in stated.linear_in if getattr(stated, name) is not None}
-    if coefficient not in zeros:
-        return None
+    if coefficient not in zeros or (coefficient == "speed_factor" and losses.lubricant is None):
+        return None  # without a viscosity a speed factor makes no friction
     one = stated.replace(friction=None, **{**zeros, coefficient: 1.0})
     kept = {name: getattr(losses, name) for name in ("output_roller", "lubricant")}
     if part != "output_roller" and kept["output_roller"] is not None:
@@ -90,6 +90,7 @@ def sensitivity(drive: DriveValue, found: Rubbed, load: int = 0, slices: int | N
                 by[f"{part}.{coefficient}"] = np.einsum("alc,lc->a", by_law, each)
     by["output_drag.coulomb"] = by_carrier[:, 0]
     by["output_drag.viscous"] = by_carrier[:, 0] * found.crank_speed / pair.gear_teeth
+    by["output_drag.churning"] = by["output_drag.viscous"] * losses.thinning
     if losses.first_stage is not None and drive.first_stage is not None:
         by["first_stage.loss"] = by_carrier[:, 1]
         if losses.first_stage.loss is None:

@@ -63,7 +63,8 @@ def _coefficients(friction: Friction | None, speed: float, thinning: float) -> t
     return friction.friction_coefficient, friction.static, decay
 
 
-def _contact_law(law: np.record, contact: Friction, seat: Seat | None, speed: float, thinning: float) -> None:
+def contact_law(law: np.record, contact: Friction, seat: Seat | None, speed: float, thinning: float) -> None:
+    """Write the friction of a contact and of what its pin or roller turns in, at a speed of the crank, rad/s."""
     law["kinetic"], law["static"], law["decay"] = _coefficients(contact, speed, thinning)
     if seat is not None and seat.radius is not None:
         law["joint_kinetic"], law["joint_static"], decay = _coefficients(seat, speed, thinning)
@@ -104,13 +105,13 @@ def laws_of(pair: Pair, losses: Losses, crank_speed: float) -> NDArray[np.void]:
     laws: Any = np.zeros(len(kinds) + 1, LAW)
     for law, kind in zip(laws, kinds, strict=False):
         if kind.name == "output_roller":
-            _contact_law(law, losses.output_contact, losses.output_roller, crank_speed, thinning)
+            contact_law(law, losses.output_contact, losses.output_roller, crank_speed, thinning)
             roller = losses.output_roller
             law["outer_radius"] = roller.outer_radius if roller is not None else 0.0
         elif (bearing := getattr(losses, kind.name)) is not None:
             relative = float(np.abs(rate[kind.outer] - rate[kind.inner]).max())
             _bearing_law(law, bearing, relative, crank_speed, losses)
-    _contact_law(laws[-1], losses.flank, losses.pin, crank_speed, thinning)
+    contact_law(laws[-1], losses.flank, losses.pin, crank_speed, thinning)
     return cast(NDArray[np.void], laws)
 
 
@@ -135,7 +136,7 @@ def rubbing_of(drive: DriveValue, direction: int, crank_speed: float) -> Rubbing
         rad/s, not below 0; at 0 friction is that at rest.
     """
     losses, first = losses_of(drive), drive.first_stage
-    drag, loss = losses.output_drag.torque(crank_speed / drive.pair.gear_teeth), 0.0
+    drag, loss = losses.output_drag.torque(crank_speed / drive.pair.gear_teeth, losses.thinning), 0.0
     if first is not None and losses.first_stage is not None:
         loss = losses.first_stage.share(first.sun_teeth, first.planet_teeth)
     laws = laws_of(drive.pair.at_temperature, losses, crank_speed)
@@ -256,7 +257,7 @@ def solve(
     for values in (*found[1:4], found.max_contact_pressure, found.pin_force, found.pin_pressure, found.force, loss):
         values[jammed] = np.nan
     rate = sun_rate(drive)
-    drag = losses_of(drive).input_drag.torque(rate * crank_speed)
+    drag = losses_of(drive).input_drag.torque(rate * crank_speed, losses_of(drive).thinning)
     loss[..., DRAG_INPUT] = np.where(jammed, np.nan, drag * abs(rate))
     of_input = found.crank_torque
     if drive.first_stage is not None:

@@ -318,7 +318,7 @@ def parse_reducer(text: str, source: str) -> Reducer:
         If it is not a valid reducer; one sentence for each problem, with field, value and `source`.
     """
     table = edge.toml_table(text, FORMAT, source)
-    of_stage = ("pair", "modification", "material", "supports", "losses")
+    of_stage = ("pair", "modification", "material", "supports", "losses", "thermal", "expansion")
     stage: dict[str, Any] = {k: table.pop(k) for k in of_stage if k in table}
     if isinstance(stated := table.pop("errors", {}), dict) and set(stated) <= {"supports"}:
         stage["errors"] = stated

@@ -97,6 +97,10 @@ def allocate(
         if stated_yield is None:
             stated_yield = float(np.mean(_largest_demand(few, here) <= 1.0))
         wider = [run(scaled(few, scale * (1.0 + _WIDER * one)), **machines).values for one in np.eye(costs.size)]
+        if not np.isfinite([here, *wider]).all():
+            raise edge.InputError(
+                f"{source}: [limits] can't be allocated: some drives jam, or no torque turns them backwards."
+            )
         slopes = (np.array(wider) - here) / (_WIDER * scale[:, None, None])
         scale = _cheapest(few, target, costs, scale, region, here, slopes)
         progress(1)
@@ -122,6 +126,8 @@ def check_target(study: Study, target: float, source: str) -> None:
         raise edge.ArgumentError("target", "the yield to reach must be between 0 and 1", target)
     if not study.tolerances.limits.stated():
         raise edge.InputError(f"{source}: [limits] is missing; a yield needs at least one limit.")
+    if "self_locking" in study.friction:
+        raise edge.InputError(f"{source}: [limits] self_locking can't be allocated, as it is true or false.")
     for name, taken in demand(study, figures_of(study, nominal_surface(study.pair))[None]).items():
         if taken[0] > 1.0:
             raise edge.InputError(

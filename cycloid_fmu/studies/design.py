@@ -31,9 +31,10 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.losses.flanks import flanks_rub
 from cycloid_fmu.reducer.drive_file import parts_of_file
 from cycloid_fmu.studies.friction import FIGURES as FRICTION
-from cycloid_fmu.studies.friction import friction_figures
+from cycloid_fmu.studies.friction import friction_figures, sliding_at
 from cycloid_fmu.studies.limits import (
     LOWER,
     SHOWN,
@@ -54,7 +55,6 @@ from cycloid_fmu.supports.figures import bearing_loads, lives_over_duty
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import profile_names, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
-from cycloid_fmu.wear.friction import flank_friction, sliding_of
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-design/1"
@@ -65,7 +65,7 @@ FORMS = tuple(profile_names((1, 2, 3, 4)))
 VARIABLES = {**dict.fromkeys((*SIZES, *MODIFICATIONS), "m"), ROTATION: "rad", **dict.fromkeys(FORMS, "m")}
 """Variables of a search with their units: sizes and modification of a pair file; rotation of both flanks of each tooth
 towards each other about the gear's centre (> 0 removes material); orders of a profile that all teeth share."""
-GOALS = tuple(name for name in Limits.model_fields if name not in ("wear_depth", "self_locking"))
+GOALS = tuple(name for name in Limits.model_fields if name not in ("wear_depth", "temperature", "self_locking"))
 """Figures that can be a goal or a limit of a design; a size can be a goal too and is minimised."""
 
 _SHOWN = {
@@ -286,7 +286,7 @@ def values_over_sweep(
     speeds = [load.output_speed * abs(pair.ratio) for load, _ in turning]
     if limits & {"sliding_speed", "friction_power_density"}:
         slides = [
-            sliding_of(pair, angles, found.pin_force[k], found.pin_pressure[k], speed, flank_friction(pair))
+            sliding_at(DriveValue(pair, one.surface), found, k, speed)
             for (_, k), speed in zip(turning, speeds, strict=True)
         ]
         for name in limits & {"sliding_speed", "friction_power_density"}:
@@ -852,6 +852,8 @@ def _check(pair: Pair, task: DesignTask) -> None:
         raise edge.InputError("[[duty]] is missing; state it, or rated_torque of the pair.")
     if task.limits.wear_depth is not None:
         raise edge.InputError("[limits] wear_depth: a search does not include wear; remove it.")
+    if task.limits.temperature is not None:
+        raise edge.InputError("[limits] temperature: a search does not include heat; limit efficiency or remove it.")
     if task.limits.self_locking is not None:
         raise edge.InputError("[limits] self_locking: a search needs numbers; limit back_driving_torque or remove it.")
     if pair.losses is None and (rubbing := {*task.goals, *task.limits.stated()} & set(FRICTION)):
@@ -869,7 +871,7 @@ def _check(pair: Pair, task: DesignTask) -> None:
         if name in asked and not any(load.output_speed > 0.0 for load in task.duty):
             refuse(f"{name} needs speeds; state [[duty]] with an output_speed above 0")
     needs = "friction_power_density" in (*task.goals, *task.limits.stated())
-    if needs and flank_friction(pair) is None:
+    if needs and not flanks_rub(pair):
         raise edge.InputError("friction_power_density: no friction stated; state [losses.flank] of the pair.")
     supports = pair.supports
     bearings = () if supports is None else (supports.turning_arm, supports.crank_shaft, supports.main)
@@ -891,7 +893,7 @@ def shown(name: str, value: float) -> tuple[str, str]:
     >>> shown("backlash", 0.00029), shown("pin_radius", 0.003), shown("offset", -4e-05)
     (('0.99695', 'arcmin'), ('3', 'mm'), ('-40', 'µm'))
     """
-    unit, factor = SHOWN[name] if name in SHOWN else _SHOWN[name]
+    unit, factor = SHOWN[name][:2] if name in SHOWN else _SHOWN[name]
     return f"{value * factor:.5g}", unit
 
 

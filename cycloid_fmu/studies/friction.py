@@ -1,4 +1,4 @@
-"""Figures of a drive with friction that have limits: efficiency over a duty, starting and back-driving torque."""
+"""Figures of a drive with friction that have limits: efficiency, starting and back-driving torque, sliding."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.losses import figures
+from cycloid_fmu.losses.flanks import flanks_rub
 from cycloid_fmu.losses.solver import solve
+from cycloid_fmu.wear.friction import Sliding, sliding_of
 
 Array = NDArray[np.float64]
 FIGURES = ("efficiency", "starting_torque", "back_driving_torque", "self_locking")
@@ -36,6 +39,32 @@ class FrictionFigures(NamedTuple):
     starting_torque: Array
     back_driving_torque: Array
     searched_to: float
+
+
+def sliding_at(
+    drive: DriveValue, frictionless: Transmission, load: int, crank_speed: float, workers: int = 1
+) -> Sliding:
+    """Return the sliding of every pin of the driving drive at a load of a sweep.
+
+    Forces are those with friction where the drive states it and has [supports], otherwise those of the sweep.
+
+    Parameters
+    ----------
+    drive
+        The drive.
+    frictionless
+        Its sweep; `load` is the index of its torque.
+    crank_speed
+        rad/s, above zero.
+    workers
+        Threads.
+    """
+    pair, torque, angles = drive.pair, float(frictionless.torque[load]), frictionless.crank_angle
+    force, pressure = frictionless.pin_force[load], frictionless.pin_pressure[load]
+    if pair.supports is not None and flanks_rub(pair):
+        rubbed = solve(drive, np.array([torque]), angles, 1 if torque >= 0.0 else -1, crank_speed, workers=workers)
+        force, pressure = rubbed.motion.pin_force[0], rubbed.motion.pin_pressure[0]
+    return sliding_of(pair, angles, force, pressure, crank_speed)
 
 
 def friction_figures(

@@ -11,7 +11,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import pydantic
@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import LARGEST_PRESSURE
 from cycloid_fmu.geometry.pair import Material, Pair, smallest_convex_radius
+from cycloid_fmu.geometry.temperature import BodyTemperature
+from cycloid_fmu.losses.heat import Heat
 from cycloid_fmu.studies.friction import FrictionFigures
 from cycloid_fmu.supports.figures import DutyLife
 from cycloid_fmu.surfaces import sampling
@@ -60,15 +62,8 @@ class Limits(sampling.Limits):
         Largest allowed friction power per contact area, μ p v with the mean Hertzian pressure, W/m²; by [losses.flank].
     wear_depth
         Largest allowed on flanks and pins, m.
-    efficiency
-        Smallest allowed of the driving drive, at every row of the duty that turns under load; by [losses].
-    starting_torque
-        Largest allowed at the input without a load, from rest, over the crank angles, N·m.
-    back_driving_torque
-        Largest allowed on the output that turns the drive backwards from rest, over the crank angles, N·m.
-    self_locking
-        Whether no torque up to the rated one may turn the drive backwards from rest (true: at no crank angle; false: at
-        every crank angle some torque must).
+    temperature
+        Largest allowed of the oil that runs the duty until nothing gets warmer, K; by [losses] and [thermal].
     """
 
     torsional_stiffness: Annotated[edge.TorsionalStiffness, _ABOVE_ZERO] | None = None
@@ -78,10 +73,7 @@ class Limits(sampling.Limits):
     sliding_speed: Annotated[edge.Velocity, _ABOVE_ZERO] | None = None
     friction_power_density: Annotated[edge.PowerDensity, _ABOVE_ZERO] | None = None
     wear_depth: Annotated[edge.Length, _ABOVE_ZERO] | None = None
-    efficiency: float | None = pydantic.Field(default=None, gt=0.0, le=1.0)
-    starting_torque: Annotated[edge.Torque, _ABOVE_ZERO] | None = None
-    back_driving_torque: Annotated[edge.Torque, _ABOVE_ZERO] | None = None
-    self_locking: bool | None = pydantic.Field(default=None, strict=True)
+    temperature: BodyTemperature | None = None
 
     @property
     def of_study(self) -> sampling.Limits:
@@ -91,25 +83,40 @@ class Limits(sampling.Limits):
 
 LOWER = ("torsional_stiffness", "static_safety", "smallest_curvature_radius", "bearing_life", "efficiency")
 """Limits that are the smallest allowed; the others are the largest."""
+
+
+class Shown(NamedTuple):
+    """How reports show a figure: its unit, the factor, and the SI value that is shown as 0."""
+
+    unit: str
+    factor: float
+    zero: float = 0.0
+
+    def __call__(self, value: float) -> float:
+        """Return an SI value in the unit."""
+        return (value - self.zero) * self.factor
+
+
 SHOWN = {
-    "angular_transmission_error": ("arcsec", edge.ARCSEC),
-    "backlash": ("arcmin", edge.ARCMIN),
-    "lost_motion": ("arcmin", edge.ARCMIN),
-    "interference": ("µm", 1e6),
-    "max_contact_pressure": ("MPa", 1e-6),
-    "torsional_stiffness": ("N·m/arcmin", 1.0 / edge.ARCMIN),
-    "static_safety": ("", 1.0),
-    "smallest_curvature_radius": ("mm", 1e3),
-    "bearing_life": ("h", 1.0 / 3600.0),
-    "sliding_speed": ("m/s", 1.0),
-    "friction_power_density": ("W/mm²", 1e-6),
-    "wear_depth": ("µm", 1e6),
-    "efficiency": ("%", 100.0),
-    "starting_torque": ("N·m", 1.0),
-    "back_driving_torque": ("N·m", 1.0),
-    "self_locking": ("", 1.0),
+    "angular_transmission_error": Shown("arcsec", edge.ARCSEC),
+    "backlash": Shown("arcmin", edge.ARCMIN),
+    "lost_motion": Shown("arcmin", edge.ARCMIN),
+    "interference": Shown("µm", 1e6),
+    "max_contact_pressure": Shown("MPa", 1e-6),
+    "torsional_stiffness": Shown("N·m/arcmin", 1.0 / edge.ARCMIN),
+    "static_safety": Shown("", 1.0),
+    "smallest_curvature_radius": Shown("mm", 1e3),
+    "bearing_life": Shown("h", 1.0 / 3600.0),
+    "sliding_speed": Shown("m/s", 1.0),
+    "friction_power_density": Shown("W/mm²", 1e-6),
+    "wear_depth": Shown("µm", 1e6),
+    "efficiency": Shown("%", 100.0),
+    "starting_torque": Shown("N·m", 1.0),
+    "back_driving_torque": Shown("N·m", 1.0),
+    "self_locking": Shown("", 1.0),
+    "temperature": Shown("°C", 1.0, 273.15),
 }
-"""Unit and factor of each figure in reports."""
+"""How reports show each figure."""
 
 
 class DutyLoad(edge.Config):
@@ -178,7 +185,7 @@ class Requirements(edge.Config):
                 f"[[duty]] share adds up to {total:g} over the rows; it must add up to 1; a standstill is a row "
                 "with output_speed 0"
             )
-        for name in ("bearing_life", "sliding_speed", "friction_power_density", "efficiency"):
+        for name in ("bearing_life", "sliding_speed", "friction_power_density", "efficiency", "temperature"):
             if getattr(self.limits, name) is not None and not any(load.output_speed > 0.0 for load in self.duty):
                 raise ValueError(f"[limits] {name} needs speeds; state [[duty]] with an output_speed above 0")
         return self
@@ -229,8 +236,8 @@ class Verdict:
 
     @property
     def share(self) -> float:
-        """The margin as a share of the limit (1); NaN where the limit is 0."""
-        return self.margin / abs(self.limit) if self.limit != 0.0 else math.nan
+        """The margin as a share of the limit (1); NaN where the limit is 0 or a temperature."""
+        return self.margin / abs(self.limit) if self.limit != 0.0 and self.unit != "K" else math.nan
 
     @property
     def met(self) -> bool:
@@ -262,8 +269,14 @@ def verdict(name: str, value: float, limit: float, where: Mapping[str, Any] | No
     (True, 400, 0.267)
     """
     unit = edge.unit_of_field(Limits.model_fields[name]) or "1"
-    smallest = name in LOWER or (name == "self_locking" and bool(limit))
-    return Verdict(name, unit, float(value), float(limit), "min" if smallest else "max", where or {}, basis)
+    return Verdict(
+        name, unit, float(value), float(limit), "min" if is_lower(name, limit) else "max", where or {}, basis
+    )
+
+
+def is_lower(name: str, limit: float) -> bool:
+    """Return whether a limit is the smallest allowed value: those of `LOWER`, and a required self-locking."""
+    return name in LOWER or (name == "self_locking" and bool(limit))
 
 
 def static_safety(pair: Pair, pressure: float) -> float:
@@ -482,6 +495,14 @@ def judge_friction(
     return found
 
 
+def judge_heat(limits: Limits, warm: Heat | None) -> list[Verdict]:
+    """Return the verdict on the steady temperature of the oil, infinite where there is none; none without a limit."""
+    if limits.temperature is None or warm is None:
+        return []
+    oil = math.inf if warm.reason else warm.oil
+    return [verdict("temperature", oil, limits.temperature, basis=warm.reason or "oil, over the duty")]
+
+
 def judge_wear(limits: Limits, gear: Array, pin: Array, crank_turns: Array, deepest: Array) -> list[Verdict]:
     """Return the verdict on the deepest wear, none without a limit.
 
@@ -547,18 +568,18 @@ HEAD = ("limit", "allowed", "found", "verdict", "margin", "where")
 
 def row_of(one: Verdict) -> list[str]:
     """Return a verdict as a table row: figure, limit, value, met or not, margin and its share, place."""
-    unit, factor = SHOWN[one.figure]
+    shown = SHOWN[one.figure]
     if one.figure == "self_locking":
         asked, found = ("yes" if value else "no" for value in (one.limit, one.value))
         return ["self locking", asked, found, "met" if one.met else "not met", "", place_of(one)]
-    after = f" {unit}" if unit else ""
+    after = f" {shown.unit}" if shown.unit else ""
     share = "" if not math.isfinite(one.share) else f" ({one.share:+.1%})"
     return [
         one.figure.replace("_", " "),
-        f"{'≤' if one.side == 'max' else '≥'} {one.limit * factor:.5g}{after}",
-        f"{one.value * factor:.5g}{after}",
+        f"{'≤' if one.side == 'max' else '≥'} {shown(one.limit):.5g}{after}",
+        f"{shown(one.value):.5g}{after}",
         "met" if one.met else "not met",
-        f"{one.margin * factor:+.4g}{after}{share}",
+        f"{one.margin * shown.factor:+.4g}{' K' if shown.zero else after}{share}",
         place_of(one),
     ]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -27,8 +28,11 @@ from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
+from cycloid_fmu.losses.solver import losses_of
 from cycloid_fmu.studies.checkpoint import Checkpoint
-from cycloid_fmu.studies.limits import series_lost_motion
+from cycloid_fmu.studies.friction import FIGURES as OF_FRICTION
+from cycloid_fmu.studies.friction import FrictionFigures, friction_figures
+from cycloid_fmu.studies.limits import DutyLoad, is_lower, series_lost_motion
 from cycloid_fmu.studies.machines import Numbers, Solved, complete, versions
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
@@ -53,7 +57,12 @@ FIGURES = {
     "backlash": ("rad", "largest backlash over the crank angles"),
     "lost_motion": ("rad", f"largest over the crank angles of the {LOST_MOTION}, up to a catalogue's stiffness"),
     "interference": ("m", "largest interference over the crank angles"),
+    "efficiency": ("1", "efficiency of the driving drive at the worst row of the duty, 0 where it jams"),
+    "starting_torque": ("N*m", "largest torque of the input without a load from rest, infinite where it jams"),
+    "back_driving_torque": ("N*m", "largest torque on the output that turns it backwards from rest, infinite if none"),
+    "self_locking": ("1", "share of the crank angles at which no torque up to the rated one turns it backwards"),
 }
+"""Unit and meaning; those of `friction.FIGURES` are solved where they have a limit."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +82,8 @@ class Study:
         Crank angles evenly from 0 over so many crank turns, end excluded.
     first_stage
         The first stage of an RV reducer: figures are then those with the sun locked.
+    duty
+        Loads and speeds of the efficiency, which needs one at least where it has a limit.
     """
 
     pair: Pair
@@ -84,6 +95,7 @@ class Study:
     angles: int = ANGLES
     turns: int = 1
     first_stage: FirstStage | None = None
+    duty: tuple[DutyLoad, ...] = ()
 
     @property
     def factors(self) -> tuple[str, ...]:
@@ -98,10 +110,21 @@ class Study:
     @functools.cached_property
     def columns(self) -> tuple[tuple[str, int | None], ...]:
         """Name and index of the torque (None where there is none) of each number that a sample yields."""
-        single: list[tuple[str, int | None]] = [(n, None) for n in FIGURES if n not in PER_TORQUE]
+        others = {*PER_TORQUE, *OF_FRICTION} - set(self.friction)
+        single: list[tuple[str, int | None]] = [(n, None) for n in FIGURES if n not in others]
         if self.pair.rated_torque is None:
             single.remove(("lost_motion", None))
         return (*((n, k) for n in PER_TORQUE for k in range(len(self.torque))), *single)
+
+    @property
+    def friction(self) -> tuple[str, ...]:
+        """The figures of friction that have a limit."""
+        return tuple(name for name in OF_FRICTION if name in self.tolerances.limits.stated())
+
+    @property
+    def driven(self) -> tuple[DutyLoad, ...]:
+        """The rows of the duty that turn under load."""
+        return tuple(load for load in self.duty if load.output_speed > 0.0 and load.torque != 0.0)
 
     @property
     def drive(self) -> DriveValue:
@@ -125,6 +148,11 @@ class Study:
             "turns": self.turns,
             "versions": versions(),
             **({} if self.first_stage is None else {"first_stage": self.first_stage.text}),
+            **(
+                {"duty": [[*load.model_dump().values()] for load in self.driven]}
+                if "efficiency" in self.friction
+                else {}
+            ),
         }
 
 
@@ -135,7 +163,7 @@ def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
     ------
     edge.InputError
         If nothing has a tolerance, a tolerance has no width, a load is zero, the seed is out of range, or a limit needs
-        the rated torque and there is none.
+        the rated torque, friction or speeds, and there are none.
     """
     if not study.factors:
         raise edge.InputError(
@@ -157,6 +185,13 @@ def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
         raise edge.InputError(
             f"{pair_source}: [pair] rated_torque is missing; state it: [limits] lost_motion of {tolerances_source} is "
             "taken at a share of it."
+        )
+    if study.friction:
+        losses_of(study.drive, pair_source)
+    if "efficiency" in study.friction and not study.driven:
+        raise edge.InputError(
+            f"{tolerances_source}: [limits] efficiency needs a torque and a speed; state it in a requirements file "
+            "with a [[duty]] that turns under load, and give that as the limits."
         )
 
 
@@ -284,8 +319,29 @@ def _figures_alone(study: Study, surface: ErrorSurface) -> Array:
     found: dict[str, Any] = {
         **loaded_figures(loaded),
         **free_figures(study.drive_of(surface), angles, series),
+        **(_worst_of(friction_of(study, surface)) if study.friction else {}),
     }
     return np.array([found[name] if k is None else found[name][k] for name, k in study.columns])
+
+
+def friction_of(study: Study, surface: ErrorSurface) -> FrictionFigures:
+    """Return the figures of friction of one drive that have a limit; those from rest at one of `PLAY_STEP` angles."""
+    drive, angles, asked = study.drive_of(surface), crank_angles(study), {*study.friction}
+    loads, speeds = ([getattr(row, name) for row in study.driven] for name in ("torque", "output_speed"))
+    turning = [abs(study.pair.ratio) * speed for speed in speeds]
+    running = friction_figures(drive, asked & {"efficiency"}, loads, turning, angles)
+    at_rest = friction_figures(drive, asked - {"efficiency"}, study.torque, [], angles[::PLAY_STEP])
+    return at_rest._replace(efficiency=running.efficiency)
+
+
+def _worst_of(friction: FrictionFigures) -> dict[str, float]:
+    """Return the figures of a drive, by their names in `FIGURES`; those that were not asked for are missing."""
+    efficiency, starting, back_driving, _ = friction
+    worst = {"efficiency": efficiency.min()} if efficiency.size else {}
+    worst |= {"starting_torque": starting.max()} if starting.size else {}
+    if back_driving.size:
+        worst |= {"back_driving_torque": back_driving.max(), "self_locking": np.isinf(back_driving).mean()}
+    return worst
 
 
 def _loads(pair: Pair, torque: Sequence[float], angles: Array) -> list[tuple[float, Array]]:
@@ -433,15 +489,18 @@ class Interrupted(KeyboardInterrupt):
 def statistics(result: Result) -> dict[str, dict[str, Any]]:
     """Return each figure's distribution: {figure: {"mean", "standard_deviation", "quantiles"}}, SI, one a torque.
 
-    `quantiles` are {"0.05", "0.5", "0.95", "1"}: the last is the largest.
+    `quantiles` are {"0.05", "0.5", "0.95", "1"}: the last is the largest. Where a drive's figure is infinite there is
+    no mean (NaN), and a quantile is a drive's value.
     """
     found = {}
     for name in dict.fromkeys(n for n, _ in result.study.columns):
         values = result.figure(name)[result.independent]
+        finite = bool(np.isfinite(values).all())
+        method: Literal["linear", "higher"] = "linear" if finite else "higher"
         found[name] = {
-            "mean": values.mean(axis=0),
-            "standard_deviation": values.std(axis=0),
-            "quantiles": {f"{q:g}": np.quantile(values, q, axis=0) for q in (0.05, 0.5, 0.95, 1.0)},
+            "mean": values.mean(axis=0) if finite else math.nan,
+            "standard_deviation": values.std(axis=0) if finite else math.nan,
+            "quantiles": {f"{q:g}": np.quantile(values, q, axis=0, method=method) for q in (0.05, 0.5, 0.95, 1.0)},
         }
     return found
 
@@ -449,12 +508,16 @@ def statistics(result: Result) -> dict[str, dict[str, Any]]:
 def demand(study: Study, values: Array) -> dict[str, Array]:
     """Return the samples' figures as shares of each stated limit, largest over the loads: {limit: shape (samples,)}.
 
-    1 is at the limit. A limit of 0 is met (share 0) by figures that do not exceed it.
+    1 is at the limit. A limit of 0 is met (share 0) by figures that do not exceed it. Of a smallest allowed value it is
+    the limit's share of the figure, infinite at 0.
     """
     found = {}
     for name, limit in study.tolerances.limits.stated().items():
         taken = values[:, [i for i, (n, _) in enumerate(study.columns) if n == name]].max(axis=1)
-        found[name] = taken / limit if limit > 0.0 else np.where(taken > 0.0, 1.0 + taken * 1e6, 0.0)
+        if is_lower(name, limit):
+            found[name] = np.divide(limit, taken, out=np.full(taken.size, np.inf), where=taken > 0.0)
+        else:
+            found[name] = taken / limit if limit > 0.0 else np.where(taken > 0.0, 1.0 + taken * 1e6, 0.0)
     return found
 
 
@@ -486,6 +549,8 @@ def shares_kept(kept: Mapping[str, NDArray[np.bool_]]) -> dict[str, dict[str, fl
 def sobol_indices(result: Result) -> dict[str, dict[str, Array]]:
     """Return Sobol's indices of each figure that varies over the base points of Saltelli's design, shape (factors,).
 
+    A figure that is infinite for a drive has none.
+
     SALib estimates them, with the variance over these points; interference may differ from zero at other points only.
 
     Returns
@@ -507,7 +572,7 @@ def sobol_indices(result: Result) -> dict[str, dict[str, Array]]:
     found = {}
     for column, (name, k) in enumerate(study.columns):
         values = result.values[:, column]
-        if np.ptp(values[result.independent]) == 0.0:
+        if not np.isfinite(values).all() or np.ptp(values[result.independent]) == 0.0:
             continue
         indices = sobol.analyze(
             _problem(study),
@@ -547,5 +612,6 @@ def dataset_of(result: Result) -> xr.Dataset:
     identity = study.identity()
     for name in ("torque", "versions"):
         identity.pop(name)
+    identity |= {"duty": json.dumps(identity["duty"])} if "duty" in identity else {}
     dataset.attrs.update(identity, format=FORMAT)
     return dataset

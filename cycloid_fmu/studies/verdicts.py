@@ -16,11 +16,12 @@ from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.losses.heat import Heat, Running, heat
 from cycloid_fmu.studies import limits as judging
-from cycloid_fmu.studies.friction import FIGURES, friction_figures
+from cycloid_fmu.studies.friction import FIGURES, friction_figures, sliding_at
 from cycloid_fmu.studies.limits import DutyLoad, Requirements, Verdict
 from cycloid_fmu.supports.figures import DutyLife, bearing_loads, lives_over_duty
-from cycloid_fmu.wear.friction import Sliding, flank_friction, sliding_of
+from cycloid_fmu.wear.friction import Sliding
 from cycloid_fmu.wear.life import WearRun
 
 if TYPE_CHECKING:
@@ -176,15 +177,7 @@ def judge_sweep(
         lives = lives_over_duty([bearing_loads(pair, found, k) for k in row], speed, [load.share for load in duty])
         verdicts += judging.judge_lives(requirements.limits, lives)
     for load, k, turning in zip(duty, row, speed, strict=True):
-        slides = sliding_of(
-            pair,
-            found.crank_angle,
-            found.pin_force[k],
-            found.pin_pressure[k],
-            turning,
-            flank_friction(pair),
-        )
-        sliding.append((load, slides))
+        sliding.append((load, sliding_at(drive, found, k, turning, workers)))
     if sliding:
         figures = {
             name: np.stack([getattr(slides, name) for _, slides in sliding])
@@ -197,8 +190,19 @@ def judge_sweep(
         loads = [load.torque for load, _ in driven] if driven else list(found.torque)
         rubbed = friction_figures(drive, asked, loads, [w for _, w in driven], found.crank_angle, workers)
         verdicts += judging.judge_friction(requirements.limits, [load for load, _ in driven], found.crank_angle, rubbed)
+    verdicts += judging.judge_heat(requirements.limits, _heat_over(drive, requirements, found.crank_angle, workers))
     missing = judging.not_judged(requirements.limits, verdicts)
     return Judged(tuple(verdicts), tuple(missing), tuple(lives), found.crank_angle, tuple(sliding))
+
+
+def _heat_over(drive: DriveValue, requirements: Requirements, crank_angle: Array, workers: int) -> Heat | None:
+    """Return how warm a drive gets over the duty; None if that has no limit, or friction or heat are not stated."""
+    pair = drive.pair
+    if requirements.limits.temperature is None or None in (pair.losses, pair.supports, pair.thermal):
+        return None
+    duty = [load for load in requirements.duty if load.output_speed > 0.0]
+    running = [Running(load.torque, load.output_speed * abs(pair.ratio), load.share) for load in duty]
+    return heat(drive, running, crank_angle, workers=workers)
 
 
 def judge_drive(

@@ -14,6 +14,7 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.reducer.drive_file import parts_of_file
 from cycloid_fmu.studies import limits as judging
 from cycloid_fmu.studies.checkpoint import Checkpoint, checkpoint_of, reserved
+from cycloid_fmu.studies.friction import FIGURES
 from cycloid_fmu.studies.tolerance import (
     PER_TORQUE,
     PLAY_STEP,
@@ -23,6 +24,7 @@ from cycloid_fmu.studies.tolerance import (
     check_study,
     crank_angles,
     dataset_of,
+    friction_of,
     run,
     sobol_indices,
     statistics,
@@ -65,7 +67,7 @@ def read_study(
     pair_file: str | os.PathLike[str],
     tolerances_file: str | os.PathLike[str],
     torque: Sequence[float] | None = None,
-    limits: tuple[judging.Limits, str] | None = None,
+    requirements: tuple[judging.Requirements, str] | None = None,
     **settings: Any,
 ) -> Study:
     """Return the study of a pair file and a tolerance file, checked.
@@ -74,9 +76,8 @@ def read_study(
     ----------
     torque
         Loads on the output, N·m; plus and minus the pair's rated torque where None.
-    limits
-        Those of a requirements file, and its name, to judge in place of those of the tolerance file, as far as a study
-        has their figures.
+    requirements
+        Requirements and the name of their file, whose limits are judged in place of those of the tolerance file.
     settings
         Further fields of `Study`.
 
@@ -90,14 +91,14 @@ def read_study(
     if not torque:
         rated = pair.rated_load(str(pair_file))
         torque = (rated, -rated)
-    if limits is not None:
-        asked, source = limits
+    study = Study(pair, tolerances, torque=tuple(torque), first_stage=first_stage, **settings)
+    if requirements is not None:
+        asked, source = requirements
         if tolerances.limits.stated():
             raise edge.InputError(
                 f"{tolerances_file}: [limits] is stated here and in {source}; state the limits in one of them."
             )
-        tolerances = tolerances.replace(limits=asked.of_study)
-    study = Study(pair, tolerances, torque=tuple(torque), first_stage=first_stage, **settings)
+        study = with_requirements(study, asked)
     check_study(study, str(pair_file), str(tolerances_file))
     return study
 
@@ -109,6 +110,14 @@ def notes_of(study: Study) -> list[str]:
     return tilt_notes(study.drive, tilt, "The tolerances permit a gear's axis that is tilted by")
 
 
+def with_requirements(study: Study, asked: judging.Requirements) -> Study:
+    """Return a study that judges requirements as far as it has their figures, those of friction if it is stated."""
+    limits, pair = asked.limits.of_study, study.pair
+    if pair.losses is None or pair.supports is None:
+        limits = limits.replace(**dict.fromkeys(FIGURES))
+    return dataclasses.replace(study, tolerances=study.tolerances.replace(limits=limits), duty=asked.duty)
+
+
 def judged(result: Result) -> list[judging.Verdict]:
     """Return the verdicts on a study: a limit is met if every drive meets it.
 
@@ -116,9 +125,15 @@ def judged(result: Result) -> list[judging.Verdict]:
     """
     study, found = result.study, []
     for name, limit in study.tolerances.limits.stated().items():
-        values = result.values[:, [n == name for n, _ in study.columns]]
-        row = int(values.max(axis=1).argmax())
+        values = result.values[:, [n == name for n, _ in study.columns]].max(axis=1)
+        row = int(values.argmin() if judging.is_lower(name, limit) else values.argmax())
         surface = surface_of(study, result.point[row])
+        only = judging.Limits().replace(**{name: limit})
+        if name in study.friction:
+            angle = crank_angles(study)[::PLAY_STEP]
+            (worst,) = judging.judge_friction(only, study.driven, angle, friction_of(study, surface))
+            found.append(dataclasses.replace(worst, where={"sample": int(result.sample[row]), **worst.where}))
+            continue
         loaded = name in PER_TORQUE
         angle = crank_angles(study)[:: 1 if loaded else PLAY_STEP]
         loads = study.torque if loaded else study.pair.lost_motion_loads
@@ -127,9 +142,9 @@ def judged(result: Result) -> list[judging.Verdict]:
         if name == "lost_motion":
             data["lost_motion"] = again.transmission_error[0] - again.transmission_error[1]
         series = series_compliance(study.drive)
-        (place,) = judging.judge(judging.Limits().replace(**{name: limit}), study.pair, data, series)
+        (place,) = judging.judge(only, study.pair, data, series)
         where = {"sample": int(result.sample[row]), **place.where}
-        found.append(judging.verdict(name, float(values.max()), limit, where, place.basis))
+        found.append(judging.verdict(name, float(values[row]), limit, where, place.basis))
     return found
 
 

@@ -57,6 +57,7 @@ _OTHERS = ("limits", "costs")
 _WITHIN = 1.0 - 1e-9
 # Visits of each pitch: with ten, statistics of 3000 circles do not differ significantly from those with 400.
 _SWEEPS = 20
+_ABOVE_ZERO = pydantic.Field(gt=0.0, allow_inf_nan=False)
 
 
 def _up_to(largest: float, shown: str) -> pydantic.AfterValidator:
@@ -161,7 +162,7 @@ class ProfileErrors(Config):
 
 
 class Limits(Config):
-    """Limits of an acceptable drive, each the largest allowed value.
+    """Limits of an acceptable drive, each the largest allowed value unless stated otherwise.
 
     Attributes
     ----------
@@ -173,6 +174,15 @@ class Limits(Config):
         Largest interference over the crank angles, m.
     max_contact_pressure
         Largest contact pressure, Pa, at every load.
+    efficiency
+        Smallest allowed of the driving drive, at every row of the duty that turns under load; by [losses].
+    starting_torque
+        Largest allowed at the input without a load, from rest, over the crank angles, N·m.
+    back_driving_torque
+        Largest allowed on the output that turns the drive backwards from rest, over the crank angles, N·m.
+    self_locking
+        Whether no torque up to the rated one may turn the drive backwards from rest (true: at no crank angle; false: at
+        every crank angle some torque must).
     """
 
     angular_transmission_error: LargestAngle | None = None
@@ -180,6 +190,10 @@ class Limits(Config):
     lost_motion: LargestAngle | None = None
     interference: LargestLength | None = None
     max_contact_pressure: LargestPressure | None = None
+    efficiency: float | None = pydantic.Field(default=None, gt=0.0, le=1.0)
+    starting_torque: Annotated[edge.Torque, _ABOVE_ZERO] | None = None
+    back_driving_torque: Annotated[edge.Torque, _ABOVE_ZERO] | None = None
+    self_locking: bool | None = pydantic.Field(default=None, strict=True)
 
     def stated(self) -> dict[str, float]:
         """Return the stated limits, SI."""

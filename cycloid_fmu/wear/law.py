@@ -53,7 +53,7 @@ class WearLaw(edge.Config):
     limit
         Depth at which the drive is worn out, m; None for 5 % of the tooth's thickness.
     friction_coefficient
-        Coefficient of the sliding surfaces, for friction work and loss; None if not needed.
+        Coefficient of the sliding surfaces, for friction work and loss; None if not needed or in the pair's [losses].
     duty
         The duty cycle, if the wear file states it.
     """

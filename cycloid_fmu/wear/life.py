@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.contact.loaded_contacts import contact_ratio
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.losses.flanks import coefficient_at_speed, flanks_rub
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, Life
 from cycloid_fmu.wear.law import Load, WearLaw
 from cycloid_fmu.wear.progress import (
@@ -98,6 +100,7 @@ def run_wear(
         Its text states the progress of the run.
     """
     pair = drive.pair
+    friction_of(drive.pair, law)
     model = wear_model(drive, law, loads)
     new = wear_rate(model, model.surface, workers)
     thickness = tooth_thickness(pair)
@@ -209,13 +212,31 @@ def wear_figures(model: WearModel, states: list[WearState], new: WearRate, worke
             "gear_depth_mean": float(gear.mean()),
             "pin_depth_mean_off_pole": float(np.mean(pin[off_pole])) if off_pole.any() else 0.0,
         }
-    if (friction := model.law.friction_coefficient) is not None:
+    if (friction := friction_of(model.pair, model.law)) is not None:
         # Each crank turn the output turns by 2π/|ratio|.
         torque = sum(abs(load.torque) * load.crank_turns for load in model.loads)
         work = friction * new.sliding_work
         found["friction_work"] = work
         found["sliding_loss"] = work / (torque * 2.0 * np.pi / abs(model.pair.ratio)) if torque > 0.0 else 0.0
     return found
+
+
+def friction_of(pair: Pair, law: WearLaw) -> float | None:
+    """Return the friction coefficient at speed of flanks on pins: the pair's [losses], or that of the wear law.
+
+    Raises
+    ------
+    edge.InputError
+        If both state one.
+    """
+    if pair.losses is None or not flanks_rub(pair):
+        return law.friction_coefficient
+    if law.friction_coefficient is not None:
+        raise edge.InputError(
+            f"[wear] friction_coefficient = {law.friction_coefficient:g} is stated by [losses.flank] of the pair too; "
+            "remove it from the wear law."
+        )
+    return coefficient_at_speed(pair, pair.losses)
 
 
 def coefficient_warning(coefficient: float, model: WearModel, source: str) -> str | None:

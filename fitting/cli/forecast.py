@@ -101,7 +101,7 @@ def _print(found: Forecast, regression: bool) -> None:
     end = float(found.ages[-1])
     rows = []
     for name in found.bands:
-        unit, factor = SHOWN[name]
+        unit, factor, _ = SHOWN[name]
         for age in (found.now, end):
             low, middle, high = found.at(name, age, (0.025, 0.5, 0.975)) * factor
             label = f"{name.replace('_', ' ')} [{unit}]"
@@ -109,7 +109,7 @@ def _print(found: Forecast, regression: bool) -> None:
     commands.print_table("Figures", ["figure", "age [h]", "median", "95 % interval"], rows)
     rows = []
     for name, one in found.remaining.items():
-        unit, factor = SHOWN[name]
+        unit, factor, _ = SHOWN[name]
         left = [
             _hours(age - found.now) if math.isfinite(age) else f"> {_hours(end - found.now)}"
             for age in one.ages.values()

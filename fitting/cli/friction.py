@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cycloid_fmu import edge
 from cycloid_fmu.edge import commands
 from fitting.cli import options
+
+if TYPE_CHECKING:
+    from cycloid_fmu.drive import Drive
+    from fitting.figures.friction import FrictionFit
 
 
 def friction(
@@ -46,7 +52,7 @@ def friction(
     """Fit the friction of a turning drive, from ramps of the speed or runs at constant speeds, at one or more loads.
 
     Coulomb, viscous, Stribeck and load-dependent friction, referred to the output, as far as the recordings resolve
-    them.
+    them. With a pair that states its friction also the coefficients of it that the recordings tell apart.
 
     Example: [cyan]cycloid-fit friction ramp.csv --mapping map.toml --speeds "0.1 rev/s, 1 rev/s" -o friction.toml[/]
     """
@@ -56,7 +62,8 @@ def friction(
     from fitting.figures.friction import friction_json
 
     options.check_ratio(drive, ratio)
-    nominal = ratio if drive is None else read_drive(drive).ratio
+    made = None if drive is None else read_drive(drive)
+    nominal = ratio if made is None else made.ratio
     with commands.status() as progress:
         found = fitting.friction(
             fitting.read_recordings(files, mapping),
@@ -65,6 +72,8 @@ def friction(
             progress=progress,
             speeds=options.separated(speeds),
         )
+        if made is not None and made.pair.losses is not None and made.pair.supports is not None:
+            found = _with_coefficients(found, made, loop)
     if plot is not None:
         fitting.plot(found, plot)
     if output is not None:
@@ -72,7 +81,8 @@ def friction(
     if as_json:
         commands.print_json(friction_json(found))
         return
-    rows = [[name, *in_field_units(one), f"{one.count:.4g} {one.counted}"] for name, one in found.figures.items()]
+    every = {**found.figures, **found.coefficients}
+    rows = [[name, *in_field_units(one), f"{one.count:.4g} {one.counted}"] for name, one in every.items()]
     low, high = found.speeds
     title = f"Friction at the output, {low:.4g} to {high:.4g} rad/s"
     commands.print_table(title, ["figure", "value", "± 95 %", "unit", "of"], rows)
@@ -80,3 +90,13 @@ def friction(
         if one.remark:
             typer.echo(f"{name}: {one.remark}.")
     options.print_notes(found.notes)
+
+
+def _with_coefficients(found: FrictionFit, drive: Drive, loop: Path | None) -> FrictionFit:
+    """Return the fit with the coefficients of [losses], or with a note on why there are none."""
+    import fitting
+
+    try:
+        return fitting.loss_coefficients(found, drive, loop)
+    except edge.InputError as problem:
+        return dataclasses.replace(found, notes=(*found.notes, f"No coefficients of [losses]: {problem}"))

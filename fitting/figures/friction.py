@@ -375,6 +375,9 @@ class FrictionFit:
         Omissions and their reasons, one sentence each.
     data
         {recording: SHA-256}.
+    coefficients
+        Those of the drive's [losses] that the recordings tell apart (`fitting.figures.coefficients`); none without a
+        drive.
 
     Examples
     --------
@@ -396,6 +399,7 @@ class FrictionFit:
     removed: Array
     notes: tuple[str, ...]
     data: dict[str, str] = field(default_factory=dict)
+    coefficients: dict[str, Figure] = field(default_factory=dict)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the fit, `cycloid-friction-fit/1` (`.json`), or the friction file of an FMU (`.toml`).
@@ -418,6 +422,11 @@ def friction_json(found: FrictionFit) -> dict[str, Any]:
         **{name: figure_json(one) for name, one in found.figures.items()},
         "speeds": list(found.speeds),
         "loads": found.loads,
+        **(
+            {"coefficients": {n: figure_json(one) for n, one in found.coefficients.items()}}
+            if found.coefficients
+            else {}
+        ),
         "data": found.data,
         "notes": list(found.notes),
     }
@@ -785,8 +794,33 @@ def _of_recordings(
 def _growth_of(loop: str | os.PathLike[str]) -> Figure:
     """Return the growth of the friction with the torque of the teeth from the loops in a figures file.
 
-    Loops have mu of F = F_0 + mu |M| over the spring's torque M. Loaded at the output, the teeth carry M. Driven by the
-    motor they carry the friction too, F = c + s (|M| + F), so s = mu/(1 + mu).
+    Loaded at the output, the teeth carry the spring's torque M. Driven by the motor they carry the friction too,
+    F = c + s (|M| + F), so s = mu/(1 + mu).
+    """
+    figure, by_motor = loop_growth(loop)
+    share = 1.0 + figure.value
+    if not by_motor:
+        return figure
+    return dataclasses.replace(figure, value=figure.value / share, uncertainty=figure.uncertainty / share**2)
+
+
+def loop_growth(loop: str | os.PathLike[str]) -> tuple[Figure, bool]:
+    """Return mu of F = F_0 + mu |M| over the spring's torque M from the loops in a figures file.
+
+    Parameters
+    ----------
+    loop
+        Figures of `cycloid-fit metrics`.
+
+    Returns
+    -------
+    figure, by_motor
+        The figure, and whether the motor drove the loops, with the output locked.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read or has no such figure.
     """
     content = edge.json_table(loop, FIGURES, "figures of cycloid-fit metrics")
     free = content.get("friction_free")
@@ -799,9 +833,8 @@ def _growth_of(loop: str | os.PathLike[str]) -> Figure:
     uncertainty = found.get("uncertainty")
     half = math.nan if uncertainty is None else float(uncertainty)
     locked = content.get("locked")
-    if isinstance(locked, dict) and set(locked.values()) == {"output"}:
-        value, half = value / (1.0 + value), half / (1.0 + value) ** 2
-    return Figure(
+    by_motor = isinstance(locked, dict) and set(locked.values()) == {"output"}
+    figure = Figure(
         float(value),
         half,
         "1",
@@ -811,6 +844,7 @@ def _growth_of(loop: str | os.PathLike[str]) -> Figure:
         float(found.get("passes", 1)),
         "passes",
     )
+    return figure, by_motor
 
 
 def _range_of(speeds: Sequence[float | str] | None) -> tuple[float, float] | None:

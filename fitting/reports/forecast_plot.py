@@ -53,7 +53,7 @@ def plot_forecast(found: Forecast) -> Figure:
 
 
 def _band(axis: Axes, found: Forecast, name: str) -> None:
-    band, (unit, factor) = found.bands[name], SHOWN[name]
+    band, (unit, factor, _) = found.bands[name], SHOWN[name]
     hours = found.ages / _HOUR
     for low, high, alpha, text in _INTERVALS:
         axis.fill_between(

@@ -76,7 +76,7 @@ def test_verdicts_are_those_of_judge(tmp_path):
 def test_limits_on_bearings_are_not_judged_without_their_capacity():
     desk = open_desk(MADE, EXAMPLES / "requirements.toml")
     view = look(desk, desk.values)
-    assert view.not_judged == ("bearing_life", "friction_power_density", "wear_depth", *FIGURES)
+    assert view.not_judged == (*FIGURES, "bearing_life", "friction_power_density", "wear_depth", "temperature")
     assert {one.figure for one in view.verdicts} == set(desk.requirements.limits.stated()) - {*view.not_judged}
 
 

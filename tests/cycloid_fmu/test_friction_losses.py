@@ -416,6 +416,83 @@ def test_limits_of_friction_are_judged():
         Requirements(limits={"efficiency": 0.9})
 
 
+@pytest.mark.parametrize("seat", [None, {"radius": 2e-3, "friction_coefficient": 0.02}])
+def test_the_pins_friction_power_is_the_flanks_loss(seat):
+    """Over whole turns within 1 %, by closed forms of velocities; on pins that turn in their seats nothing slides."""
+    from cycloid_fmu.studies.limits import Requirements
+
+    flank = {"friction_coefficient": 0.06, "static_friction_coefficient": 0.12, "stribeck_speed": "0.1 m/s"}
+    made, speed = drive({"flank": flank, "pin": seat}), 39 * 15.0 * math.pi / 30.0
+    duty = [{"torque": "181 N*m", "output_speed": "15 rpm", "share": 1.0}]
+    ((_, slides),) = made.judge(Requirements(duty=duty), angles=117, turns=39, workers=1).sliding
+    case = made.losses(181.0, speed, angles=117, turns=39, workers=1).cases[0]
+    lost = speed * (case.loss["flank"] + case.loss["pin_joint"])
+    assert slides.friction_power.sum(axis=(1, 2)).mean() == pytest.approx(lost, rel=0.01)
+    assert bool(case.loss["pin_joint"]) == (seat is not None)
+    assert slides.sliding_speed.any() == (seat is None)
+    assert slides.friction_power_density.any() == (seat is None)
+
+
+def test_the_friction_of_wear_is_the_drive_s():
+    """A seat that turns takes its friction; stated twice it is refused."""
+    from cycloid_fmu.wear.law import WearLaw
+    from cycloid_fmu.wear.life import friction_of
+
+    law = WearLaw(pins="fixed", coefficient="1e-18 m^2/N")
+    assert friction_of(drive().pair, law) is None
+    assert friction_of(drive().pair, law.replace(friction_coefficient=0.08)) == 0.08
+    assert friction_of(drive(FRICTION).pair, law) == 0.06
+    seat = {"radius": 2e-3, "friction_coefficient": 0.03, "pressure": "cosine"}
+    assert friction_of(drive({**FRICTION, "pin": seat}).pair, law) == pytest.approx(4.0 / math.pi * 0.03 * 2.0 / 3.0)
+    with pytest.raises(edge.InputError, match=r"friction_coefficient = 0.08 is stated by \[losses.flank\]"):
+        friction_of(drive(FRICTION).pair, law.replace(friction_coefficient=0.08))
+
+
+def test_a_tolerance_study_judges_friction():
+    """Its figures are those of each drawn drive alone; efficiency and self-locking are kept above their limits."""
+    from cycloid_fmu.studies.limits import Requirements
+    from cycloid_fmu.studies.tolerance import PLAY_STEP, surface_of
+    from cycloid_fmu.studies.yields import judged
+
+    duty = [{"torque": "181 N*m", "output_speed": "15 rpm", "share": 1.0}]
+    limits = {"efficiency": 0.9, "starting_torque": "1 N*m", "back_driving_torque": "100 N*m", "self_locking": False}
+    asked, tolerances = Requirements(limits=limits, duty=duty), cy.Tolerances(offset={"tolerance": "10 um"})
+    made = drive(FRICTION)
+    found = made.study(tolerances, 181.0, samples=3, angles=40, requirements=asked, workers=1)
+    result, verdicts = found.result, {one.figure: one for one in judged(found.result)}
+    assert set(verdicts) == set(limits)
+    for k, point in enumerate(result.point):
+        drawn = cy.Drive(made.pair, surface_of(result.study, point))
+        alone = drawn.losses(181.0, 39 * 15.0 * math.pi / 30.0, angles=40, workers=1)
+        assert result.figure("efficiency")[k] == pytest.approx(alone.cases[0].efficiency, abs=1e-9)
+        assert result.figure("starting_torque")[k] == pytest.approx(alone.starting[0.0][::PLAY_STEP].max(), rel=1e-6)
+        assert result.figure("back_driving_torque")[k] == pytest.approx(alone.back_driving[::PLAY_STEP].max(), rel=1e-3)
+    worst = int(result.figure("efficiency").argmin())
+    assert verdicts["efficiency"].where["sample"] == worst
+    assert verdicts["efficiency"].value == pytest.approx(result.figure("efficiency")[worst], abs=1e-12)
+    limit = float(np.sort(result.figure("efficiency"))[1])
+    stricter = asked.replace(limits=asked.limits.replace(efficiency=limit))
+    again = made.study(tolerances, 181.0, samples=3, angles=40, requirements=stricter, workers=1)
+    assert again.yields["efficiency"]["share"] == pytest.approx(2.0 / 3.0)
+    assert "efficiency" not in drive().study(tolerances, samples=2, angles=20, requirements=asked, workers=1).yields
+    with pytest.raises(edge.InputError, match=r"efficiency needs a torque and a speed"):
+        made.study(tolerances.replace(limits={"efficiency": 0.9}), samples=2, workers=1)
+    with pytest.raises(edge.InputError, match="no friction stated"):
+        drive().study(tolerances.replace(limits={"self_locking": True}), samples=2, workers=1)
+
+
+def test_a_tolerance_study_counts_drives_that_lock_themselves():
+    """A printed drive that locks at every angle has no back-driving torque, and so no mean of it."""
+    locking = case("printed-self-locking")
+    limits = {"self_locking": True, "back_driving_torque": "1 N*m"}
+    tolerances = cy.Tolerances(pin_radius={"tolerance": "5 um"}, limits=limits)
+    found = locking.study(tolerances, samples=3, angles=20, workers=1)
+    assert found.yields["self_locking"]["share"] == 1.0
+    assert found.yields["back_driving_torque"]["share"] == 0.0
+    assert math.isnan(found.statistics["back_driving_torque"]["mean"])
+    assert found.statistics["back_driving_torque"]["quantiles"]["1"] == math.inf
+
+
 def test_a_named_friction_is_its_range_and_the_result_states_what_follows():
     """Figures lie between those of both ends; numbers beside a name are refused, and unknown names are suggested."""
     made = drive({"flank": {"friction": "steel, grease"}})

@@ -178,6 +178,10 @@ def test_every_number_of_a_pair_file_can_be_varied():
         "N*m*s/rad": "1e-3 N*m*s/rad",
         "m/s": "0.1 m/s",
         "m^2/s": "50 mm^2/s",
+        "K/W": "0.3 K/W",
+        "J/K": "5 kJ/K",
+        "W/(m^2*K)": "30 W/(m^2*K)",
+        "m^2": "0.2 m^2",
     }
     large = {
         "pin_circle_radius": "66 mm",
