@@ -52,6 +52,7 @@ SOURCES = (
     "exchange.c",
     "derivatives.c",
     "teeth.c",
+    "table_contacts.c",
     "friction.c",
     "losses.c",
     "table.c",

@@ -205,11 +205,9 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
 /* The longest sub-step: a share of the shortest period of oscillation and of the mesh period. */
 static double longest(const struct drive *drive, double crank_speed) {
     const struct state *s = &drive->state;
-    const struct side *side = &drive->table->side[0];
     const double ratio = drive->ratio;
-    struct place place = table_place(drive->table, 0.0);
-    double stiffness = teeth_stiffness(drive, &place, side->reach, 1.0, 0.0), swing;
-    stiffness = 1.0 / (1.0 / stiffness + s->series_compliance);
+    const double stiffness = 1.0 / (1.0 / drive->contacts.stiffness + s->series_compliance);
+    double swing;
     swing = (stiffness + FRICTION_ELEMENTS * drive->element[OUTPUT]) / s->output_inertia;
     if (s->crank_inertia > 0.0) {
         swing += (stiffness / (ratio * ratio) + FRICTION_ELEMENTS * drive->element[INPUT]) / s->crank_inertia;
@@ -263,9 +261,9 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
             s->crank_speed = 2.0 * w.turn / part - s->crank_speed;
         }
         s->dissipated_energy += w.rubbed[OUTPUT].lost + w.damping * (w.way - w.turn / ratio) + w.rubbed[INPUT].lost;
-        s->outside = s->outside != 0.0 || teeth_outside(drive, w.end.load, w.end.side) ? 1.0 : 0.0;
+        s->outside = s->outside != 0.0 || teeth_outside(drive, w.end.torque) ? 1.0 : 0.0;
         left = parts > 1.0 ? left - part : 0.0;
-        drive->impact = w.end.load > 0.0 && (at.load == 0.0 || at.side != w.end.side);
+        drive->impact = w.end.torque != 0.0 && (at.torque == 0.0 || (at.torque > 0.0) != (w.end.torque > 0.0));
         at = w.end;
         if (drive->impact && drive->early) {
             break;

@@ -21,9 +21,13 @@ double drive_angle(const struct drive *drive) {
     return drive_kinematic(drive) ? s->placed : drive->table->offers == INTERFACE_INERTIA ? s->turned : s->crank_angle;
 }
 
+double drive_crank_angle(const struct drive *drive) {
+    return drive_kinematic(drive) || drive->resting ? drive->state.placed : drive->pressed.crank;
+}
+
 static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    drive->placed = drive->solved = 0;
+    drive->solved = 0;
     if (drive_kinematic(drive)) {
         return kinematic_follow(drive, message);
     }
@@ -32,7 +36,7 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
         return 1;
     }
     s->support_angle += s->support_speed * step;
-    drive->placed = drive->solved = 0;
+    drive->solved = 0;
     if (!(fabs(s->crank_angle) < HUGE_VAL && fabs(s->output_angle) < HUGE_VAL && fabs(s->dissipated_energy) < HUGE_VAL
           && fabs(s->output_speed) < HUGE_VAL)) {
         return drive_refuse(message, "flange_a.w = %g rad/s: the flanges leave the range of numbers in a step of %g s.",
@@ -47,10 +51,16 @@ static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE])
     /* A step does not change parameters, nor the fields that the kinematic interface does not have. */
     size_t size = drive_kinematic(drive) ? offsetof(struct state, seen) : offsetof(struct state, crank_torque);
     memcpy(&kept, &drive->state, size);
+    if (drive->contacts.begin != NULL) {
+        drive->contacts.begin(drive->contacts.self);
+    }
     failed = move(drive, step, message);
     if (failed) {
         memcpy(&drive->state, &kept, size);
-        drive->placed = drive->solved = 0;
+        if (drive->contacts.undo != NULL) {
+            drive->contacts.undo(drive->contacts.self);
+        }
+        drive->solved = 0;
     }
     return failed;
 }
@@ -87,9 +97,8 @@ static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
     drive->rubs[INPUT] = drive->rubs[OUTPUT] = 0;
     drive->resting = 1;
     failed = kinematic_follow(drive, message);
-    drive->placed = 1;
     speed = failed ? 0.0 : kinematic_speed(drive);
-    drive->resting = drive->placed = 0;
+    drive->resting = 0;
     for (i = 0; !failed && drive->b > 0.0 && s->torque != 0.0 && i < 5; i++) {
         /* A compliance in series changes the crank's angle at rest slightly (docs/theory/fmu.md). */
         failed = teeth_press(drive, s->turned, s->output_angle - s->turned / drive->ratio, &drive->pressed, message);
@@ -107,7 +116,7 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state kept = drive->state;
     int failed = losses_check(drive, message);
     drive->initializing = 0;
-    drive->placed = drive->solved = 0;
+    drive->solved = 0;
     memset(drive->state.strain, 0, sizeof drive->state.strain);
     drive->state.settled = drive->state.dissipated_energy = 0.0;
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
@@ -134,7 +143,7 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     }
     if (failed) {
         drive->state = kept;
-        drive->placed = drive->solved = 0;
+        drive->solved = 0;
     }
     return failed;
 }
@@ -205,7 +214,7 @@ void drive_reset(struct drive *drive) {
     uint32_t i;
     memset(&drive->state, 0, sizeof drive->state);
     drive->initializing = 1;
-    drive->placed = drive->solved = 0;
+    drive->solved = 0;
     for (i = 0; i < drive->table->variables; i++) {
         const struct variable *v = &drive->table->variable[i];
         double *value = drive_stored(&drive->state, v);
@@ -220,6 +229,7 @@ void drive_open(struct drive *drive, struct table *table) {
     uint32_t i;
     memset(drive, 0, sizeof *drive);
     drive->table = table;
+    drive->contacts = table_contacts(&drive->tables, table);
     drive->ratio = table->ratio;
     drive->rated = UNRATED_LOAD;
     if (table->sun_teeth > 0.0) {
@@ -270,46 +280,40 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
         friction_settle(drive);
     }
     drive->solved = 0;
-    if (!drive_kinematic(drive)) {
-        drive->placed = 0;
-    }
     return 0;
 }
 
-/* Load of the teeth, and its side; returns 0 without contact. */
-static int load_of(struct drive *drive, double *load, double *side) {
-    const struct state *s = &drive->state;
-    *load = drive_kinematic(drive) ? s->load : drive->pressed.load;
-    *side = (drive_kinematic(drive) ? s->side : drive->pressed.side) < 0.0 ? -1.0 : 1.0;
-    return *load > 0.0 || (s->loose == 0.0 && teeth_play(drive, drive_place(drive)).width == 0.0);
+/* Torque of the teeth on the gear; returns whether there is contact. */
+static int contacts_torque(struct drive *drive, double *torque) {
+    *torque = drive_kinematic(drive) || drive->resting ? kinematic_torque(drive) : drive->pressed.torque;
+    return drive_kinematic(drive) || drive->resting ? kinematic_pressed(drive) : drive->pressed.stiffness > 0.0;
 }
 
 double drive_stiffness(struct drive *drive) {
-    double load, side, stiffness;
-    const struct place *place = drive_place(drive);
+    double torque, stiffness;
     if (drive->b > 0.0) {
         return drive_kinematic(drive) || drive->resting ? reducer_stiffness(drive) : reducer_pressed_stiffness(drive);
     }
-    load_of(drive, &load, &side);
-    stiffness = teeth_stiffness(drive, place, load, side, load > 0.0 ? 0.0 : teeth_play(drive, place).width);
+    if (!contacts_torque(drive, &torque)) {
+        return 0.0;
+    }
+    stiffness = drive_kinematic(drive) || drive->resting ? teeth_stiffness(drive, drive_crank_angle(drive), torque)
+                                                          : drive->pressed.stiffness;
     return stiffness > 0.0 ? 1.0 / (1.0 / stiffness + drive->state.series_compliance) : 0.0;
 }
 
 int drive_outside(const struct drive *drive) {
     const struct state *s = &drive->state;
-    const struct side *side = drive->table->side; /* needed at each step: no calls */
-    if (drive->table->offers == INTERFACE_KINEMATIC) {
-        return s->load > side[s->side > 0.0 ? 0 : 1].reach;
+    if (drive_kinematic(drive)) {
+        return teeth_outside(drive, kinematic_torque(drive));
     }
-    return s->outside != 0.0 || (drive->solved && teeth_outside(drive, drive->pressed.load, drive->pressed.side));
+    return s->outside != 0.0 || (drive->solved && teeth_outside(drive, drive->pressed.torque));
 }
 
 static double output(struct drive *drive, int field) {
     struct state *s = &drive->state;
-    const struct place *place = drive_place(drive);
     int still = drive_kinematic(drive);
-    double torque, ratio = drive->ratio, load, side;
-    int pressed = load_of(drive, &load, &side);
+    double torque, ratio = drive->ratio;
     switch (field) {
     case CRANK_TORQUE:
         if (still) {
@@ -331,19 +335,18 @@ static double output(struct drive *drive, int field) {
     case TORQUE: return drive->pressed.by_rotation + drive->damping + compliant_rubbing(drive, OUTPUT).torque;
     case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - drive_angle(drive) / ratio;
     case BACKLASH:
-        return s->backlash_on == 0.0 ? 0.0 : drive->b == 0.0 ? teeth_play(drive, place).width
+        return s->backlash_on == 0.0 ? 0.0 : drive->b == 0.0 ? teeth_width(drive, drive_crank_angle(drive))
             : still ? reducer_backlash(drive, s->placed, s->gear)
                     : reducer_backlash(drive, drive->pressed.crank, drive->pressed.deviation);
     case TORSIONAL_STIFFNESS: return drive_stiffness(drive);
     case MAX_CONTACT_PRESSURE:
     case CONTACT_COUNT: {
-        struct place told;
-        if (!pressed) {
+        double count, pressure;
+        if (!contacts_torque(drive, &torque)) {
             return 0.0;
         }
-        told = table_told_place(drive->table, still || drive->b == 0.0 ? drive_angle(drive) : drive->pressed.crank);
-        return field == CONTACT_COUNT ? table_contact_count(teeth_side(drive, side), &told, load)
-                                      : table_pressure(teeth_side(drive, side), &told, load);
+        drive->contacts.sharing(drive->contacts.self, drive_crank_angle(drive), torque, &count, &pressure);
+        return field == CONTACT_COUNT ? count : pressure;
     }
     case POWER_LOSS:
         if (still) {
@@ -391,7 +394,7 @@ int drive_get(struct drive *drive, const struct variable *variable, double *valu
         *value = failed ? 0.0 : output(drive, variable->field);
         drive->state = before;
         drive->initializing = 1;
-        drive->placed = drive->solved = 0;
+        drive->solved = 0;
         if (failed) {
             return 1;
         }
@@ -483,5 +486,5 @@ void drive_state_read(struct drive *drive, const unsigned char *blob) {
     kept = drive->state;
     friction_settle(drive);
     drive->state = kept;
-    drive->placed = drive->solved = 0;
+    drive->solved = 0;
 }

@@ -42,7 +42,6 @@ int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     if (drive->table->offers == INTERFACE_INERTIA) {
         s->turned = s->crank_angle;
         s->output_angle = s->deviation + s->turned / drive->ratio;
-        drive->placed = 0;
     }
     s->seen = s->output_angle;
     s->crank_seen = s->crank_angle;
@@ -93,8 +92,8 @@ double exchange_rate(const struct drive *drive, int field) {
 void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
     const struct state *s = &drive->state;
     const int still = drive_kinematic(drive);
-    const double load = still ? s->load : drive->pressed.load, side = still ? s->side : drive->pressed.side;
-    found[2] = teeth_side(drive, side)->reach - load;
+    const double torque = still ? kinematic_torque(drive) : drive->pressed.torque;
+    found[2] = drive->contacts.reach[torque > 0.0 ? 0 : 1] - fabs(torque);
     found[3] = drive->rubs[INPUT] ? s->crank_speed : 1.0;
     if (still) {
         found[0] = s->torque;
@@ -103,10 +102,12 @@ void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
         found[0] = found[1] = 1.0; /* contacts behind a first stage also begin at the ends of its plays: no own event */
         found[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
     } else {
-        struct play play = teeth_play(drive, drive_place(drive));
+        char message[MESSAGE_SIZE];
+        struct play play;
         double deviation = s->output_angle - drive_angle(drive) / drive->ratio;
-        found[0] = deviation - (play.end[0].deviation - play.offset);
-        found[1] = deviation + (play.end[1].deviation - play.offset);
+        teeth_play(drive, drive_angle(drive), &play, message);
+        found[0] = deviation - (play.high - play.offset);
+        found[1] = deviation - (play.low + play.offset);
         found[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
     }
 }

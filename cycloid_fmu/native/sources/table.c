@@ -106,11 +106,11 @@ static double hermite_slope(double u, double h, double a, double b, double ca, d
     return 6.0 * u * v * (b - a) / h + v * (1.0 - 3.0 * u) * ca + u * (3.0 * u - 2.0) * cb;
 }
 
-struct loaded table_at(const struct side *side, const struct place *place, double load) {
+struct interpolated table_at(const struct side *side, const struct place *place, double load) {
     uint32_t j = cell_of(side->load, side->loads, load), i;
     double h = side->load[j + 1] - side->load[j], u = (load - side->load[j]) / h;
     double a = 0.0, b = 0.0, ca = 0.0, cb = 0.0, ra = 0.0, rb = 0.0, rca = 0.0, rcb = 0.0;
-    struct loaded found;
+    struct interpolated found;
     for (i = 0; i < 4; i++) {
         const int16_t *x = side->deviation + (size_t)place->node[i] * side->loads + j;
         const uint16_t *c = side->compliance + (size_t)place->node[i] * side->loads + j;
@@ -144,17 +144,17 @@ struct loaded table_at(const struct side *side, const struct place *place, doubl
     return found;
 }
 
-struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node) {
-    struct loaded found;
+struct interpolated table_at_node(const struct side *side, const struct place *place, uint32_t node) {
+    struct interpolated found;
     found.deviation = deviation_at(side, place, node);
     found.rate = blend(side, place, node, place->rate);
     found.compliance = compliance_at(side, place, node);
     return found;
 }
 
-double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series) {
+double table_load(const struct side *side, const struct place *place, double goal, double series) {
     uint32_t low = 0, high = side->loads - 1, step;
-    double a, b, ca, cb, h, left = 0.0, right = 1.0, u, goal = deviation + offset;
+    double a, b, ca, cb, h, left = 0.0, right = 1.0, u;
     a = deviation_at(side, place, low);
     b = deviation_at(side, place, high) + series * side->load[high];
     if (goal <= a) {

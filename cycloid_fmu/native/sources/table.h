@@ -51,7 +51,7 @@ struct place {
 };
 
 /* Results for a load at a crank angle, mirrored like the sides, so that all increase with the load. */
-struct loaded {
+struct interpolated {
     double deviation, rate; /* and its change with the crank angle, rad and rad/rad */
     double compliance;      /* rad/(N.m) */
 };
@@ -65,12 +65,11 @@ struct place table_place(const struct table *table, double crank_angle);
 struct place table_told_place(const struct table *table, double crank_angle); /* of contact count and pressure */
 /* A crank angle whose values are the first derivatives with respect to the crank angle, and whose rates are the second. */
 struct place table_turning(const struct table *table, const struct place *place);
-struct loaded table_at(const struct side *side, const struct place *place, double load);
-struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node);
+struct interpolated table_at(const struct side *side, const struct place *place, double load);
+struct interpolated table_at_node(const struct side *side, const struct place *place, uint32_t node);
 /* Beyond the very last load the tangent continues with constant compliance. */
-/* Load at which the deviation, with a further compliance in series and minus an offset, has a given value; 0 below the
-   first. */
-double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series);
+/* Load at which the deviation, with a further compliance in series, has a given value; 0 below the first. */
+double table_load(const struct side *side, const struct place *place, double deviation, double series);
 /* Integral of the deviation over the load, and of its rate. */
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate);
 double table_pressure(const struct side *side, const struct place *told, double load);
