@@ -39,8 +39,8 @@ class _Stand:
         self._make(work_of(assembly))
 
     def _make(self, work: Any) -> None:
-        self.work, room = work, energy.room(work.place.size)
-        self.box = energy.held(self._drive, self._assembly, work, *room)
+        self.work = work
+        self.box = energy.held(self._drive, self._assembly, work)
         # Bytes, which NumPy copies ten times as fast as records.
         self._seen = [self.rows.view(np.uint8), self.found, *(getattr(work, name) for name in _PLACE)]
         self._spare = [array.copy() for array in self._seen]

@@ -53,6 +53,8 @@ SOURCES = (
     "derivatives.c",
     "teeth.c",
     "table_contacts.c",
+    "exact_contacts.c",
+    "clockwork.c",
     "friction.c",
     "losses.c",
     "table.c",

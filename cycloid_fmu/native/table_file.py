@@ -14,6 +14,7 @@ import math
 import re
 import struct
 from collections.abc import Mapping, Sized
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,9 @@ from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
 from cycloid_fmu.geometry.first_stage import FirstStage
-from cycloid_fmu.native.tables import Tables
+
+if TYPE_CHECKING:
+    from cycloid_fmu.native.tables import Tables
 
 TABLE = "drive.table"  # in an FMU's resources
 HEAD = struct.Struct("<8sIIQQ")
@@ -124,26 +127,10 @@ def write(
     ValueError
         If the range of values exceeds 16 bits.
     """
-    offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
-    body = bytearray(struct.pack("<II", offered, len(variables)))
-    for v in variables.values():
-        limits = (-math.inf if v.least is None else v.least, math.inf if v.most is None else v.most)
-        body += _text(v.name) + struct.pack(
-            "<BBBBidddd",
-            _KINDS.index(v.kind),
-            _CAUSALITIES.index(v.causality),
-            v.baked,
-            v.variability == "fixed",
-            _field(v),
-            *limits,
-            v.start or 0.0,
-            v.nominal or 1.0,
-        )
     sides = (tables.positive, tables.negative)
     rest = tables.rest_torque if tables.rest_torque.any() else np.empty(0)
-    stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)[:4]
     counts = [count for s in sides for count in (s.load.size + 1, s.told_load.size)]
-    body += struct.pack("<7d", tables.ratio, tables.period, tables.allowed, *stage)
+    body = _head(interface, variables, (tables.ratio, tables.period, tables.allowed), first_stage)
     body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)
     body += _padding(body)
     for side in sides:
@@ -163,6 +150,53 @@ def write(
         body += side.contact_count.T.astype("u1").tobytes()
         body += _padding(body)
     return sealed(bytes(body + rest.astype("<f8").tobytes() + _last(token)))
+
+
+def described(
+    interface: Interface,
+    variables: Mapping[int, Variable],
+    ratio: float,
+    period: float,
+    first_stage: FirstStage | None = None,
+) -> bytes:
+    """Return a file without tables, for a drive with exact contacts.
+
+    Parameters
+    ----------
+    interface, variables, first_stage
+        As for `write`.
+    ratio, period
+        Ratio of the cycloid stage, signed, and the crank angle after which it repeats, rad.
+    """
+    body = _head(interface, variables, (ratio, period, 0.0), first_stage) + struct.pack("<7I", *(0,) * 7)
+    body += _padding(body)
+    return sealed(bytes(body + _last("")))
+
+
+def _head(
+    interface: Interface,
+    variables: Mapping[int, Variable],
+    numbers: tuple[float, float, float],
+    first_stage: FirstStage | None,
+) -> bytearray:
+    """Return the interface and its variables; and ratio, period and allowed error with the numbers of a first stage."""
+    offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
+    body = bytearray(struct.pack("<II", offered, len(variables)))
+    for v in variables.values():
+        limits = (-math.inf if v.least is None else v.least, math.inf if v.most is None else v.most)
+        body += _text(v.name) + struct.pack(
+            "<BBBBidddd",
+            _KINDS.index(v.kind),
+            _CAUSALITIES.index(v.causality),
+            v.baked,
+            v.variability == "fixed",
+            _field(v),
+            *limits,
+            v.start or 0.0,
+            v.nominal or 1.0,
+        )
+    stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)[:4]
+    return body + struct.pack("<7d", *numbers, *stage)
 
 
 def named(file: bytes, token: str) -> bytes:

@@ -229,7 +229,9 @@ void drive_open(struct drive *drive, struct table *table) {
     uint32_t i;
     memset(drive, 0, sizeof *drive);
     drive->table = table;
-    drive->contacts = table_contacts(&drive->tables, table);
+    if (table->angles > 0) {
+        drive->contacts = table_contacts(&drive->tables, table);
+    }
     drive->ratio = table->ratio;
     drive->rated = UNRATED_LOAD;
     if (table->sun_teeth > 0.0) {

@@ -36,7 +36,7 @@ struct table {
     uint32_t checksum;
     char *token;
     uint32_t offers, variables; /* the interface; `interface` is a macro in Windows' headers */
-    uint32_t angles, told_angles; /* of deviation and compliance; of contact count and pressure */
+    uint32_t angles, told_angles; /* 0 without tables; of deviation and compliance; of contact count and pressure */
     struct variable *variable;
     double ratio, period, allowed;
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
@@ -58,6 +58,8 @@ struct interpolated {
 
 /* Return the table of a file, shared with other instances if the head is the same, or NULL with a message. */
 struct table *table_open(const char *path, char message[MESSAGE_SIZE]);
+/* The same of a file in memory, which may be without tables, for a drive with other contacts; not shared. */
+struct table *table_read(const unsigned char *file, size_t size, char message[MESSAGE_SIZE]);
 void table_close(struct table *table);
 uint32_t table_checksum(const unsigned char *data, size_t size); /* CRC-32 */
 

@@ -220,6 +220,7 @@ static void read_variable(struct reader *reader, struct variable *v) {
 
 static void read_body(struct reader *reader, struct table *table) {
     uint32_t i, rest;
+    int tabled;
     double *numbers[7];
     table->offers = (uint32_t)whole(reader, 4);
     table->variables = (uint32_t)whole(reader, 4);
@@ -239,11 +240,12 @@ static void read_body(struct reader *reader, struct table *table) {
     table->angles = (uint32_t)whole(reader, 4);
     table->told_angles = (uint32_t)whole(reader, 4);
     rest = (uint32_t)whole(reader, 4);
+    tabled = table->angles > 0;
     for (i = 0; i < 2; i++) {
         struct side *side = &table->side[i];
         side->loads = (uint32_t)whole(reader, 4);
         side->told_loads = (uint32_t)whole(reader, 4);
-        if (side->loads < 3 || side->loads > MOST_LOADS || side->told_loads < 2 || side->told_loads > MOST_LOADS) {
+        if (tabled && (side->loads < 3 || side->loads > MOST_LOADS || side->told_loads < 2 || side->told_loads > MOST_LOADS)) {
             reader->failed = 1;
         }
     }
@@ -252,13 +254,13 @@ static void read_body(struct reader *reader, struct table *table) {
           && fabs(table->bearing_play) < 1.0)) {
         reader->failed = 1;
     }
-    if (!(fabs(table->ratio) >= 1.0 && table->period > 0.0 && table->period < 1e6 && table->told_angles >= 4
-          && table->told_angles <= table->angles && table->angles <= 100000000u
+    if (!(fabs(table->ratio) >= 1.0 && table->period > 0.0 && table->period < 1e6
+          && (table->told_angles >= 4 || !tabled) && table->told_angles <= table->angles && table->angles <= 100000000u
           && (rest == 0 || rest == table->angles))) {
         reader->failed = 1;
     }
     align(reader, table);
-    for (i = 0; i < 2 && !reader->failed; i++) {
+    for (i = 0; i < 2 && tabled && !reader->failed; i++) {
         read_side(reader, table, &table->side[i]);
     }
     read_rest(reader, table, rest);
@@ -307,29 +309,31 @@ static void sums(const unsigned char *data, size_t size, uint64_t found[2]) {
     }
 }
 
-/* Read the file after its head, which is in the table already, or write a message. */
-static const char *read_rest_of_file(struct table *table, FILE *file) {
-    struct reader head = {table->head + 8, table->head + TABLE_HEAD, 0}, reader;
+/* The size of the file after its head, which is in the table already; or a message. */
+static const char *read_head(struct table *table, size_t *size, uint64_t stated[2]) {
+    struct reader head = {table->head + 8, table->head + TABLE_HEAD, 0};
     uint32_t version = (uint32_t)whole(&head, 4);
-    size_t size = (size_t)whole(&head, 4);
-    uint64_t told[2], found[2];
-    told[0] = whole(&head, 8);
-    told[1] = whole(&head, 8);
+    *size = (size_t)whole(&head, 4);
+    stated[0] = whole(&head, 8);
+    stated[1] = whole(&head, 8);
     if (memcmp(table->head, TABLE_MAGIC, 8) != 0) {
         return "this is not a table of a cycloid drive";
     }
     if (version != TABLE_VERSION) {
         return "the table is of another version than this FMU reads; build the FMU again";
     }
-    table->file = (double)size < LARGEST_FILE ? malloc(size + 1) : NULL;
+    table->file = (double)*size < LARGEST_FILE ? malloc(*size + 1) : NULL;
     if (table->file == NULL) {
         return "the table is damaged, or there is not enough memory for it";
     }
-    if (size % 4 != 0 || fread(table->file, 1, size + 1, file) != size) {
-        return "the table is damaged: it has another size than it says";
-    }
+    return NULL;
+}
+
+static const char *read_file(struct table *table, size_t size, const uint64_t stated[2]) {
+    struct reader reader;
+    uint64_t found[2];
     sums(table->file, size, found);
-    if (found[0] != told[0] || found[1] != told[1]) {
+    if (found[0] != stated[0] || found[1] != stated[1]) {
         return "the table is damaged: its checksum does not fit";
     }
     table->checksum = table_checksum(table->head, TABLE_HEAD);
@@ -338,6 +342,17 @@ static const char *read_rest_of_file(struct table *table, FILE *file) {
     reader.failed = 0;
     read_body(&reader, table);
     return reader.failed ? "the table is damaged, or there is not enough memory for it" : NULL;
+}
+
+/* Read the file after its head, which is in the table already, or write a message. */
+static const char *read_rest_of_file(struct table *table, FILE *file) {
+    size_t size;
+    uint64_t stated[2];
+    const char *wrong = read_head(table, &size, stated);
+    if (wrong == NULL && (size % 4 != 0 || fread(table->file, 1, size + 1, file) != size)) {
+        wrong = "the table is damaged: it has another size than it says";
+    }
+    return wrong == NULL ? read_file(table, size, stated) : wrong;
 }
 
 static void table_free(struct table *table) {
@@ -413,6 +428,36 @@ struct table *table_open(const char *path, char message[MESSAGE_SIZE]) {
     if (table == NULL) {
         snprintf(message, MESSAGE_SIZE, "%.300s: %s.", path, wrong);
     }
+    return table;
+}
+
+struct table *table_read(const unsigned char *file, size_t size, char message[MESSAGE_SIZE]) {
+    struct table *table = calloc(1, sizeof *table);
+    const char *wrong = table == NULL ? "there is not enough memory for it" : NULL;
+    size_t rest = 0;
+    uint64_t stated[2];
+    if (wrong == NULL && size < TABLE_HEAD) {
+        wrong = "this is not a table of a cycloid drive";
+    }
+    if (wrong == NULL) {
+        memcpy(table->head, file, TABLE_HEAD);
+        wrong = read_head(table, &rest, stated);
+    }
+    if (wrong == NULL && (rest % 4 != 0 || rest != size - TABLE_HEAD)) {
+        wrong = "the table is damaged: it has another size than it says";
+    }
+    if (wrong == NULL) {
+        memcpy(table->file, file + TABLE_HEAD, rest);
+        wrong = read_file(table, rest, stated);
+    }
+    if (wrong != NULL) {
+        snprintf(message, MESSAGE_SIZE, "%s.", wrong);
+        if (table != NULL) {
+            table_free(table);
+        }
+        return NULL;
+    }
+    table->users = 1;
     return table;
 }
 

@@ -1,0 +1,123 @@
+/* The drive for a program that has its contact problem: the functions that cycloid_fmu/fmu/clockwork.py calls. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "drive.h"
+#include "exact_contacts.h"
+
+#ifdef _WIN32
+#define EXPORTED __declspec(dllexport)
+#else
+#define EXPORTED __attribute__((visibility("default")))
+#endif
+
+struct clockwork {
+    struct table *table;
+    struct drive drive;
+    struct exact_contacts contacts;
+};
+
+/* Return a drive described by a file of tables without tables, or NULL with a message. */
+EXPORTED struct clockwork *clockwork_open(const unsigned char *file, size_t size, char message[MESSAGE_SIZE]);
+EXPORTED void clockwork_close(struct clockwork *clockwork);
+EXPORTED size_t clockwork_message_size(void);
+/* Give it a contact problem, in place of the one before. */
+EXPORTED int clockwork_solve(struct clockwork *clockwork, const struct exact_problem *problem);
+EXPORTED void clockwork_set_time(struct clockwork *clockwork, double time);
+EXPORTED int clockwork_start(struct clockwork *clockwork, char message[MESSAGE_SIZE]);
+EXPORTED int clockwork_step(struct clockwork *clockwork, double time, double step, char message[MESSAGE_SIZE]);
+EXPORTED int clockwork_get(struct clockwork *clockwork, const uint32_t *references, size_t count, double *values,
+                           char message[MESSAGE_SIZE]);
+/* Return how many of the values are set: fewer than `count` if one is refused. */
+EXPORTED size_t clockwork_set(struct clockwork *clockwork, const uint32_t *references, size_t count, const double *values,
+                              char message[MESSAGE_SIZE]);
+EXPORTED size_t clockwork_state_size(const struct clockwork *clockwork);
+EXPORTED void clockwork_state(const struct clockwork *clockwork, unsigned char *bytes);
+EXPORTED int clockwork_restore(struct clockwork *clockwork, const unsigned char *bytes, size_t size,
+                               char message[MESSAGE_SIZE]);
+
+struct clockwork *clockwork_open(const unsigned char *file, size_t size, char message[MESSAGE_SIZE]) {
+    struct clockwork *clockwork = calloc(1, sizeof *clockwork);
+    struct table *table = clockwork == NULL ? NULL : table_read(file, size, message);
+    if (table == NULL) {
+        free(clockwork);
+        return NULL;
+    }
+    clockwork->table = table;
+    drive_open(&clockwork->drive, table);
+    return clockwork;
+}
+
+void clockwork_close(struct clockwork *clockwork) {
+    exact_close(&clockwork->contacts);
+    table_close(clockwork->table);
+    free(clockwork);
+}
+
+size_t clockwork_message_size(void) {
+    return MESSAGE_SIZE;
+}
+
+int clockwork_solve(struct clockwork *clockwork, const struct exact_problem *problem) {
+    exact_close(&clockwork->contacts);
+    clockwork->drive.solved = 0;
+    return exact_open(&clockwork->contacts, problem, &clockwork->drive.contacts);
+}
+
+void clockwork_set_time(struct clockwork *clockwork, double time) {
+    clockwork->drive.state.time = time;
+}
+
+int clockwork_start(struct clockwork *clockwork, char message[MESSAGE_SIZE]) {
+    return drive_start(&clockwork->drive, message);
+}
+
+int clockwork_step(struct clockwork *clockwork, double time, double step, char message[MESSAGE_SIZE]) {
+    return drive_step(&clockwork->drive, time, step, message);
+}
+
+int clockwork_get(struct clockwork *clockwork, const uint32_t *references, size_t count, double *values,
+                  char message[MESSAGE_SIZE]) {
+    size_t i;
+    for (i = 0; i < count; i++) {
+        if (drive_get(&clockwork->drive, &clockwork->table->variable[references[i]], &values[i], message)) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+size_t clockwork_set(struct clockwork *clockwork, const uint32_t *references, size_t count, const double *values,
+                     char message[MESSAGE_SIZE]) {
+    size_t i;
+    for (i = 0; i < count; i++) {
+        if (drive_set(&clockwork->drive, &clockwork->table->variable[references[i]], values[i], message)) {
+            break;
+        }
+    }
+    return i;
+}
+
+size_t clockwork_state_size(const struct clockwork *clockwork) {
+    return drive_state_size() + exact_size(&clockwork->contacts);
+}
+
+void clockwork_state(const struct clockwork *clockwork, unsigned char *bytes) {
+    drive_state_write(&clockwork->drive, bytes);
+    exact_save(&clockwork->contacts, bytes + drive_state_size());
+}
+
+int clockwork_restore(struct clockwork *clockwork, const unsigned char *bytes, size_t size, char message[MESSAGE_SIZE]) {
+    const size_t own = drive_state_size();
+    if (size != clockwork_state_size(clockwork)) {
+        drive_refuse(message, "this state has %g bytes, those of this drive have %g.", (double)size,
+                     (double)clockwork_state_size(clockwork));
+        return 1;
+    }
+    if (drive_state_check(&clockwork->drive, bytes, own, 0, message)) {
+        return 1;
+    }
+    drive_state_read(&clockwork->drive, bytes);
+    exact_restore(&clockwork->contacts, bytes + own);
+    return 0;
+}
