@@ -1,7 +1,7 @@
 """The drive in time with its exact contacts: the model of the native FMU, in C, on the contact problem itself.
 
-The C sources in `native/sources` hold the model; here are its variables by name and by reference, its errors, which make
-another contact problem when they change, and its state.
+The C sources in `native/sources` hold the model; here are its variables by name and by reference, its errors, which
+make another contact problem when they change, and its state.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import contextlib
 import ctypes
 import dataclasses
 import functools
+import math
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -25,7 +26,7 @@ from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.exact_contacts import ExactContacts, exact_contacts
 from cycloid_fmu.fmu.variables import Interface, Variable, variables
 from cycloid_fmu.native.table_file import described
-from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.structured import structured_value
 
 _MOST_BLOCKS = 16  # of `native/sources/exact_contacts.h`
 _OF_PINS = ("pin_force", "pin_pressure")
@@ -77,6 +78,7 @@ def _library() -> ctypes.CDLL:
         ("message_size", size, ()),
         ("solve", ctypes.c_int, (pointer, pointer)),
         ("set_time", None, (pointer, ctypes.c_double)),
+        ("time", ctypes.c_double, (pointer,)),
         ("start", ctypes.c_int, (pointer, pointer)),
         ("step", ctypes.c_int, (pointer, ctypes.c_double, ctypes.c_double, pointer)),
         ("get", ctypes.c_int, (pointer, pointer, size, pointer, pointer)),
@@ -95,8 +97,8 @@ def _remove(path: str) -> None:
         Path(path).unlink()
 
 
-class _Values:
-    """Memory for values of some variables, by reference."""
+class Group:
+    """Memory for values of some variables."""
 
     def __init__(self, references: Sequence[int]) -> None:
         self._references = (ctypes.c_uint32 * len(references))(*references)
@@ -131,13 +133,12 @@ class Clockwork:
         self.table: dict[int, Variable] = dict(enumerate(variables(drive, interface, version)))
         self.references = {v.name: reference for reference, v in self.table.items()}
         pair = drive.pair
-        self._period = 2.0 * np.pi * (pair.gear_teeth if pair.output == "gear" else pair.pins)
-        self._of_pins = {n: self.references[n] for n in _OF_PINS if n in self.references}
+        self._period = 2.0 * math.pi * (pair.gear_teeth if pair.output == "gear" else pair.pins)
         self._stated = self._structured()
         self.errors = dict(self._stated)
         self.pin_arrays: dict[str, list[float]] = {}
         self._own = {reference: v.name for reference, v in self.table.items() if v.name in self.errors or v.dimensions}
-        self._groups: dict[tuple[int, ...], _Values] = {}
+        self._singles: dict[int, Group] = {}
         self._contacts: ExactContacts | None = None
         library = _library()
         self._get, self._set, self._step = library.clockwork_get, library.clockwork_set, library.clockwork_step
@@ -172,7 +173,7 @@ class Clockwork:
             self._contacts = None
 
     def pin_errors(self, name: str) -> list[float]:
-        """Return the errors of each pin (m) for a kind of pin errors, including structured errors set since."""
+        """Return the errors of each pin for a kind of pin errors, m, with structured errors set since."""
         values: list[float] = getattr(self._with_errors().surface, name).tolist()
         return values
 
@@ -201,79 +202,80 @@ class Clockwork:
 
     # ---- variables ----
 
-    def _values(self, references: Sequence[int]) -> _Values:
-        key = tuple(references)
-        found = self._groups.get(key)
-        if found is None:
-            found = self._groups[key] = _Values(key)
-        return found
+    def group(self, references: Sequence[int]) -> Group | None:
+        """Return memory for variables by reference; None if one of them is an error or of single pins."""
+        return None if any(reference in self._own for reference in references) else Group(references)
 
-    def numbers(self, references: Sequence[int]) -> list[Any]:
-        """Return values of variables by reference: numbers, and lists row by row of arrays; a `StepError` without one."""
-        found = self._groups.get(tuple(references))
-        if found is None:
-            if any(reference in self._own for reference in references):
-                return [self._number(reference) for reference in references]
-            found = self._values(references)
+    def read(self, group: Group) -> list[float]:
+        """Return the values of a group; a `StepError` if there is none at these inputs."""
         if self._contacts is None:
             self._solve()
-        if self._get(self._handle, *found.arguments, self._said):
+        if self._get(self._handle, *group.arguments, self._said):
             raise StepError(self._text)
-        return found.values[:]
+        return group.values[:]
 
-    def _number(self, reference: int) -> Any:
-        name = self._own.get(reference)
+    def write(self, group: Group, values: Sequence[float]) -> bool:
+        """Set the values of a group in turn, up to the first that is refused; return whether none is."""
+        group.values[:] = values
+        return bool(self._set(self._handle, *group.arguments, self._said) == len(values))
+
+    def value(self, reference: int) -> Any:
+        """Return a variable by reference: its kind of number, or a list row by row; a `StepError` if there is none."""
+        name, kind = self._own.get(reference), self.table[reference].kind
         if name is None:
-            return self.numbers((reference,))[0]
+            (value,) = self.read(self._single(reference))
+            return value if kind == "real" else int(value) if kind == "integer" else bool(value)
         if name in self.errors:
             return self.errors[name]
         if name in KINDS:
             return self.pin_errors(name)
-        pressed = self.get("contact_count") > 0  # solves the sharing
+        pressed = self.get("contact_count") > 0  # its solution is that of the pins
         shared = self._solve().shared[_OF_PINS.index(name)]
         return shared.ravel().tolist() if pressed else [0.0] * shared.size
 
-    def put_numbers(self, references: Sequence[int], values: Sequence[Any]) -> int:
-        """Set variables by reference, those of pins by lists; return how many are set: fewer if one is refused."""
-        found = self._groups.get(tuple(references))
-        if found is None:
-            if any(reference in self._own for reference in references):
-                for reference, value in zip(references, values, strict=True):
-                    self._put_number(reference, value)
-                return len(references)
-            found = self._values(references)
-        found.values[:] = values
-        return int(self._set(self._handle, *found.arguments, self._said))
-
-    def _put_number(self, reference: int, value: Any) -> None:
+    def put(self, reference: int, value: Any) -> str:
+        """Set a variable by reference, those of pins by a list; return the reason if the value is refused, or ""."""
         name = self._own.get(reference)
         if name is None:
-            if self.put_numbers((reference,), (value,)) == 0:
-                raise ValueError(self._text)
-        elif name in self.errors:
+            return "" if self.write(self._single(reference), (value,)) else self._text
+        variable = self.table[reference]
+        least, most = variable.least, variable.most
+        if least is None or most is None:
+            return f"{variable.name} can't be set: it is an output"
+        for number in value if variable.dimensions else (value,):
+            if not least <= number <= most:
+                return f"{variable.name} = {number:g}: it must be finite and lie between {least:g} and {most:g}"
+        if name in self.errors:
             self._set_error(name, value)
         else:
             self._set_pin_errors(name, value)
+        return ""
 
-    @property
-    def refusal(self) -> str:
-        """Why the last value was refused, one sentence without its full stop."""
-        return self._text
+    def _single(self, reference: int) -> Group:
+        group = self._singles.get(reference)
+        if group is None:
+            group = self._singles[reference] = Group((reference,))
+        return group
 
     def get(self, name: str) -> Any:
-        """Return the value of a variable by its name; a `StepError` if there is none at these inputs."""
-        value = self._number(self.references[name])
-        kind = self.table[self.references[name]].kind
-        return value if kind == "real" else int(value) if kind == "integer" else bool(value)
+        """Return a variable by its name, as `value`."""
+        return self.value(self.references[name])
 
     def set(self, name: str, value: Any) -> None:
         """Set a variable by its name; a `ValueError` with one sentence if the value is refused."""
-        self._put_number(self.references[name], value)
+        refused = self.put(self.references[name], value)
+        if refused:
+            raise ValueError(refused)
 
     # ---- time ----
 
-    def set_time(self, time: float) -> None:
-        """Set the present time, s."""
+    @property
+    def time(self) -> float:
+        """Present time, s: that at the end of the last step."""
+        return float(_library().clockwork_time(self._handle))
+
+    @time.setter
+    def time(self, time: float) -> None:
         _library().clockwork_set_time(self._handle, time)
 
     def start(self) -> None:
@@ -283,7 +285,7 @@ class Clockwork:
             raise StepError(self._text)
 
     def advance(self, time: float, step: float) -> str:
-        """Make a step from a time, both s; return the reason if it is refused, or "". A refused step changes nothing."""
+        """Make a step (s) from a time (s); return the reason if it is refused, or "": then nothing is changed."""
         if self._contacts is None:
             self._solve()
         return self._text if self._step(self._handle, time, step, self._said) else ""

@@ -146,8 +146,8 @@ def _solve_mesh(box: _Mesh, operation: int, theta: float, a: float, b: float, re
     operation, theta
         One of the `SOLVE_` constants, and the crank angle, rad.
     a, b
-        play: none; touch: an end of the play (rad) and its side (±1); load: the torque, N·m; turn and share, at the last
-        solution: none; hold and press: a deviation (rad) and a compliance in series (rad/(N·m)).
+        play: none; touch: an end of the play (rad) and its side (±1); load: the torque, N·m; hold and press: a deviation
+        (rad) and a compliance in series (rad/(N·m)); turn and share, at the last solution: none.
     result
         play: both ends, rad. touch: dφ_b/dθ. load, hold and press: deviation (rad), stiffness (N·m/rad), torque (N·m);
         and for press energy (J) and its derivatives by θ and φ_b (N·m). turn: the crank's torque (N·m) and dφ_b/dθ.

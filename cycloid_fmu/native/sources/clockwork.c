@@ -24,6 +24,7 @@ EXPORTED size_t clockwork_message_size(void);
 /* Give it a contact problem, in place of the one before. */
 EXPORTED int clockwork_solve(struct clockwork *clockwork, const struct exact_problem *problem);
 EXPORTED void clockwork_set_time(struct clockwork *clockwork, double time);
+EXPORTED double clockwork_time(const struct clockwork *clockwork);
 EXPORTED int clockwork_start(struct clockwork *clockwork, char message[MESSAGE_SIZE]);
 EXPORTED int clockwork_step(struct clockwork *clockwork, double time, double step, char message[MESSAGE_SIZE]);
 EXPORTED int clockwork_get(struct clockwork *clockwork, const uint32_t *references, size_t count, double *values,
@@ -66,6 +67,10 @@ int clockwork_solve(struct clockwork *clockwork, const struct exact_problem *pro
 
 void clockwork_set_time(struct clockwork *clockwork, double time) {
     clockwork->drive.state.time = time;
+}
+
+double clockwork_time(const struct clockwork *clockwork) {
+    return clockwork->drive.state.time;
 }
 
 int clockwork_start(struct clockwork *clockwork, char message[MESSAGE_SIZE]) {

@@ -269,8 +269,10 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
         return 1;
     }
     if (!(value >= variable->least && value <= variable->most && fabs(value) < HUGE_VAL)) {
-        snprintf(message, MESSAGE_SIZE, "%.100s = %g: it must be finite and lie between %g and %g.", variable->name,
-                 value, variable->least, variable->most);
+        int limited = variable->least > -HUGE_VAL || variable->most < HUGE_VAL;
+        snprintf(message, MESSAGE_SIZE, limited ? "%.100s = %g: it must be finite and lie between %g and %g."
+                                                : "%.100s = %g: it must be finite.",
+                 variable->name, value, variable->least, variable->most);
         return 1;
     }
     if (variable->field == SUPPORT_ANGLE || variable->field == SUPPORT_SPEED) {
