@@ -8,13 +8,12 @@ import fmpy
 import numpy as np
 import pytest
 from c_host import Slave, native_of
+from clockworks import Drive, compliant_drive
 from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.build import with_damping
-from cycloid_fmu.fmu.compliant_model import CompliantModel
-from cycloid_fmu.fmu.core import model_of
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.native import build as native_build
@@ -37,7 +36,7 @@ class Exact:
     """The model in Python with the native FMU's manners."""
 
     def __init__(self, drive, interface):
-        self.model = model_of(drive, interface)
+        self.model = Drive(drive, interface)
 
     def put(self, values):
         for name, value in values.items():
@@ -170,7 +169,7 @@ def reference(drive, last, begin, motor=None, load=0.0, damping=0.0, compliance=
     The crank turns at its speed, or has the inertia `MOTOR` and a torque over time. Returned are angle and speed of
     crank and output over time, and the contacts' torques.
     """
-    contacts, ratio = CompliantModel(drive.stage), drive.pair.ratio
+    contacts, ratio = compliant_drive(drive.stage), drive.pair.ratio
     contacts.series_compliance = compliance
 
     def torques(angle, speed, output, output_speed):

@@ -17,6 +17,7 @@ import fmpy
 import numpy as np
 import pytest
 from c_host import BUILT, COMPILER, HERE, INTERFACES, WINE, Slave, coarse, compiled, native_of, needs, needs_wine, zig
+from clockworks import compliant_drive, kinematic_drive
 from common import ARCSEC, EXAMPLES, PAIR, make_pair
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
@@ -27,9 +28,6 @@ from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu import constants
-from cycloid_fmu.fmu.compliant_model import CompliantModel
-from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.run import open_fmu
 from cycloid_fmu.fmu.variables import Interface, from_tables, variables
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
@@ -93,7 +91,7 @@ def against_the_exact_model(native, pair, surface, made, probes):
     size = np.where(random.random(probes) < 0.5, random.uniform(0.0, 1.0, probes), 10 ** random.uniform(-4, 0, probes))
     torque = largest * size * random.choice([-1.0, 1.0], probes)
     angle = np.sort(random.uniform(0.0, made.period, probes))
-    model, found = DriveModel(DriveValue(pair, surface)), np.empty((2, 5, probes))
+    model, found = kinematic_drive(DriveValue(pair, surface)), np.empty((2, 5, probes))
     model.crank_speed = 1.0
     for i in range(probes):
         model.crank_angle, model.torque = angle[i], torque[i]
@@ -298,7 +296,7 @@ def test_torques_of_the_tables_are_derivatives_of_one_function(drive, slave, wit
     ],
 )
 def test_kinematic_follows_the_exact_model_through_reversals_and_zero_torque(drive, slave, parameters):
-    native, model = slave(), DriveModel(drive.stage, INTERFACES["kinematic"].losses)
+    native, model = slave(), kinematic_drive(drive.stage, INTERFACES["kinematic"].losses)
     begun(native, model, parameters)
     exact, interpolated = moved(native, model, steps=400, swing=2.0)
     off = np.abs(interpolated - exact)
@@ -380,7 +378,7 @@ def built_coarse(folder, drive):
 )
 def test_with_interference_the_exact_model_is_followed(slave, pressed, parameters):
     assert np.abs(pressed.tables.rest_torque).max() > 0.0
-    native, model = slave(path=pressed.path), DriveModel(pressed.drive, INTERFACES["kinematic"].losses)
+    native, model = slave(path=pressed.path), kinematic_drive(pressed.drive, INTERFACES["kinematic"].losses)
     begun(native, model, parameters)
     # Beside the places where the crank feels nothing: there a rounding decides which way power flows.
     found = [stepped(native, model, i, 0.003 + 0.01 * i, 100.0 * math.sin(0.1 * i) * (i % 7 > 1)) for i in range(200)]
@@ -396,7 +394,7 @@ def test_with_interference_the_exact_model_is_followed(slave, pressed, parameter
     [{}, {"friction_torque": 2.0, "series_compliance": 1e-6}, {"friction_torque": 3.0, "backlash_on": False}],
 )
 def test_a_reducer_follows_its_exact_model(slave, reducer, parameters):
-    native, model = slave(path=reducer.path), ReducerModel(reducer.drive, INTERFACES["kinematic"].losses)
+    native, model = slave(path=reducer.path), kinematic_drive(reducer.drive, INTERFACES["kinematic"].losses)
     begun(native, model, parameters)
     exact, interpolated = moved(native, model, steps=200, swing=20.0)
     off, allowed = np.abs(interpolated - exact), reducer.tables.allowed
@@ -407,7 +405,7 @@ def test_a_reducer_follows_its_exact_model(slave, reducer, parameters):
 
 @pytest.mark.parametrize("parameters", [{}, {"friction_torque": 8.0, "mesh_damping": 50.0, "series_compliance": 1e-6}])
 def test_compliant_follows_the_exact_model(drive, slave, parameters):
-    native, model = slave("compliant"), CompliantModel(drive.stage)
+    native, model = slave("compliant"), compliant_drive(drive.stage)
     begun(native, model, parameters)
     found, ratio = [], drive.pair.ratio
     for i in range(200):
@@ -434,7 +432,7 @@ def test_compliant_follows_the_exact_model(drive, slave, parameters):
 def test_an_output_inertia_follows_the_exact_model_under_a_load_that_turns_round(drive, slave):
     parameters = {"friction_torque": 8.0, "mesh_damping": 50.0, "series_compliance": 1e-6}
     native, inertia = slave("inertia"), INTERFACES["inertia"].output_inertia
-    model = CompliantModel(drive.stage, output_inertia=inertia)
+    model = compliant_drive(drive.stage, output_inertia=inertia)
     model.torque = 100.0
     native.put(flange_b_tau=100.0)
     begun(native, model, parameters)

@@ -6,16 +6,13 @@ import math
 import numpy as np
 import pytest
 from c_host import Slave, native_of
+from clockworks import Drive, compliant_drive, kinematic_drive
 from common import EXAMPLES
 from scipy.integrate import solve_ivp
 
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.compliant_model import CompliantModel
-from cycloid_fmu.fmu.core import model_of
 from cycloid_fmu.fmu.friction import press, slide, yields
 from cycloid_fmu.fmu.friction_file import Friction
-from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer
@@ -29,7 +26,7 @@ class Exact:
     """The model in Python with the native FMU's manners."""
 
     def __init__(self, drive, interface):
-        self.model = model_of(drive, interface)
+        self.model = Drive(drive, interface)
 
     def put(self, **values):
         for name, value in values.items():
@@ -177,7 +174,7 @@ def test_both_flanges_of_the_compliant_interface_loop_as_masing_has_it(opened, k
 def test_the_loop_of_the_locked_crank_widens_with_the_load(drive, opened, kind, share):
     """Torque up and down on the output: the teeth bear (T - C)/(1 + s) on the way up, (T + C)/(1 - s) down."""
     most, coulomb = 120.0, 2.0
-    elastic = DriveModel(drive.stage)
+    elastic = kinematic_drive(drive.stage)
 
     def place(torque):
         elastic.torque = torque
@@ -218,7 +215,7 @@ def test_friction_of_the_kinematic_output_balances_its_torque_at_every_place(dri
         found.step()
         angles += found.get("flange_b.phi")
     friction = masing(np.array(angles) - begun, coulomb, angle)
-    elastic = DriveModel(drive.stage)
+    elastic = kinematic_drive(drive.stage)
     wanted = []
     for torque in torques - friction:
         elastic.torque = torque
@@ -360,7 +357,7 @@ def test_a_reducer_s_sun_and_carrier_rub_as_well():
     """With the sun locked the teeth bear T - T_f on the way up and T + T_f down; turned, both flanges lose."""
     whole = read_reducer(EXAMPLES / "rv-20e.toml")
     made = DriveValue(whole.stage, nominal_surface(whole.stage), rv.parts_of(whole)[2])
-    model, elastic = ReducerModel(made), ReducerModel(made)
+    model, elastic = kinematic_drive(made), kinematic_drive(made)
     model.set_friction(0, coulomb=0.03)
     model.set_friction(1, coulomb=4.0, presliding_angle=1e-7)
     model.advance()
@@ -394,7 +391,7 @@ def driving(time):
 @pytest.fixture(scope="module")
 def stuck_and_slipped(drive):
     """Motion of motor and arm with friction by SciPy, over time: elements by their law of slip, the contacts' alone."""
-    contacts, ratio = CompliantModel(drive.stage), drive.pair.ratio
+    contacts, ratio = compliant_drive(drive.stage), drive.pair.ratio
     contacts.series_compliance, shares = 5e-6, np.arange(1, 6) / 15.0
     rated = drive.pair.rated_torque / abs(ratio), drive.pair.rated_torque
     flanges = [

@@ -99,8 +99,9 @@ static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
     failed = kinematic_follow(drive, message);
     speed = failed ? 0.0 : kinematic_speed(drive);
     drive->resting = 0;
-    for (i = 0; !failed && drive->b > 0.0 && s->torque != 0.0 && i < 5; i++) {
-        /* A compliance in series changes the crank's angle at rest slightly (docs/theory/fmu.md). */
+    for (i = 0; !failed && s->torque != 0.0 && i < 5; i++) {
+        /* The torque of the stored energy differs slightly from that of the quasi-static balance: with exact contacts
+           (docs/theory/fmu.md), and where a compliance in series changes the angle of a reducer's crank. */
         failed = teeth_press(drive, s->turned, s->output_angle - s->turned / drive->ratio, &drive->pressed, message);
         if (!failed && drive->pressed.stiffness > 0.0) {
             s->output_angle += (s->torque - drive->pressed.by_rotation)
