@@ -48,6 +48,11 @@ class Drive:
         if refused:
             raise StepError(refused)
 
+    def pressed(self, crank_angle, output_angle):
+        """Torques of a compliant drive without damping and friction at its flanges, at rest at these angles."""
+        self.crank_angle, self.output_angle = crank_angle, output_angle
+        return self.crank_torque, self.torque
+
     def state(self):
         return self.clockwork.state()
 

@@ -116,11 +116,11 @@ def test_with_inertias_inside_work_is_stored_lost_or_given_back(case):
     model.advance()
     begun, done, passed = model.elastic_energy, 0.0, 0.0
     for i in range(60):
-        before = model._turned, model.output_angle
+        before = model.crank_angle, model.output_angle
         model.crank_torque = driving = 2.0 * math.cos(300.0 * i * 1e-3)
         model.torque = load = -20.0 * math.cos(130.0 * i * 1e-3)
         model.advance(1e-3)
-        work = driving * (model._turned - before[0]), load * (model.output_angle - before[1])
+        work = driving * (model.crank_angle - before[0]), load * (model.output_angle - before[1])
         done, passed = done + sum(work), passed + sum(map(abs, work))
     moving = 0.5 * (0.5 * model.output_speed**2 + 2e-4 * model.crank_speed**2)
     assert passed > 0.1

@@ -170,10 +170,11 @@ def reference(drive, last, begin, motor=None, load=0.0, damping=0.0, compliance=
     crank and output over time, and the contacts' torques.
     """
     contacts, ratio = compliant_drive(drive.stage), drive.pair.ratio
+    contacts.forget_history()
     contacts.series_compliance = compliance
 
     def torques(angle, speed, output, output_speed):
-        _, by_angle, by_rotation = contacts._contact(contacts._reduced(angle), output - angle / ratio)
+        by_angle, by_rotation = contacts.pressed(angle, output)
         slip = output_speed - speed / ratio
         damped = math.copysign(min(damping * abs(slip), abs(by_rotation)), slip)
         return by_angle - damped / ratio, by_rotation + damped

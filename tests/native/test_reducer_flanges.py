@@ -190,7 +190,7 @@ def test_with_inertias_inside_work_is_stored_lost_or_given_back(reducers, native
         if kind == "native":
             return slave.get(*names)
         return [
-            model._turned,
+            model.crank_angle,
             model.crank_speed,
             model.output_angle,
             model.output_speed,

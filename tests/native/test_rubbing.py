@@ -1,19 +1,20 @@
 """Friction at both flanges, exact and native: against Masing's rules, closed forms and SciPy."""
 
+import ctypes
 import itertools
 import math
 
 import numpy as np
 import pytest
-from c_host import Slave, native_of
+from c_host import Slave, compiled, native_of
 from clockworks import Drive, compliant_drive, kinematic_drive
 from common import EXAMPLES
 from scipy.integrate import solve_ivp
 
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.friction import press, slide, yields
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface
+from cycloid_fmu.native import build as native_build
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.surfaces.surface import nominal_surface
@@ -109,35 +110,60 @@ def masing(path, most=1.0, angle=ANGLE):
     return np.array(found)
 
 
-def test_a_loop_follows_masing_s_rules_and_remembers_its_reversals():
+class Yields(ctypes.Structure):
+    _fields_ = (("low", ctypes.c_double), ("high", ctypes.c_double))
+
+
+class Slid(ctypes.Structure):
+    _fields_ = (("torque", ctypes.c_double), ("slope", ctypes.c_double), ("lost", ctypes.c_double))
+
+
+@pytest.fixture(scope="module")
+def slide(tmp_path_factory):
+    """`friction_slide` of the C sources: strains at the end, mean torque and lost energy of a displacement."""
+    folder = tmp_path_factory.mktemp("friction")
+    for name, data in native_build._source_files().items():
+        (folder / name).write_bytes(data)
+    sources = [folder / name for name in native_build.SOURCES]
+    library = ctypes.CDLL(str(compiled(folder / "friction.so", sources, "-shared", "-fPIC", f"-I{folder}")))
+    function, five, number = library.friction_slide, ctypes.c_double * 5, ctypes.c_double
+    function.restype, function.argtypes = Slid, (five, five, number, number, number, Yields)
+
+    def slid(strains, way, time, stiffness, low, high):
+        end = five()
+        found = function(five(*strains), end, way, time, stiffness, Yields(low, high))
+        return list(end), found.torque, found.lost
+
+    return slid
+
+
+def test_a_loop_follows_masing_s_rules_and_remembers_its_reversals(slide):
     """Loops within loops: each closes where it began, and the outer one continues as if it had not been."""
     corners = ANGLE * np.array([0.0, 0.9, -0.7, 0.4, -0.2, 0.1, -0.2, 0.4, -0.7, 0.9, 0.5, 0.95, -0.95, 0.2])
     path = np.concatenate([np.linspace(a, b, 41)[1:] for a, b in itertools.pairwise(corners)])
-    stiffness, strains, torques, lost, work, stored = 2.0 / (6.0 * ANGLE), [0.0] * 5, [], 0.0, 0.0, 0.0
+    stiffness, strains, torques, lost, work = 2.0 / (6.0 * ANGLE), [0.0] * 5, [], 0.0, 0.0
     for way in np.diff(path, prepend=0.0):
-        slid = slide(strains, way, 0.0, stiffness, 1.0, 1.0)
-        strains, lost, work, stored = slid.strains, lost + slid.lost, work + slid.torque * way, stored + slid.stored
-        torques.append(press(strains, 0.0, 0.0, stiffness, 1.0, 1.0).torque)
-        assert slid.lost >= 0.0
+        strains, torque, heat = slide(strains, way, 0.0, stiffness, 1.0, 1.0)
+        lost, work = lost + heat, work + torque * way
+        torques.append(stiffness * sum(strains))
+        assert heat >= 0.0
     np.testing.assert_allclose(torques, masing(path), atol=1e-12)
-    assert work == pytest.approx(stored + lost, rel=1e-12)
+    assert work == pytest.approx(0.5 * stiffness * np.dot(strains, strains) + lost, rel=1e-12)
     assert lost > 0.0
 
 
-def test_what_slides_less_slips_back_and_never_gains():
+def test_what_slides_less_slips_back_and_never_gains(slide):
     """Load, speed and displacement at random: elements give back only stored energy."""
     random = np.random.default_rng(2)
-    law = Friction(coulomb=1.0, load_share=0.3, stribeck=0.5).law(0)
     strains, given, lost = [0.0] * 5, 0.0, 0.0
     for _ in range(3000):
-        low, high = yields(law, 10.0 * random.normal(), random.normal(), 293.15)
+        most = 1.0 + 3.0 * abs(random.normal()) + 0.5 * math.exp(-(random.normal() ** 2))
         way, time = 1e-3 * random.normal(), random.choice([0.0, 1e-4, 1e-2])
-        slid = slide(strains, way, time, 500.0, low, high)
-        assert slid.lost >= 0.0
-        assert abs(slid.torque) <= max(low, high) * (1.0 + 1e-12)
-        strains, given, lost = slid.strains, given + slid.torque * way, lost + slid.lost
-        stored = 250.0 * np.dot(strains, strains)
-        assert given - lost == pytest.approx(stored, abs=1e-12 * given)
+        strains, torque, heat = slide(strains, way, time, 500.0, most, most)
+        assert heat >= 0.0
+        assert abs(torque) <= most * (1.0 + 1e-12)
+        given, lost = given + torque * way, lost + heat
+        assert given - lost == pytest.approx(250.0 * np.dot(strains, strains), abs=1e-12 * given)
 
 
 # --- through the FMU ---
@@ -392,6 +418,7 @@ def driving(time):
 def stuck_and_slipped(drive):
     """Motion of motor and arm with friction by SciPy, over time: elements by their law of slip, the contacts' alone."""
     contacts, ratio = compliant_drive(drive.stage), drive.pair.ratio
+    contacts.forget_history()
     contacts.series_compliance, shares = 5e-6, np.arange(1, 6) / 15.0
     rated = drive.pair.rated_torque / abs(ratio), drive.pair.rated_torque
     flanges = [
@@ -406,7 +433,7 @@ def stuck_and_slipped(drive):
 
     def change(time, state):
         angle, w, output, w_b = state[:4]
-        _, by_angle, by_rotation = contacts._contact(contacts._reduced(angle), output - angle / ratio)
+        by_angle, by_rotation = contacts.pressed(angle, output)
         at_a, z_a = rubbed(*flanges[0], w, by_angle, state[4:9])
         at_b, z_b = rubbed(*flanges[1], w_b, by_rotation, state[9:])
         return [w, (driving(time) - by_angle - at_a) / MOTOR, w_b, (LOAD - by_rotation - at_b) / ARM, *z_a, *z_b]
