@@ -1,4 +1,4 @@
-"""Constants of the models in Python and in C; the native FMU's `constants.h` is generated from these lines."""
+"""Constants of the model in time; its `constants.h` is generated from these lines."""
 
 from __future__ import annotations
 

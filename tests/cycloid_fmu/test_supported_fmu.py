@@ -139,7 +139,7 @@ def test_a_state_restores_exactly_also_in_another_instance():
     model, other = kinematic_drive(drive("rollers")), kinematic_drive(drive("rollers"))
     model.friction_torque = 3.0
     run(model, 0)
-    state = json.loads(json.dumps(model.state()))
+    state = model.state()
     wanted = run(model, 12)
     model.restore(state)
     other.restore(state)

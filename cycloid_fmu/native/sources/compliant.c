@@ -1,4 +1,9 @@
-/* The compliant interface. */
+/* The compliant interface: both flanges with prescribed motion, or inertias inside. Contacts, series compliance and friction
+   store one energy E(θ, φ_b) whose derivatives are the torques, so a closed cycle gains no energy; damping, losses and
+   sliding friction only dissipate. Between communication points the flanges continue at their speeds, so that the torques
+   at the end of a step are not a step late. The motion of inertias inside is solved in sub-steps that conserve the energy
+   balance (a discrete gradient: O. Gonzalez, Time integration and discrete Hamiltonian systems, J. Nonlinear Sci. 6,
+   1996). */
 #include "drive.h"
 
 #include <math.h>

@@ -1,4 +1,5 @@
-/* The drive with its history, stepped like cycloid_fmu/fmu/kinematic_model.py and compliant_model.py, on tables. */
+/* The drive in time: its variables, history and steps, over contacts that are tables or the contact problem itself
+   (contacts.h). The theory is in docs/theory/fmu.md. */
 #ifndef CYCLOID_DRIVE_H
 #define CYCLOID_DRIVE_H
 
@@ -61,7 +62,7 @@ struct drive {
     struct contacts contacts;
     struct table_contacts tables; /* if these are the contacts */
     double ratio;     /* of the flanges */
-    double a, b, s;   /* of an RV reducer (reducer_model.py); b = 0 without its first stage */
+    double a, b, s;   /* of an RV reducer (reducer.c); b = 0 without its first stage */
     struct state state;
     double rated;     /* torque */
     int rows;         /* of the loss table */

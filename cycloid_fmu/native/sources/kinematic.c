@@ -1,4 +1,7 @@
-/* The kinematic interface. */
+/* The kinematic interface: a quasi-static drive. Friction and play form one rate-independent hysteresis: the output is
+   where teeth and friction elements balance the torque. Once all elements slide, the output is carried along, at its
+   position for torque - friction or torque + friction. At zero torque without friction these two limits are the ends of
+   the play. */
 #include "drive.h"
 
 #include <math.h>
@@ -114,8 +117,8 @@ static double sliding(const struct drive *drive, double towards) {
     return found <= towards ? found : (bare - share * towards) / (1.0 - fmin(share, MOST_LOAD_SHARE));
 }
 
-/* The root of an increasing function, as `balanced` of cycloid_fmu/fmu/friction.py: Newton's method within bounds, with
-   bisection. */
+/* The root of an increasing function by Newton's method within bounds, with bisection where a step does not halve: it
+   could alternate for ever between two sliding states. */
 struct search {
     double at, low, high, before, step;
 };
@@ -145,7 +148,9 @@ static int search_on(struct search *search, double value, double slope, double a
     return 0;
 }
 
-/* The output's deviation with friction that held it before, as `_carried` of cycloid_fmu/fmu/model.py. */
+/* The output's deviation with friction that held it `before`: M + f(displacement) = T, teeth M, friction f. If all
+   elements slide, the friction follows from the torque. Otherwise it is in between: the teeth have one deviation at
+   T - f, which decreases with f, and the elements have one f at each deviation, which increases with it. */
 static int carried(struct drive *drive, double before, double *deviation, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     const double load = s->torque - friction_viscous(drive, OUTPUT) * pace(drive), stiffness = drive->element[OUTPUT];

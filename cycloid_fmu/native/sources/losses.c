@@ -35,7 +35,10 @@ int losses_take(const struct drive *drive) {
     return found;
 }
 
-/* The same formula as in cycloid_fmu/fmu/losses.py. */
+/* Sliding friction torque at flange_a against its motion, as `Modelica.Mechanics.Rotational.Components.LossyGear` of the
+   Modelica Standard Library 4.0: with τ = `asked` the torque of the teeth, with the sign of the motion, flange_a needs
+   (τ + τ_bf1)/η_mf1 while it drives and η_mf2 (τ + τ_bf2) while flange_b does. Which one drives follows from flange_a's
+   torque without the bearings' part, Modelica's `tau_bf_a`. The stuck mode is that of friction.c. */
 double losses_torque(const struct drive *drive, double speed, double asked) {
     double size = fabs(speed), at[LOSS_COLUMNS], bearing;
     const double *rows = drive->state.loss;
