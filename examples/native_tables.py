@@ -33,7 +33,7 @@ for name, drive in drives.items():
     for asked in ASKED:
         made = tables.compute(drive.stage, accuracy=asked / cy.ARCSEC)
         every = variables.variables(drive.stage, interface, "2.0")
-        file = table_file.write(made, interface, variables.from_tables(every))
+        file = table_file.table_body(made, interface, variables.from_tables(every))
         sizes.append(len(zlib.compress(file)) / 1e3)
         errors.append(made.largest_error * cy.ARCSEC)
         loads = made.positive.load.size + made.negative.load.size

@@ -48,3 +48,6 @@ EVENT_INDICATORS = 5  # of a native FMU in Model Exchange
 MOST_LOSS_ROWS = 64  # of the loss table in a native FMU
 TABLE_VERSION = 10  # of the file of tables
 STATE_VERSION = 10  # of the native FMU's serialised state
+MOST_FUNCTIONS = 64  # of the crank angle, in the tables of a compensator's FMU
+COMPENSATOR_VERSION = 1  # of the file of a compensator's tables
+COMPENSATOR_STATE_VERSION = 1  # of the serialised state of a compensator's FMU
