@@ -27,7 +27,7 @@ from cycloid_fmu.fmu.variables import (
 )
 from cycloid_fmu.fmu.variables import states as continuous_states
 from cycloid_fmu.native import tables
-from cycloid_fmu.native.library import PLATFORMS, SOURCES, library_path, platform_of, source_files
+from cycloid_fmu.native.library import LICENCE, PLATFORMS, SOURCES, library_path, platform_of, source_files
 from cycloid_fmu.native.resource_file import DRIVE, sealed
 from cycloid_fmu.native.table_cache import tables_of
 from cycloid_fmu.native.table_file import table_body
@@ -54,6 +54,7 @@ def checked_platforms(platforms: Sequence[str], version: Version) -> tuple[str, 
     for name in names:
         if not platform_of(name).folders[place]:
             raise ArgumentError("platforms", f"FMI {version} does not know it, FMI 3.0 does", name)
+        library_path(name)
     return names
 
 
@@ -69,10 +70,10 @@ def universal(parts: dict[str, bytes]) -> bytes:
 
 
 def binaries(version: Version, names: Sequence[str], identifier: str) -> dict[str, bytes]:
-    """Return the libraries of platforms by their path in an FMU with a model identifier."""
+    """Return the libraries of platforms, and a licence, by their path in an FMU with a model identifier."""
     place = ("2.0", "3.0").index(version)
     libraries = {name: library_path(name).read_bytes() for name in names}
-    files = {}
+    files = {"documentation/licenses/zig.txt": LICENCE.read_bytes()}
     for name, data in libraries.items():
         kind = platform_of(name)
         files[f"binaries/{kind.folders[place]}/{identifier}{kind.suffix}"] = data

@@ -27,6 +27,7 @@ SOURCE_FOLDERS = (
 SOURCES = tuple(path.name for folder in SOURCE_FOLDERS for path in sorted(folder.glob("*.c")))
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
 LIBRARIES = Path(__file__).with_name("libraries")
+LICENCE = LIBRARIES / "LICENSE.zig.txt"  # of the compiler's runtime, parts of which the libraries contain
 
 
 @dataclasses.dataclass(frozen=True)

@@ -120,3 +120,4 @@ if __name__ == "__main__":
         for path, data in zip(every, pool.map(compiled, every), strict=True):
             path.write_bytes(data)
             print(f"{path.relative_to(ROOT)}: {len(data)} bytes")
+    library.LICENCE.write_text((Path(ziglang.__file__).parent / "LICENSE").read_text())
