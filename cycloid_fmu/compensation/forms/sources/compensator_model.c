@@ -22,7 +22,7 @@ struct history {
 };
 enum { NUMBERS = sizeof(struct history) / sizeof(double) };
 
-struct self {
+struct compensator_instance {
     unsigned char *file;
     double *arrays;
     char *token;
@@ -46,8 +46,8 @@ static int count(struct reader *reader) {
 }
 
 /* The sizes are checked before anything depends on them; values of the numbers can't reach other memory. */
-static void read_numbers(struct reader *reader, struct self *self) {
-    struct compensator *c = &self->compensator;
+static void read_numbers(struct reader *reader, struct compensator_instance *instance) {
+    struct compensator *c = &instance->compensator;
     size_t total = 0;
     double *next;
     int n;
@@ -62,7 +62,7 @@ static void read_numbers(struct reader *reader, struct self *self) {
     COMPENSATOR_SCALARS(SCALAR)
 #define SIZE(NAME, COUNT_OF) total += (size_t)(COUNT_OF);
     COMPENSATOR_ARRAYS(SIZE)
-    next = self->arrays = reader_numbers(reader, total);
+    next = instance->arrays = reader_numbers(reader, total);
     for (n = 0; n < c->functions && !reader->failed; n++) {
         uint32_t knots = (uint32_t)reader_whole(reader, 4), bytes = (uint32_t)reader_whole(reader, 4);
         struct spline *spline = &c->spline[n];
@@ -84,95 +84,95 @@ static void read_numbers(struct reader *reader, struct self *self) {
     }
 }
 
-static const char *read_file(FILE *file, struct self *self) {
+static const char *read_file(FILE *file, struct compensator_instance *instance) {
     unsigned char head[TABLE_HEAD];
     struct reader reader = {NULL, NULL, NULL, 0};
     const char *wrong = fread(head, 1, TABLE_HEAD, file) == TABLE_HEAD ? resource_read(file, &KIND, head, &reader)
                                                                        : KIND.unknown;
     uint32_t i;
-    self->file = reader.start;
+    instance->file = reader.start;
     if (wrong != NULL) {
         return wrong;
     }
-    self->checksum = resource_checksum(head, TABLE_HEAD);
-    self->variable = reader_variables(&reader, &self->variables, FIELDS);
-    for (i = 0; !reader.failed && i < self->variables; i++) {
-        reader.failed |= self->variable[i].baked != 0;
+    instance->checksum = resource_checksum(head, TABLE_HEAD);
+    instance->variable = reader_variables(&reader, &instance->variables, FIELDS);
+    for (i = 0; !reader.failed && i < instance->variables; i++) {
+        reader.failed |= instance->variable[i].baked != 0;
     }
     reader_align(&reader);
-    read_numbers(&reader, self);
+    read_numbers(&reader, instance);
     reader_align(&reader);
-    self->token = reader_text(&reader);
+    instance->token = reader_text(&reader);
     reader_align(&reader);
     return reader.failed || reader.at != reader.end ? RESOURCE_DAMAGED : NULL;
 }
 
-static void reset(void *of) {
-    struct self *self = of;
+static void reset(void *self) {
+    struct compensator_instance *instance = self;
     uint32_t i;
-    memset(&self->history, 0, sizeof self->history);
-    for (i = 0; i < self->variables; i++) {
-        self->history.value[self->variable[i].field] = self->variable[i].start;
+    memset(&instance->history, 0, sizeof instance->history);
+    for (i = 0; i < instance->variables; i++) {
+        instance->history.value[instance->variable[i].field] = instance->variable[i].start;
     }
-    self->initializing = 1;
+    instance->initializing = 1;
 }
 
-static void close_compensator(void *of) {
-    struct self *self = of;
-    variables_free(self->variable, self->variables);
-    free(self->token);
-    free(self->arrays);
-    free(self->file);
-    free(self);
+static void close_compensator(void *self) {
+    struct compensator_instance *instance = self;
+    variables_free(instance->variable, instance->variables);
+    free(instance->token);
+    free(instance->arrays);
+    free(instance->file);
+    free(instance);
 }
 
 static void *open_compensator(const char *path, char message[MESSAGE_SIZE]) {
-    struct self *self = calloc(1, sizeof *self);
-    FILE *file = self == NULL ? NULL : resource_open(path);
-    const char *wrong = self == NULL ? "there is not enough memory for it"
+    struct compensator_instance *instance = calloc(1, sizeof *instance);
+    FILE *file = instance == NULL ? NULL : resource_open(path);
+    const char *wrong = instance == NULL ? "there is not enough memory for it"
         : file == NULL               ? "the table can't be read"
-                                     : read_file(file, self);
+                                     : read_file(file, instance);
     if (file != NULL) {
         fclose(file);
     }
     if (wrong != NULL) {
         snprintf(message, MESSAGE_SIZE, "%.300s: %s.", path, wrong);
-        if (self != NULL) {
-            close_compensator(self);
+        if (instance != NULL) {
+            close_compensator(instance);
         }
         return NULL;
     }
-    reset(self);
-    return self;
+    reset(instance);
+    return instance;
 }
 
-static const char *token(const void *of) {
-    return ((const struct self *)of)->token;
+static const char *token(const void *self) {
+    return ((const struct compensator_instance *)self)->token;
 }
 
-static const struct variable *variables(const void *of, uint32_t *count) {
-    const struct self *self = of;
-    *count = self->variables;
-    return self->variable;
+static const struct variable *variables(const void *self, uint32_t *count) {
+    const struct compensator_instance *instance = self;
+    *count = instance->variables;
+    return instance->variable;
 }
 
 /* ---- steps ---- */
 
 /* Make a step. Its memory is stored, except where outputs are read before the first step: the index may still be set then. */
-static void make_step(struct self *self, int store) {
-    double *value = self->history.value;
+static void make_step(struct compensator_instance *instance, int store) {
+    double *value = instance->history.value;
     struct compensator_memory memory;
     struct compensator_command command;
     int measured = value[IS_MEASURED] != 0.0;
-    if (self->initializing) {
-        compensator_start(&self->compensator, &self->history.memory, value[INDEX], value[INDEX_PROBABILITY]);
+    if (instance->initializing) {
+        compensator_start(&instance->compensator, &instance->history.memory, value[INDEX], value[INDEX_PROBABILITY]);
     }
-    memory = self->history.memory;
-    command = compensator_step(&self->compensator, &memory, value[DESIRED_ANGLE], value[DESIRED_SPEED], value[LOAD_TORQUE],
+    memory = instance->history.memory;
+    command = compensator_step(&instance->compensator, &memory, value[DESIRED_ANGLE], value[DESIRED_SPEED], value[LOAD_TORQUE],
                                value[DRIVE_TEMPERATURE], measured ? value[MOTOR_MEASURED] : COMPENSATOR_NONE,
                                measured ? value[OUTPUT_MEASURED] : COMPENSATOR_NONE);
     if (store) {
-        self->history.memory = memory;
+        instance->history.memory = memory;
     }
     value[MOTOR_ANGLE] = command.motor_angle;
     value[MOTOR_SPEED] = command.motor_speed;
@@ -181,43 +181,43 @@ static void make_step(struct self *self, int store) {
     value[HOLDS] = command.holds;
 }
 
-static int start(void *of, char message[MESSAGE_SIZE]) {
-    struct self *self = of;
+static int start(void *self, char message[MESSAGE_SIZE]) {
+    struct compensator_instance *instance = self;
     (void)message;
-    make_step(self, 0);
-    self->initializing = 0;
+    make_step(instance, 0);
+    instance->initializing = 0;
     return 0;
 }
 
-static int step(void *of, double time, double length, char message[MESSAGE_SIZE]) {
-    struct self *self = of;
+static int step(void *self, double time, double length, char message[MESSAGE_SIZE]) {
+    struct compensator_instance *instance = self;
     if (!(length >= 0.0 && length < HUGE_VAL && fabs(time + length) < HUGE_VAL)) {
         snprintf(message, MESSAGE_SIZE, "a step of %g s at %g s: both must be finite, and the step not below zero.", length,
                  time);
         return 1;
     }
-    make_step(self, 1);
-    self->history.value[CLOCK] = time + length;
+    make_step(instance, 1);
+    instance->history.value[CLOCK] = time + length;
     return 0;
 }
 
-static int get(void *of, const struct variable *variable, double *value, char message[MESSAGE_SIZE]) {
-    struct self *self = of;
+static int get(void *self, const struct variable *variable, double *value, char message[MESSAGE_SIZE]) {
+    struct compensator_instance *instance = self;
     (void)message;
-    if (self->initializing && variable->causality == CAUSALITY_OUTPUT) {
-        make_step(self, 0);
+    if (instance->initializing && variable->causality == CAUSALITY_OUTPUT) {
+        make_step(instance, 0);
     }
-    *value = self->history.value[variable->field];
+    *value = instance->history.value[variable->field];
     return 0;
 }
 
-static int set(void *of, const struct variable *variable, double value, char message[MESSAGE_SIZE]) {
-    struct self *self = of;
+static int set(void *self, const struct variable *variable, double value, char message[MESSAGE_SIZE]) {
+    struct compensator_instance *instance = self;
     if (variable->causality != CAUSALITY_INPUT && variable->causality != CAUSALITY_PARAMETER) {
         snprintf(message, MESSAGE_SIZE, "%.100s can't be set: outputs and time are results.", variable->name);
         return 1;
     }
-    if (variable->fixed && !self->initializing) {
+    if (variable->fixed && !instance->initializing) {
         snprintf(message, MESSAGE_SIZE, "%.100s is fixed: it can be set until initialization ends.", variable->name);
         return 1;
     }
@@ -226,47 +226,47 @@ static int set(void *of, const struct variable *variable, double value, char mes
                  "output_measured.", variable->name, value);
         return 1;
     }
-    self->history.value[variable->field] = variable->kind == KIND_BOOLEAN ? value != 0.0 : value;
+    instance->history.value[variable->field] = variable->kind == KIND_BOOLEAN ? value != 0.0 : value;
     return 0;
 }
 
-static double *time_of(void *of) {
-    return &((struct self *)of)->history.value[CLOCK];
+static double *time_of(void *self) {
+    return &((struct compensator_instance *)self)->history.value[CLOCK];
 }
 
-static int initializing(const void *of) {
-    return ((const struct self *)of)->initializing;
+static int initializing(const void *self) {
+    return ((const struct compensator_instance *)self)->initializing;
 }
 
-static int outside(const void *of, char message[MESSAGE_SIZE]) {
-    (void)of, (void)message; /* the output `holds` says it */
+static int outside(const void *self, char message[MESSAGE_SIZE]) {
+    (void)self, (void)message; /* the output `holds` says it */
     return 0;
 }
 
 /* ---- the state as bytes ---- */
 
-static size_t state_size(const void *of) {
-    (void)of;
+static size_t state_size(const void *self) {
+    (void)self;
     return blob_size(NUMBERS);
 }
 
-static void state_write(const void *of, unsigned char *bytes) {
-    const struct self *self = of;
-    blob_write(bytes, &STATE, self->checksum, &self->history, NUMBERS, (uint64_t)self->initializing);
+static void state_write(const void *self, unsigned char *bytes) {
+    const struct compensator_instance *instance = self;
+    blob_write(bytes, &STATE, instance->checksum, &instance->history, NUMBERS, (uint64_t)instance->initializing);
 }
 
-static void state_seal(const void *of, unsigned char *bytes) {
-    blob_seal(bytes, state_size(of));
+static void state_seal(const void *self, unsigned char *bytes) {
+    blob_seal(bytes, state_size(self));
 }
 
-static int state_check(const void *of, const unsigned char *bytes, size_t size, int sealed, char message[MESSAGE_SIZE]) {
-    return blob_check(bytes, size, &STATE, ((const struct self *)of)->checksum, NUMBERS, sealed, message);
+static int state_check(const void *self, const unsigned char *bytes, size_t size, int sealed, char message[MESSAGE_SIZE]) {
+    return blob_check(bytes, size, &STATE, ((const struct compensator_instance *)self)->checksum, NUMBERS, sealed, message);
 }
 
-static void state_read(void *of, const unsigned char *bytes) {
-    struct self *self = of;
-    blob_read(bytes, &self->history, NUMBERS);
-    self->initializing = (blob_flags(bytes, NUMBERS) & 1) != 0;
+static void state_read(void *self, const unsigned char *bytes) {
+    struct compensator_instance *instance = self;
+    blob_read(bytes, &instance->history, NUMBERS);
+    instance->initializing = (blob_flags(bytes, NUMBERS) & 1) != 0;
 }
 
 const struct model compensator_model = {
