@@ -4,14 +4,18 @@ import ctypes
 import os
 import re
 import struct
+import zipfile
 from importlib import metadata
 
 import libraries
 import pytest
 from c_host import needs
+from compensators import compensator
 
 from cycloid_fmu import edge
+from cycloid_fmu.compensation.forms.write import write_compensator
 from cycloid_fmu.native import library
+from cycloid_fmu.native.build import build_native
 from cycloid_fmu.native.library import PLATFORMS, library_path
 
 EVERY = [pytest.param(path, id=f"{path.parent.name}/{path.name}") for path in (*libraries.PACKAGED, *libraries.FRONTS)]
@@ -31,6 +35,19 @@ def test_the_library_that_is_shipped_comes_from_the_source(path):
 @pytest.mark.parametrize("path", EVERY)
 def test_the_stated_compiler_makes_the_library_that_is_shipped_to_the_last_bit(path):
     assert libraries.compiled(path) == path.read_bytes()
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_an_fmu_for_every_platform_needs_no_compiler(drive, tmp_path, monkeypatch, version):
+    """The library is the same one for drives and compensators."""
+    monkeypatch.setattr(library, "_compiled", None)
+    write_compensator(compensator(), tmp_path / "joint.fmu", fmi_version=version)
+    build_native(drive, tmp_path / "drive.fmu", fmi_version=version, made=drive.tables)
+    with zipfile.ZipFile(tmp_path / "joint.fmu") as joint, zipfile.ZipFile(tmp_path / "drive.fmu") as native:
+        names = [name for name in joint.namelist() if name.startswith("binaries/")]
+        assert len(names) == {"2.0": 3, "3.0": 5}[version]
+        for name in names:
+            assert joint.read(name) == native.read(name.replace("CycloidCompensator", "CycloidDrive"))
 
 
 @pytest.fixture
