@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator
 
 import cycloid_fmu as cy
-from cycloid_fmu.fmu import variables
-from cycloid_fmu.native import table_file, tables
+from cycloid_fmu.fmu import table_file, variables
+from cycloid_fmu.native import tables
 
 ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)  # arcsec
 

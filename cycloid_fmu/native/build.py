@@ -15,7 +15,10 @@ from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.build import completed
 from cycloid_fmu.fmu.constants import EVENT_INDICATORS, MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
+from cycloid_fmu.fmu.library import LICENCE, PLATFORMS, SOURCES, library_path, platform_of, source_files
 from cycloid_fmu.fmu.parts import parts, write_archive
+from cycloid_fmu.fmu.resource_file import DRIVE, sealed
+from cycloid_fmu.fmu.table_file import table_body
 from cycloid_fmu.fmu.variables import (
     Interface,
     InterfaceKind,
@@ -27,10 +30,7 @@ from cycloid_fmu.fmu.variables import (
 )
 from cycloid_fmu.fmu.variables import states as continuous_states
 from cycloid_fmu.native import tables
-from cycloid_fmu.native.library import LICENCE, PLATFORMS, SOURCES, library_path, platform_of, source_files
-from cycloid_fmu.native.resource_file import DRIVE, sealed
 from cycloid_fmu.native.table_cache import tables_of
-from cycloid_fmu.native.table_file import table_body
 
 IDENTIFIER = "CycloidDrive"
 

@@ -31,9 +31,9 @@ from cycloid_fmu.compensation.forms import numbers
 from cycloid_fmu.compensation.forms.look_up import look_up
 from cycloid_fmu.compensation.forms.numbers import table_body
 from cycloid_fmu.compensation.forms.write import write_compensator
+from cycloid_fmu.fmu import library, resource_file
+from cycloid_fmu.fmu.resource_file import COMPENSATOR, HEAD, headed
 from cycloid_fmu.fmu.run import open_fmu
-from cycloid_fmu.native import library, resource_file
-from cycloid_fmu.native.resource_file import COMPENSATOR, HEAD, headed
 from fitting.estimation.result import read_chain
 
 STRICT = ("-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Werror")
@@ -494,6 +494,13 @@ def test_a_damaged_file_of_tables_is_refused_in_one_sentence(drive, run, tmp_pat
         assert said.endswith(".")
     (tmp_path / COMPENSATOR.file).write_bytes(table_with_measurements(drive, "{other}"))
     assert "belong to two FMUs" in run(tmp_path, "open").stderr
+
+
+def test_more_functions_than_an_fmu_has_room_for_are_refused(tmp_path):
+    write_compensator(compensator(functions=64), tmp_path / "joint.fmu", platforms=["x86_64-windows"])
+    with pytest.raises(edge.InputError, match="65 functions of the crank angle, and an FMU has room for 64"):
+        write_compensator(compensator(functions=65), tmp_path / "more.fmu")
+    assert not (tmp_path / "more.fmu").exists()
 
 
 def test_sizes_that_do_not_fit_are_refused(drive, run, tmp_path):

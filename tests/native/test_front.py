@@ -15,7 +15,7 @@ import pytest
 from c_host import HERE, WINE, compiled, needs_wine
 from libraries import FRONT, windows_runtime, zig
 
-from cycloid_fmu.native.library import headers
+from cycloid_fmu.fmu.library import headers
 
 LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 

@@ -15,8 +15,8 @@ from cycloid_fmu.compensation import compensator as core
 from cycloid_fmu.compensation.compensator import Compensator
 from cycloid_fmu.edge import ArgumentError, InputError
 from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, LARGEST_TRANSMISSION_ERROR, MOST_FUNCTIONS
+from cycloid_fmu.fmu.resource_file import padding, variable_bytes
 from cycloid_fmu.fmu.variables import Variable
-from cycloid_fmu.native.resource_file import padding, variable_bytes
 
 Array = NDArray[np.float64]
 LIMITS = {

@@ -13,15 +13,14 @@ import inspect
 import re
 import struct
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.friction import FLANGES, Law
-from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
-from cycloid_fmu.geometry.first_stage import FirstStage
-from cycloid_fmu.native.resource_file import (
+from cycloid_fmu.fmu.resource_file import (
     CAUSALITIES,
     COMPENSATOR,
     DRIVE,
@@ -30,7 +29,11 @@ from cycloid_fmu.native.resource_file import (
     padding,
     variable_bytes,
 )
-from cycloid_fmu.native.tables import Tables
+from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
+from cycloid_fmu.geometry.first_stage import FirstStage
+
+if TYPE_CHECKING:
+    from cycloid_fmu.native.tables import Tables
 
 _INTERFACES = ("kinematic", "compliant", "inertia")
 _FIELDS = (
@@ -83,7 +86,7 @@ def constants_header() -> bytes:
         "field": ("", _FIELDS),
     }
     lines = [
-        "/* Made of cycloid_fmu/fmu/constants.py and cycloid_fmu/native/table_file.py. */",
+        "/* Made of cycloid_fmu/fmu/constants.py and cycloid_fmu/fmu/table_file.py. */",
         "#ifndef CYCLOID_CONSTANTS_H",
         "#define CYCLOID_CONSTANTS_H",
         "",

@@ -1,4 +1,4 @@
-"""The shared library of all native FMUs: the model in time, the compensator and FMI around them.
+"""The shared library of native FMUs: the drive in time, the compensator, and FMI around them.
 
 It depends on no drive. The package contains it for five platforms, compiled in advance; on others it is compiled once.
 """
@@ -18,15 +18,13 @@ from pathlib import Path
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ArgumentError
-from cycloid_fmu.native.table_file import constants_header
+from cycloid_fmu.fmu.table_file import constants_header
 
-SOURCE_FOLDERS = (
-    Path(__file__).with_name("sources"),
-    Path(__file__).parents[1] / "compensation" / "forms" / "sources",
-)
+_PACKAGE = Path(__file__).parents[1]
+SOURCE_FOLDERS = (_PACKAGE / "native" / "sources", _PACKAGE / "compensation" / "forms" / "sources")
 SOURCES = tuple(path.name for folder in SOURCE_FOLDERS for path in sorted(folder.glob("*.c")))
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
-LIBRARIES = Path(__file__).with_name("libraries")
+LIBRARIES = _PACKAGE / "native" / "libraries"
 LICENCE = LIBRARIES / "LICENSE.zig.txt"  # of the compiler's runtime, parts of which the libraries contain
 
 
