@@ -6,16 +6,11 @@ make another contact problem when they change, and its state.
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import ctypes
 import dataclasses
 import functools
 import math
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,8 +19,9 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS, names_of
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.exact_contacts import ExactContacts, exact_contacts
+from cycloid_fmu.fmu.library import library_path, this_platform
+from cycloid_fmu.fmu.table_file import described
 from cycloid_fmu.fmu.variables import Interface, Variable, variables
-from cycloid_fmu.native.table_file import described
 from cycloid_fmu.surfaces.structured import structured_value
 
 _MOST_BLOCKS = 16  # of `native/sources/exact_contacts.h`
@@ -63,17 +59,10 @@ def _described_problem(contacts: ExactContacts, ratio: float, period: float) -> 
 @functools.cache
 def _library() -> ctypes.CDLL:
     """Return the C library of this platform."""
-    from cycloid_fmu.native.build import PLATFORMS, binary, this_platform
-
-    name = this_platform()
-    handle, path = tempfile.mkstemp(suffix=PLATFORMS[name].suffix)
-    with os.fdopen(handle, "wb") as file:
-        file.write(binary(name))
-    library = ctypes.CDLL(path)
-    atexit.register(_remove, path)
+    library = ctypes.CDLL(str(library_path(this_platform())))
     pointer, size = ctypes.c_void_p, ctypes.c_size_t
     for function, result, arguments in (
-        ("open", pointer, (pointer, size, pointer)),
+        ("open", pointer, (pointer, size)),
         ("close", None, (pointer,)),
         ("message_size", size, ()),
         ("solve", ctypes.c_int, (pointer, pointer)),
@@ -90,11 +79,6 @@ def _library() -> ctypes.CDLL:
         entry = getattr(library, f"clockwork_{function}")
         entry.restype, entry.argtypes = result, arguments
     return library
-
-
-def _remove(path: str) -> None:
-    with contextlib.suppress(OSError):
-        Path(path).unlink()
 
 
 class Group:
@@ -146,9 +130,9 @@ class Clockwork:
         self._said = ctypes.addressof(self._message)
         own = {r: dataclasses.replace(v, start=0.0, baked=True) if r in self._own else v for r, v in self.table.items()}
         file = described(interface, own, pair.ratio, self._period, drive.first_stage)
-        self._handle = library.clockwork_open(file, len(file), self._said)
+        self._handle = library.clockwork_open(file, len(file))
         if not self._handle:
-            raise RuntimeError(self._text)
+            raise MemoryError("there is not enough memory for the drive")
 
     def __del__(self) -> None:
         if getattr(self, "_handle", None):
@@ -216,7 +200,7 @@ class Clockwork:
 
     def write(self, group: Group, values: Sequence[float]) -> bool:
         """Set the values of a group in turn, up to the first that is refused; return whether none is."""
-        group.values[:] = values
+        group.values[:] = values  # type: ignore[call-overload]
         return bool(self._set(self._handle, *group.arguments, self._said) == len(values))
 
     def value(self, reference: int) -> Any:

@@ -55,3 +55,6 @@ SOLVE_TURN = 3  # the crank's torque, and the output's rate with the crank, at t
 SOLVE_HOLD = 4  # rest with the output held
 SOLVE_PRESS = 5  # the same as a derivative of the stored energy
 SOLVE_SHARE = 6  # how the pins share the load, at the last solution
+MOST_FUNCTIONS = 64  # of the crank angle, in the tables of a compensator's FMU
+COMPENSATOR_VERSION = 1  # of the file of a compensator's tables
+COMPENSATOR_STATE_VERSION = 1  # of the serialised state of a compensator's FMU

@@ -9,14 +9,16 @@ from __future__ import annotations
 import ctypes
 import functools
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numba import carray, cfunc, njit, typeof, types
 from numba.core import cgutils
 from numba.experimental import structref
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
@@ -39,7 +41,8 @@ from cycloid_fmu.supports.bearing import CENTRING
 from cycloid_fmu.supports.joints import work_of
 from cycloid_fmu.supports.transmission import assembly_of, play_loads, problem_of
 
-_inner = njit(error_model="numpy", no_cpython_wrapper=True)  # called by callbacks alone
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_Memory = tuple[NDArray[Any], ...]
 _SOLVED, _UNBALANCED, _UNSOLVED = range(3)  # `enum contacts_status` in C
 _UNBALANCED_SHARE = 0.2  # of the torque: where a worn flank's curvature jumps, so do forces, and 5 % were seen to stay
 
@@ -54,6 +57,11 @@ _FREE_ENERGY = 1e-7  # J: largest stored energy of gears that are free in the pl
 _X, _COLD, _PLAY_COLD = range(3)
 # Those of a drive on its bearings: crank angles of its three solutions, and the tangent in use.
 _LOW, _HIGH, _SIDE, _SHARE_OF, _TANGENT = 1, 2, 3, 4, 5
+
+
+def _inner(function: _Function) -> _Function:
+    """Compile a function that callbacks alone call."""
+    return cast(_Function, njit(error_model="numpy", no_cpython_wrapper=True)(function))
 
 
 class _BoxType(types.StructRef):  # type: ignore[misc]
@@ -85,7 +93,7 @@ structref.define_proxy(
 )
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic  # type: ignore[untyped-decorator]
 def _address(context: Any, box: Any) -> Any:
     """Address of a box."""
 
@@ -96,7 +104,7 @@ def _address(context: Any, box: Any) -> Any:
     return types.intp(box), code
 
 
-@intrinsic(prefer_literal=True)  # type: ignore[misc]
+@intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
 def _box_at(context: Any, address: Any, kind: Any) -> Any:
     """The box at an address, of one of the types `_KINDS`."""
     box = _KINDS[kind.literal_value]
@@ -146,8 +154,8 @@ def _solve_mesh(box: _Mesh, operation: int, theta: float, a: float, b: float, re
     operation, theta
         One of the `SOLVE_` constants, and the crank angle, rad.
     a, b
-        play: none; touch: an end of the play (rad) and its side (±1); load: the torque, N·m; hold and press: a deviation
-        (rad) and a compliance in series (rad/(N·m)); turn and share, at the last solution: none.
+        touch: an end of the play (rad) and its side (±1); load: the torque, N·m; hold and press: a deviation (rad) and
+        a compliance in series (rad/(N·m)); play, and turn and share, at the last solution: none.
     result
         play: both ends, rad. touch: dφ_b/dθ. load, hold and press: deviation (rad), stiffness (N·m/rad), torque (N·m);
         and for press energy (J) and its derivatives by θ and φ_b (N·m). turn: the crank's torque (N·m) and dφ_b/dθ.
@@ -233,7 +241,7 @@ def _touch_rate(box: _OnBearings, theta: float, side: float) -> float:
     """dφ_b/dθ at the end of the play on a side."""
     before = _end(box, theta - _CRANK_STEP, side)[0]
     after = _end(box, theta + _CRANK_STEP, side)[0]
-    return (after - before) / (2.0 * _CRANK_STEP) - 1.0 / box.stands[0].drive.teeth
+    return float((after - before) / (2.0 * _CRANK_STEP) - 1.0 / box.stands[0].drive.teeth)
 
 
 @_inner
@@ -375,8 +383,8 @@ class ExactContacts(NamedTuple):
 
     callback: Any
     box: Any
-    loaded: tuple[Array, ...]
-    play: tuple[Array, ...]
+    loaded: _Memory
+    play: _Memory
     shared: tuple[Array, Array]
     tangent: float
     stiffness: float
@@ -408,15 +416,13 @@ def exact_contacts(drive: DriveValue) -> ExactContacts:
     return contacts._replace(stiffness=result[1])
 
 
-def _of_mesh(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, tuple[Array, ...], tuple[Array, ...], float]:
+def _of_mesh(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _Memory, _Memory, float]:
     problem = rigid_problem(drive, drive.slices)
     rows, play_rows, numbers = contact.contact_rows(problem), contact.contact_rows(problem), np.array([0.0, 1.0, 1.0])
     return _mesh(problem, rows, play_rows, numbers, *shared), (rows, numbers), (play_rows,), 0.0
 
 
-def _of_bearings(
-    drive: DriveValue, shared: tuple[Array, Array]
-) -> tuple[Any, tuple[Array, ...], tuple[Array, ...], float]:
+def _of_bearings(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _Memory, _Memory, float]:
     pair = drive.pair
     tangent = play_loads(pair)[1]
     assembly = assembly_of(drive)
@@ -429,5 +435,6 @@ def _of_bearings(
         stands.append((energy.held(problem, assembly, work), rows, found))
         memory.append((rows, found, work.place, work.pose, work.moved))
     numbers = np.array([math.nan, math.nan, math.nan, 0.0, 1.0, tangent])
-    box = _on_bearings(*(tuple(parts) for parts in zip(*stands, strict=True)), numbers, *shared)
+    held, rows_of, found_of = (tuple(parts) for parts in zip(*stands, strict=True))
+    box = _on_bearings(held, rows_of, found_of, numbers, *shared)
     return box, (*memory[0], numbers), (*memory[_LOW], *memory[_HIGH]), tangent

@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.friction_file import Friction
+from cycloid_fmu.fmu.library import SOURCES, source_files
 from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface
-from cycloid_fmu.native import build as native_build
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.surfaces.surface import nominal_surface
@@ -122,9 +122,9 @@ class Slid(ctypes.Structure):
 def slide(tmp_path_factory):
     """`friction_slide` of the C sources: strains at the end, mean torque and lost energy of a displacement."""
     folder = tmp_path_factory.mktemp("friction")
-    for name, data in native_build._source_files().items():
+    for name, data in source_files().items():
         (folder / name).write_bytes(data)
-    sources = [folder / name for name in native_build.SOURCES]
+    sources = [folder / name for name in SOURCES]
     library = ctypes.CDLL(str(compiled(folder / "friction.so", sources, "-shared", "-fPIC", f"-I{folder}")))
     function, five, number = library.friction_slide, ctypes.c_double * 5, ctypes.c_double
     function.restype, function.argtypes = Slid, (five, five, number, number, number, Yields)

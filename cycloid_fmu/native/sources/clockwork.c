@@ -17,8 +17,8 @@ struct clockwork {
     struct exact_contacts contacts;
 };
 
-/* Return a drive described by a file of tables without tables, or NULL with a message. */
-EXPORTED struct clockwork *clockwork_open(const unsigned char *file, size_t size, char message[MESSAGE_SIZE]);
+/* Return a drive described by a file of tables without tables, or NULL. */
+EXPORTED struct clockwork *clockwork_open(const unsigned char *file, size_t size);
 EXPORTED void clockwork_close(struct clockwork *clockwork);
 EXPORTED size_t clockwork_message_size(void);
 /* Give it a contact problem, in place of the one before. */
@@ -37,9 +37,9 @@ EXPORTED void clockwork_state(const struct clockwork *clockwork, unsigned char *
 EXPORTED int clockwork_restore(struct clockwork *clockwork, const unsigned char *bytes, size_t size,
                                char message[MESSAGE_SIZE]);
 
-struct clockwork *clockwork_open(const unsigned char *file, size_t size, char message[MESSAGE_SIZE]) {
+struct clockwork *clockwork_open(const unsigned char *file, size_t size) {
     struct clockwork *clockwork = calloc(1, sizeof *clockwork);
-    struct table *table = clockwork == NULL ? NULL : table_read(file, size, message);
+    struct table *table = clockwork == NULL ? NULL : table_read(file, size);
     if (table == NULL) {
         free(clockwork);
         return NULL;

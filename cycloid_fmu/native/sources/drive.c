@@ -4,8 +4,11 @@
 #include <stdio.h>
 #include <string.h>
 
-static const char BLOB_MAGIC[16] = "cycloid native\n";
-enum { BLOB_HEAD = 32, NUMBERS = sizeof(struct state) / sizeof(double) };
+#include "blob.h"
+
+enum { NUMBERS = sizeof(struct state) / sizeof(double) };
+static const struct blob_kind STATE = {"cycloid native\n", STATE_VERSION, "native cycloid drive",
+                                       "this state belongs to another drive: it was taken from an FMU with other tables."};
 
 int drive_refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit) {
     snprintf(message, MESSAGE_SIZE, format, value, limit);
@@ -418,76 +421,36 @@ int drive_get(struct drive *drive, const struct variable *variable, double *valu
 
 /* ---- the state as bytes ---- */
 
-static void put(unsigned char *at, uint64_t value) {
-    int i;
-    for (i = 0; i < 8; i++) {
-        at[i] = (unsigned char)(value >> (8 * i));
-    }
-}
-
-static uint64_t get(const unsigned char *at) {
-    uint64_t value = 0;
-    int i;
-    for (i = 0; i < 8; i++) {
-        value |= (uint64_t)at[i] << (8 * i);
-    }
-    return value;
-}
-
 size_t drive_state_size(void) {
-    return BLOB_HEAD + 8 * (NUMBERS + 1);
+    return blob_size(NUMBERS);
 }
 
 void drive_state_write(const struct drive *drive, unsigned char *blob) {
-    const char *numbers = (const char *)&drive->state;
-    unsigned char *body = blob + BLOB_HEAD;
-    int i;
-    for (i = 0; i < NUMBERS; i++) {
-        uint64_t bits;
-        memcpy(&bits, numbers + 8 * i, 8);
-        put(body + 8 * i, bits);
-    }
-    put(body + 8 * NUMBERS, (uint64_t)drive->initializing | (uint64_t)drive->exchange << 1);
-    memcpy(blob, BLOB_MAGIC, sizeof BLOB_MAGIC);
-    put(blob + 16, (uint64_t)STATE_VERSION | (uint64_t)drive->table->checksum << 32);
-    put(blob + 24, 0);
+    blob_write(blob, &STATE, drive->table->checksum, &drive->state, NUMBERS,
+               (uint64_t)drive->initializing | (uint64_t)drive->exchange << 1);
 }
 
 void drive_state_seal(unsigned char *blob) {
-    put(blob + 24, table_checksum(blob + BLOB_HEAD, drive_state_size() - BLOB_HEAD));
+    blob_seal(blob, drive_state_size());
 }
 
 int drive_state_check(const struct drive *drive, const unsigned char *blob, size_t size, int sealed,
                       char message[MESSAGE_SIZE]) {
-    const char *wrong = NULL;
-    if (blob == NULL || size < BLOB_HEAD || memcmp(blob, BLOB_MAGIC, sizeof BLOB_MAGIC) != 0) {
-        wrong = "these bytes are not the state of a native cycloid drive";
-    } else if ((get(blob + 16) & 0xffffffffu) != STATE_VERSION) {
-        wrong = "this state is of another version than this FMU reads";
-    } else if (size != drive_state_size()
-               || (sealed && get(blob + 24) != table_checksum(blob + BLOB_HEAD, size - BLOB_HEAD))) {
-        wrong = "this state is damaged: its size or checksum does not fit";
-    } else if (get(blob + 16) >> 32 != drive->table->checksum) {
-        wrong = "this state belongs to another drive: it was taken from an FMU with other tables";
-    } else if ((get(blob + BLOB_HEAD + 8 * NUMBERS) >> 1 != 0) != drive->exchange) {
-        wrong = "this state is of the other interface: Co-Simulation and Model Exchange have their own";
+    if (blob_check(blob, size, &STATE, drive->table->checksum, NUMBERS, sealed, message)) {
+        return 1;
     }
-    if (wrong != NULL) {
-        snprintf(message, MESSAGE_SIZE, "%s.", wrong);
+    if ((blob_flags(blob, NUMBERS) >> 1 != 0) != drive->exchange) {
+        snprintf(message, MESSAGE_SIZE,
+                 "this state is of the other interface: Co-Simulation and Model Exchange have their own.");
+        return 1;
     }
-    return wrong != NULL;
+    return 0;
 }
 
 void drive_state_read(struct drive *drive, const unsigned char *blob) {
-    char *numbers = (char *)&drive->state;
-    const unsigned char *body = blob + BLOB_HEAD;
     struct state kept;
-    int i;
-    for (i = 0; i < NUMBERS; i++) {
-        uint64_t bits = get(body + 8 * i);
-        memcpy(numbers + 8 * i, &bits, 8);
-    }
-    drive->initializing = (get(body + 8 * NUMBERS) & 1) != 0;
+    blob_read(blob, &drive->state, NUMBERS);
+    drive->initializing = (blob_flags(blob, NUMBERS) & 1) != 0;
     kept = drive->state;
     friction_settle(drive);
     drive->state = kept;

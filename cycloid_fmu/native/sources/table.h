@@ -2,19 +2,7 @@
 #ifndef CYCLOID_TABLE_H
 #define CYCLOID_TABLE_H
 
-#include <stddef.h>
-#include <stdint.h>
-
-#include "constants.h"
-
-enum { MESSAGE_SIZE = 512 };
-
-struct variable {
-    char *name;
-    int kind, causality, baked, fixed;
-    int field; /* its field in the model, for the loss table plus row and column; -1 if it is fixed in the tables */
-    double least, most, start, nominal;
-};
+#include "resource.h"
 
 /* One direction of torque: spline coefficients in steps of each load, the loads of a crank angle side by side. */
 struct side {
@@ -58,10 +46,9 @@ struct interpolated {
 
 /* Return the table of a file, shared with other instances if the head is the same, or NULL with a message. */
 struct table *table_open(const char *path, char message[MESSAGE_SIZE]);
-/* The same of a file in memory, which may be without tables, for a drive with other contacts; not shared. */
-struct table *table_read(const unsigned char *file, size_t size, char message[MESSAGE_SIZE]);
+/* The same of a file that this process made, which may be without tables, for a drive with other contacts; not shared. */
+struct table *table_read(const unsigned char *file, size_t size);
 void table_close(struct table *table);
-uint32_t table_checksum(const unsigned char *data, size_t size); /* CRC-32 */
 
 struct place table_place(const struct table *table, double crank_angle);
 struct place table_told_place(const struct table *table, double crank_angle); /* of contact count and pressure */
