@@ -62,32 +62,35 @@ def _library() -> ctypes.CDLL:
     library = ctypes.CDLL(str(library_path(this_platform())))
     pointer, size = ctypes.c_void_p, ctypes.c_size_t
     for function, result, arguments in (
-        ("open", pointer, (pointer, size)),
+        ("open", pointer, (pointer, size, pointer)),
         ("close", None, (pointer,)),
         ("message_size", size, ()),
         ("solve", ctypes.c_int, (pointer, pointer)),
         ("set_time", None, (pointer, ctypes.c_double)),
         ("time", ctypes.c_double, (pointer,)),
-        ("start", ctypes.c_int, (pointer, pointer)),
-        ("step", ctypes.c_int, (pointer, ctypes.c_double, ctypes.c_double, pointer)),
-        ("get", ctypes.c_int, (pointer, pointer, size, pointer, pointer)),
-        ("set", size, (pointer, pointer, size, pointer, pointer)),
+        ("start", ctypes.c_int, (pointer,)),
+        ("step", ctypes.c_int, (pointer, ctypes.c_double, ctypes.c_double)),
+        ("get", ctypes.c_int, (pointer, pointer)),
+        ("set", ctypes.c_int, (pointer, pointer)),
         ("state_size", size, (pointer,)),
         ("state", None, (pointer, pointer)),
-        ("restore", ctypes.c_int, (pointer, pointer, size, pointer)),
+        ("restore", ctypes.c_int, (pointer, pointer, size)),
     ):
         entry = getattr(library, f"clockwork_{function}")
         entry.restype, entry.argtypes = result, arguments
     return library
 
 
-class Group:
-    """Memory for values of some variables."""
+class Group(ctypes.Structure):
+    """Memory for values of some variables: `struct exchanged` of `clockwork.c`."""
+
+    _fields_ = (("_references", ctypes.c_void_p), ("_values", ctypes.c_void_p), ("_count", ctypes.c_size_t))
 
     def __init__(self, references: Sequence[int]) -> None:
-        self._references = (ctypes.c_uint32 * len(references))(*references)
-        self.values = (ctypes.c_double * len(references))()
-        self.arguments = ctypes.addressof(self._references), len(references), ctypes.addressof(self.values)
+        count = len(references)
+        self.values, self._memory = (ctypes.c_double * count)(), (ctypes.c_uint32 * count)(*references)
+        super().__init__(ctypes.addressof(self._memory), ctypes.addressof(self.values), count)
+        self.address = ctypes.addressof(self)
 
 
 class Clockwork:
@@ -127,10 +130,9 @@ class Clockwork:
         library = _library()
         self._get, self._set, self._step = library.clockwork_get, library.clockwork_set, library.clockwork_step
         self._message = ctypes.create_string_buffer(library.clockwork_message_size())
-        self._said = ctypes.addressof(self._message)
         own = {r: dataclasses.replace(v, start=0.0, baked=True) if r in self._own else v for r, v in self.table.items()}
         file = described(interface, own, pair.ratio, self._period, drive.first_stage)
-        self._handle = library.clockwork_open(file, len(file))
+        self._handle = library.clockwork_open(file, len(file), ctypes.addressof(self._message))
         if not self._handle:
             raise MemoryError("there is not enough memory for the drive")
 
@@ -194,14 +196,14 @@ class Clockwork:
         """Return the values of a group; a `StepError` if there is none at these inputs."""
         if self._contacts is None:
             self._solve()
-        if self._get(self._handle, *group.arguments, self._said):
+        if self._get(self._handle, group.address):
             raise StepError(self._text)
         return group.values[:]
 
     def write(self, group: Group, values: Sequence[float]) -> bool:
         """Set the values of a group in turn, up to the first that is refused; return whether none is."""
         group.values[:] = values  # type: ignore[call-overload]
-        return bool(self._set(self._handle, *group.arguments, self._said) == len(values))
+        return not self._set(self._handle, group.address)
 
     def value(self, reference: int) -> Any:
         """Return a variable by reference: its kind of number, or a list row by row; a `StepError` if there is none."""
@@ -265,14 +267,14 @@ class Clockwork:
     def start(self) -> None:
         """Settle at the present inputs, without history; a `ValueError` if that is impossible."""
         self._solve()
-        if _library().clockwork_start(self._handle, self._said):
+        if _library().clockwork_start(self._handle):
             raise StepError(self._text)
 
     def advance(self, time: float, step: float) -> str:
         """Make a step (s) from a time (s); return the reason if it is refused, or "": then nothing is changed."""
         if self._contacts is None:
             self._solve()
-        return self._text if self._step(self._handle, time, step, self._said) else ""
+        return self._text if self._step(self._handle, time, step) else ""
 
     # ---- state ----
 
@@ -293,5 +295,5 @@ class Clockwork:
             self._contacts = None
         self._solve()
         memory = state["memory"]
-        if _library().clockwork_restore(self._handle, memory, len(memory), self._said):
+        if _library().clockwork_restore(self._handle, memory, len(memory)):
             raise ValueError(self._text)

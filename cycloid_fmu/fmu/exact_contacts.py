@@ -89,7 +89,7 @@ class _OnBearings(structref.StructRefProxy):  # type: ignore[misc]
 
 structref.define_proxy(_Mesh, _MeshType, ["drive", "rows", "play_rows", "numbers", "pin_force", "pin_pressure"])
 structref.define_proxy(
-    _OnBearings, _OnBearingsType, ["stands", "rows", "found", "numbers", "pin_force", "pin_pressure"]
+    _OnBearings, _OnBearingsType, ["stands", "rows", "results", "numbers", "pin_force", "pin_pressure"]
 )
 
 
@@ -110,9 +110,9 @@ def _box_at(context: Any, address: Any, kind: Any) -> Any:
     box = _KINDS[kind.literal_value]
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        made = cgutils.create_struct_proxy(box)(context, builder)
-        made.meminfo = builder.inttoptr(arguments[0], made.meminfo.type)
-        value = made._getvalue()
+        proxy = cgutils.create_struct_proxy(box)(context, builder)
+        proxy.meminfo = builder.inttoptr(arguments[0], proxy.meminfo.type)
+        value = proxy._getvalue()
         context.nrt.incref(builder, box, value)
         return value
 
@@ -131,9 +131,9 @@ def _mesh(drive: Problem, rows: Rows, play_rows: Rows, numbers: Array, pin_force
 
 @compiled
 def _on_bearings(
-    stands: Any, rows: Any, found: Any, numbers: Array, pin_force: Array, pin_pressure: Array
+    stands: Any, rows: Any, results: Any, numbers: Array, pin_force: Array, pin_pressure: Array
 ) -> _OnBearings:
-    return _OnBearings(stands, rows, found, numbers, pin_force, pin_pressure)
+    return _OnBearings(stands, rows, results, numbers, pin_force, pin_pressure)
 
 
 @_inner
@@ -212,7 +212,7 @@ def _stand(box: _OnBearings, i: int, theta: float, load: Load) -> bool:
     numbers = box.numbers
     cold = not abs(theta - numbers[i]) < _NEAR
     numbers[i] = theta
-    if energy.stand(box.stands[i], theta, load, box.rows[i], cold, box.found[i]) == 0:
+    if energy.stand(box.stands[i], theta, load, box.rows[i], cold, box.results[i]) == 0:
         numbers[i] = math.nan
     return bool(numbers[i] == theta)
 
@@ -224,8 +224,8 @@ def _end(box: _OnBearings, theta: float, side: float) -> tuple[float, float]:
     torque = side * box.numbers[_TANGENT]
     if box.numbers[i] != theta and not _stand(box, i, theta, Load(torque, 0.0, 0.0, CENTRING)):
         return math.nan, math.nan
-    found = box.found[i]
-    return found[energy.X] - torque / found[energy.STIFFNESS], found[energy.STIFFNESS]
+    results = box.results[i]
+    return results[energy.X] - torque / results[energy.STIFFNESS], results[energy.STIFFNESS]
 
 
 @_inner
@@ -259,8 +259,8 @@ def _solve_pressed(box: _OnBearings, theta: float, flange: float, series: float,
     spring = min(1.0 / series, _STIFFEST) if series > 0.0 else _STIFFEST
     if not _stand(box, 0, theta, Load(0.0, spring, flange, centring)):
         return _UNSOLVED
-    found = box.found[0]
-    result[0], result[1], result[2] = found[energy.X], found[energy.STIFFNESS], found[energy.TORQUE]
+    results = box.results[0]
+    result[0], result[1], result[2] = results[energy.X], results[energy.STIFFNESS], results[energy.TORQUE]
     return _SOLVED
 
 
@@ -281,22 +281,22 @@ def _solve_on_bearings(box: _OnBearings, operation: int, theta: float, a: float,
             return _tangent(box, theta, a, math.copysign(1.0, a), result)
         if not _stand(box, 0, theta, Load(a, 0.0, 0.0, CENTRING)):
             return _UNBALANCED
-        result[0], result[1], result[2] = box.found[0][energy.X], box.found[0][energy.STIFFNESS], a
+        result[0], result[1], result[2] = box.results[0][energy.X], box.results[0][energy.STIFFNESS], a
     elif operation == SOLVE_TURN:
         side, share = numbers[_SIDE], numbers[_SHARE_OF]
-        found = box.found[0] if side == 0.0 else (box.found[_HIGH] if side > 0.0 else box.found[_LOW])
-        rate, torque = found[energy.RATE], share * found[energy.TORQUE]
+        results = box.results[0] if side == 0.0 else (box.results[_HIGH] if side > 0.0 else box.results[_LOW])
+        rate, torque = results[energy.RATE], share * results[energy.TORQUE]
         if side == 0.0:
-            result[0], result[1] = found[energy.CRANK_TORQUE], rate
+            result[0], result[1] = results[energy.CRANK_TORQUE], rate
         else:
             end = _touch_rate(box, theta, side)
             bent = share * (rate - end)
             result[0], result[1] = -torque * (end + 0.5 * bent), end + bent
     elif operation == SOLVE_PRESS:
         status = _solve_pressed(box, theta, a, b, _PRESSED_CENTRING, result)
-        found = box.found[0]
-        result[2], result[3] = found[energy.BY_FLANGE], found[energy.ENERGY]
-        result[4], result[5] = found[energy.BY_ANGLE], found[energy.BY_FLANGE]
+        results = box.results[0]
+        result[2], result[3] = results[energy.BY_FLANGE], results[energy.ENERGY]
+        result[4], result[5] = results[energy.BY_ANGLE], results[energy.BY_FLANGE]
         return status
     elif operation == SOLVE_HOLD:
         low, high = _ends(box, theta)
@@ -431,10 +431,10 @@ def _of_bearings(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _
     for _ in range(3):
         shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
         problem = problem_of(drive, drive.slices)._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
-        work, found, rows = work_of(assembly), np.zeros(energy.FOUND), contact.contact_rows(problem)
-        stands.append((energy.held(problem, assembly, work), rows, found))
-        memory.append((rows, found, work.place, work.pose, work.moved))
+        work, results, rows = work_of(assembly), np.zeros(energy.FOUND), contact.contact_rows(problem)
+        stands.append((energy.held(problem, assembly, work), rows, results))
+        memory.append((rows, results, work.place, work.pose, work.moved))
     numbers = np.array([math.nan, math.nan, math.nan, 0.0, 1.0, tangent])
-    held, rows_of, found_of = (tuple(parts) for parts in zip(*stands, strict=True))
-    box = _on_bearings(held, rows_of, found_of, numbers, *shared)
+    held, rows_of, results_of = (tuple(parts) for parts in zip(*stands, strict=True))
+    box = _on_bearings(held, rows_of, results_of, numbers, *shared)
     return box, (*memory[0], numbers), (*memory[_LOW], *memory[_HIGH]), tangent

@@ -48,7 +48,7 @@ void exact_restore(struct exact_contacts *contacts, const unsigned char *bytes) 
     copy_in(contacts, PLAY, bytes + size_of(contacts, LOADED));
 }
 
-static unsigned char *kept_before(const struct exact_contacts *contacts, int group) {
+static unsigned char *saved(const struct exact_contacts *contacts, int group) {
     return contacts->before + (group == PLAY ? size_of(contacts, LOADED) : 0);
 }
 
@@ -64,14 +64,14 @@ static void undo(void *self) {
     contacts->last = contacts->last_before;
     for (group = LOADED; group <= PLAY; group++) {
         if (contacts->changed[group]) {
-            copy_in(contacts, group, kept_before(contacts, group));
+            copy_in(contacts, group, saved(contacts, group));
         }
     }
 }
 
 static void change(struct exact_contacts *contacts, int group) {
     if (!contacts->changed[group]) {
-        copy_out(contacts, group, kept_before(contacts, group));
+        copy_out(contacts, group, saved(contacts, group));
         contacts->changed[group] = 1;
     }
 }
