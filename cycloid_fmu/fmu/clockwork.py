@@ -129,6 +129,7 @@ class Clockwork:
         self._contacts: ExactContacts | None = None
         library = _library()
         self._get, self._set, self._step = library.clockwork_get, library.clockwork_set, library.clockwork_step
+        self._close = library.clockwork_close  # at the end of the process this module may be gone before its drives
         self._message = ctypes.create_string_buffer(library.clockwork_message_size())
         own = {r: dataclasses.replace(v, start=0.0, baked=True) if r in self._own else v for r, v in self.table.items()}
         file = described(interface, own, pair.ratio, self._period, drive.first_stage)
@@ -138,7 +139,7 @@ class Clockwork:
 
     def __del__(self) -> None:
         if getattr(self, "_handle", None):
-            _library().clockwork_close(self._handle)
+            self._close(self._handle)
 
     @property
     def _text(self) -> str:

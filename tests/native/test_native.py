@@ -1034,7 +1034,7 @@ def test_an_angle_that_is_no_number_has_a_place_and_no_weights(unpacked, tmp_pat
         const double angle[] = {NAN, INFINITY, -INFINITY, -1e-300, 0.75, 1e300};
         struct table table = {0};
         int i, k;
-        table.period = 1.0, table.angles = table.told_angles = 4;
+        table.period = 1.0, table.angles = table.pressure_angles = 4;
         for (i = 0; i < 6; i++) {
             struct place place = table_place(&table, angle[i]);
             for (k = 0; k < 4; k++) {

@@ -17,20 +17,20 @@ static struct answer answer_of(struct drive *drive, double load, double side, do
     const double crank_angle = drive_crank_angle(drive), torque = side < 0.0 ? -load : load;
     struct bending bending;
     double lever;
-    struct answer found;
+    struct answer result;
     contacts->bending(contacts->self, crank_angle, torque, &bending);
     if (drive->state.backlash_on != 0.0 || teeth_width(drive, crank_angle) == 0.0) {
         bending.offset = 0.0;
     }
     lever = -side / drive->table->ratio - side * contacts->rate(contacts->self, crank_angle, torque)
         + teeth_offset_rate(drive, crank_angle);
-    found.load = way;
+    result.load = way;
     if (stiffness > 0.0) {
-        found.load = stiffness * (side * way + lever * angle);
+        result.load = stiffness * (side * way + lever * angle);
     }
-    found.crank_torque = (bending.crank_torque + bending.offset * load) * angle + lever * found.load;
-    found.rate = (bending.rate - side * bending.offset) * angle + side * bending.compliance * found.load;
-    return found;
+    result.crank_torque = (bending.crank_torque + bending.offset * load) * angle + lever * result.load;
+    result.rate = (bending.rate - side * bending.offset) * angle + side * bending.compliance * result.load;
+    return result;
 }
 
 /* Derivative of a flange's friction torque, by a difference; `way`, `speed` and `load` are the rates of these. */
@@ -104,7 +104,7 @@ static int of_compliant(struct drive *drive, int field, const struct state *go, 
     const double ratio = drive->ratio, slip = s->output_speed - s->crank_speed / ratio;
     const int inside = drive->table->offers == INTERFACE_INERTIA;
     /* With inertias inside, the state is the deviation. */
-    const double output = inside ? go->deviation + go->crank_angle / ratio : go->output_angle;
+    const double output = inside ? go->transmission_error + go->crank_angle / ratio : go->output_angle;
     const double turn = drive->exchange ? 0.0 : go->crank_angle, way = drive->exchange ? 0.0 : output;
     double side = p->torque == 0.0 ? 0.0 : p->torque < 0.0 ? -1.0 : 1.0, damping, friction, torque, loss, stiffness;
     struct answer answer;
@@ -147,7 +147,7 @@ static int of_compliant(struct drive *drive, int field, const struct state *go, 
 /* By a central difference of the outputs. */
 static int by_difference(const struct drive *drive, const struct variable *unknown, const struct state *go, double size,
                          double *value, char message[MESSAGE_SIZE]) {
-    double found[2];
+    double result[2];
     int i;
     for (i = 0; i < 2; i++) {
         struct drive moved = *drive;
@@ -161,11 +161,11 @@ static int by_difference(const struct drive *drive, const struct variable *unkno
         if (!moved.initializing && !moved.exchange && drive_kinematic(&moved) && kinematic_follow(&moved, message)) {
             return 1;
         }
-        if (drive_get(&moved, unknown, &found[i], message)) {
+        if (drive_get(&moved, unknown, &result[i], message)) {
             return 1;
         }
     }
-    *value = 0.5 * (found[1] - found[0]) * size;
+    *value = 0.5 * (result[1] - result[0]) * size;
     return 0;
 }
 

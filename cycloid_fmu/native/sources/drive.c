@@ -49,17 +49,17 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
 }
 
 static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
-    struct state kept;
+    struct state before;
     int failed;
     /* A step does not change parameters, nor the fields that the kinematic interface does not have. */
     size_t size = drive_kinematic(drive) ? offsetof(struct state, seen) : offsetof(struct state, crank_torque);
-    memcpy(&kept, &drive->state, size);
+    memcpy(&before, &drive->state, size);
     if (drive->contacts.begin != NULL) {
         drive->contacts.begin(drive->contacts.self);
     }
     failed = move(drive, step, message);
     if (failed) {
-        memcpy(&drive->state, &kept, size);
+        memcpy(&drive->state, &before, size);
         if (drive->contacts.undo != NULL) {
             drive->contacts.undo(drive->contacts.self);
         }
@@ -77,16 +77,16 @@ int drive_step(struct drive *drive, double time, double step, char message[MESSA
         return drive_refuse(message, "a step from the time %g s over %g s: both must be finite.", time, step);
     }
     drive->impact = 0;
-    drive->left = 0.0;
+    drive->remaining = 0.0;
     drive->step = step;
     failed = guarded(drive, step, message);
     drive->step = 0.0;
     if (failed) {
         drive->impact = 0;
-        drive->left = 0.0;
+        drive->remaining = 0.0;
         return 1;
     }
-    drive->state.time = time + step - drive->left;
+    drive->state.time = time + step - drive->remaining;
     return 0;
 }
 
@@ -117,7 +117,7 @@ static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
 }
 
 int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
-    struct state kept = drive->state;
+    struct state before = drive->state;
     int failed = losses_check(drive, message);
     drive->initializing = 0;
     drive->solved = 0;
@@ -143,10 +143,10 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     }
     exchange_keep(drive);
     if (!drive_kinematic(drive)) {
-        drive->state.deviation = drive->state.output_angle - drive_angle(drive) / drive->ratio;
+        drive->state.transmission_error = drive->state.output_angle - drive_angle(drive) / drive->ratio;
     }
     if (failed) {
-        drive->state = kept;
+        drive->state = before;
         drive->solved = 0;
     }
     return failed;
@@ -173,7 +173,7 @@ double *drive_stored(struct state *s, const struct variable *variable) {
     case CRANK_SPEED_START: return &s->crank_speed_start;
     case SUPPORT_ANGLE: return &s->support_angle;
     case SUPPORT_SPEED: return &s->support_speed;
-    case TRANSMISSION_ERROR: return &s->deviation;
+    case TRANSMISSION_ERROR: return &s->transmission_error;
     case DISSIPATED_ENERGY: return &s->dissipated_energy;
     case TIME: return &s->time;
     default: break;
@@ -255,7 +255,7 @@ void drive_open(struct drive *drive, struct table *table) {
 }
 
 int drive_set(struct drive *drive, const struct variable *variable, double value, char message[MESSAGE_SIZE]) {
-    double *kept = drive_stored(&drive->state, variable);
+    double *stored = drive_stored(&drive->state, variable);
     if (variable->baked && value != variable->start) {
         snprintf(message, MESSAGE_SIZE, "%.100s = %g: this FMU holds it in its tables, made for %g; build the FMU again "
                  "with it, or use the FMU in Python, where it is tunable.", variable->name, value, variable->start);
@@ -264,7 +264,7 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
     if (variable->baked) {
         return 0;
     }
-    if (kept == NULL || (variable->causality != CAUSALITY_INPUT && variable->causality != CAUSALITY_PARAMETER)) {
+    if (stored == NULL || (variable->causality != CAUSALITY_INPUT && variable->causality != CAUSALITY_PARAMETER)) {
         snprintf(message, MESSAGE_SIZE, "%.100s can't be set: it is an output.", variable->name);
         return 1;
     }
@@ -280,10 +280,10 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
         return 1;
     }
     if (variable->field == SUPPORT_ANGLE || variable->field == SUPPORT_SPEED) {
-        double change = value - *kept;
+        double change = value - *stored;
         turn_housing(drive, variable->field == SUPPORT_ANGLE ? change : 0.0, variable->field == SUPPORT_SPEED ? change : 0.0);
     }
-    *kept = value - of_housing(drive, variable->field);
+    *stored = value - of_housing(drive, variable->field);
     if (variable->field >= INPUT_FRICTION_COULOMB) {
         friction_settle(drive);
     }
@@ -341,7 +341,7 @@ static double output(struct drive *drive, int field) {
                  + (still ? s->torque
                           : drive->table->offers == INTERFACE_INERTIA ? s->mean_output : output(drive, TORQUE)));
     case TORQUE: return drive->pressed.by_rotation + drive->damping + compliant_rubbing(drive, OUTPUT).torque;
-    case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - drive_angle(drive) / ratio;
+    case TRANSMISSION_ERROR: return still ? s->transmission_error : s->output_angle - drive_angle(drive) / ratio;
     case BACKLASH:
         return s->backlash_on == 0.0 ? 0.0 : drive->b == 0.0 ? teeth_width(drive, drive_crank_angle(drive))
             : still ? reducer_backlash(drive, s->placed, s->gear)
@@ -390,9 +390,9 @@ static double output(struct drive *drive, int field) {
 }
 
 int drive_get(struct drive *drive, const struct variable *variable, double *value, char message[MESSAGE_SIZE]) {
-    const double *kept = variable->causality == CAUSALITY_OUTPUT ? NULL : drive_stored(&drive->state, variable);
-    if (kept != NULL || variable->baked) {
-        *value = kept != NULL ? *kept + of_housing(drive, variable->field) : variable->start;
+    const double *stored = variable->causality == CAUSALITY_OUTPUT ? NULL : drive_stored(&drive->state, variable);
+    if (stored != NULL || variable->baked) {
+        *value = stored != NULL ? *stored + of_housing(drive, variable->field) : variable->start;
         return 0;
     }
     if (drive->initializing) {
@@ -448,11 +448,11 @@ int drive_state_check(const struct drive *drive, const unsigned char *blob, size
 }
 
 void drive_state_read(struct drive *drive, const unsigned char *blob) {
-    struct state kept;
+    struct state before;
     blob_read(blob, &drive->state, NUMBERS);
     drive->initializing = (blob_flags(blob, NUMBERS) & 1) != 0;
-    kept = drive->state;
+    before = drive->state;
     friction_settle(drive);
-    drive->state = kept;
+    drive->state = before;
     drive->solved = 0;
 }

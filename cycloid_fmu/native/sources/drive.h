@@ -19,7 +19,7 @@ struct state {
     double crank_angle, crank_speed, torque; /* torque: the input, or the load on the inertia; else unused */
     double output_angle, output_speed;       /* in the kinematic interface the speed is computed on request */
     double temperature, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
-    double settled, placed, deviation, load, side, pushed; /* kinematic: at the last step */
+    double settled, placed, transmission_error, load, side, pushed; /* kinematic: at the last step */
     double strain[2][FRICTION_ELEMENTS], crank_seen; /* friction: its strains; the crank angle that it has followed */
     double gear, loose; /* reducer: the gear's own deviation, and whether it is unloaded within its plays */
     /* Not in the kinematic interface. */
@@ -72,7 +72,7 @@ struct drive {
     int resting;      /* at rest under load, as the kinematic interface is, before an inertia moves */
     int exchange;     /* Model Exchange: the solver is the host's; an inertia's deviation is a state */
     int early, impact; /* whether a step ends where contact begins, and whether the last one did */
-    double left;       /* rest of the step after that, s */
+    double remaining;       /* rest of the step after that, s */
     double step;       /* being made, s, for its message; 0 outside a step */
     int solved; /* whether the following belong to the state; likewise */
     struct pressed pressed;
@@ -171,7 +171,7 @@ enum { MOST_STATES = 5 + 2 * FRICTION_ELEMENTS };
 int exchange_states(const struct drive *drive, int fields[MOST_STATES]);
 int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]);
 double exchange_rate(const struct drive *drive, int field);
-void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]);
+void exchange_indicators(struct drive *drive, double result[EVENT_INDICATORS]);
 void exchange_keep(struct drive *drive);
 
 /* A direction of inputs, parameters or states: the seeds are in the fields of their variables. */

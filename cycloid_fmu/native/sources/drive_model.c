@@ -133,7 +133,7 @@ static int in_event_mode(const void *self) {
 }
 
 static double rest(const void *self) {
-    return constant(self)->left;
+    return constant(self)->remaining;
 }
 
 static int event(const void *self) {

@@ -111,10 +111,10 @@ static double pace(const struct drive *drive) {
 /* Friction of the output while all elements slide, with the share of the load of the teeth, |towards - friction|;
    `towards` is the torque on the output, positive in the direction of motion. */
 static double sliding(const struct drive *drive, double towards) {
-    double bare = friction_yields(drive, OUTPUT, 0.0, pace(drive)).high, found;
+    double bare = friction_yields(drive, OUTPUT, 0.0, pace(drive)).high, result;
     double share = friction_yields(drive, OUTPUT, 1.0, pace(drive)).high - bare;
-    found = (bare + share * towards) / (1.0 + share);
-    return found <= towards ? found : (bare - share * towards) / (1.0 - fmin(share, MOST_LOAD_SHARE));
+    result = (bare + share * towards) / (1.0 + share);
+    return result <= towards ? result : (bare - share * towards) / (1.0 - fmin(share, MOST_LOAD_SHARE));
 }
 
 /* The root of an increasing function by Newton's method within bounds, with bisection where a step does not halve: it
@@ -243,7 +243,7 @@ int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]) {
     }
     s->settled = 1.0;
     s->output_angle = ideal + deviation;
-    s->deviation = deviation;
+    s->transmission_error = deviation;
     if (drive->element[INPUT] > 0.0 && drive->rubs[INPUT] && !failed) {
         double following[FRICTION_ELEMENTS], slope;
         friction_held(drive, INPUT, s->crank_angle - s->crank_seen, kinematic_crank_torque(drive), s->crank_speed, following,

@@ -27,12 +27,12 @@ int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]) {
 }
 
 int losses_take(const struct drive *drive) {
-    int i, found = 0;
+    int i, result = 0;
     for (i = 0; i < drive->rows; i++) {
         const double *row = drive->state.loss + i * LOSS_COLUMNS;
-        found |= row[1] != 1.0 || row[2] != 1.0 || row[3] != 0.0 || row[4] != 0.0;
+        result |= row[1] != 1.0 || row[2] != 1.0 || row[3] != 0.0 || row[4] != 0.0;
     }
-    return found;
+    return result;
 }
 
 /* Sliding friction torque at flange_a against its motion, as `Modelica.Mechanics.Rotational.Components.LossyGear` of the

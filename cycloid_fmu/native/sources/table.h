@@ -6,9 +6,9 @@
 
 /* One direction of torque: spline coefficients in steps of each load, the loads of a crank angle side by side. */
 struct side {
-    uint32_t loads, told_loads; /* told: of contact count and pressure, which are outputs only */
+    uint32_t loads, pressure_loads; /* pressure: of contact count and pressure, which are outputs only */
     double reach; /* the last load but one, up to which the accuracy is stated */
-    double load[MOST_LOADS], told_load[MOST_LOADS];
+    double load[MOST_LOADS], pressure_load[MOST_LOADS];
     double base[MOST_LOADS], step[MOST_LOADS]; /* of the deviation: its smallest value, and its step */
     double compliance_step[MOST_LOADS], pressure_step[MOST_LOADS];
     const int16_t *deviation;
@@ -24,7 +24,7 @@ struct table {
     uint32_t checksum;
     char *token;
     uint32_t offers, variables; /* the interface; `interface` is a macro in Windows' headers */
-    uint32_t angles, told_angles; /* 0 without tables; of deviation and compliance; of contact count and pressure */
+    uint32_t angles, pressure_angles; /* 0 without tables; of deviation and compliance; of contact count and pressure */
     struct variable *variable;
     double ratio, period, allowed;
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
@@ -51,7 +51,7 @@ struct table *table_read(const unsigned char *file, size_t size);
 void table_close(struct table *table);
 
 struct place table_place(const struct table *table, double crank_angle);
-struct place table_told_place(const struct table *table, double crank_angle); /* of contact count and pressure */
+struct place table_pressure_place(const struct table *table, double crank_angle); /* of contact count and pressure */
 /* A crank angle whose values are the first derivatives with respect to the crank angle, and whose rates are the second. */
 struct place table_turning(const struct table *table, const struct place *place);
 struct interpolated table_at(const struct side *side, const struct place *place, double load);
@@ -61,8 +61,8 @@ struct interpolated table_at_node(const struct side *side, const struct place *p
 double table_load(const struct side *side, const struct place *place, double deviation, double series);
 /* Integral of the deviation over the load, and of its rate. */
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate);
-double table_pressure(const struct side *side, const struct place *told, double load);
-int table_contact_count(const struct side *side, const struct place *told, double load);
+double table_pressure(const struct side *side, const struct place *place, double load);
+int table_contact_count(const struct side *side, const struct place *place, double load);
 double table_rest_torque(const struct table *table, const struct place *place);
 double table_rest_energy(const struct table *table, const struct place *place);
 

@@ -108,7 +108,7 @@ static int press(void *self, double crank_angle, double deviation, double series
 
 static void sharing(void *self, double crank_angle, double torque, double *count, double *pressure) {
     const struct table_contacts *contacts = self;
-    const struct place place = table_told_place(contacts->table, crank_angle);
+    const struct place place = table_pressure_place(contacts->table, crank_angle);
     *count = table_contact_count(side_of(contacts, torque), &place, fabs(torque));
     *pressure = table_pressure(side_of(contacts, torque), &place, fabs(torque));
 }

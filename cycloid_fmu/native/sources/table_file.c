@@ -51,8 +51,8 @@ static void read_loads(struct reader *reader, uint32_t count, double *load) {
 static void read_side(struct reader *reader, const struct table *table, struct side *side) {
     uint32_t j;
     read_loads(reader, side->loads, side->load);
-    read_loads(reader, side->told_loads, side->told_load);
-    side->reach = side->told_load[side->told_loads - 1]; /* one cell beyond the last load */
+    read_loads(reader, side->pressure_loads, side->pressure_load);
+    side->reach = side->pressure_load[side->pressure_loads - 1]; /* one cell beyond the last load */
     reader->failed |= side->reach != side->load[side->loads - 2];
     for (j = 0; j < side->loads; j++) {
         side->base[j] = reader_number(reader);
@@ -60,11 +60,11 @@ static void read_side(struct reader *reader, const struct table *table, struct s
     }
     read_steps(reader, side->loads, side->step);
     read_steps(reader, side->loads, side->compliance_step);
-    read_steps(reader, side->told_loads, side->pressure_step);
+    read_steps(reader, side->pressure_loads, side->pressure_step);
     side->deviation = read_deviation(reader, table->angles, side->loads);
     side->compliance = reader_words(reader, (size_t)table->angles * side->loads);
-    side->pressure = reader_words(reader, (size_t)table->told_angles * side->told_loads);
-    side->contact_count = reader_take(reader, (size_t)table->told_angles * side->told_loads);
+    side->pressure = reader_words(reader, (size_t)table->pressure_angles * side->pressure_loads);
+    side->contact_count = reader_take(reader, (size_t)table->pressure_angles * side->pressure_loads);
     reader_align(reader);
 }
 
@@ -112,15 +112,15 @@ static void read_body(struct reader *reader, struct table *table) {
         *numbers[i] = reader_number(reader);
     }
     table->angles = (uint32_t)reader_whole(reader, 4);
-    table->told_angles = (uint32_t)reader_whole(reader, 4);
+    table->pressure_angles = (uint32_t)reader_whole(reader, 4);
     rest = (uint32_t)reader_whole(reader, 4);
     tabled = table->angles > 0;
     for (i = 0; i < 2; i++) {
         struct side *side = &table->side[i];
         side->loads = (uint32_t)reader_whole(reader, 4);
-        side->told_loads = (uint32_t)reader_whole(reader, 4);
+        side->pressure_loads = (uint32_t)reader_whole(reader, 4);
         if (tabled
-            && (side->loads < 3 || side->loads > MOST_LOADS || side->told_loads < 2 || side->told_loads > MOST_LOADS)) {
+            && (side->loads < 3 || side->loads > MOST_LOADS || side->pressure_loads < 2 || side->pressure_loads > MOST_LOADS)) {
             reader->failed = 1;
         }
     }
@@ -130,7 +130,7 @@ static void read_body(struct reader *reader, struct table *table) {
         reader->failed = 1;
     }
     if (!(fabs(table->ratio) >= 1.0 && table->period > 0.0 && table->period < 1e6
-          && (table->told_angles >= 4 || !tabled) && table->told_angles <= table->angles && table->angles <= 100000000u
+          && (table->pressure_angles >= 4 || !tabled) && table->pressure_angles <= table->angles && table->angles <= 100000000u
           && (rest == 0 || rest == table->angles))) {
         reader->failed = 1;
     }
@@ -190,25 +190,25 @@ static void unlock_tables(void) {
 #endif
 
 static struct table *table_of(FILE *file, const char **wrong) {
-    struct table *made = calloc(1, sizeof *made), *known;
-    *wrong = made == NULL ? "there is not enough memory for it" : NULL;
-    if (made != NULL && fread(made->head, 1, TABLE_HEAD, file) != TABLE_HEAD) {
+    struct table *opened = calloc(1, sizeof *opened), *known;
+    *wrong = opened == NULL ? "there is not enough memory for it" : NULL;
+    if (opened != NULL && fread(opened->head, 1, TABLE_HEAD, file) != TABLE_HEAD) {
         *wrong = KIND.unknown;
     }
     for (known = tables; *wrong == NULL && known != NULL; known = known->next) {
-        if (memcmp(known->head, made->head, TABLE_HEAD) == 0) {
-            free(made);
+        if (memcmp(known->head, opened->head, TABLE_HEAD) == 0) {
+            free(opened);
             return known;
         }
     }
-    *wrong = *wrong == NULL ? read_rest_of_file(made, file) : *wrong;
+    *wrong = *wrong == NULL ? read_rest_of_file(opened, file) : *wrong;
     if (*wrong == NULL) {
-        made->next = tables;
-        tables = made;
-    } else if (made != NULL) {
-        table_free(made);
+        opened->next = tables;
+        tables = opened;
+    } else if (opened != NULL) {
+        table_free(opened);
     }
-    return *wrong == NULL ? made : NULL;
+    return *wrong == NULL ? opened : NULL;
 }
 
 struct table *table_open(const char *path, char message[MESSAGE_SIZE]) {
