@@ -15,6 +15,7 @@ from fmpy.fmi2 import FMU2Slave
 from native.c_host import HERE, compiled, run_host
 
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.fmu.library import headers, this_platform
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import tables
@@ -54,9 +55,7 @@ def native(tmp_path_factory):
     """The drive of the examples as a native FMU, unpacked."""
     folder = tmp_path_factory.mktemp("native")
     pair = read_pair(EXAMPLES / "drive-39-40.toml")
-    native_build.build_native(
-        DriveValue.as_stated(pair), folder / "drive.fmu", platforms=[native_build.this_platform()]
-    )
+    native_build.build_native(DriveValue.as_stated(pair), folder / "drive.fmu", platforms=[this_platform()])
     fmpy.extract(str(folder / "drive.fmu"), unzipdir=str(folder))
     return folder
 
@@ -81,7 +80,7 @@ def nanoseconds(folder, guid):
 
 def test_step_through_fmpy(benchmark, native, tmp_path):
     """Against a native FMU whose functions only store their arguments."""
-    names = re.findall(r"TYPE +(fmi2\w+);", (native_build.headers() / "fmi2Functions.h").read_text())
+    names = re.findall(r"TYPE +(fmi2\w+);", (headers() / "fmi2Functions.h").read_text())
     others = "\n".join(f"int {name}(void) {{ return 0; }}" for name in names if name not in GIVEN)
     (tmp_path / "empty.c").write_text(EMPTY + others)
     library = tmp_path / "binaries" / "linux64" / "CycloidDrive.so"

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator
 
 import cycloid_fmu as cy
-from cycloid_fmu.fmu import variables
-from cycloid_fmu.native import table_file, tables
+from cycloid_fmu.fmu import table_file, variables
+from cycloid_fmu.native import tables
 
 ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)  # arcsec
 
@@ -33,7 +33,7 @@ for name, drive in drives.items():
     for asked in ASKED:
         made = tables.compute(drive.stage, accuracy=asked / cy.ARCSEC)
         every = variables.variables(drive.stage, interface, "2.0")
-        file = table_file.write(made, interface, variables.from_tables(every))
+        file = table_file.table_body(made, interface, variables.from_tables(every))
         sizes.append(len(zlib.compress(file)) / 1e3)
         errors.append(made.largest_error * cy.ARCSEC)
         loads = made.positive.load.size + made.negative.load.size

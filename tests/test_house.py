@@ -207,13 +207,11 @@ _KERNEL = "a kernel: numbers and arrays that numba passes in registers, and one 
 _TABLE = "a table of variables"
 _OPTIONS = "options of one public call, by keyword, each documented"
 _ESTIMATION = "estimation, which is to be divided anew"
-_HOT = "runs thousands of times in a step of an FMU; its numbers depend on each other"
 LONG = {
     "cycloid_fmu.cli.analyze.analyze": "its studies of losses and limits are to be one call",
     "cycloid_fmu.contact.deviations.move_to_deviations": _KERNEL,
     "cycloid_fmu.contact.placement._solve_alone": _KERNEL,
     "cycloid_fmu.contact.placement.place": _KERNEL,
-    "cycloid_fmu.fmu.compliant_model._sub_step": _HOT,
     "cycloid_fmu.fmu.variables._flanges": _TABLE,
     "cycloid_fmu.fmu.variables._further": _TABLE,
     "cycloid_fmu.fmu.variables.exchanged": _TABLE,
@@ -256,11 +254,6 @@ NAMELESS = {
     "cycloid_fmu.contact.energy.press": _KERNEL,
     "cycloid_fmu.contact.local_frame.levers": _KERNEL,
     "cycloid_fmu.draw.drive_svg._svg": "the four numbers of an SVG's viewBox",
-    "cycloid_fmu.fmu.losses.interpolated": "a row of Modelica's lossTable",
-    "cycloid_fmu.fmu.mesh._press": _KERNEL,
-    "cycloid_fmu.fmu.mesh.press": "what its kernel returns",
-    "cycloid_fmu.fmu.on_bearings.press": "what the mesh without bearings returns",
-    "cycloid_fmu.fmu.reducer_model._within_plays": _HOT,
     "cycloid_fmu.native.tables.halved": "entries of a heap, in the order by which it compares",
 }
 

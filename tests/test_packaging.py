@@ -243,9 +243,6 @@ TAKES = {
     ],
     "cad": [({}, "ezdxf", ("cycloid-fmu", "profile", DRIVE, "-o", "disc.dxf"))],
     "distributed": [({}, "distributed", (*STUDY, "--samples", "64", "--scheduler", "tcp://127.0.0.1:1"))],
-    "native": [
-        ({}, "ziglang", ("cycloid-fmu", "build", DRIVE, "--native", "--platform", "x86_64-windows", "-o", "drive.fmu"))
-    ],
     "reports": [
         ({}, "plotly", ("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--ratio", "-39", "-o", "r.html"))
     ],

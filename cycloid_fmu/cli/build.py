@@ -190,19 +190,17 @@ def _print_notes(drive: Drive) -> None:
 
 def _build_native(drive: Drive, path: Path, **options: Any) -> None:
     """Build a native FMU with progress, and print the accuracy of its tables."""
-    from cycloid_fmu.native.build import build_native, platforms_of
+    from cycloid_fmu.native.build import build_native
     from cycloid_fmu.native.tables import PROBES
 
-    options["platforms"] = options["platforms"] or platforms_of(options["fmi_version"])
-    with commands.Bar("compiling", len(options["platforms"])) as bar:
+    with commands.Bar("crank angles", None) as bar:
         made = build_native(
             drive,
             path,
             **options,
             workers=os.cpu_count() or 1,
-            compiled=lambda name: bar.advance(),
             progress=bar.advance,
-            total=lambda count: bar.update(completed=0, total=count, description="crank angles"),
+            total=lambda count: bar.update(completed=0, total=count),
         )
     typer.echo(
         f"{path}: {path.stat().st_size / 1e6:.2f} MB, {made.told}; compared with the exact model at {PROBES} random "

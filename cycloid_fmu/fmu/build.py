@@ -8,6 +8,7 @@ import math
 import os
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,6 @@ from cycloid_fmu.fmu.constants import DAMPING_TIME
 from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SUMS, SURFACE, sums_of, variables_hash
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.friction_file import Friction
-from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
 from cycloid_fmu.fmu.variables import INTERFACES, Interface, InterfaceKind, LossRow, variables
@@ -146,6 +146,27 @@ def with_damping(interface: Interface, drive: DriveValue) -> Interface:
     stiffness = solve(drive.stage, [drive.pair.rated_torque or 100.0], [0.0]).torsional_stiffness
     whole = 1.0 / (1.0 / float(stiffness[0, 0]) + interface.series_compliance)
     return dataclasses.replace(interface, mesh_damping=DAMPING_TIME * whole)
+
+
+def check_losses(rows: Sequence[LossRow]) -> None:
+    """Check a loss table.
+
+    Raises
+    ------
+    ValueError
+        If speeds do not ascend from 0, an efficiency is not between 0 and 1 or a torque is below 0; the text is one
+        sentence.
+    """
+    for i, (speed, forward, backward, *torques) in enumerate(rows, start=1):
+        if not (speed == 0.0 if i == 1 else rows[i - 2][0] < speed < math.inf):
+            raise ValueError(f"loss_table[{i},1] = {speed:g}: speeds must ascend from 0")
+        if not 0.0 < forward <= 1.0:
+            raise ValueError(f"loss_table[{i},2] = {forward:g}: an efficiency must be above 0 and not above 1")
+        if not 0.0 <= backward <= 1.0:
+            raise ValueError(f"loss_table[{i},3] = {backward:g}: an efficiency must be between 0 and 1")
+        for j, torque in enumerate(torques, start=4):
+            if not 0.0 <= torque < math.inf:
+                raise ValueError(f"loss_table[{i},{j}] = {torque:g}: a friction torque must not be below 0")
 
 
 def read_losses(path: str | os.PathLike[str]) -> tuple[LossRow, ...]:

@@ -1,4 +1,4 @@
-"""Constants of the models in Python and in C; the native FMU's `constants.h` is generated from these lines."""
+"""Constants of the model in time; its `constants.h` is generated from these lines."""
 
 from __future__ import annotations
 
@@ -48,3 +48,13 @@ EVENT_INDICATORS = 5  # of a native FMU in Model Exchange
 MOST_LOSS_ROWS = 64  # of the loss table in a native FMU
 TABLE_VERSION = 10  # of the file of tables
 STATE_VERSION = 10  # of the native FMU's serialised state
+SOLVE_PLAY = 0  # what a contact problem is asked for: both ends of the output's free rotation
+SOLVE_TOUCH = 1  # the rate of such an end with the crank
+SOLVE_LOAD = 2  # rest under a torque
+SOLVE_TURN = 3  # the crank's torque, and the output's rate with the crank, at the last solution
+SOLVE_HOLD = 4  # rest with the output held
+SOLVE_PRESS = 5  # the same as a derivative of the stored energy
+SOLVE_SHARE = 6  # how the pins share the load, at the last solution
+MOST_FUNCTIONS = 64  # of the crank angle, in the tables of a compensator's FMU
+COMPENSATOR_VERSION = 1  # of the file of a compensator's tables
+COMPENSATOR_STATE_VERSION = 1  # of the serialised state of a compensator's FMU

@@ -1,4 +1,4 @@
-"""Common part of the slaves of FMI 2.0 and 3.0: model, variables by reference, state.
+"""Common part of the slaves of FMI 2.0 and 3.0: the drive in time, its phases, refused values and its state.
 
 An invalid value is refused without an exception, which the slaves' library would turn into a fatal status: the value is
 not set, a message reports it, and steps are refused until a valid value is set.
@@ -6,16 +6,14 @@ not set, a message reports it, and steps are refused until a valid value is set.
 
 from __future__ import annotations
 
-import functools
+import base64
 import hashlib
 import io
 import json
 import math
-import re
 import struct
-import sys
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,22 +21,17 @@ import numpy as np
 
 from cycloid_fmu import __version__
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.errors.kinds import KINDS
-from cycloid_fmu.fmu.compliant_model import CompliantModel
+from cycloid_fmu.fmu.clockwork import Clockwork, Group
 from cycloid_fmu.fmu.description import Version
-from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.friction_file import Friction
-from cycloid_fmu.fmu.mesh import StepError
-from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
-from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, Interface, Variable, stiffness_text, variables
+from cycloid_fmu.fmu.variables import Interface, Variable, stiffness_text
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 NUMBERS, SURFACE, SUMS = "pair.json", "surface.npz", "SHA256SUMS"
 FORMAT = 4  # of the resource files
-MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 8
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 9
 # Phases of an instance as named in messages; the native FMU has the same (native/sources/instance.c).
 INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
     "before initialization",
@@ -46,7 +39,6 @@ INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
     "while stepping",
     "after termination",
 )
-_LARGEST = sys.float_info.max
 _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the resources, length
 
 
@@ -91,29 +83,8 @@ def interface_from(numbers: dict[str, Any]) -> Interface:
     return Interface(**{**numbers, **made, "losses": tuple(tuple(row) for row in numbers["losses"])})
 
 
-def model_of(drive: DriveValue, interface: Interface) -> DriveModel | CompliantModel:
-    """Return the model behind an interface."""
-    first_stage = drive.first_stage
-    model: DriveModel | CompliantModel
-    if interface.kind == "compliant":
-        inertias = interface.output_inertia, interface.crank_inertia
-        if first_stage is None:
-            model = CompliantModel(drive, interface.losses, *inertias)
-        else:
-            model = CompliantReducer(drive, interface.losses, *inertias)
-        model.mesh_damping = interface.mesh_damping or 0.0
-    elif first_stage is not None:
-        model = ReducerModel(drive, interface.losses)
-    else:
-        model = DriveModel(drive, interface.losses)
-    model.series_compliance = interface.series_compliance
-    for flange, law in enumerate(interface.laws):
-        model.set_friction(flange, **law._asdict())
-    return model
-
-
 class Core:
-    """The model and its variables, from an FMU's resources.
+    """The drive in time and its variables, from an FMU's resources.
 
     Parameters
     ----------
@@ -124,8 +95,8 @@ class Core:
 
     Attributes
     ----------
-    model
-        The drive.
+    clockwork
+        The drive in time.
     interface
         The interface of the FMU.
     table
@@ -155,53 +126,15 @@ class Core:
         pair, stage = parse_pair(numbers["pair"], "the FMU's drive"), numbers.get("first_stage")
         drive = DriveValue(pair, ErrorSurface(pair, **values), None if stage is None else FirstStage(**stage))
         self.interface = interface = interface_from(numbers["interface"])
-        self.model = model_of(drive, interface)
-        table = variables(drive, interface, version)
-        if variables_hash(table) != numbers["variables"]:
+        self.clockwork = Clockwork(drive, interface, version)
+        self.table = self.clockwork.table
+        if variables_hash(tuple(self.table.values())) != numbers["variables"]:
             raise RuntimeError(f"{built}, whose variables are others: {again}")
-        self.table = dict(enumerate(table))
         self.told = stiffness_text(pair, interface)
         self.phase = INSTANTIATED
         self.faults: dict[int, str] = {}
-        self.time = 0.0
         self._hash = hashlib.sha256(files[NUMBERS] + files[SURFACE]).digest()
-        accesses = {reference: self._access(variable) for reference, variable in self.table.items()}
-        self.getters = {reference: getter for reference, (getter, _) in accesses.items()}
-        self._setters = {reference: setter for reference, (_, setter) in accesses.items()}
-        # Variables set at each step: setters of scalars with their finite limits.
-        self._quick = {
-            reference: (setter, -_LARGEST if v.least is None else v.least, _LARGEST if v.most is None else v.most)
-            for reference, v in self.table.items()
-            if (setter := self._setters[reference]) is not None
-            and (v.kind, v.dimensions) == ("real", ())
-            and v.variability != "fixed"
-        }
-
-    def _access(self, variable: Variable) -> tuple[Callable[[], Any], Callable[[Any], None] | None]:
-        model, name = self.model, variable.name
-        setter: Callable[[Any], None] | None
-        cell = re.fullmatch(r"loss_table\[(\d+),(\d+)\]", name)
-        if name == "time":
-            return (lambda: self.time), None
-        if variable.causality == "local":
-            return (lambda: variable.start), None
-        if name in model.errors:
-            return (lambda: model.errors[name]), functools.partial(model.set_error, name)
-        if name in KINDS and KINDS[name].of == "pin":
-            return (lambda: model.pin_errors(name)), functools.partial(model.set_pin_errors, name)
-        friction = re.fullmatch(r"(input|output)_friction\.(\w+)", name)
-        if friction:
-            flange, number = FLANGES.index(friction[1]), Law._fields.index(friction[2])
-            return (
-                (lambda: model.friction[flange][number]),
-                (lambda value: model.set_friction(flange, **{friction[2]: value})),
-            )
-        if cell:
-            i, j = int(cell[1]) - 1, int(cell[2]) - 1
-            return (lambda: model.loss_table[i][j]), functools.partial(model.set_loss, i, j)
-        attribute = (ABSOLUTE if self.interface.support_flange else {}).get(name) or ATTRIBUTES.get(name, name)
-        setter = None if variable.causality in ("output", "local") else functools.partial(setattr, model, attribute)
-        return functools.partial(getattr, model, attribute), setter
+        self._groups: dict[tuple[int, ...], Group] = {}  # of reals that are exchanged together
 
     def of_kind(self, reference: int, kind: str) -> Variable:
         """Return a variable; a `ValueError` if there is none of that kind."""
@@ -214,7 +147,20 @@ class Core:
         """Return values of variables of a kind; a `ValueError` if there is none."""
         for reference in references:
             self.of_kind(reference, kind)
-        return [self.getters[reference]() for reference in references]
+        return [self.clockwork.value(reference) for reference in references]
+
+    def reals(self, references: Sequence[int]) -> list[Any]:
+        """Return values of real variables, as `values` does, all at once."""
+        group = self._groups.get(tuple(references)) or self._grouped(references)
+        return self.values(references, "real") if group is None else self.clockwork.read(group)
+
+    def _grouped(self, references: Sequence[int]) -> Group | None:
+        for reference in references:
+            self.of_kind(reference, "real")
+        group = self.clockwork.group(references)
+        if group is not None:
+            self._groups[tuple(references)] = group
+        return group
 
     def put(self, reference: int, value: Any, kind: str | None = None) -> str:
         """Set a variable; return the reason if the value is refused, or "".
@@ -226,45 +172,27 @@ class Core:
         """
         if reference not in self.table or kind is not None:
             self.of_kind(reference, kind or "real")
-        variable, setter = self.table[reference], self._setters[reference]
+        variable = self.table[reference]
         self._check_phase("to set a variable", INSTANTIATED, INITIALIZING, STEPPING)
-        if setter is None:
+        if variable.causality not in ("input", "parameter"):
             raise ValueError(f"{variable.name} can't be set: its causality is {variable.causality}")
         if variable.variability == "fixed" and self.phase == STEPPING:
             raise ValueError(f"{variable.name} can't be set after initialization")
-        refused = self._refused(variable, value)
+        refused = self.clockwork.put(reference, value)
         if refused:
             self.faults[reference] = refused
-            return refused
-        setter(value)
-        self.faults.pop(reference, None)
-        return ""
+        else:
+            self.faults.pop(reference, None)
+        return refused
 
     def put_all(self, references: Sequence[int], values: Sequence[Any], kind: str = "real") -> list[str]:
         """Set variables of a kind as `put` does; return the sentences of refused values."""
-        refused, quickly, faults = [], self._quick, self.faults
-        plain = kind == "real" and not faults and self.phase != TERMINATED
-        for reference, value in zip(references, values, strict=True):
-            quick = quickly.get(reference) if plain else None
-            if quick is not None and quick[1] <= value <= quick[2]:
-                quick[0](value)
-            elif text := self.put(reference, value, kind):
-                refused.append(text)
-                plain = False
-        return refused
-
-    def _refused(self, variable: Variable, value: Any) -> str:
-        """Return the reason why a value is invalid for a variable, or ""."""
-        given = tuple(value) if variable.dimensions else (value,)
-        least = -math.inf if variable.least is None else variable.least
-        most = math.inf if variable.most is None else variable.most
-        for one in given:
-            if not (least <= one <= most and -math.inf < one < math.inf):
-                limits = "it must be finite"
-                if variable.least is not None or variable.most is not None:
-                    limits += f" and lie between {least:g} and {most:g}"
-                return f"{variable.name} = {one:g}: {limits}"
-        return ""
+        if kind == "real" and not self.faults and self.phase != TERMINATED:
+            group = self._groups.get(tuple(references)) or self._grouped(references)
+            if group is not None and self.clockwork.write(group, values):
+                return []
+        given = zip(references, values, strict=True)
+        return [refused for reference, value in given if (refused := self.put(reference, value, kind))]
 
     def _check_phase(self, what: str, *allowed: str) -> None:
         if self.phase not in allowed:
@@ -273,19 +201,17 @@ class Core:
     def begin(self, start: float | None = None) -> None:
         """Begin initialization at a time (s), by default at the present one; a `ValueError` if this is not allowed."""
         self._check_phase("to begin initialization", INSTANTIATED)
-        start = self.time if start is None else start
+        start = self.clockwork.time if start is None else start
         if not math.isfinite(start):
             raise ValueError(f"the start time is {start:g} s: it must be finite")
-        self.time, self.phase = start, INITIALIZING
+        self.clockwork.time, self.phase = start, INITIALIZING
 
     def start(self) -> None:
         """Settle at the initial inputs, without history; a `ValueError` if this is not allowed."""
         self._check_phase("to end initialization", INITIALIZING)
         if self.faults:
             raise ValueError("; ".join(self.faults.values()))
-        self.model.check()
-        self.model.forget_history()
-        self.model.advance()
+        self.clockwork.start()
         self.phase = STEPPING
 
     def step(self, time: float, step: float) -> str:
@@ -294,14 +220,7 @@ class Core:
             return f"a step is allowed {STEPPING} only, not {self.phase}"
         if self.faults:
             return "no step before this is corrected: " + "; ".join(self.faults.values())
-        if not math.isfinite(time):
-            return f"a step from the time {time:g} s over {step:g} s: both must be finite"
-        try:
-            self.model.advance(step)
-        except StepError as problem:
-            return str(problem)
-        self.time = time + step
-        return ""
+        return self.clockwork.advance(time, step)
 
     def end(self) -> None:
         """Terminate; a `ValueError` if this is not allowed."""
@@ -311,20 +230,21 @@ class Core:
     def state(self) -> dict[str, Any]:
         """Return the state as plain values."""
         phase = STEPPING if self.phase == TERMINATED else self.phase
-        return {"drive": self._hash.hex(), "time": self.time, "phase": phase, "model": self.model.state()}
+        return {"drive": self._hash.hex(), "phase": phase, **self.clockwork.state()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Return to a state; a `ValueError` refuses one of another FMU."""
         if state["drive"] != self._hash.hex():
             raise ValueError("this state belongs to another drive: it was taken from an FMU with other resources")
-        self.model.restore(state["model"])
-        self.time, self.phase = state["time"], state["phase"]
+        self.clockwork.restore(state)
+        self.phase = state["phase"]
         self.faults.clear()
 
 
 def state_to_bytes(state: dict[str, Any]) -> bytes:
     """Return a state as bytes, the same on every machine: magic, version, checksum, drive, length, JSON."""
-    body = json.dumps(state, separators=(",", ":")).encode()
+    plain = {**state, "memory": base64.b64encode(state["memory"]).decode()}
+    body = json.dumps(plain, separators=(",", ":")).encode()
     return _HEAD.pack(MAGIC, STATE_VERSION, zlib.crc32(body), bytes.fromhex(state["drive"]), len(body)) + body
 
 
@@ -347,4 +267,4 @@ def state_from_bytes(data: bytes) -> dict[str, Any]:
     state: dict[str, Any] = json.loads(body)
     if state["drive"] != drive.hex():
         raise ValueError("this state is damaged: it names two drives")
-    return state
+    return {**state, "memory": base64.b64decode(state["memory"])}

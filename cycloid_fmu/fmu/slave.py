@@ -66,8 +66,7 @@ class DriveSlave:
     def _open(self, resources: str, library: str) -> None:
         _release_at_exit(Path(resources).parent / "binaries" / library)
         self.core = Core(Path(resources), self.fmi_version)
-        self._getters = {i: get for i, get in self.core.getters.items() if self.core.table[i].kind == "real"}
-        self._put_all = self.core.put_all
+        self._reals, self._put_all = self.core.reals, self.core.put_all
 
     def _refuse(self, message: str) -> None:
         """Log a refusal."""
@@ -76,7 +75,7 @@ class DriveSlave:
     @kept_alive
     def setup_experiment(self, start_time: float, *_: float | None) -> None:
         """Store the time at which initialization begins."""
-        self.core.time = start_time
+        self.core.clockwork.time = start_time
 
     @kept_alive
     def enter_initialization_mode(self) -> None:
@@ -162,13 +161,10 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
 
     def get_real(self, vrs: Sequence[int]) -> list[float]:
         """Return values by reference."""
-        getters = self._getters
         try:
-            return [getters[v]() for v in vrs]
-        except Exception as problem:
+            return self._reals(vrs)
+        except Exception:
             keep_alive(self)
-            if isinstance(problem, KeyError):
-                self.core.values(vrs, "real")
             raise
 
     def set_real(self, vrs: Sequence[int], values: Sequence[float]) -> None:

@@ -8,10 +8,9 @@ change of the flank's curvature, which the balance neglects (`contact.elastic_en
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numba import types
-from numba.experimental import structref
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled, spliced
@@ -33,14 +32,8 @@ X, STIFFNESS, ENERGY, BY_FLANGE, BY_ANGLE, CRANK_TORQUE, RATE, TORQUE = range(8)
 FOUND = 8
 
 
-@structref.register
-class _HeldType(types.StructRef):  # type: ignore[misc]
-    def preprocess_fields(self, fields: object) -> object:
-        return tuple((name, types.unliteral(kind)) for name, kind in fields)  # type: ignore[attr-defined]
-
-
-class Held(structref.StructRefProxy):  # type: ignore[misc]
-    """A drive on its bearings as one pointer: passing its fields to a kernel takes longer than a warm solution.
+class Held(NamedTuple):
+    """A drive on its bearings.
 
     Attributes
     ----------
@@ -50,14 +43,16 @@ class Held(structref.StructRefProxy):  # type: ignore[misc]
         Derivatives of the energy by the unknowns minus the balanced forces, and of the balance by θ, shape (unknowns,).
     """
 
+    drive: Problem
+    assembly: Assembly
+    work: Work
+    by_energy: Array
+    by_angle: Array
 
-structref.define_proxy(Held, _HeldType, ["drive", "assembly", "work", "by_energy", "by_angle"])
 
-
-@compiled
-def held(drive: Problem, assembly: Assembly, work: Work, by_energy: Array, by_angle: Array) -> Held:
+def held(drive: Problem, assembly: Assembly, work: Work) -> Held:
     """Return a drive on its bearings; kernels overwrite the arrays."""
-    return Held(drive, assembly, work, by_energy, by_angle)
+    return Held(drive, assembly, work, np.zeros(work.place.size), np.zeros(work.place.size))
 
 
 @spliced
@@ -170,8 +165,3 @@ def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Arra
 def shared(box: Held, rows: Rows, pin_force: Array, pin_pressure: Array) -> tuple[int, float]:
     """Return the number of pins in contact and the largest pressure (Pa) after `stand`, as `contact.load_sharing`."""
     return load_sharing(box.drive, rows, pin_force, pin_pressure)
-
-
-def room(unknowns: int) -> tuple[Array, Array]:
-    """Return uninitialized arrays for a `Held`."""
-    return np.zeros(unknowns), np.zeros(unknowns)

@@ -95,7 +95,7 @@ def compensate(
     sources = [name for name, value in stated.items() if value is not None]
     if len(sources) > 1:
         raise edge.InputError(f"{sources[1]}: {sources[0]} determines the series compliance too; give one of the two.")
-    names = _compiled_for(output, platforms or [], fmi_version)
+    names = _platforms_of(output, platforms or [], fmi_version)
     drive = read_drive(drive_file, surface_file)
     friction, stiffness, compliance = _chain(fit, friction_file, stiffness, loop)
     with commands.Bar("crank angles", None) as bar:
@@ -111,15 +111,12 @@ def compensate(
             total=lambda count: bar.update(completed=0, total=count),
             progress=bar.advance,
         )
-        if names:
-            bar.update(completed=0, total=len(names), description="compiling")
-        files = write_compensator(
-            compensator,
-            output,
-            fmi_version=fmi_version,  # type: ignore[arg-type]
-            platforms=names,
-            compiled=lambda name: bar.advance(),
-        )
+    files = write_compensator(
+        compensator,
+        output,
+        fmi_version=fmi_version,  # type: ignore[arg-type]
+        platforms=names,
+    )
     rated = drive.pair.rated_torque or float(compensator.inverse.torque[-1]) / LARGEST_LOAD
     if plot is not None:
         from cycloid_fmu.draw.figure import save
@@ -131,7 +128,7 @@ def compensate(
         typer.echo(f"No table is fine enough for the required {residual * ARCSEC:.3g}″.", err=True)
 
 
-def _compiled_for(output: Path, platforms: list[str], fmi_version: str) -> tuple[str, ...]:
+def _platforms_of(output: Path, platforms: list[str], fmi_version: str) -> tuple[str, ...]:
     """Return the platforms of an FMU, none for other forms, whose options and names are checked."""
     if output.suffix == ".fmu":
         from cycloid_fmu.native.build import checked_platforms

@@ -6,6 +6,7 @@ import json
 import fmpy
 import numpy as np
 import pytest
+from clockworks import Drive
 from common import EXAMPLES
 from typer.testing import CliRunner
 
@@ -15,7 +16,6 @@ from cycloid_fmu.cli import app
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu, completed
 from cycloid_fmu.fmu.chain import own_stiffness, read_loop, with_chain
-from cycloid_fmu.fmu.core import model_of
 from cycloid_fmu.fmu.run import told
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import read_pair
@@ -46,7 +46,7 @@ def windup(model, pair, turns=40):
 def test_the_whole_drive_has_the_stiffness_that_was_stated():
     catalogue = 49.0 * edge.ARCMIN
     interface = completed(Interface(stiffness=catalogue), DriveValue(PAIR, SURFACE))
-    model = model_of(DriveValue(PAIR, SURFACE), interface)
+    model = Drive(DriveValue(PAIR, SURFACE), interface)
     assert 0.5 * PAIR.rated_torque / windup(model, PAIR, 90) == pytest.approx(catalogue, rel=1e-6)
 
 
@@ -72,7 +72,7 @@ def test_a_first_stage_that_gives_way_is_in_series():
     assert with_it.series_compliance > 0.0
     assert with_it.own_stiffness == pytest.approx(own_stiffness(DriveValue(pair, surface, rigid)), rel=1e-12)
     assert whole == pytest.approx(own_stiffness(DriveValue(pair, surface, soft)), rel=1e-3)
-    model = model_of(DriveValue(pair, surface, soft), with_it)
+    model = Drive(DriveValue(pair, surface, soft), with_it)
     assert 0.5 * pair.rated_torque / windup(model, pair) == pytest.approx(whole, rel=5e-3)
 
 

@@ -13,10 +13,17 @@ import cycloid_fmu as cy
 from cycloid_fmu.cli import app
 from cycloid_fmu.fmu.bench_losses import fitted_losses
 from cycloid_fmu.fmu.friction_file import read_friction
-from cycloid_fmu.fmu.losses import lost_torque
 
 TABLE = ((0.0, 0.9, 0.85, 0.02, 0.03), (50.0, 0.92, 0.87, 0.03, 0.04), (300.0, 0.95, 0.9, 0.06, 0.06))
 BENCH = "speed [rpm],torque [N*m],loss [N*m],temperature [K]\n"
+
+
+def lost_torque(speed, torque):
+    """The loss table of Modelica's LossyGear at one of its speeds, far from where the power turns round."""
+    ((_, forward, backward, friction_forward, friction_backward),) = [row for row in TABLE if row[0] == speed]
+    if torque > 0.0:
+        return (torque + friction_forward) / forward - torque
+    return backward * (torque + friction_backward) - torque
 
 
 def measured(warm=0.0, noise=0.0):
@@ -25,7 +32,7 @@ def measured(warm=0.0, noise=0.0):
     for speed, torque, temperature in np.stack(
         np.meshgrid([0.0, 50.0, 300.0], [-4.0, -2.0, -0.5, 0.5, 2.0, 4.0], [290.0, 320.0]), axis=-1
     ).reshape(-1, 3):
-        loss = lost_torque(TABLE, speed, torque) * math.exp(-warm * (temperature - 305.0))
+        loss = lost_torque(speed, torque) * math.exp(-warm * (temperature - 305.0))
         rows.append((speed, torque, loss * (1.0 + noise * random.normal()), temperature))
     return np.array(rows).T
 

@@ -385,7 +385,7 @@ def test_commands_lead_and_compare(command, tmp_path):
         ),
         (
             ["simulate", "k.fmu", "--torque", "1e9 N*m"],
-            "k.fmu: the start was refused: flange_b.tau = 1e+09 N.m: no contacts of this pair can balance it.",
+            "k.fmu: the start was refused: flange_b.tau = 1e+09 N.m: no contacts of this drive can balance it.",
         ),
         (
             ["analyze", "pair.toml", "--torque", "1e9 N*m"],

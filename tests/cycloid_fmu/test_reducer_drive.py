@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 import xarray as xr
+from clockworks import kinematic_drive
 from common import EXAMPLES
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import compliance, solve
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.reducer.description import MESH_STIFFNESS, parse_reducer
 from cycloid_fmu.reducer.lost_motion import parts_of
 from cycloid_fmu.surfaces.surface import nominal_surface
@@ -46,7 +46,7 @@ def test_it_is_what_the_fmu_s_model_finds_one_place_after_the_other():
     """The FMU turns the crank by an iteration of its own: places, stiffness, torque and play with the sun locked."""
     pair, surface, first_stage = parts_of(RIGID)
     found = solve(DriveValue(pair, surface, first_stage), [167.0, -45.0], ANGLES)
-    model = ReducerModel(DriveValue(pair, surface, first_stage))
+    model = kinematic_drive(DriveValue(pair, surface, first_stage))
     for k, torque in enumerate(found.torque):
         for i, crank in enumerate(ANGLES):
             sun = -crank * 141.0 / 39.0

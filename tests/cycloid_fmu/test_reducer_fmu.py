@@ -6,6 +6,7 @@ import math
 import fmpy
 import numpy as np
 import pytest
+from clockworks import Drive, kinematic_drive
 from common import EXAMPLES
 from fmpy.validation import validate_fmu
 
@@ -13,9 +14,6 @@ import cycloid_fmu as cy
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.core import model_of
-from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.run import described, simulate_fmu
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.first_stage import FirstStage
@@ -36,7 +34,7 @@ def at(model, angle, torque, speed=0.0):
 
 
 def fresh(surface=SURFACE, stage=STAGE):
-    return ReducerModel(DriveValue(RV.stage, surface, stage))
+    return kinematic_drive(DriveValue(RV.stage, surface, stage))
 
 
 def test_a_turn_of_the_output_takes_141_of_the_sun():
@@ -140,8 +138,8 @@ def test_states_are_returned_to_exactly():
 
 def test_without_a_first_stage_it_is_the_drive():
     """A sun much smaller than its planets hardly turns the carrier's cranks: the drive with its sun geared down."""
-    slow = ReducerModel(DriveValue(RV.stage, SURFACE, FirstStage(1, 10**6, 0.0, 0.0)))
-    drive = DriveModel(DriveValue(RV.stage, SURFACE))
+    slow = kinematic_drive(DriveValue(RV.stage, SURFACE, FirstStage(1, 10**6, 0.0, 0.0)))
+    drive = kinematic_drive(DriveValue(RV.stage, SURFACE))
     sun = 0.4e6
     at(slow, sun, 60.0)
     # θ = φ_b - φ_a/10⁶ and φ_b is small: the drive at that crank angle, its crank standing on the output.
@@ -196,7 +194,7 @@ def test_a_reducer_on_bearings_swings_with_inertias_inside(tmp_path):
     interface = Interface("compliant", 0.5, crank_inertia=2e-5)
     build_fmu(cy.Drive(reducer), tmp_path / "rv.fmu", interface=interface, fmi_version="3.0")
     assert validate_fmu(str(tmp_path / "rv.fmu")) == []
-    still = ReducerModel(DriveValue(reducer.stage, *rv.parts_of(reducer)[1:]))
+    still = kinematic_drive(DriveValue(reducer.stage, *rv.parts_of(reducer)[1:]))
     at(still, 0.0, -80.0)
     found = fmpy.simulate_fmu(
         str(tmp_path / "rv.fmu"),
@@ -211,8 +209,8 @@ def test_a_reducer_on_bearings_swings_with_inertias_inside(tmp_path):
 
 def test_a_compliant_reducer_bears_the_torque_that_turns_the_quasi_static_one_so_far():
     """Its flanges held where the whole reducer carries 0.3 and 0.9 times the rated torque with the sun locked."""
-    still = ReducerModel(DriveValue(RV.stage, SURFACE, STAGE))
-    held = model_of(DriveValue(RV.stage, SURFACE, STAGE), Interface("compliant"))
+    still = kinematic_drive(DriveValue(RV.stage, SURFACE, STAGE))
+    held = Drive(DriveValue(RV.stage, SURFACE, STAGE), Interface("compliant"))
     for share in (0.3, -0.3, 0.9):
         at(still, 0.4, share * RV.stage.rated_torque)
         held.crank_angle, held.output_angle = 0.4, still.output_angle

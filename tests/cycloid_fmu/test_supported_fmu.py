@@ -8,14 +8,13 @@ import math
 import fmpy
 import numpy as np
 import pytest
+from clockworks import compliant_drive, kinematic_drive
 from common import ARCSEC, DATA
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.compliant_model import CompliantModel
-from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.supports.transmission import PLAY_LOAD
 
@@ -37,7 +36,7 @@ def put(model, crank, deviation, crank_speed=0.0, deviation_speed=0.0):
 
 @pytest.mark.parametrize("case", NAMES)
 def test_the_kinematic_model_is_the_independent_solver_s(case):
-    wanted, model = json.loads((CASES / f"{case}.json").read_text()), DriveModel(drive(case))
+    wanted, model = json.loads((CASES / f"{case}.json").read_text()), kinematic_drive(drive(case))
     for result in wanted["results"]:
         model.forget_history()
         for i, angle in list(enumerate(wanted["crank_angle"]))[::3]:
@@ -53,7 +52,7 @@ def test_the_kinematic_model_is_the_independent_solver_s(case):
 @pytest.mark.parametrize("case", NAMES)
 @pytest.mark.parametrize(("compliance", "backlash_on"), [(0.0, True), (5e-6, True), (1e-6, False)])
 def test_both_torques_are_derivatives_of_the_stored_energy(case, compliance, backlash_on):
-    model = CompliantModel(drive(case))
+    model = compliant_drive(drive(case))
     model.series_compliance, model.backlash_on = compliance, backlash_on
 
     def energy(crank, output):
@@ -75,7 +74,7 @@ def test_both_torques_are_derivatives_of_the_stored_energy(case, compliance, bac
 @pytest.mark.parametrize("case", NAMES)
 def test_it_is_the_quasi_static_drive_seen_from_both_flanges(case):
     """The energy's torque and the balance's differ by the term of moving curvature; inside the play by nothing."""
-    model, driven = CompliantModel(drive(case)), DriveModel(drive(case))
+    model, driven = compliant_drive(drive(case)), kinematic_drive(drive(case))
     for crank, torque in ((0.4, 100.0), (3.0, -60.0), (40.0, 150.0)):
         driven.crank_angle, driven.torque = crank, torque
         driven.advance()
@@ -92,7 +91,7 @@ def test_it_is_the_quasi_static_drive_seen_from_both_flanges(case):
 
 def test_a_closed_path_through_the_play_gives_nothing_back():
     """Work by Simpson's rule along straight lines, in parts short enough for what bends between them."""
-    model = CompliantModel(drive("cranks-rollers-clearance"))
+    model = compliant_drive(drive("cranks-rollers-clearance"))
     done = passed = 0.0
     corners = [(0.0, 6e-4), (0.07, 7e-4), (0.1, -6e-4), (-0.05, -3e-4), (0.0, 6e-4)]
     for start, end in itertools.pairwise(corners):
@@ -111,17 +110,17 @@ def test_a_closed_path_through_the_play_gives_nothing_back():
 
 @pytest.mark.parametrize("case", ["cranks-rollers-clearance"])
 def test_with_inertias_inside_work_is_stored_lost_or_given_back(case):
-    model = CompliantModel(drive(case), output_inertia=0.5, crank_inertia=2e-4)
+    model = compliant_drive(drive(case), output_inertia=0.5, crank_inertia=2e-4)
     model.mesh_damping = 50.0
     model.forget_history()
     model.advance()
     begun, done, passed = model.elastic_energy, 0.0, 0.0
     for i in range(60):
-        before = model._turned, model.output_angle
+        before = model.crank_angle, model.output_angle
         model.crank_torque = driving = 2.0 * math.cos(300.0 * i * 1e-3)
         model.torque = load = -20.0 * math.cos(130.0 * i * 1e-3)
         model.advance(1e-3)
-        work = driving * (model._turned - before[0]), load * (model.output_angle - before[1])
+        work = driving * (model.crank_angle - before[0]), load * (model.output_angle - before[1])
         done, passed = done + sum(work), passed + sum(map(abs, work))
     moving = 0.5 * (0.5 * model.output_speed**2 + 2e-4 * model.crank_speed**2)
     assert passed > 0.1
@@ -137,10 +136,10 @@ def test_a_state_restores_exactly_also_in_another_instance():
             found.append((model.output_angle, model.crank_torque, model.output_speed, model.max_contact_pressure))
         return found
 
-    model, other = DriveModel(drive("rollers")), DriveModel(drive("rollers"))
+    model, other = kinematic_drive(drive("rollers")), kinematic_drive(drive("rollers"))
     model.friction_torque = 3.0
     run(model, 0)
-    state = json.loads(json.dumps(model.state()))
+    state = model.state()
     wanted = run(model, 12)
     model.restore(state)
     other.restore(state)
@@ -150,7 +149,7 @@ def test_a_state_restores_exactly_also_in_another_instance():
 def test_friction_and_play_hold_the_output_between_both_directions():
     """At no torque the drive keeps its position within its play, and moves with the end of the play that it meets."""
     pair, surface = drive("rollers").pair, drive("rollers").surface
-    model = DriveModel(DriveValue(pair, surface))
+    model = kinematic_drive(DriveValue(pair, surface))
     for torque in (50.0, 0.0):
         model.torque = torque
         model.advance()
@@ -169,7 +168,8 @@ def test_rigid_bearings_are_the_drive_without_them():
     pair = read_pair(CASES / "cranks-linear.toml").nominal.replace(errors={"pin_radius": "-2 um"})
     rigid = {"kind": "cranks", "count": 3, "circle_radius": "36 mm"}
     held, free = (
-        CompliantModel(DriveValue.as_stated(one)) for one in (pair.replace(supports=rigid), pair.replace(supports=None))
+        compliant_drive(DriveValue.as_stated(one))
+        for one in (pair.replace(supports=rigid), pair.replace(supports=None))
     )
     for model in (held, free):
         put(model, 1.3, 3.5e-4)
@@ -209,11 +209,11 @@ def test_a_built_fmu_is_what_analyze_says(tmp_path):
 def test_a_place_is_the_same_wherever_the_drive_came_from(case):
     """Jumps of crank, torque and flanges, through the play and beyond the rated torque, against a drive just made."""
     generator = np.random.default_rng(5)
-    held, pressed = DriveModel(drive(case)), CompliantModel(drive(case))
+    held, pressed = kinematic_drive(drive(case)), compliant_drive(drive(case))
     for _ in range(25):
         crank, deviation = generator.uniform(0.0, 50.0), generator.uniform(-2e-3, 2e-3)
         torque = held.pair.rated_torque * generator.choice([5e-4, 0.01, 0.5, 2.5]) * generator.uniform(-1.0, 1.0)
-        alone, apart = DriveModel(drive(case)), CompliantModel(drive(case))
+        alone, apart = kinematic_drive(drive(case)), compliant_drive(drive(case))
         for model in (held, alone):
             model.crank_angle, model.torque = crank, torque
             model.advance()

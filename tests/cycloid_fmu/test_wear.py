@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from boundary_wear import Mesh
+from clockworks import kinematic_drive
 from common import ARCSEC, WEAR_PAIR, make_pair
 
 import cycloid_fmu as cy
@@ -14,7 +15,6 @@ from cycloid_fmu.contact.transmission import rigid_problem
 from cycloid_fmu.draw import figure as plots_of
 from cycloid_fmu.draw import wear_plots
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.geometry.pair import write_pair
 from cycloid_fmu.geometry.profile import flank_normals, flank_points
 from cycloid_fmu.surfaces.files import read_surface, write_surface
@@ -427,7 +427,7 @@ def test_the_worn_surface_travels(run, tmp_path):
     theta = worn.sweep.crank_angle[::16]
     for turns in (0.0, 1e5, 4e5):
         at = surface_after(read, turns)
-        drive = DriveModel(DriveValue(*at_own_age(worn.pair, at)))
+        drive = kinematic_drive(DriveValue(*at_own_age(worn.pair, at)))
         drive.torque = -400.0
         expected = solve(DriveValue(worn.pair, at), -400.0, theta)
         found, play = [], []

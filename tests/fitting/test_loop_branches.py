@@ -5,12 +5,12 @@ import json
 
 import numpy as np
 import pytest
+from clockworks import kinematic_drive
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.identify import identify
@@ -29,7 +29,7 @@ def wound_up(pair, *, friction, crank=CRANK, sides=(1, -1), samples=800, noise=0
 
     The mesh alone is so stiff that friction's usual presliding would take half a branch; here it has next to none.
     """
-    drive = DriveModel(DriveValue.as_stated(pair))
+    drive = kinematic_drive(DriveValue.as_stated(pair))
     drive.set_friction(1, coulomb=friction, presliding_angle=1e-8)
     drive.crank_angle = crank
     way = np.concatenate([np.linspace(0.0, RATED, samples), np.linspace(RATED, 0.0, samples)])

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from clockworks import kinematic_drive
 
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.plan import planned_curve
 from fitting.model.discrepancy import RIPPLE, causes, ripple_of
@@ -18,7 +18,7 @@ from fitting.model.observations import Discrepancy, State, linearise, observatio
 def test_friction_acts_against_the_motion(nominal, output, direction, torque):
     """Dry friction of a drive has the effect of the same friction torque in the fit."""
     pair = nominal.replace(output=output)
-    drive = DriveModel(DriveValue.as_stated(pair))
+    drive = kinematic_drive(DriveValue.as_stated(pair))
     drive.friction_torque, drive.torque = 5.0, torque
     errors, angles = [], 10.0 + direction * np.arange(6) * 0.3
     for angle in (10.0 - direction * 0.3, *angles):  # from the first on the lost motion is passed through

@@ -12,6 +12,7 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.fmu import library
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import table_cache, tables
@@ -32,14 +33,9 @@ BUILT = {
 COMPILER = ("cc",) if shutil.which("cc") else (sys.executable, "-m", "ziglang", "cc")
 
 
-def zig(platform):
-    """Command of zig's compiler for one of `native_build.PLATFORMS`."""
-    return (sys.executable, "-m", "ziglang", "cc", "-target", native_build.PLATFORMS[platform].target)
-
-
 def compiled(target, sources, *flags, compiler=COMPILER):
     """Compile C sources with FMI's headers."""
-    include = ["-I", str(native_build.headers()), "-I", str(HERE.parents[1] / "cycloid_fmu" / "native" / "sources")]
+    include = [option for folder in (library.headers(), *library.SOURCE_FOLDERS) for option in ("-I", str(folder))]
     libraries = [] if target.suffix == ".exe" else ["-ldl", "-lm"]
     subprocess.run(
         [*compiler, "-std=c99", "-g", *flags, *include, *map(str, sources), "-o", str(target), *libraries],
@@ -100,16 +96,10 @@ def coarse(drive, accuracy):
 
 
 def native_of(folder, drive, made, interface):
-    """A native FMU for this machine, compiled with the system's compiler."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-        native_build.build_native(
-            drive,
-            folder / "drive.fmu",
-            interface=interface,
-            made=made,
-            platforms=[native_build.this_platform()],
-        )
+    """A native FMU for this machine."""
+    native_build.build_native(
+        drive, folder / "drive.fmu", interface=interface, made=made, platforms=[library.this_platform()]
+    )
     return folder / "drive.fmu"
 
 

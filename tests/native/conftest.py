@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import fmpy
 import platformdirs
 import pytest
-from c_host import BUILT, COMPILER, HERE, Tabled, compiled, run_host
+from c_host import BUILT, HERE, Tabled, compiled, run_host
 from common import EXAMPLES
 
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.fmu import library
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import table_cache
@@ -43,22 +44,20 @@ def drive(cache):
 
 @pytest.fixture(scope="session")
 def built(drive, tmp_path_factory):
-    """Native FMUs for this machine, by interface and FMI version, compiled with the system's compiler."""
+    """Native FMUs for this machine, by interface and FMI version."""
     folder, made = tmp_path_factory.mktemp("natür lich"), {}
 
     def one(kind="kinematic", version="2.0"):
         if (kind, version) not in made:
             path = folder / f"{kind} {version[0]}.fmu"
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-                native_build.build_native(
-                    drive,
-                    path,
-                    interface=BUILT[kind],
-                    fmi_version=version,
-                    made=drive.tables,
-                    platforms=[native_build.this_platform()],
-                )
+            native_build.build_native(
+                drive,
+                path,
+                interface=BUILT[kind],
+                fmi_version=version,
+                made=drive.tables,
+                platforms=[library.this_platform()],
+            )
             made[kind, version] = path
         return made[kind, version]
 

@@ -11,7 +11,8 @@
 
    KIND is kinematic, compliant or inertia (compliant with an inertia inside). The inputs come first in the value
    references: flange_a.phi, flange_a.w, then flange_b.tau, or flange_b.phi and flange_b.w (compliant). The outputs
-   follow, up to max_contact_pressure, 9. */
+   follow, up to max_contact_pressure, 9. Or KIND is compensator: desired_angle, desired_speed, load_torque, the outputs
+   from 9 on, and the other inputs. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdint.h>
@@ -67,7 +68,9 @@ static const char *utf8(const char *word) { return word; }
 EACH(IMPORT)
 
 enum { MOST_INPUTS = 4, REFERENCES = 10 };
-static const Reference ALL[REFERENCES] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9};
+static const Reference OF_DRIVE[REFERENCES] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9};
+static const Reference OF_COMPENSATOR[REFERENCES] = {0, 1, 2, 9, 10, 11, 12, 3, 4, 5};
+static const Reference *references = OF_DRIVE;
 static const double RATIO = -39.0;
 static const char *resources, *guid;
 static int inputs_count, inertia, messages;
@@ -103,10 +106,10 @@ static void started(Instance c) {
 }
 
 static int put(Instance c, const double *values) {
-    return (int)fmi3SetFloat64_(c, ALL, (size_t)inputs_count, values, (size_t)inputs_count);
+    return (int)fmi3SetFloat64_(c, references, (size_t)inputs_count, values, (size_t)inputs_count);
 }
 static int get(Instance c, int first, int count, double *values) {
-    return (int)fmi3GetFloat64_(c, ALL + first, (size_t)count, values, (size_t)count);
+    return (int)fmi3GetFloat64_(c, references + first, (size_t)count, values, (size_t)count);
 }
 static int do_step(Instance c, double time, double size, int keep) {
     fmi3Boolean event, terminate, early;
@@ -155,10 +158,10 @@ static void started(Instance c) {
 }
 
 static int put(Instance c, const double *values) {
-    return (int)fmi2SetReal_(c, ALL, (size_t)inputs_count, values);
+    return (int)fmi2SetReal_(c, references, (size_t)inputs_count, values);
 }
 static int get(Instance c, int first, int count, double *values) {
-    return (int)fmi2GetReal_(c, ALL + first, (size_t)count, values);
+    return (int)fmi2GetReal_(c, references + first, (size_t)count, values);
 }
 static int do_step(Instance c, double time, double size, int keep) {
     return (int)fmi2DoStep_(c, time, size, keep ? fmi2True : fmi2False);
@@ -438,6 +441,7 @@ int main(int count, char **words) {
     resources = utf8(words[2]);
     guid = words[3];
     inertia = strcmp(words[4], "inertia") == 0;
+    references = strcmp(words[4], "compensator") == 0 ? OF_COMPENSATOR : OF_DRIVE;
     inputs_count = strcmp(words[4], "compliant") == 0 ? 4 : 3;
     if (strcmp(what, "run") == 0) {
         run(steps);

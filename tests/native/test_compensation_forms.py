@@ -1,31 +1,39 @@
 """Forms of a compensator: C99, FMUs and a look-up table, each against `step` in Python."""
 
 import ctypes
+import dataclasses
 import json
 import math
 import shutil
+import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import fmpy
 import numpy as np
 import pytest
-from c_host import COMPILER, HERE, WINE, needs, needs_wine, zig
+from c_host import COMPILER, HERE, WINE, compiled, needs, needs_wine, run_host
 from common import EXAMPLES
 from compensators import EVERY, NONE, REACH, commands, compensator, way
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from libraries import windows_runtime, zig
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.compensation.compensator import Memory, step
+from cycloid_fmu.compensation.forms import fmu as fmu_form
+from cycloid_fmu.compensation.forms import numbers
 from cycloid_fmu.compensation.forms.look_up import look_up
+from cycloid_fmu.compensation.forms.numbers import table_body
 from cycloid_fmu.compensation.forms.write import write_compensator
+from cycloid_fmu.fmu import library, resource_file
+from cycloid_fmu.fmu.resource_file import COMPENSATOR, HEAD, headed
 from cycloid_fmu.fmu.run import open_fmu
-from cycloid_fmu.native import build as native_build
 from fitting.estimation.result import read_chain
 
 STRICT = ("-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Werror")
@@ -186,7 +194,7 @@ def test_an_arm_processor_gives_the_same_bits(drive, tmp_path):
 @pytest.mark.slow(10)
 def test_windows_gives_the_same_bits(drive, tmp_path):
     rows = way(drive, 11, 1000)
-    runtime = ("-Wl,--entry=start", HERE / "windows_start.c", *native_build.windows_runtime("runtime"))
+    runtime = ("-Wl,--entry=start", HERE / "windows_start.c", *windows_runtime("runtime"))
     program = host(drive, rows, 0.4, tmp_path, zig("x86_64-windows"), *map(str, runtime), suffix=".exe")
     found = printed([WINE, program], WINEPREFIX=str(tmp_path / "wine"), WINEDEBUG="-all")
     assert np.array_equal(found, commands(drive, rows, 0.4))
@@ -233,12 +241,8 @@ def test_the_look_up_table_is_the_command_without_memory(tmp_path):
 def fmus(drive, tmp_path_factory):
     """FMUs for this machine, by version."""
     folder = tmp_path_factory.mktemp("fmus")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-        for version in ("2.0", "3.0"):
-            write_compensator(
-                drive, folder / f"{version[0]}.fmu", fmi_version=version, platforms=[native_build.this_platform()]
-            )
+    for version in ("2.0", "3.0"):
+        write_compensator(drive, folder / f"{version[0]}.fmu", fmi_version=version, platforms=[library.this_platform()])
     return {version: folder / f"{version[0]}.fmu" for version in ("2.0", "3.0")}
 
 
@@ -373,11 +377,8 @@ def test_states_bring_back_what_was_and_damaged_ones_are_refused(drive, fmus, ve
 
 
 def sealed(data):
-    """A state with the checksum (FNV-1a) that belongs to its contents."""
-    total = 0xCBF29CE484222325
-    for byte in data[24:]:
-        total = (total ^ byte) * 0x100000001B3 % (1 << 64)
-    return bytes(data[:16]) + total.to_bytes(8, "little") + bytes(data[24:])
+    """A state with the checksum (CRC-32) that belongs to its contents."""
+    return bytes(data[:24]) + zlib.crc32(data[32:]).to_bytes(8, "little") + bytes(data[32:])
 
 
 def test_a_state_with_a_right_checksum_and_wrong_contents_stops_no_host(drive, fmus):
@@ -389,7 +390,7 @@ def test_a_state_with_a_right_checksum_and_wrong_contents_stops_no_host(drive, f
         assert sealed(data) == data
         for _ in range(100):
             wrong = bytearray(data)
-            for place in random.integers(24 + 8, len(data), 4):
+            for place in random.integers(32, len(data), 4):
                 wrong[place] = random.integers(256)
             one = fmu.slave.deserializeFMUState(sealed(wrong))
             fmu.slave.setFMUState(one)
@@ -408,7 +409,7 @@ def test_a_state_of_another_compensator_is_refused(fmus):
         other.initialize()
         state = one.slave.getFMUState()
         changed = bytearray(one.slave.serializeFMUState(state))
-        changed[8] ^= 1  # of whose it is
+        changed[20] ^= 1  # of whose it is
         for fmu in (one, other):
             with pytest.raises(FMICallException):
                 fmu.slave.deserializeFMUState(bytes(changed))
@@ -441,11 +442,120 @@ def test_outputs_are_there_before_the_first_step_and_without_an_index(drive, fmu
             assert fmu.reader(OUTPUTS)() == list(command[:4])
 
 
+TOKEN = "{token}"
+
+
+def table_with_measurements(c, token=TOKEN):
+    """A file of tables whose FMU takes measurements from the start, so that it learns."""
+    listed = [
+        dataclasses.replace(v, start=1.0) if v.name == "output_measured" else v for v in fmu_form.variables("2.0")
+    ]
+    return resource_file.sealed(table_body(c, listed), token, COMPENSATOR)
+
+
+@pytest.fixture(scope="module")
+def run(fmus, tmp_path_factory):
+    """The C host of native FMUs on the compensator's library: `run(folder of resources, "run", 100)`."""
+    folder = tmp_path_factory.mktemp("host")
+    program = compiled(folder / "host", [HERE / "host.c"], "-DFMI=2", "-O2")
+
+    def run(resources, *words, program=program, library=library.library_path(library.this_platform()), **environment):
+        return run_host(program, library, resources.as_uri(), TOKEN, "compensator", *words, **environment)
+
+    return run
+
+
+def hostile(data, seed, count):
+    """Files of tables with a right checksum and wrong contents: of counts, numbers, lengths and texts."""
+    random = np.random.default_rng(seed)
+    last = HEAD.size + 15 * 60 + 100  # where the variables and the counts are
+    for i in range(count):
+        changed = bytearray(data[HEAD.size :])
+        for place in random.integers(0, (last if i % 2 else len(data)) - HEAD.size, 3):
+            changed[place] = random.integers(256)
+        yield headed(bytes(changed), COMPENSATOR)
+
+
+def test_a_damaged_file_of_tables_is_refused_in_one_sentence(drive, run, tmp_path):
+    data, random = table_with_measurements(drive), np.random.default_rng(4)
+    (tmp_path / COMPENSATOR.file).write_bytes(data)
+    assert run(tmp_path, "run", 5).returncode == 0
+    places = random.integers(len(data), size=40)
+    damaged = [data[:place] for place in (0, 7, 31, 32, *places[:20])]
+    damaged += [
+        data[:place] + bytes([data[place] ^ 1 << int(random.integers(8))]) + data[place + 1 :] for place in places
+    ]
+    for content in (*damaged, data + b"1234"):
+        (tmp_path / COMPENSATOR.file).write_bytes(content)
+        done = run(tmp_path, "open")
+        assert done.returncode == 1
+        (said,) = done.stderr.splitlines()[:-1]
+        assert "compensator.table: " in said
+        assert said.endswith(".")
+    (tmp_path / COMPENSATOR.file).write_bytes(table_with_measurements(drive, "{other}"))
+    assert "belong to two FMUs" in run(tmp_path, "open").stderr
+
+
+def test_more_functions_than_an_fmu_has_room_for_are_refused(tmp_path):
+    write_compensator(compensator(functions=64), tmp_path / "joint.fmu", platforms=["x86_64-windows"])
+    with pytest.raises(edge.InputError, match="65 functions of the crank angle, and an FMU has room for 64"):
+        write_compensator(compensator(functions=65), tmp_path / "more.fmu")
+    assert not (tmp_path / "more.fmu").exists()
+
+
+def test_sizes_that_do_not_fit_are_refused(drive, run, tmp_path):
+    """Each count is one more or less, or far too large: the numbers behind it would not be where they are sought."""
+    data = table_with_measurements(drive)
+    body = table_body(drive, fmu_form.variables("2.0"))
+    counts = struct.pack("<5I", *(numbers.counts(drive)[name] for name in numbers.SIZES))
+    at = HEAD.size + body.index(counts)
+    for k in range(5):
+        (count,) = struct.unpack_from("<I", data, at + 4 * k)
+        for wrong in (count - 1, count + 1, 0, 65535, 65536, 2**31, 2**32 - 1):
+            changed = bytearray(data)
+            struct.pack_into("<I", changed, at + 4 * k, wrong)
+            (tmp_path / COMPENSATOR.file).write_bytes(headed(bytes(changed[HEAD.size :]), COMPENSATOR))
+            done = run(tmp_path, "open")
+            assert done.returncode == 1
+            assert "the table is damaged" in done.stderr, (k, wrong)
+
+
+def test_wrong_contents_with_a_right_checksum_stop_no_host(drive, run, tmp_path):
+    for content in hostile(table_with_measurements(drive), 5, 60):
+        (tmp_path / COMPENSATOR.file).write_bytes(content)
+        assert run(tmp_path, "run", 5).returncode in (0, 1)
+
+
+@pytest.mark.slow(60)
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitizers(drive, run, fmus, tmp_path):
+    flags = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
+    fmpy.extract(str(fmus["2.0"]), unzipdir=str(tmp_path / "fmu"))
+    sources = [tmp_path / "fmu" / "sources" / name for name in library.SOURCES]
+    clean = {
+        "library": compiled(tmp_path / "compensator.so", sources, *flags, "-shared", "-fPIC"),
+        "program": compiled(tmp_path / "host", [HERE / "host.c"], "-DFMI=2", *flags),
+        "ASAN_OPTIONS": "exitcode=99",
+        "UBSAN_OPTIONS": "exitcode=99",
+    }
+    for number, (functions, temperatures, friction) in enumerate(EVERY):
+        data = table_with_measurements(compensator(number, functions, temperatures, friction))
+        (tmp_path / COMPENSATOR.file).write_bytes(data)
+        saved = tmp_path / "state"
+        for words in (("run", 500), ("random", 5000), ("rollback", 50), ("open",), ("save", saved), ("load", saved)):
+            done = run(tmp_path, *words, **clean)
+            assert done.returncode == 0, done.stderr
+    for content in hostile(table_with_measurements(drive), 6, 300):
+        (tmp_path / COMPENSATOR.file).write_bytes(content)
+        done = run(tmp_path, "random", 20, **clean)
+        assert done.returncode in (0, 1), done.stderr
+
+
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_sources_in_the_fmu_compile_without_a_warning(fmus, tmp_path, compiler):
     for version, path in fmus.items():
         fmpy.extract(str(path), unzipdir=str(tmp_path / version))
-        for source in ("compensator.c", "instance.c", "fmi2.c", "fmi3.c")[: 4 if version == "2.0" else 2]:
+        for source in library.SOURCES if version == "2.0" else ():
             subprocess.run(
                 [*compiler, "-std=c99", *STRICT, "-c", source, "-o", tmp_path / "made.o"],
                 cwd=tmp_path / version / "sources",

@@ -10,19 +10,19 @@ from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 
+import libraries
 import pytest
-from c_host import HERE, WINE, compiled, needs_wine, zig
-from front import LIBRARIES, SHIPPED, compiled_front, source_hash
+from c_host import HERE, WINE, compiled, needs_wine
+from libraries import FRONT, windows_runtime, zig
 
-from cycloid_fmu.native import build as native_build
+from cycloid_fmu.fmu.library import headers
 
-TESTED = dict(line.split("==") for line in (HERE.parents[1] / "constraints.txt").read_text().split())
 LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 
 
 def signatures():
     """Kinds of arguments ("i" for integers and pointers, "d" for reals) of FMI 2.0's functions, by name."""
-    text = (native_build.headers() / "fmi2FunctionTypes.h").read_text()
+    text = (headers() / "fmi2FunctionTypes.h").read_text()
     found = {}
     for name, arguments in re.findall(r"typedef\s+fmi2Status\s+(fmi2\w+)TYPE\s*\(([^)]*)\);", text):
         kinds = [re.fullmatch(r"\s*fmi2Real\s+\w+\s*", word) for word in arguments.split(",")]
@@ -39,11 +39,11 @@ def behind(tmp_path_factory):
 
 @pytest.fixture(scope="session", params=["shipped", "compiled here"])
 def front(request, tmp_path_factory):
-    name = "linux64/CycloidDrive.so"
+    shipped = FRONT / "linux64/CycloidDrive.so"
     if request.param == "shipped":
-        return SHIPPED / name
+        return shipped
     path = tmp_path_factory.mktemp("front") / "CycloidDrive.so"
-    path.write_bytes(compiled_front(name))
+    path.write_bytes(libraries.compiled(shipped))
     return path
 
 
@@ -90,19 +90,6 @@ def is_loaded(path):
     return str(path) in Path("/proc/self/maps").read_text()
 
 
-@pytest.mark.parametrize("name", LIBRARIES)
-def test_the_library_that_is_shipped_comes_from_the_source(name):
-    assert source_hash().encode() in (SHIPPED / name).read_bytes()
-
-
-@pytest.mark.skipif(
-    metadata.version("ziglang") != TESTED["ziglang"], reason="the compiler is not that of constraints.txt"
-)
-@pytest.mark.parametrize("name", LIBRARIES)
-def test_the_stated_compiler_makes_the_library_that_is_shipped_to_the_last_bit(name):
-    assert compiled_front(name) == (SHIPPED / name).read_bytes()
-
-
 def test_a_fatal_status_behind_is_an_error_before_but_of_a_reset(placed):
     folder = placed()
     library = opened(folder / "CycloidDrive.so")
@@ -123,7 +110,7 @@ def test_it_has_the_functions_that_pythonfmu_has(front):
         "pythonfmu/resources/binaries/linux64/libpythonfmu-export.so"
     )
     theirs, ours = ctypes.CDLL(str(library)), ctypes.CDLL(str(front))
-    header = (native_build.headers() / "fmi2Functions.h").read_text()
+    header = (headers() / "fmi2Functions.h").read_text()
     names = set(re.findall(r"TYPE +(fmi2\w+);", header))
     assert {n for n in names if hasattr(ours, n)} == {n for n in names if hasattr(theirs, n)}
     for name in ("fmi2GetVersion", "fmi2GetTypesPlatform"):
@@ -247,7 +234,7 @@ def alone():
 @needs_wine
 @pytest.mark.parametrize("made", ["shipped", "compiled here"])
 def test_the_windows_library_hands_on_a_path_of_ascii(alone, made):
-    runtime = native_build.windows_runtime("runtime")
+    runtime = windows_runtime("runtime")
     folder = alone / "Gerät 歯車"
     (folder / "resources").mkdir(parents=True)
     calls = "".join(f"CALL({name})" for name in signatures())
@@ -262,11 +249,9 @@ def test_the_windows_library_hands_on_a_path_of_ascii(alone, made):
         compiler=zig("x86_64-windows"),
     )
     (folder / "pythonfmu-export.dll").write_bytes(behind.read_bytes())
-    name = "win64/CycloidDrive.dll"
-    if made == "shipped":
-        (folder / "CycloidDrive.dll").write_bytes((SHIPPED / name).read_bytes())
-    else:
-        (folder / "CycloidDrive.dll").write_bytes(compiled_front(name))
+    shipped = FRONT / "win64/CycloidDrive.dll"
+    library_bytes = shipped.read_bytes() if made == "shipped" else libraries.compiled(shipped)
+    (folder / "CycloidDrive.dll").write_bytes(library_bytes)
     host = compiled(
         alone / "host.exe",
         [HERE / "front_host.c", HERE / "windows_start.c"],

@@ -16,27 +16,28 @@ from types import SimpleNamespace
 import fmpy
 import numpy as np
 import pytest
-from c_host import BUILT, COMPILER, HERE, INTERFACES, WINE, Slave, coarse, compiled, native_of, needs, needs_wine, zig
+from c_host import BUILT, COMPILER, HERE, INTERFACES, WINE, Slave, coarse, compiled, native_of, needs, needs_wine
+from clockworks import compliant_drive, kinematic_drive
 from common import ARCSEC, EXAMPLES, PAIR, make_pair
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from libraries import windows_runtime, zig
 
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu import constants
-from cycloid_fmu.fmu.compliant_model import CompliantModel
-from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import ReducerModel
+from cycloid_fmu.fmu.library import SOURCE_FOLDERS, SOURCES, library_path, this_platform
+from cycloid_fmu.fmu.resource_file import DRIVE, HEAD, headed, sealed
 from cycloid_fmu.fmu.run import open_fmu
+from cycloid_fmu.fmu.table_file import constants_header, table_body
 from cycloid_fmu.fmu.variables import Interface, from_tables, variables
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import table_cache, tables
 from cycloid_fmu.native.nodes import midway
-from cycloid_fmu.native.table_file import HEAD, TABLE, constants_header, sealed, write
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
@@ -93,7 +94,7 @@ def against_the_exact_model(native, pair, surface, made, probes):
     size = np.where(random.random(probes) < 0.5, random.uniform(0.0, 1.0, probes), 10 ** random.uniform(-4, 0, probes))
     torque = largest * size * random.choice([-1.0, 1.0], probes)
     angle = np.sort(random.uniform(0.0, made.period, probes))
-    model, found = DriveModel(DriveValue(pair, surface)), np.empty((2, 5, probes))
+    model, found = kinematic_drive(DriveValue(pair, surface)), np.empty((2, 5, probes))
     model.crank_speed = 1.0
     for i in range(probes):
         model.crank_angle, model.torque = angle[i], torque[i]
@@ -207,7 +208,7 @@ def test_an_fmu_whose_table_is_damaged_says_so_when_it_is_opened(built, tmp_path
     with zipfile.ZipFile(built("kinematic", version)) as whole, zipfile.ZipFile(damaged, "w") as archive:
         for name in whole.namelist():
             data = bytearray(whole.read(name))
-            if name.endswith(TABLE):
+            if name.endswith(DRIVE.file):
                 data[len(data) // 2] ^= 1
             archive.writestr(name, bytes(data))
     with pytest.raises(edge.InputError, match=r"can't be instantiated: .* the table is damaged"), open_fmu(damaged):
@@ -226,7 +227,7 @@ def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_pe
     torques = np.array([-1.0, 1.0]) * 181.0
     error = solve(DriveValue(pair, surface), torques, np.linspace(0.0, made.period, 20000)).transmission_error
     with zipfile.ZipFile(path) as archive:
-        size = archive.getinfo(f"resources/{TABLE}").compress_size
+        size = archive.getinfo(f"resources/{DRIVE.file}").compress_size
     record_property("native TE with all errors, largest error", f"{largest / ARCSEC:.4f}″")
     record_property("its tables in the FMU", f"{size / 1e6:.2f} MB")
     allowed = max(0.02 * ARCSEC, 1e-3 * np.ptp(error, axis=1).max())
@@ -298,7 +299,7 @@ def test_torques_of_the_tables_are_derivatives_of_one_function(drive, slave, wit
     ],
 )
 def test_kinematic_follows_the_exact_model_through_reversals_and_zero_torque(drive, slave, parameters):
-    native, model = slave(), DriveModel(drive.stage, INTERFACES["kinematic"].losses)
+    native, model = slave(), kinematic_drive(drive.stage, INTERFACES["kinematic"].losses)
     begun(native, model, parameters)
     exact, interpolated = moved(native, model, steps=400, swing=2.0)
     off = np.abs(interpolated - exact)
@@ -380,7 +381,7 @@ def built_coarse(folder, drive):
 )
 def test_with_interference_the_exact_model_is_followed(slave, pressed, parameters):
     assert np.abs(pressed.tables.rest_torque).max() > 0.0
-    native, model = slave(path=pressed.path), DriveModel(pressed.drive, INTERFACES["kinematic"].losses)
+    native, model = slave(path=pressed.path), kinematic_drive(pressed.drive, INTERFACES["kinematic"].losses)
     begun(native, model, parameters)
     # Beside the places where the crank feels nothing: there a rounding decides which way power flows.
     found = [stepped(native, model, i, 0.003 + 0.01 * i, 100.0 * math.sin(0.1 * i) * (i % 7 > 1)) for i in range(200)]
@@ -396,7 +397,7 @@ def test_with_interference_the_exact_model_is_followed(slave, pressed, parameter
     [{}, {"friction_torque": 2.0, "series_compliance": 1e-6}, {"friction_torque": 3.0, "backlash_on": False}],
 )
 def test_a_reducer_follows_its_exact_model(slave, reducer, parameters):
-    native, model = slave(path=reducer.path), ReducerModel(reducer.drive, INTERFACES["kinematic"].losses)
+    native, model = slave(path=reducer.path), kinematic_drive(reducer.drive, INTERFACES["kinematic"].losses)
     begun(native, model, parameters)
     exact, interpolated = moved(native, model, steps=200, swing=20.0)
     off, allowed = np.abs(interpolated - exact), reducer.tables.allowed
@@ -407,7 +408,7 @@ def test_a_reducer_follows_its_exact_model(slave, reducer, parameters):
 
 @pytest.mark.parametrize("parameters", [{}, {"friction_torque": 8.0, "mesh_damping": 50.0, "series_compliance": 1e-6}])
 def test_compliant_follows_the_exact_model(drive, slave, parameters):
-    native, model = slave("compliant"), CompliantModel(drive.stage)
+    native, model = slave("compliant"), compliant_drive(drive.stage)
     begun(native, model, parameters)
     found, ratio = [], drive.pair.ratio
     for i in range(200):
@@ -434,7 +435,7 @@ def test_compliant_follows_the_exact_model(drive, slave, parameters):
 def test_an_output_inertia_follows_the_exact_model_under_a_load_that_turns_round(drive, slave):
     parameters = {"friction_torque": 8.0, "mesh_damping": 50.0, "series_compliance": 1e-6}
     native, inertia = slave("inertia"), INTERFACES["inertia"].output_inertia
-    model = CompliantModel(drive.stage, output_inertia=inertia)
+    model = compliant_drive(drive.stage, output_inertia=inertia)
     model.torque = 100.0
     native.put(flange_b_tau=100.0)
     begun(native, model, parameters)
@@ -627,7 +628,6 @@ def test_errors_to_first_order_would_be_too_coarse_for_parameters_of_native_fmus
 def computed(drive, tmp_path, monkeypatch):
     """Folder of kept tables, and drives whose tables were computed."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(native_build, "binary", lambda name: name.encode())
     made = []
     monkeypatch.setattr(tables, "compute", lambda pair, *_, **asked: made.append(asked["largest_load"]) or drive.tables)
     return SimpleNamespace(folder=tmp_path / "cycloid-fmu" / "tables", made=made)
@@ -702,8 +702,8 @@ def test_instances_are_made_and_freed_again_and_again(unpacked, host):
 def test_instances_of_a_process_share_one_table(unpacked, tmp_path):
     """The second is there without the file behind the head, and stays when the first goes; the last lets it go."""
     fmu = unpacked()
-    table = tmp_path / TABLE
-    whole = (fmu.folder / "resources" / TABLE).read_bytes()
+    table = tmp_path / DRIVE.file
+    whole = (fmu.folder / "resources" / DRIVE.file).read_bytes()
     table.write_bytes(whole)
     library, name = ctypes.CDLL(str(fmu.library)), (b"one", 1, fmu.guid.encode(), tmp_path.as_uri().encode())
     library.fmi2Instantiate.restype = ctypes.c_void_p
@@ -794,7 +794,7 @@ def test_many_random_steps(unpacked, host, kind, version):
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitizers(unpacked, host, tmp_path, version):
     flags = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
-    sources = [unpacked("kinematic", version).folder / "sources" / name for name in native_build.SOURCES]
+    sources = [unpacked("kinematic", version).folder / "sources" / name for name in SOURCES]
     library = compiled(tmp_path / "drive.so", sources, *flags, "-shared", "-fPIC")
     program = compiled(tmp_path / "host", [HERE / "host.c"], f"-DFMI={version[0]}", *flags)
     for kind in INTERFACES:
@@ -938,23 +938,9 @@ def test_beyond_the_tables_all_goes_on_near_the_exact_model_and_it_is_said_once(
     assert "beyond the 452.5 N.m of the FMU's tables" in native.said[0]
 
 
-@pytest.mark.skipif(os.name == "nt", reason="needs a path that can't be a folder")
-@pytest.mark.parametrize("compiler", ["cc", pytest.param("", marks=pytest.mark.slow(30))])
-def test_a_library_is_compiled_where_no_cache_can_be_written(tmp_path, monkeypatch, compiler):
-    monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
-    monkeypatch.delenv("ZIG_GLOBAL_CACHE_DIR", raising=False)
-    monkeypatch.setenv("CC", compiler)
-    source = {"a.c": b'__attribute__((visibility("default"))) double answer(double x) { return 6.0 * x; }'}
-    (tmp_path / "made").write_bytes(native_build.library(native_build.this_platform(), source, ["a.c"]))
-    answer = ctypes.CDLL(str(tmp_path / "made")).answer
-    answer.restype, answer.argtypes = ctypes.c_double, [ctypes.c_double]
-    assert answer(7.0) == 42.0
-
-
 def test_tables_reach_as_far_as_asked(drive, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(tables, "compute", lambda *a, largest_load, **k: asked.append(largest_load) or drive.tables)
-    monkeypatch.setattr(native_build, "binary", lambda name: name.encode())
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     native_build.build_native(drive, tmp_path / "d.fmu", largest_torque=1e3)
     assert asked == [1e3]
@@ -987,7 +973,7 @@ def test_a_table_with_a_right_checksum_and_wrong_contents_is_refused(unpacked, h
         changed = bytearray(data)
         for place in random.integers(HEAD.size, len(data), 3):
             changed[place] = random.integers(256)
-        (tmp_path / "drive.table").write_bytes(sealed(bytes(changed[HEAD.size :])))
+        (tmp_path / "drive.table").write_bytes(headed(bytes(changed[HEAD.size :]), DRIVE))
         assert host(fmu, "run", 5, uri=tmp_path.as_uri(), fails=None) in (0, 1)
 
 
@@ -998,7 +984,7 @@ def forged(data, fields):
         place += 2 + int.from_bytes(changed[place : place + 2], "little")
         changed[place + 1 : place + 8] = struct.pack("<BBBi", causality, False, False, field)
         place += 8 + 4 * 8
-    return sealed(bytes(changed[HEAD.size :]))
+    return headed(bytes(changed[HEAD.size :]), DRIVE)
 
 
 def test_a_variable_of_no_field_is_refused(unpacked, host, tmp_path):
@@ -1017,7 +1003,7 @@ def test_outputs_that_are_none_reach_no_other_memory(unpacked, host, tmp_path, k
     """Every field as an output, an input, a parameter and a local variable, under the sanitizers."""
     fmu = unpacked(kind)
     flags = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
-    sources = [fmu.folder / "sources" / name for name in native_build.SOURCES]
+    sources = [fmu.folder / "sources" / name for name in SOURCES]
     library = compiled(tmp_path / "drive.so", sources, *flags, "-shared", "-fPIC")
     program = compiled(tmp_path / "host", [HERE / "host.c"], "-DFMI=2", *flags)
     data = (fmu.folder / "resources" / "drive.table").read_bytes()
@@ -1048,7 +1034,7 @@ def test_an_angle_that_is_no_number_has_a_place_and_no_weights(unpacked, tmp_pat
         const double angle[] = {NAN, INFINITY, -INFINITY, -1e-300, 0.75, 1e300};
         struct table table = {0};
         int i, k;
-        table.period = 1.0, table.angles = table.told_angles = 4;
+        table.period = 1.0, table.angles = table.pressure_angles = 4;
         for (i = 0; i < 6; i++) {
             struct place place = table_place(&table, angle[i]);
             for (k = 0; k < 4; k++) {
@@ -1114,7 +1100,7 @@ def test_no_constant_of_the_models_is_copied_into_c_by_hand():
     header = constants_header().decode()
     assert {n for n in named if f"#define {n} " in header} == set(named)
     told = {v: n for n, v in named.items() if not float(v).is_integer() or v > 100}
-    for path in native_build.SOURCE_FOLDER.glob("*.[ch]"):
+    for path in (path for folder in SOURCE_FOLDERS for path in folder.glob("*.[ch]")):
         code = re.sub(r"/\*.*?\*/|\"(\\.|[^\"])*\"", "", path.read_text(), flags=re.DOTALL)
         copied = {
             told[float(number)]
@@ -1128,7 +1114,8 @@ def test_no_constant_of_the_models_is_copied_into_c_by_hand():
 def test_a_file_of_tables_is_read_as_it_was_written(drive, unpacked, host, tmp_path):
     kept = from_tables(variables(drive.stage, INTERFACES["kinematic"], "2.0"))
     fmu = unpacked()
-    (tmp_path / TABLE).write_bytes(write(drive.tables, INTERFACES["kinematic"], kept, fmu.guid))
+    body = table_body(drive.tables, INTERFACES["kinematic"], kept)
+    (tmp_path / DRIVE.file).write_bytes(sealed(body, fmu.guid, DRIVE))
     assert host(fmu, "run", 200, uri=tmp_path.as_uri()) == host(fmu, "run", 200)
 
 
@@ -1163,7 +1150,7 @@ STRICT = ("-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wsign-conversion", 
 )
 def test_the_sources_in_the_fmu_compile_alone_without_a_warning(unpacked, tmp_path, compiler):
     folder = shutil.copytree(unpacked().folder / "sources", tmp_path / "sources")
-    for source in native_build.SOURCES:
+    for source in SOURCES:
         subprocess.run([*compiler, "-std=c99", *STRICT, "-c", source], cwd=folder, check=True)
 
 
@@ -1180,20 +1167,18 @@ def test_a_step_takes_no_memory(unpacked, host, tmp_path, kind, version):
 
 
 def test_a_drive_gives_the_same_bytes_again(built, drive, tmp_path, monkeypatch):
-    monkeypatch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
     path = tmp_path / "again.fmu"
     native_build.build_native(
         drive,
         path,
         interface=INTERFACES["kinematic"],
         made=drive.tables,
-        platforms=[native_build.this_platform()],
+        platforms=[this_platform()],
     )
     assert path.read_bytes() == built().read_bytes()
 
 
 def test_each_platform_has_its_folder_and_macos_in_fmi_2_holds_both_processors(drive, tmp_path, monkeypatch):
-    monkeypatch.setattr(native_build, "binary", lambda name: name.encode())
     for version, expected in (
         ("2.0", {"linux64/CycloidDrive.so", "win64/CycloidDrive.dll", "darwin64/CycloidDrive.dylib"}),
         (
@@ -1215,9 +1200,9 @@ def test_each_platform_has_its_folder_and_macos_in_fmi_2_holds_both_processors(d
             if version == "2.0":
                 fat = archive.read("binaries/darwin64/CycloidDrive.dylib")
                 assert struct.unpack_from(">II", fat) == (0xCAFEBABE, 2)
-                for entry, name in ((8, b"x86_64-darwin"), (28, b"aarch64-darwin")):
+                for entry, name in ((8, "x86_64-darwin"), (28, "aarch64-darwin")):
                     _, _, offset, size, align = struct.unpack_from(">IIIII", fat, entry)
-                    assert fat[offset : offset + size] == name
+                    assert fat[offset : offset + size] == library_path(name).read_bytes()
                     assert offset % (1 << align) == 0
 
 
@@ -1238,12 +1223,6 @@ def test_what_can_not_be_built_is_refused_and_nothing_written(command, tmp_path,
     assert [p.name for p in tmp_path.iterdir()] == ["drive.fmu"]
 
 
-def test_without_the_extra_the_message_names_it(drive, tmp_path, monkeypatch):
-    monkeypatch.setattr(native_build.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(edge.InputError, match=r"pip install 'cycloid-fmu\[native\]'"):
-        native_build.build_native(drive, tmp_path / "d.fmu", platforms=["x86_64-windows"])
-
-
 def test_a_pair_without_rated_torque_is_refused(command, tmp_path):
     text = (EXAMPLES / "drive-39-40.toml").read_text()
     (tmp_path / "pair.toml").write_text("\n".join(x for x in text.splitlines() if not x.startswith("rated_torque")))
@@ -1255,40 +1234,12 @@ def test_a_pair_without_rated_torque_is_refused(command, tmp_path):
 # --- other machines ---
 
 
-def _mach_o_minimum(data):
-    """Version of macOS that a 64-bit Mach-O library asks for (LC_BUILD_VERSION)."""
-    count, at = struct.unpack_from("<I", data, 16)[0], 32
-    for _ in range(count):
-        kind, size = struct.unpack_from("<II", data, at)
-        if kind == 0x32:
-            return struct.unpack_from("<I", data, at + 12)[0] >> 16
-        at += size
-    raise AssertionError("no build version")
-
-
-@pytest.mark.slow(40)
-def test_libraries_ask_for_no_newer_system_than_promised():
-    for name in native_build.PLATFORMS:
-        data = native_build.binary(name)
-        if name.endswith("linux"):
-            asked = [tuple(map(int, v.split(b"."))) for v in re.findall(rb"GLIBC_([\d.]+)\0", data)]
-            assert data[:4] == b"\x7fELF"
-            assert asked
-            assert max(asked) <= (2, 17)
-        elif name.endswith("darwin"):
-            assert _mach_o_minimum(data) == 11
-        else:
-            assert data[:2] == b"MZ"
-            asked = set(re.findall(rb"([\w-]+)\.dll\0", data.lower())) - {b"made"}
-            assert {name for name in asked if not name.startswith(b"api-ms-win-crt-")} == {b"kernel32"}
-
-
 @pytest.mark.slow(30)
 @needs_wine
 def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
-    runtime = ("-Wl,--entry=start", *native_build.windows_runtime("convert", "runtime", "time"))
+    runtime = ("-Wl,--entry=start", *windows_runtime("convert", "runtime", "time"))
     library = tmp_path / "CycloidDrive.dll"
-    library.write_bytes(native_build.binary("x86_64-windows"))
+    library.write_bytes(library_path("x86_64-windows").read_bytes())
     run = {"prefix": (WINE,), "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
     for version in ("2.0", "3.0"):
         run["program"] = compiled(
@@ -1319,7 +1270,7 @@ def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
 )
 def test_the_aarch64_library_does_the_same_under_qemu(unpacked, host, tmp_path):
     library = tmp_path / "CycloidDrive.so"
-    library.write_bytes(native_build.binary("aarch64-linux"))
+    library.write_bytes(library_path("aarch64-linux").read_bytes())
     program = compiled(tmp_path / "host", [HERE / "host.c"], "-DFMI=3", "-O2", compiler=zig("aarch64-linux"))
     run = {"prefix": ("qemu-aarch64", "-L", ARM), "program": program}
     for kind in INTERFACES:

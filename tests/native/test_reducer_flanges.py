@@ -8,10 +8,10 @@ import fmpy
 import numpy as np
 import pytest
 from c_host import INTERFACES, Slave, coarse, native_of
+from clockworks import compliant_drive, kinematic_drive
 from common import EXAMPLES, PAIR
 
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
 from cycloid_fmu.fmu.variables import LOSSLESS, Interface
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import parse_pair
@@ -57,7 +57,7 @@ def native(tmp_path):
 def exact_of(reducer, interface=None):
     drive, interface = reducer.drive, interface or Interface("compliant")
     inertias = interface.output_inertia, interface.crank_inertia
-    return CompliantReducer(drive, interface.losses, *inertias)
+    return compliant_drive(drive, interface.losses, *inertias)
 
 
 class Exact:
@@ -131,7 +131,7 @@ def test_it_is_the_quasi_static_reducer_seen_from_both_flanges(reducers, paramet
     """The energy's torques and the balance's differ by what moving curvature adds; a series compliance turns the
     crank, which it does not do there, by a hundredth of a mesh pitch."""
     drive = reducers["play"].drive
-    model, driven = exact_of(reducers["play"]), ReducerModel(drive)
+    model, driven = exact_of(reducers["play"]), kinematic_drive(drive)
     for name, value in parameters.items():
         setattr(model, name, value)
         setattr(driven, name, value)
@@ -190,7 +190,7 @@ def test_with_inertias_inside_work_is_stored_lost_or_given_back(reducers, native
         if kind == "native":
             return slave.get(*names)
         return [
-            model._turned,
+            model.crank_angle,
             model.crank_speed,
             model.output_angle,
             model.output_speed,

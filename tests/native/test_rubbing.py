@@ -1,21 +1,19 @@
 """Friction at both flanges, exact and native: against Masing's rules, closed forms and SciPy."""
 
+import ctypes
 import itertools
 import math
 
 import numpy as np
 import pytest
-from c_host import Slave, native_of
+from c_host import Slave, compiled, native_of
+from clockworks import Drive, compliant_drive, kinematic_drive
 from common import EXAMPLES
 from scipy.integrate import solve_ivp
 
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.compliant_model import CompliantModel
-from cycloid_fmu.fmu.core import model_of
-from cycloid_fmu.fmu.friction import press, slide, yields
 from cycloid_fmu.fmu.friction_file import Friction
-from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import ReducerModel
+from cycloid_fmu.fmu.library import SOURCES, source_files
 from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer
@@ -29,7 +27,7 @@ class Exact:
     """The model in Python with the native FMU's manners."""
 
     def __init__(self, drive, interface):
-        self.model = model_of(drive, interface)
+        self.model = Drive(drive, interface)
 
     def put(self, **values):
         for name, value in values.items():
@@ -112,35 +110,60 @@ def masing(path, most=1.0, angle=ANGLE):
     return np.array(found)
 
 
-def test_a_loop_follows_masing_s_rules_and_remembers_its_reversals():
+class Yields(ctypes.Structure):
+    _fields_ = (("low", ctypes.c_double), ("high", ctypes.c_double))
+
+
+class Slid(ctypes.Structure):
+    _fields_ = (("torque", ctypes.c_double), ("slope", ctypes.c_double), ("lost", ctypes.c_double))
+
+
+@pytest.fixture(scope="module")
+def slide(tmp_path_factory):
+    """`friction_slide` of the C sources: strains at the end, mean torque and lost energy of a displacement."""
+    folder = tmp_path_factory.mktemp("friction")
+    for name, data in source_files().items():
+        (folder / name).write_bytes(data)
+    sources = [folder / name for name in SOURCES]
+    library = ctypes.CDLL(str(compiled(folder / "friction.so", sources, "-shared", "-fPIC", f"-I{folder}")))
+    function, five, number = library.friction_slide, ctypes.c_double * 5, ctypes.c_double
+    function.restype, function.argtypes = Slid, (five, five, number, number, number, Yields)
+
+    def slid(strains, way, time, stiffness, low, high):
+        end = five()
+        found = function(five(*strains), end, way, time, stiffness, Yields(low, high))
+        return list(end), found.torque, found.lost
+
+    return slid
+
+
+def test_a_loop_follows_masing_s_rules_and_remembers_its_reversals(slide):
     """Loops within loops: each closes where it began, and the outer one continues as if it had not been."""
     corners = ANGLE * np.array([0.0, 0.9, -0.7, 0.4, -0.2, 0.1, -0.2, 0.4, -0.7, 0.9, 0.5, 0.95, -0.95, 0.2])
     path = np.concatenate([np.linspace(a, b, 41)[1:] for a, b in itertools.pairwise(corners)])
-    stiffness, strains, torques, lost, work, stored = 2.0 / (6.0 * ANGLE), [0.0] * 5, [], 0.0, 0.0, 0.0
+    stiffness, strains, torques, lost, work = 2.0 / (6.0 * ANGLE), [0.0] * 5, [], 0.0, 0.0
     for way in np.diff(path, prepend=0.0):
-        slid = slide(strains, way, 0.0, stiffness, 1.0, 1.0)
-        strains, lost, work, stored = slid.strains, lost + slid.lost, work + slid.torque * way, stored + slid.stored
-        torques.append(press(strains, 0.0, 0.0, stiffness, 1.0, 1.0).torque)
-        assert slid.lost >= 0.0
+        strains, torque, heat = slide(strains, way, 0.0, stiffness, 1.0, 1.0)
+        lost, work = lost + heat, work + torque * way
+        torques.append(stiffness * sum(strains))
+        assert heat >= 0.0
     np.testing.assert_allclose(torques, masing(path), atol=1e-12)
-    assert work == pytest.approx(stored + lost, rel=1e-12)
+    assert work == pytest.approx(0.5 * stiffness * np.dot(strains, strains) + lost, rel=1e-12)
     assert lost > 0.0
 
 
-def test_what_slides_less_slips_back_and_never_gains():
+def test_what_slides_less_slips_back_and_never_gains(slide):
     """Load, speed and displacement at random: elements give back only stored energy."""
     random = np.random.default_rng(2)
-    law = Friction(coulomb=1.0, load_share=0.3, stribeck=0.5).law(0)
     strains, given, lost = [0.0] * 5, 0.0, 0.0
     for _ in range(3000):
-        low, high = yields(law, 10.0 * random.normal(), random.normal(), 293.15)
+        most = 1.0 + 3.0 * abs(random.normal()) + 0.5 * math.exp(-(random.normal() ** 2))
         way, time = 1e-3 * random.normal(), random.choice([0.0, 1e-4, 1e-2])
-        slid = slide(strains, way, time, 500.0, low, high)
-        assert slid.lost >= 0.0
-        assert abs(slid.torque) <= max(low, high) * (1.0 + 1e-12)
-        strains, given, lost = slid.strains, given + slid.torque * way, lost + slid.lost
-        stored = 250.0 * np.dot(strains, strains)
-        assert given - lost == pytest.approx(stored, abs=1e-12 * given)
+        strains, torque, heat = slide(strains, way, time, 500.0, most, most)
+        assert heat >= 0.0
+        assert abs(torque) <= most * (1.0 + 1e-12)
+        given, lost = given + torque * way, lost + heat
+        assert given - lost == pytest.approx(250.0 * np.dot(strains, strains), abs=1e-12 * given)
 
 
 # --- through the FMU ---
@@ -177,7 +200,7 @@ def test_both_flanges_of_the_compliant_interface_loop_as_masing_has_it(opened, k
 def test_the_loop_of_the_locked_crank_widens_with_the_load(drive, opened, kind, share):
     """Torque up and down on the output: the teeth bear (T - C)/(1 + s) on the way up, (T + C)/(1 - s) down."""
     most, coulomb = 120.0, 2.0
-    elastic = DriveModel(drive.stage)
+    elastic = kinematic_drive(drive.stage)
 
     def place(torque):
         elastic.torque = torque
@@ -218,7 +241,7 @@ def test_friction_of_the_kinematic_output_balances_its_torque_at_every_place(dri
         found.step()
         angles += found.get("flange_b.phi")
     friction = masing(np.array(angles) - begun, coulomb, angle)
-    elastic = DriveModel(drive.stage)
+    elastic = kinematic_drive(drive.stage)
     wanted = []
     for torque in torques - friction:
         elastic.torque = torque
@@ -360,7 +383,7 @@ def test_a_reducer_s_sun_and_carrier_rub_as_well():
     """With the sun locked the teeth bear T - T_f on the way up and T + T_f down; turned, both flanges lose."""
     whole = read_reducer(EXAMPLES / "rv-20e.toml")
     made = DriveValue(whole.stage, nominal_surface(whole.stage), rv.parts_of(whole)[2])
-    model, elastic = ReducerModel(made), ReducerModel(made)
+    model, elastic = kinematic_drive(made), kinematic_drive(made)
     model.set_friction(0, coulomb=0.03)
     model.set_friction(1, coulomb=4.0, presliding_angle=1e-7)
     model.advance()
@@ -394,7 +417,8 @@ def driving(time):
 @pytest.fixture(scope="module")
 def stuck_and_slipped(drive):
     """Motion of motor and arm with friction by SciPy, over time: elements by their law of slip, the contacts' alone."""
-    contacts, ratio = CompliantModel(drive.stage), drive.pair.ratio
+    contacts, ratio = compliant_drive(drive.stage), drive.pair.ratio
+    contacts.forget_history()
     contacts.series_compliance, shares = 5e-6, np.arange(1, 6) / 15.0
     rated = drive.pair.rated_torque / abs(ratio), drive.pair.rated_torque
     flanges = [
@@ -409,7 +433,7 @@ def stuck_and_slipped(drive):
 
     def change(time, state):
         angle, w, output, w_b = state[:4]
-        _, by_angle, by_rotation = contacts._contact(contacts._reduced(angle), output - angle / ratio)
+        by_angle, by_rotation = contacts.pressed(angle, output)
         at_a, z_a = rubbed(*flanges[0], w, by_angle, state[4:9])
         at_b, z_b = rubbed(*flanges[1], w_b, by_rotation, state[9:])
         return [w, (driving(time) - by_angle - at_a) / MOTOR, w_b, (LOAD - by_rotation - at_b) / ARM, *z_a, *z_b]

@@ -7,9 +7,9 @@ import fmpy
 import numpy as np
 import pytest
 from c_host import Slave, native_of
+from clockworks import Drive
 
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.core import model_of
 from cycloid_fmu.fmu.run import described
 from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, Interface
 
@@ -25,7 +25,7 @@ STARTS = {"series_compliance": 5e-6, "friction_torque": 2.0}
 class Exact:
     def __init__(self, drive, interface):
         self.names = {**ATTRIBUTES, **(ABSOLUTE if interface.support_flange else {})}
-        self.model = model_of(drive, interface)
+        self.model = Drive(drive, interface)
 
     def put(self, values):
         for name, value in values.items():

@@ -5,12 +5,11 @@ import math
 import numpy as np
 import pytest
 from c_host import Slave, Tabled, native_of
+from clockworks import compliant_drive, kinematic_drive
 
 import cycloid_fmu as cy
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.compliant_model import CompliantModel
-from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.native import tables
 from cycloid_fmu.supports.transmission import PLAY_LOAD
@@ -97,7 +96,10 @@ def test_tables_are_what_analyze_says_within_their_accuracy(held):
 def test_the_compiled_fmu_is_the_exact_model(held, tmp_path):
     (tmp_path / "kinematic").mkdir()
     path = native_of(tmp_path / "kinematic", held, held.tables, Interface())
-    slave, exact = Slave(path, tmp_path / "kinematic" / "unpacked"), DriveModel(DriveValue(held.pair, held.surface))
+    slave, exact = (
+        Slave(path, tmp_path / "kinematic" / "unpacked"),
+        kinematic_drive(DriveValue(held.pair, held.surface)),
+    )
     slave.start(friction_torque=0.5)
     exact.friction_torque = 0.5
     names = ("transmission_error", "flange_a.tau", "backlash", "torsional_stiffness")
@@ -121,7 +123,10 @@ def test_the_compiled_fmu_is_the_exact_model(held, tmp_path):
 def test_between_two_flanges_it_gives_the_exact_torques_and_keeps_its_energy(held, tmp_path):
     (tmp_path / "compliant").mkdir()
     path = native_of(tmp_path / "compliant", held, held.tables, Interface("compliant"))
-    slave, exact = Slave(path, tmp_path / "compliant" / "unpacked"), CompliantModel(DriveValue(held.pair, held.surface))
+    slave, exact = (
+        Slave(path, tmp_path / "compliant" / "unpacked"),
+        compliant_drive(DriveValue(held.pair, held.surface)),
+    )
     stiffness = held.pair.rated_torque / (50.0 * ARCSEC)
     slave.start(mesh_damping=0.0)
     ratio, pressed = held.pair.ratio, 0

@@ -25,8 +25,21 @@ def c_source(c: Compensator, name: str) -> tuple[str, str]:
     """
     banner = f"/* {textwrap.fill(f'{about(c)} Made by cycloid-fmu {__version__}.', 112, subsequent_indent='   ')} */\n"
     header, source = ((SOURCES / f"compensator{ending}").read_text(encoding="utf-8") for ending in (".h", ".c"))
-    source = source.replace('#include "tables.h"\n', tables_text(c))
-    return banner + _named(source, name), banner + _named(header, name)
+    spline = re.search(
+        r"/\* Integer coefficients.*?^};\n", (SOURCES / "compensator_numbers.h").read_text("utf-8"), re.S | re.M
+    )
+    assert spline is not None
+    source = _constant(source).replace('#include "compensator_numbers.h"\n', f"{spline[0]}\n{tables_text(c)}")
+    header = re.sub(r"\nstruct compensator;.*\n", "", header)
+    return banner + _named(source, name), banner + _named(_constant(header), name)
+
+
+def _constant(text: str) -> str:
+    """Return C with the numbers of a drive as constants, not as a structure that is an argument of each function."""
+    text = re.sub(r"\(const struct compensator \*c,\s+", "(", text)
+    text = re.sub(r"\(c,\s+", "(", text)
+    text = text.replace("MOST_FUNCTIONS", "FUNCTIONS")
+    return re.sub(r"\bc->(\w+)", lambda number: number[1].upper(), text)
 
 
 def _named(text: str, name: str) -> str:
@@ -41,11 +54,7 @@ def tables_text(c: Compensator) -> str:
     lines = [f"#define {name} {count}" for name, count in made.items()]
     lines += [f"#define {name} {_number(value)}" for name, value in scalars(c).items()]
     for name, values in arrays(c).items():
-        if values.ndim == 1:
-            lines.append(f"static const double {name}[{max(1, values.size)}] = {_list(map(_number, values))};")
-        else:
-            rows = ",\n".join(_list(map(_number, row)) for row in values)
-            lines.append(f"static const double {name}[{len(values)}][{values.shape[1]}] = {{\n{rows}\n}};")
+        lines.append(f"static const double {name}[{max(1, values.size)}] = {_list(map(_number, values.ravel()))};")
     splines = []
     for k, steps in enumerate(c.tables.steps):
         kind, member = _TYPES[steps.dtype]

@@ -1,25 +1,25 @@
-"""FMUs of a compensator: its C99 source in FMI 2.0 or 3.0, for Co-Simulation, one step per communication step."""
+"""FMUs of a compensator: its tables and the library of native FMUs; each communication step is one of its steps."""
 
 from __future__ import annotations
 
 import hashlib
 import html
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from xml.etree.ElementTree import Element, SubElement
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.compensation.compensator import Compensator
-from cycloid_fmu.compensation.forms.c_source import SOURCES, c_source
-from cycloid_fmu.compensation.forms.numbers import about
+from cycloid_fmu.compensation.forms.numbers import about, table_body
 from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
+from cycloid_fmu.fmu.library import SOURCES, source_files
 from cycloid_fmu.fmu.parts import licences, write_archive
+from cycloid_fmu.fmu.resource_file import COMPENSATOR, sealed
 from cycloid_fmu.fmu.variables import Variable
 from cycloid_fmu.native import build as native
 
 IDENTIFIER = "CycloidCompensator"
-_COMPILED = ("compensator.c", "instance.c", "fmi2.c", "fmi3.c")
 _STEP = 1e-3  # s, of the default experiment
 _INPUTS = (
     Variable("desired_angle", "of the output", "input", unit="rad", display="deg", start=0.0),
@@ -58,7 +58,7 @@ _OUTPUTS = (
 
 
 def variables(version: Version) -> tuple[Variable, ...]:
-    """Return the FMU's variables, in the order of `sources/instance.h`; the index is the value reference."""
+    """Return the FMU's variables, in the order of `compensator_model.c`; the index is the value reference."""
     time = () if version == "2.0" else (Variable("time", "time", "independent", unit="s"),)
     known = {"depends": tuple(v.name for v in _INPUTS), "initially": tuple(v.name for v in _INDEX)}
     outputs = [
@@ -75,15 +75,14 @@ def build_compensator_fmu(
     *,
     fmi_version: Version = "2.0",
     platforms: Sequence[str] = (),
-    compiled: Callable[[str], None] = lambda name: None,
 ) -> None:
-    """Write a compensator's FMU, which needs no Python and reads no file; never a partial file.
+    """Write a compensator's FMU, which needs no Python; never a partial file.
 
     Parameters
     ----------
     compensator, path
         The compensator, and the file.
-    fmi_version, platforms, compiled
+    fmi_version, platforms
         As of `cycloid_fmu.native.build.build_native`.
 
     Raises
@@ -92,32 +91,20 @@ def build_compensator_fmu(
         If the folder does not exist or a platform can't be built for.
     """
     names = native.checked_platforms(platforms, fmi_version)
-    source, header = c_source(compensator, "compensator")
-    place = native.SOURCE_FOLDER
-    files = {
-        "compensator.c": source.encode(),
-        "compensator.h": header.encode(),
-        **{name: (SOURCES / name).read_bytes() for name in ("instance.c", "instance.h")},
-        **{name: (place / name).read_bytes() for name in ("fmi2.c", "fmi3.c", "calls.h", "format.h")},
-        **{one.name: one.read_bytes() for one in sorted(native.headers().glob("fmi[23]*.h"))},
-    }
-    token = token_of(__version__ + hashlib.sha256(repr(sorted(files.items())).encode()).hexdigest())
-    constants = f'#define TOKEN "{token}"\n#define START_TEMPERATURE {REFERENCE_TEMPERATURE!r}\n'
-    files["token.h"] = constants.encode()
-    table = variables(fmi_version)
+    listed = variables(fmi_version)
+    table = table_body(compensator, listed)
+    token = token_of(__version__ + hashlib.sha256(table).hexdigest())
     with edge.written_whole(path) as temporary:
-        libraries = native.binaries(
-            fmi_version, names, compiled, IDENTIFIER, lambda name: native.library(name, files, _COMPILED)
-        )
         contents = {
-            "modelDescription.xml": native.xml_bytes(_description(compensator, fmi_version, token, table)),
-            **{f"sources/{name}": data for name, data in files.items()},
-            **libraries,
-            "documentation/index.html": _page(compensator, table).encode(),
+            "modelDescription.xml": native.xml_bytes(_description(compensator, fmi_version, token, listed)),
+            f"resources/{COMPENSATOR.file}": sealed(table, token, COMPENSATOR),
+            **{f"sources/{name}": data for name, data in source_files().items()},
+            **native.binaries(fmi_version, names, IDENTIFIER),
+            "documentation/index.html": _page(compensator, listed).encode(),
             "documentation/licenses/license.txt": licences(()).encode(),
         }
         if fmi_version == "3.0":
-            contents["sources/buildDescription.xml"] = native.xml_bytes(native.build_description(IDENTIFIER, _COMPILED))
+            contents["sources/buildDescription.xml"] = native.xml_bytes(native.build_description(IDENTIFIER))
         write_archive(temporary, contents)
 
 
@@ -150,7 +137,7 @@ def _description(c: Compensator, version: Version, token: str, table: Sequence[V
     )
     if version == "2.0":
         files = SubElement(offered, "SourceFiles")
-        for name in _COMPILED:
+        for name in SOURCES:
             SubElement(files, "File", name=name)
     root.append(unit_definitions(table))
     categories = SubElement(root, "LogCategories")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import keyword
 import re
+import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +13,10 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.compensation import compensator as core
 from cycloid_fmu.compensation.compensator import Compensator
-from cycloid_fmu.edge import ArgumentError
-from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, LARGEST_TRANSMISSION_ERROR
+from cycloid_fmu.edge import ArgumentError, InputError
+from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, LARGEST_TRANSMISSION_ERROR, MOST_FUNCTIONS
+from cycloid_fmu.fmu.resource_file import padding, variable_bytes
+from cycloid_fmu.fmu.variables import Variable
 
 Array = NDArray[np.float64]
 LIMITS = {
@@ -35,6 +39,8 @@ LIMITS = {
     "PER_MEMORY": 1.0 / core.MEMORY,
     "PER_CORRELATION": 1.0 / core.CORRELATION,
 }
+
+SIZES = ("FUNCTIONS", "TORQUES", "TEMPERATURES", "STRIBECK_SPEEDS", "WARMTHS")  # of `counts`, those of one drive
 
 
 def counts(c: Compensator) -> dict[str, int]:
@@ -75,8 +81,8 @@ def scalars(c: Compensator) -> dict[str, float]:
 
 
 def arrays(c: Compensator) -> dict[str, Array]:
-    """Return tables, row by row; that of torque and temperature has two dimensions."""
-    t, node = c.inverse, c.tables.node
+    """Return tables; that of torque and temperature row by row."""
+    t = c.inverse
     return {
         "EXPECTED": np.array(core.EXPECTED),
         "KNOWN": np.array(core.KNOWN),
@@ -85,7 +91,7 @@ def arrays(c: Compensator) -> dict[str, Array]:
         "TORQUE_RATE": c.tables.torque_rate,
         "TEMPERATURE": t.temperature,
         "TEMPERATURE_RATE": c.tables.temperature_rate,
-        "NODE": node.reshape(-1, node.shape[-1]),
+        "NODE": c.tables.node.ravel(),
         "STRIBECK_SPEED": c.stribeck_speed,
         "STRIBECK_RATE": c.tables.stribeck_rate,
         "STRIBECK_SHARE": c.stribeck_share,
@@ -93,6 +99,31 @@ def arrays(c: Compensator) -> dict[str, Array]:
         "WARMTH_RATE": c.tables.warmth_rate,
         "WARMTH": c.warmth,
     }
+
+
+def table_body(c: Compensator, variables: Sequence[Variable]) -> bytes:
+    """Return the body of the file of an FMU with these numbers, for `resource_file.sealed`.
+
+    Raises
+    ------
+    edge.InputError
+        If there are more functions of the crank angle than an FMU has room for.
+    """
+    sizes = counts(c)
+    if sizes["FUNCTIONS"] > MOST_FUNCTIONS:
+        raise InputError(
+            f"the table has {sizes['FUNCTIONS']} functions of the crank angle, and an FMU has room for "
+            f"{MOST_FUNCTIONS}; state a larger residual, or use C99 source."
+        )
+    body = variable_bytes(variables, variables.index)
+    body += padding(body)
+    body += struct.pack("<5I", *(sizes[name] for name in SIZES))
+    body += np.array([*scalars(c).values(), *np.concatenate(list(arrays(c).values()))], "<f8").tobytes()
+    for steps in c.tables.steps:
+        body += struct.pack("<II", len(steps) - core.SUPPORT, steps.itemsize)
+        body += steps.astype(steps.dtype.newbyteorder("<")).tobytes()
+        body += padding(body)
+    return body
 
 
 def name_of(path: Path, argument: str = "path") -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from cycloid_fmu import edge
@@ -24,7 +24,6 @@ def write_compensator(
     temperature: float | None = None,
     fmi_version: Version = "2.0",
     platforms: Sequence[str] = (),
-    compiled: Callable[[str], None] = lambda name: None,
 ) -> tuple[Path, ...]:
     """Write a compensator, never partial files, and return the files.
 
@@ -37,7 +36,7 @@ def write_compensator(
         C files is also that of their content.
     temperature
         Temperature of the look-up table, K; None for the middle of the compensator's range.
-    fmi_version, platforms, compiled
+    fmi_version, platforms
         For an FMU, as in `cycloid_fmu.native.build.build_native`.
 
     Raises
@@ -60,7 +59,7 @@ def write_compensator(
     """
     path = edge.output_path(Path(path), "path", ENDINGS)
     if path.suffix == ".fmu":
-        build_compensator_fmu(compensator, path, fmi_version=fmi_version, platforms=platforms, compiled=compiled)
+        build_compensator_fmu(compensator, path, fmi_version=fmi_version, platforms=platforms)
         return (path,)
     if path.suffix == ".csv":
         texts = {path: csv_text(compensator, look_up(compensator, temperature))}

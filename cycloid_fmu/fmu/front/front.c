@@ -1,7 +1,7 @@
 /* The library that hosts load from an FMI 2.0 FMU in Python. It wraps pythonfmu's library in the same folder, which treats
    the resources' URI as a path and fails if characters are percent-encoded. This wrapper converts the URI to a path, turns
    a discarded step into an error and a fatal status, as of a wrong value reference, into one, and logs refusals even if the host has not asked for logging, as a native FMU does; all
-   other calls are forwarded unchanged. It is compiled in advance with `python tests/native/front.py`, because an FMU in
+   other calls are forwarded unchanged. It is compiled in advance with `python tests/native/libraries.py`, because an FMU in
    Python is built without a compiler. */
 #ifdef _WIN32
 #include <windows.h>

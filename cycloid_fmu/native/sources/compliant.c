@@ -1,4 +1,9 @@
-/* The compliant interface. */
+/* The compliant interface: both flanges with prescribed motion, or inertias inside. Contacts, series compliance and friction
+   store one energy E(θ, φ_b) whose derivatives are the torques, so a closed cycle gains no energy; damping, losses and
+   sliding friction only dissipate. Between communication points the flanges continue at their speeds, so that the torques
+   at the end of a step are not a step late. The motion of inertias inside is solved in sub-steps that conserve the energy
+   balance (a discrete gradient: O. Gonzalez, Time integration and discrete Hamiltonian systems, J. Nonlinear Sci. 6,
+   1996). */
 #include "drive.h"
 
 #include <math.h>
@@ -106,15 +111,15 @@ struct mean {
 };
 
 static struct mean mean_over(double way, double shortest, double difference, double at_start, double at_end, double slope) {
-    struct mean found;
+    struct mean result;
     if (fabs(way) > shortest) {
-        found.value = difference / way;
-        found.slope = (at_end - found.value) / way;
+        result.value = difference / way;
+        result.slope = (at_end - result.value) / way;
     } else {
-        found.value = 0.5 * (at_start + at_end);
-        found.slope = 0.5 * slope;
+        result.value = 0.5 * (at_start + at_end);
+        result.slope = 0.5 * slope;
     }
-    return found;
+    return result;
 }
 
 static double by_phase(const struct drive *drive, const struct pressed *at) {
@@ -205,11 +210,9 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
 /* The longest sub-step: a share of the shortest period of oscillation and of the mesh period. */
 static double longest(const struct drive *drive, double crank_speed) {
     const struct state *s = &drive->state;
-    const struct side *side = &drive->table->side[0];
     const double ratio = drive->ratio;
-    struct place place = table_place(drive->table, 0.0);
-    double stiffness = teeth_stiffness(drive, &place, side->reach, 1.0, 0.0), swing;
-    stiffness = 1.0 / (1.0 / stiffness + s->series_compliance);
+    const double stiffness = 1.0 / (1.0 / drive->contacts.stiffness + s->series_compliance);
+    double swing;
     swing = (stiffness + FRICTION_ELEMENTS * drive->element[OUTPUT]) / s->output_inertia;
     if (s->crank_inertia > 0.0) {
         swing += (stiffness / (ratio * ratio) + FRICTION_ELEMENTS * drive->element[INPUT]) / s->crank_inertia;
@@ -226,7 +229,7 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
     const int held = s->crank_inertia == 0.0;
     const double goal = s->crank_angle + s->crank_speed * step, before = s->dissipated_energy;
     const double speed_before = s->output_speed;
-    double left = step, work = 0.0, count = 0.0, rest = 1.0;
+    double remaining = step, work = 0.0, count = 0.0, rest = 1.0;
     struct pressed at;
     if (held && step == 0.0) {
         s->turned = s->crank_angle;
@@ -235,21 +238,21 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
         return 1;
     }
     s->outside = 0.0;
-    while (left > 0.0) {
-        double speed = held ? (goal - s->turned) / left : s->crank_speed;
-        double parts = fmax(ceil(left / longest(drive, speed) * (1.0 - STEP_TOLERANCE)), rest), part = left / parts;
+    while (remaining > 0.0) {
+        double speed = held ? (goal - s->turned) / remaining : s->crank_speed;
+        double parts = fmax(ceil(remaining / longest(drive, speed) * (1.0 - STEP_TOLERANCE)), rest), part = remaining / parts;
         struct swing w;
-        int found;
+        int result;
         if (!(++count <= MOST_SUB_STEPS && parts <= MOST_SUB_STEPS)) {
             return drive_refuse(message, "a step of %g s is divided into more than %g parts: it is too long for so fast a motion "
                           "or so small an inertia.", step, MOST_SUB_STEPS);
         }
         w.turn = speed * part;
-        found = swing(drive, part, &at, &w, message);
-        if (found == FAILED) {
+        result = swing(drive, part, &at, &w, message);
+        if (result == FAILED) {
             return 1;
         }
-        if (found == TOO_LONG) {
+        if (result == TOO_LONG) {
             rest = 2.0 * parts;
             continue;
         }
@@ -263,20 +266,20 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
             s->crank_speed = 2.0 * w.turn / part - s->crank_speed;
         }
         s->dissipated_energy += w.rubbed[OUTPUT].lost + w.damping * (w.way - w.turn / ratio) + w.rubbed[INPUT].lost;
-        s->outside = s->outside != 0.0 || teeth_outside(drive, w.end.load, w.end.side) ? 1.0 : 0.0;
-        left = parts > 1.0 ? left - part : 0.0;
-        drive->impact = w.end.load > 0.0 && (at.load == 0.0 || at.side != w.end.side);
+        s->outside = s->outside != 0.0 || teeth_outside(drive, w.end.torque) ? 1.0 : 0.0;
+        remaining = parts > 1.0 ? remaining - part : 0.0;
+        drive->impact = w.end.torque != 0.0 && (at.torque == 0.0 || (at.torque > 0.0) != (w.end.torque > 0.0));
         at = w.end;
         if (drive->impact && drive->early) {
             break;
         }
     }
     s->crank_angle = s->turned;
-    drive->left = left;
-    if (step > left) {
-        s->mean_torque = work / (step - left);
-        s->mean_output = s->torque - s->output_inertia * (s->output_speed - speed_before) / (step - left);
-        s->mean_loss = (s->dissipated_energy - before) / (step - left);
+    drive->remaining = remaining;
+    if (step > remaining) {
+        s->mean_torque = work / (step - remaining);
+        s->mean_output = s->torque - s->output_inertia * (s->output_speed - speed_before) / (step - remaining);
+        s->mean_loss = (s->dissipated_energy - before) / (step - remaining);
     }
     return 0;
 }

@@ -13,26 +13,24 @@ struct answer {
 
 /* For a change of the crank angle: at a given change of the load, or (`stiffness` above 0) of the output's angle. */
 static struct answer answer_of(struct drive *drive, double load, double side, double stiffness, double angle, double way) {
-    const struct side *table = teeth_side(drive, side);
-    const struct place *place = drive_place(drive);
-    const struct place turning = table_turning(drive->table, place);
-    const struct play play = teeth_play(drive, place);
-    const struct loaded at = table_at(table, place, load), turned = table_at(table, &turning, load);
-    double of_energy, curvature, offset = 0.0, lever;
-    struct answer found;
-    table_energy(table, &turning, load, &of_energy, &curvature);
-    if (play.offset != 0.0) {
-        offset = 0.5 * (table_at_node(&drive->table->side[0], &turning, 0).rate
-                        + table_at_node(&drive->table->side[1], &turning, 0).rate);
+    const struct contacts *contacts = &drive->contacts;
+    const double crank_angle = drive_crank_angle(drive), torque = side < 0.0 ? -load : load;
+    struct bending bending;
+    double lever;
+    struct answer result;
+    contacts->bending(contacts->self, crank_angle, torque, &bending);
+    if (drive->state.backlash_on != 0.0 || teeth_width(drive, crank_angle) == 0.0) {
+        bending.offset = 0.0;
     }
-    lever = -side / drive->table->ratio - at.rate + play.offset_rate;
-    found.load = way;
+    lever = -side / drive->table->ratio - side * contacts->rate(contacts->self, crank_angle, torque)
+        + teeth_offset_rate(drive, crank_angle);
+    result.load = way;
     if (stiffness > 0.0) {
-        found.load = stiffness * (side * way + lever * angle);
+        result.load = stiffness * (side * way + lever * angle);
     }
-    found.crank_torque = (table_rest_torque(drive->table, &turning) - curvature + offset * load) * angle + lever * found.load;
-    found.rate = side * ((turned.rate - offset) * angle + turned.compliance * found.load);
-    return found;
+    result.crank_torque = (bending.crank_torque + bending.offset * load) * angle + lever * result.load;
+    result.rate = (bending.rate - side * bending.offset) * angle + side * bending.compliance * result.load;
+    return result;
 }
 
 /* Derivative of a flange's friction torque, by a difference; `way`, `speed` and `load` are the rates of these. */
@@ -68,31 +66,29 @@ static double rubbing_going(const struct drive *drive, int flange, const struct 
 static int of_kinematic(struct drive *drive, int field, const struct state *go, double *value) {
     const struct state *s = &drive->state;
     const double ratio = drive->ratio, side = s->side < 0.0 ? -1.0 : 1.0;
-    const struct place *place = drive_place(drive);
-    const struct play play = teeth_play(drive, place);
     const int stands = s->pushed == 0.0, loose = s->load == 0.0;
     double rate, deviation;
     struct answer answer;
     if (drive->rubs[OUTPUT] || (drive->rubs[INPUT] && field == CRANK_TORQUE)) {
         return 1;
     }
-    rate = kinematic_rate(drive, place, &play);
+    rate = kinematic_rate(drive);
     if (stands) {
-        double stiffness = loose ? 0.0 : 1.0 / (1.0 / teeth_stiffness(drive, place, s->load, side, 0.0) + s->series_compliance);
+        double stiffness = loose ? 0.0 : 1.0 / (1.0 / teeth_stiffness(drive, s->placed, kinematic_torque(drive)) + s->series_compliance);
         answer = answer_of(drive, s->load, side, stiffness, go->crank_angle, 0.0);
         deviation = -go->crank_angle / ratio;
     } else {
         double load = loose ? 0.0 : side * go->torque;
         answer = answer_of(drive, s->load, side, 0.0, go->crank_angle, load);
         deviation = (rate - 1.0 / ratio) * go->crank_angle
-                + (loose ? 0.0 : (table_at(teeth_side(drive, side), place, s->load).compliance + s->series_compliance) * go->torque);
+                + (loose ? 0.0 : (1.0 / teeth_stiffness(drive, s->placed, kinematic_torque(drive)) + s->series_compliance) * go->torque);
     }
     switch (field) {
     case TRANSMISSION_ERROR: *value = deviation; return 0;
     case OUTPUT_ANGLE: *value = deviation + go->crank_angle / ratio; return 0;
     case OUTPUT_SPEED: *value = stands ? 0.0 : rate * go->crank_speed + s->crank_speed * answer.rate; return 0;
     case CRANK_TORQUE:
-        if (loose && play.width > 0.0) {
+        if (!kinematic_pressed(drive)) {
             *value = 0.0;
             return 0;
         }
@@ -108,17 +104,17 @@ static int of_compliant(struct drive *drive, int field, const struct state *go, 
     const double ratio = drive->ratio, slip = s->output_speed - s->crank_speed / ratio;
     const int inside = drive->table->offers == INTERFACE_INERTIA;
     /* With inertias inside, the state is the deviation. */
-    const double output = inside ? go->deviation + go->crank_angle / ratio : go->output_angle;
+    const double output = inside ? go->transmission_error + go->crank_angle / ratio : go->output_angle;
     const double turn = drive->exchange ? 0.0 : go->crank_angle, way = drive->exchange ? 0.0 : output;
-    double side = p->load > 0.0 ? p->side : 0.0, damping, friction, torque, loss, stiffness;
+    double side = p->torque == 0.0 ? 0.0 : p->torque < 0.0 ? -1.0 : 1.0, damping, friction, torque, loss, stiffness;
     struct answer answer;
     int i;
     stiffness = side != 0.0 ? 1.0 / (1.0 / p->stiffness + s->series_compliance) : 0.0;
-    answer = answer_of(drive, p->load, p->side, stiffness, go->crank_angle, side != 0.0 ? output : 0.0);
+    answer = answer_of(drive, fabs(p->torque), p->torque < 0.0 ? -1.0 : 1.0, stiffness, go->crank_angle, side != 0.0 ? output : 0.0);
     damping = fabs(drive->damping) < fabs(p->by_rotation) ? s->mesh_damping * (go->output_speed - go->crank_speed / ratio)
                                                           : copysign(answer.load, slip);
     damping = s->mesh_damping > 0.0 ? damping : 0.0;
-    friction = rubbing_going(drive, OUTPUT, go, way, go->output_speed, p->side * answer.load);
+    friction = rubbing_going(drive, OUTPUT, go, way, go->output_speed, side * answer.load);
     torque = answer.crank_torque - damping / ratio;
     loss = rubbing_going(drive, INPUT, go, turn, go->crank_speed, torque);
     switch (field) {
@@ -129,10 +125,10 @@ static int of_compliant(struct drive *drive, int field, const struct state *go, 
     case TRANSMISSION_ERROR: *value = output - go->crank_angle / ratio; return 0;
     case TRANSMISSION_ERROR_RATE: *value = go->output_speed - go->crank_speed / ratio; return 0;
     case CRANK_TORQUE: *value = torque + loss; return 0;
-    case TORQUE: *value = p->side * answer.load + damping + friction; return 0;
+    case TORQUE: *value = side * answer.load + damping + friction; return 0;
     case CRANK_ACCELERATION: *value = (go->crank_torque - torque - loss) / s->crank_inertia; return 0;
     case OUTPUT_ACCELERATION:
-        *value = (go->torque - p->side * answer.load - damping - friction) / s->output_inertia;
+        *value = (go->torque - side * answer.load - damping - friction) / s->output_inertia;
         return 0;
     case ELASTIC_ENERGY:
         if (!drive->exchange && (drive->rubs[INPUT] || drive->rubs[OUTPUT])) {
@@ -151,7 +147,7 @@ static int of_compliant(struct drive *drive, int field, const struct state *go, 
 /* By a central difference of the outputs. */
 static int by_difference(const struct drive *drive, const struct variable *unknown, const struct state *go, double size,
                          double *value, char message[MESSAGE_SIZE]) {
-    double found[2];
+    double result[2];
     int i;
     for (i = 0; i < 2; i++) {
         struct drive moved = *drive;
@@ -161,15 +157,15 @@ static int by_difference(const struct drive *drive, const struct variable *unkno
         for (j = 0; j < sizeof moved.state / sizeof *at; j++) {
             at[j] += h * along[j];
         }
-        moved.placed = moved.solved = 0;
+        moved.solved = 0;
         if (!moved.initializing && !moved.exchange && drive_kinematic(&moved) && kinematic_follow(&moved, message)) {
             return 1;
         }
-        if (drive_get(&moved, unknown, &found[i], message)) {
+        if (drive_get(&moved, unknown, &result[i], message)) {
             return 1;
         }
     }
-    *value = 0.5 * (found[1] - found[0]) * size;
+    *value = 0.5 * (result[1] - result[0]) * size;
     return 0;
 }
 
@@ -219,7 +215,7 @@ int derivative_of(struct drive *drive, const struct direction *direction, const 
     if (unknown->kind != KIND_REAL || direction->size == 0.0) {
         return 0;
     }
-    if (!drive->initializing && !direction->parameters && drive->b == 0.0) {
+    if (!drive->initializing && !direction->parameters && drive->b == 0.0 && drive->contacts.bending != NULL) {
         int failed = drive->exchange ? exchange_solve(drive, message)
                                      : !drive_kinematic(drive) && compliant_solve(drive, message);
         if (failed) {

@@ -4,8 +4,11 @@
 #include <stdio.h>
 #include <string.h>
 
-static const char BLOB_MAGIC[16] = "cycloid native\n";
-enum { BLOB_HEAD = 32, NUMBERS = sizeof(struct state) / sizeof(double) };
+#include "blob.h"
+
+enum { NUMBERS = sizeof(struct state) / sizeof(double) };
+static const struct blob_kind STATE = {"cycloid native\n", STATE_VERSION, "native cycloid drive",
+                                       "this state belongs to another drive: it was taken from an FMU with other tables."};
 
 int drive_refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit) {
     snprintf(message, MESSAGE_SIZE, format, value, limit);
@@ -21,9 +24,13 @@ double drive_angle(const struct drive *drive) {
     return drive_kinematic(drive) ? s->placed : drive->table->offers == INTERFACE_INERTIA ? s->turned : s->crank_angle;
 }
 
+double drive_crank_angle(const struct drive *drive) {
+    return drive_kinematic(drive) || drive->resting ? drive->state.placed : drive->pressed.crank;
+}
+
 static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    drive->placed = drive->solved = 0;
+    drive->solved = 0;
     if (drive_kinematic(drive)) {
         return kinematic_follow(drive, message);
     }
@@ -32,7 +39,7 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
         return 1;
     }
     s->support_angle += s->support_speed * step;
-    drive->placed = drive->solved = 0;
+    drive->solved = 0;
     if (!(fabs(s->crank_angle) < HUGE_VAL && fabs(s->output_angle) < HUGE_VAL && fabs(s->dissipated_energy) < HUGE_VAL
           && fabs(s->output_speed) < HUGE_VAL)) {
         return drive_refuse(message, "flange_a.w = %g rad/s: the flanges leave the range of numbers in a step of %g s.",
@@ -42,15 +49,21 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
 }
 
 static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
-    struct state kept;
+    struct state before;
     int failed;
     /* A step does not change parameters, nor the fields that the kinematic interface does not have. */
     size_t size = drive_kinematic(drive) ? offsetof(struct state, seen) : offsetof(struct state, crank_torque);
-    memcpy(&kept, &drive->state, size);
+    memcpy(&before, &drive->state, size);
+    if (drive->contacts.begin != NULL) {
+        drive->contacts.begin(drive->contacts.self);
+    }
     failed = move(drive, step, message);
     if (failed) {
-        memcpy(&drive->state, &kept, size);
-        drive->placed = drive->solved = 0;
+        memcpy(&drive->state, &before, size);
+        if (drive->contacts.undo != NULL) {
+            drive->contacts.undo(drive->contacts.self);
+        }
+        drive->solved = 0;
     }
     return failed;
 }
@@ -64,16 +77,16 @@ int drive_step(struct drive *drive, double time, double step, char message[MESSA
         return drive_refuse(message, "a step from the time %g s over %g s: both must be finite.", time, step);
     }
     drive->impact = 0;
-    drive->left = 0.0;
+    drive->remaining = 0.0;
     drive->step = step;
     failed = guarded(drive, step, message);
     drive->step = 0.0;
     if (failed) {
         drive->impact = 0;
-        drive->left = 0.0;
+        drive->remaining = 0.0;
         return 1;
     }
-    drive->state.time = time + step - drive->left;
+    drive->state.time = time + step - drive->remaining;
     return 0;
 }
 
@@ -87,11 +100,11 @@ static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
     drive->rubs[INPUT] = drive->rubs[OUTPUT] = 0;
     drive->resting = 1;
     failed = kinematic_follow(drive, message);
-    drive->placed = 1;
     speed = failed ? 0.0 : kinematic_speed(drive);
-    drive->resting = drive->placed = 0;
-    for (i = 0; !failed && drive->b > 0.0 && s->torque != 0.0 && i < 5; i++) {
-        /* A compliance in series changes the crank's angle at rest slightly (docs/theory/fmu.md). */
+    drive->resting = 0;
+    for (i = 0; !failed && s->torque != 0.0 && i < 5; i++) {
+        /* The torque of the stored energy differs slightly from that of the quasi-static balance: with exact contacts
+           (docs/theory/fmu.md), and where a compliance in series changes the angle of a reducer's crank. */
         failed = teeth_press(drive, s->turned, s->output_angle - s->turned / drive->ratio, &drive->pressed, message);
         if (!failed && drive->pressed.stiffness > 0.0) {
             s->output_angle += (s->torque - drive->pressed.by_rotation)
@@ -104,10 +117,10 @@ static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
 }
 
 int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
-    struct state kept = drive->state;
+    struct state before = drive->state;
     int failed = losses_check(drive, message);
     drive->initializing = 0;
-    drive->placed = drive->solved = 0;
+    drive->solved = 0;
     memset(drive->state.strain, 0, sizeof drive->state.strain);
     drive->state.settled = drive->state.dissipated_energy = 0.0;
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
@@ -130,11 +143,11 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     }
     exchange_keep(drive);
     if (!drive_kinematic(drive)) {
-        drive->state.deviation = drive->state.output_angle - drive_angle(drive) / drive->ratio;
+        drive->state.transmission_error = drive->state.output_angle - drive_angle(drive) / drive->ratio;
     }
     if (failed) {
-        drive->state = kept;
-        drive->placed = drive->solved = 0;
+        drive->state = before;
+        drive->solved = 0;
     }
     return failed;
 }
@@ -160,7 +173,7 @@ double *drive_stored(struct state *s, const struct variable *variable) {
     case CRANK_SPEED_START: return &s->crank_speed_start;
     case SUPPORT_ANGLE: return &s->support_angle;
     case SUPPORT_SPEED: return &s->support_speed;
-    case TRANSMISSION_ERROR: return &s->deviation;
+    case TRANSMISSION_ERROR: return &s->transmission_error;
     case DISSIPATED_ENERGY: return &s->dissipated_energy;
     case TIME: return &s->time;
     default: break;
@@ -205,7 +218,7 @@ void drive_reset(struct drive *drive) {
     uint32_t i;
     memset(&drive->state, 0, sizeof drive->state);
     drive->initializing = 1;
-    drive->placed = drive->solved = 0;
+    drive->solved = 0;
     for (i = 0; i < drive->table->variables; i++) {
         const struct variable *v = &drive->table->variable[i];
         double *value = drive_stored(&drive->state, v);
@@ -220,6 +233,9 @@ void drive_open(struct drive *drive, struct table *table) {
     uint32_t i;
     memset(drive, 0, sizeof *drive);
     drive->table = table;
+    if (table->angles > 0) {
+        drive->contacts = table_contacts(&drive->tables, table);
+    }
     drive->ratio = table->ratio;
     drive->rated = UNRATED_LOAD;
     if (table->sun_teeth > 0.0) {
@@ -239,7 +255,7 @@ void drive_open(struct drive *drive, struct table *table) {
 }
 
 int drive_set(struct drive *drive, const struct variable *variable, double value, char message[MESSAGE_SIZE]) {
-    double *kept = drive_stored(&drive->state, variable);
+    double *stored = drive_stored(&drive->state, variable);
     if (variable->baked && value != variable->start) {
         snprintf(message, MESSAGE_SIZE, "%.100s = %g: this FMU holds it in its tables, made for %g; build the FMU again "
                  "with it, or use the FMU in Python, where it is tunable.", variable->name, value, variable->start);
@@ -248,7 +264,7 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
     if (variable->baked) {
         return 0;
     }
-    if (kept == NULL || (variable->causality != CAUSALITY_INPUT && variable->causality != CAUSALITY_PARAMETER)) {
+    if (stored == NULL || (variable->causality != CAUSALITY_INPUT && variable->causality != CAUSALITY_PARAMETER)) {
         snprintf(message, MESSAGE_SIZE, "%.100s can't be set: it is an output.", variable->name);
         return 1;
     }
@@ -257,59 +273,55 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
         return 1;
     }
     if (!(value >= variable->least && value <= variable->most && fabs(value) < HUGE_VAL)) {
-        snprintf(message, MESSAGE_SIZE, "%.100s = %g: it must be finite and lie between %g and %g.", variable->name,
-                 value, variable->least, variable->most);
+        int limited = variable->least > -HUGE_VAL || variable->most < HUGE_VAL;
+        snprintf(message, MESSAGE_SIZE, limited ? "%.100s = %g: it must be finite and lie between %g and %g."
+                                                : "%.100s = %g: it must be finite.",
+                 variable->name, value, variable->least, variable->most);
         return 1;
     }
     if (variable->field == SUPPORT_ANGLE || variable->field == SUPPORT_SPEED) {
-        double change = value - *kept;
+        double change = value - *stored;
         turn_housing(drive, variable->field == SUPPORT_ANGLE ? change : 0.0, variable->field == SUPPORT_SPEED ? change : 0.0);
     }
-    *kept = value - of_housing(drive, variable->field);
+    *stored = value - of_housing(drive, variable->field);
     if (variable->field >= INPUT_FRICTION_COULOMB) {
         friction_settle(drive);
     }
     drive->solved = 0;
-    if (!drive_kinematic(drive)) {
-        drive->placed = 0;
-    }
     return 0;
 }
 
-/* Load of the teeth, and its side; returns 0 without contact. */
-static int load_of(struct drive *drive, double *load, double *side) {
-    const struct state *s = &drive->state;
-    *load = drive_kinematic(drive) ? s->load : drive->pressed.load;
-    *side = (drive_kinematic(drive) ? s->side : drive->pressed.side) < 0.0 ? -1.0 : 1.0;
-    return *load > 0.0 || (s->loose == 0.0 && teeth_play(drive, drive_place(drive)).width == 0.0);
+/* Torque of the teeth on the gear; returns whether there is contact. */
+static int contacts_torque(struct drive *drive, double *torque) {
+    *torque = drive_kinematic(drive) || drive->resting ? kinematic_torque(drive) : drive->pressed.torque;
+    return drive_kinematic(drive) || drive->resting ? kinematic_pressed(drive) : drive->pressed.stiffness > 0.0;
 }
 
 double drive_stiffness(struct drive *drive) {
-    double load, side, stiffness;
-    const struct place *place = drive_place(drive);
+    double torque, stiffness;
     if (drive->b > 0.0) {
         return drive_kinematic(drive) || drive->resting ? reducer_stiffness(drive) : reducer_pressed_stiffness(drive);
     }
-    load_of(drive, &load, &side);
-    stiffness = teeth_stiffness(drive, place, load, side, load > 0.0 ? 0.0 : teeth_play(drive, place).width);
+    if (!contacts_torque(drive, &torque)) {
+        return 0.0;
+    }
+    stiffness = drive_kinematic(drive) || drive->resting ? teeth_stiffness(drive, drive_crank_angle(drive), torque)
+                                                          : drive->pressed.stiffness;
     return stiffness > 0.0 ? 1.0 / (1.0 / stiffness + drive->state.series_compliance) : 0.0;
 }
 
 int drive_outside(const struct drive *drive) {
     const struct state *s = &drive->state;
-    const struct side *side = drive->table->side; /* needed at each step: no calls */
-    if (drive->table->offers == INTERFACE_KINEMATIC) {
-        return s->load > side[s->side > 0.0 ? 0 : 1].reach;
+    if (drive_kinematic(drive)) {
+        return teeth_outside(drive, kinematic_torque(drive));
     }
-    return s->outside != 0.0 || (drive->solved && teeth_outside(drive, drive->pressed.load, drive->pressed.side));
+    return s->outside != 0.0 || (drive->solved && teeth_outside(drive, drive->pressed.torque));
 }
 
 static double output(struct drive *drive, int field) {
     struct state *s = &drive->state;
-    const struct place *place = drive_place(drive);
     int still = drive_kinematic(drive);
-    double torque, ratio = drive->ratio, load, side;
-    int pressed = load_of(drive, &load, &side);
+    double torque, ratio = drive->ratio;
     switch (field) {
     case CRANK_TORQUE:
         if (still) {
@@ -329,21 +341,20 @@ static double output(struct drive *drive, int field) {
                  + (still ? s->torque
                           : drive->table->offers == INTERFACE_INERTIA ? s->mean_output : output(drive, TORQUE)));
     case TORQUE: return drive->pressed.by_rotation + drive->damping + compliant_rubbing(drive, OUTPUT).torque;
-    case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - drive_angle(drive) / ratio;
+    case TRANSMISSION_ERROR: return still ? s->transmission_error : s->output_angle - drive_angle(drive) / ratio;
     case BACKLASH:
-        return s->backlash_on == 0.0 ? 0.0 : drive->b == 0.0 ? teeth_play(drive, place).width
+        return s->backlash_on == 0.0 ? 0.0 : drive->b == 0.0 ? teeth_width(drive, drive_crank_angle(drive))
             : still ? reducer_backlash(drive, s->placed, s->gear)
                     : reducer_backlash(drive, drive->pressed.crank, drive->pressed.deviation);
     case TORSIONAL_STIFFNESS: return drive_stiffness(drive);
     case MAX_CONTACT_PRESSURE:
     case CONTACT_COUNT: {
-        struct place told;
-        if (!pressed) {
+        double count, pressure;
+        if (!contacts_torque(drive, &torque)) {
             return 0.0;
         }
-        told = table_told_place(drive->table, still || drive->b == 0.0 ? drive_angle(drive) : drive->pressed.crank);
-        return field == CONTACT_COUNT ? table_contact_count(teeth_side(drive, side), &told, load)
-                                      : table_pressure(teeth_side(drive, side), &told, load);
+        drive->contacts.sharing(drive->contacts.self, drive_crank_angle(drive), torque, &count, &pressure);
+        return field == CONTACT_COUNT ? count : pressure;
     }
     case POWER_LOSS:
         if (still) {
@@ -379,9 +390,9 @@ static double output(struct drive *drive, int field) {
 }
 
 int drive_get(struct drive *drive, const struct variable *variable, double *value, char message[MESSAGE_SIZE]) {
-    const double *kept = variable->causality == CAUSALITY_OUTPUT ? NULL : drive_stored(&drive->state, variable);
-    if (kept != NULL || variable->baked) {
-        *value = kept != NULL ? *kept + of_housing(drive, variable->field) : variable->start;
+    const double *stored = variable->causality == CAUSALITY_OUTPUT ? NULL : drive_stored(&drive->state, variable);
+    if (stored != NULL || variable->baked) {
+        *value = stored != NULL ? *stored + of_housing(drive, variable->field) : variable->start;
         return 0;
     }
     if (drive->initializing) {
@@ -391,7 +402,7 @@ int drive_get(struct drive *drive, const struct variable *variable, double *valu
         *value = failed ? 0.0 : output(drive, variable->field);
         drive->state = before;
         drive->initializing = 1;
-        drive->placed = drive->solved = 0;
+        drive->solved = 0;
         if (failed) {
             return 1;
         }
@@ -410,78 +421,38 @@ int drive_get(struct drive *drive, const struct variable *variable, double *valu
 
 /* ---- the state as bytes ---- */
 
-static void put(unsigned char *at, uint64_t value) {
-    int i;
-    for (i = 0; i < 8; i++) {
-        at[i] = (unsigned char)(value >> (8 * i));
-    }
-}
-
-static uint64_t get(const unsigned char *at) {
-    uint64_t value = 0;
-    int i;
-    for (i = 0; i < 8; i++) {
-        value |= (uint64_t)at[i] << (8 * i);
-    }
-    return value;
-}
-
 size_t drive_state_size(void) {
-    return BLOB_HEAD + 8 * (NUMBERS + 1);
+    return blob_size(NUMBERS);
 }
 
 void drive_state_write(const struct drive *drive, unsigned char *blob) {
-    const char *numbers = (const char *)&drive->state;
-    unsigned char *body = blob + BLOB_HEAD;
-    int i;
-    for (i = 0; i < NUMBERS; i++) {
-        uint64_t bits;
-        memcpy(&bits, numbers + 8 * i, 8);
-        put(body + 8 * i, bits);
-    }
-    put(body + 8 * NUMBERS, (uint64_t)drive->initializing | (uint64_t)drive->exchange << 1);
-    memcpy(blob, BLOB_MAGIC, sizeof BLOB_MAGIC);
-    put(blob + 16, (uint64_t)STATE_VERSION | (uint64_t)drive->table->checksum << 32);
-    put(blob + 24, 0);
+    blob_write(blob, &STATE, drive->table->checksum, &drive->state, NUMBERS,
+               (uint64_t)drive->initializing | (uint64_t)drive->exchange << 1);
 }
 
 void drive_state_seal(unsigned char *blob) {
-    put(blob + 24, table_checksum(blob + BLOB_HEAD, drive_state_size() - BLOB_HEAD));
+    blob_seal(blob, drive_state_size());
 }
 
 int drive_state_check(const struct drive *drive, const unsigned char *blob, size_t size, int sealed,
                       char message[MESSAGE_SIZE]) {
-    const char *wrong = NULL;
-    if (blob == NULL || size < BLOB_HEAD || memcmp(blob, BLOB_MAGIC, sizeof BLOB_MAGIC) != 0) {
-        wrong = "these bytes are not the state of a native cycloid drive";
-    } else if ((get(blob + 16) & 0xffffffffu) != STATE_VERSION) {
-        wrong = "this state is of another version than this FMU reads";
-    } else if (size != drive_state_size()
-               || (sealed && get(blob + 24) != table_checksum(blob + BLOB_HEAD, size - BLOB_HEAD))) {
-        wrong = "this state is damaged: its size or checksum does not fit";
-    } else if (get(blob + 16) >> 32 != drive->table->checksum) {
-        wrong = "this state belongs to another drive: it was taken from an FMU with other tables";
-    } else if ((get(blob + BLOB_HEAD + 8 * NUMBERS) >> 1 != 0) != drive->exchange) {
-        wrong = "this state is of the other interface: Co-Simulation and Model Exchange have their own";
+    if (blob_check(blob, size, &STATE, drive->table->checksum, NUMBERS, sealed, message)) {
+        return 1;
     }
-    if (wrong != NULL) {
-        snprintf(message, MESSAGE_SIZE, "%s.", wrong);
+    if ((blob_flags(blob, NUMBERS) >> 1 != 0) != drive->exchange) {
+        snprintf(message, MESSAGE_SIZE,
+                 "this state is of the other interface: Co-Simulation and Model Exchange have their own.");
+        return 1;
     }
-    return wrong != NULL;
+    return 0;
 }
 
 void drive_state_read(struct drive *drive, const unsigned char *blob) {
-    char *numbers = (char *)&drive->state;
-    const unsigned char *body = blob + BLOB_HEAD;
-    struct state kept;
-    int i;
-    for (i = 0; i < NUMBERS; i++) {
-        uint64_t bits = get(body + 8 * i);
-        memcpy(numbers + 8 * i, &bits, 8);
-    }
-    drive->initializing = (get(body + 8 * NUMBERS) & 1) != 0;
-    kept = drive->state;
+    struct state before;
+    blob_read(blob, &drive->state, NUMBERS);
+    drive->initializing = (blob_flags(blob, NUMBERS) & 1) != 0;
+    before = drive->state;
     friction_settle(drive);
-    drive->state = kept;
-    drive->placed = drive->solved = 0;
+    drive->state = before;
+    drive->solved = 0;
 }

@@ -1,8 +1,9 @@
-/* The drive with its history, stepped like cycloid_fmu/fmu/kinematic_model.py and compliant_model.py, on tables. */
+/* The drive in time: its variables, history and steps, over contacts that are tables or the contact problem itself
+   (contacts.h). The theory is in docs/theory/fmu.md. */
 #ifndef CYCLOID_DRIVE_H
 #define CYCLOID_DRIVE_H
 
-#include "table.h"
+#include "table_contacts.h"
 
 enum { INPUT, OUTPUT }; /* flange_a and flange_b, in arrays over both */
 
@@ -18,7 +19,7 @@ struct state {
     double crank_angle, crank_speed, torque; /* torque: the input, or the load on the inertia; else unused */
     double output_angle, output_speed;       /* in the kinematic interface the speed is computed on request */
     double temperature, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
-    double settled, placed, deviation, load, side, pushed; /* kinematic: at the last step */
+    double settled, placed, transmission_error, load, side, pushed; /* kinematic: at the last step */
     double strain[2][FRICTION_ELEMENTS], crank_seen; /* friction: its strains; the crank angle that it has followed */
     double gear, loose; /* reducer: the gear's own deviation, and whether it is unloaded within its plays */
     /* Not in the kinematic interface. */
@@ -36,16 +37,9 @@ struct state {
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
 
-/* The ends of the play, mirrored, and the part that `backlash_on` = false removes from both. */
+/* The ends of the play, and the part of it that `backlash_on` = false removes on each side. */
 struct play {
-    struct loaded end[2];
-    double width, offset, offset_rate;
-};
-
-/* Contacts and series compliance at a deviation: energy, its derivatives, and the state of the teeth. */
-struct pressed {
-    double energy, by_angle, by_rotation, stiffness, load, side;
-    double crank, deviation; /* of the cycloid stage's crank; of the gear without series compliance */
+    double low, high, width, offset;
 };
 
 /* Torques at which friction slides towards negative and towards positive angles. */
@@ -65,8 +59,10 @@ struct rubbing {
 
 struct drive {
     const struct table *table;
+    struct contacts contacts;
+    struct table_contacts tables; /* if these are the contacts */
     double ratio;     /* of the flanges */
-    double a, b, s;   /* of an RV reducer (reducer_model.py); b = 0 without its first stage */
+    double a, b, s;   /* of an RV reducer (reducer.c); b = 0 without its first stage */
     struct state state;
     double rated;     /* torque */
     int rows;         /* of the loss table */
@@ -76,14 +72,8 @@ struct drive {
     int resting;      /* at rest under load, as the kinematic interface is, before an inertia moves */
     int exchange;     /* Model Exchange: the solver is the host's; an inertia's deviation is a state */
     int early, impact; /* whether a step ends where contact begins, and whether the last one did */
-    double left;       /* rest of the step after that, s */
+    double remaining;       /* rest of the step after that, s */
     double step;       /* being made, s, for its message; 0 outside a step */
-    int placed;       /* whether `place` is that of the state; of no effect on results */
-    struct place place;
-    struct loaded at; /* state of the contacts there under `at_load`, if that is not 0 */
-    double at_load;
-    int driven; /* whether the kinematic interface's `crank_torque` is that of the state; likewise */
-    double crank_torque;
     int solved; /* whether the following belong to the state; likewise */
     struct pressed pressed;
     double damping;
@@ -108,9 +98,9 @@ void drive_state_read(struct drive *drive, const unsigned char *blob);
 /* Only for the drive's own files. */
 int drive_refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit);
 int drive_kinematic(const struct drive *drive);
-double drive_angle(const struct drive *drive);         /* of the crank */
+double drive_angle(const struct drive *drive);         /* of the driven shaft */
+double drive_crank_angle(const struct drive *drive);   /* of the cycloid stage's crank, at which its contacts are solved */
 double *drive_stored(struct state *s, const struct variable *variable); /* or NULL if it is computed on request */
-const struct place *drive_place(struct drive *drive); /* of the state */
 double drive_stiffness(struct drive *drive);           /* at the flange, the compliance in series included; 0 without contact */
 
 int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]);
@@ -133,35 +123,42 @@ struct rubbing friction_press(const struct drive *drive, int flange, double way,
 double friction_flow(const struct drive *drive, int flange, double speed, double load, double rate[FRICTION_ELEMENTS]);
 double friction_strained(const struct drive *drive, int flange); /* torque of the elements */
 
-const struct side *teeth_side(const struct drive *drive, double direction);
-int teeth_outside(const struct drive *drive, double load, double side); /* whether it is beyond the tables */
-struct play teeth_play(const struct drive *drive, const struct place *place);
+int teeth_outside(const struct drive *drive, double torque); /* whether the contacts' accuracy is not stated there */
+int teeth_refuse(int status, double torque, char message[MESSAGE_SIZE]); /* 0 if the contacts are solved */
+int teeth_play(const struct drive *drive, double crank_angle, struct play *play, char message[MESSAGE_SIZE]);
+double teeth_width(const struct drive *drive, double crank_angle); /* of the play; NAN if it can't be found */
+double teeth_offset_rate(const struct drive *drive, double crank_angle); /* derivative of `offset` by the crank angle */
 /* Torque of the crank from the contacts: the energy's derivative at fixed output. */
-double teeth_crank_torque(const struct drive *drive, const struct place *place, double load, double side,
-                          double offset_rate, double *energy);
-double teeth_stiffness(const struct drive *drive, const struct place *place, double load, double side, double play);
-int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *found,
+double teeth_crank_torque(const struct drive *drive, double crank_angle, double torque);
+double teeth_stiffness(const struct drive *drive, double crank_angle, double torque); /* in contact */
+/* Torque of the teeth with the gear held at a deviation, behind a compliance in series. */
+int teeth_hold(const struct drive *drive, double crank_angle, double deviation, double series, double *torque,
+               char message[MESSAGE_SIZE]);
+int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *pressed,
                 char message[MESSAGE_SIZE]); /* of a reducer, at given angles of its flanges */
-void teeth_press_gear(const struct drive *drive, double crank_angle, double deviation, double series,
-                      struct pressed *found);
+int teeth_press_gear(const struct drive *drive, double crank_angle, double deviation, double series,
+                     struct pressed *pressed, char message[MESSAGE_SIZE]);
 
 int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]);
-int kinematic_gear(struct drive *drive, const struct play *play, double torque, double end, double *deviation,
-                   char message[MESSAGE_SIZE]);
-double kinematic_rate(struct drive *drive, const struct place *place, const struct play *play);
+/* The gear's deviation at a torque, without the play if it is off; at zero torque the given end of the play. */
+int kinematic_gear(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]);
+double kinematic_torque(const struct drive *drive);  /* of the teeth on the gear */
+int kinematic_pressed(const struct drive *drive);    /* whether there is contact */
+double kinematic_rate(const struct drive *drive);    /* of the gear's angle with the crank's */
 double kinematic_crank_torque(struct drive *drive);
 double kinematic_speed(struct drive *drive);
 struct rubbing kinematic_rubbing(struct drive *drive, int flange, double torque);
 double kinematic_yielding(struct drive *drive, double speed, double stiffness);
 
 int reducer_elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]);
-void reducer_hold(struct drive *drive, double deviation);
+int reducer_hold(struct drive *drive, double deviation, char message[MESSAGE_SIZE]);
 /* Contacts and series compliance behind the first stage, at given angles of sun and output. */
-void reducer_press(const struct drive *drive, double sun_angle, double deviation, struct pressed *found);
+int reducer_press(const struct drive *drive, double sun_angle, double deviation, struct pressed *pressed,
+                  char message[MESSAGE_SIZE]);
 double reducer_pressed_stiffness(const struct drive *drive);
 double reducer_speed(struct drive *drive);
 double reducer_stiffness(struct drive *drive);
-double reducer_backlash(const struct drive *drive, double crank, double gear);
+double reducer_backlash(const struct drive *drive, double crank_angle, double gear);
 
 int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]);
 int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE]);
@@ -174,7 +171,7 @@ enum { MOST_STATES = 5 + 2 * FRICTION_ELEMENTS };
 int exchange_states(const struct drive *drive, int fields[MOST_STATES]);
 int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]);
 double exchange_rate(const struct drive *drive, int field);
-void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]);
+void exchange_indicators(struct drive *drive, double result[EVENT_INDICATORS]);
 void exchange_keep(struct drive *drive);
 
 /* A direction of inputs, parameters or states: the seeds are in the fields of their variables. */

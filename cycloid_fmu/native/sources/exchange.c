@@ -41,8 +41,7 @@ int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     }
     if (drive->table->offers == INTERFACE_INERTIA) {
         s->turned = s->crank_angle;
-        s->output_angle = s->deviation + s->turned / drive->ratio;
-        drive->placed = 0;
+        s->output_angle = s->transmission_error + s->turned / drive->ratio;
     }
     s->seen = s->output_angle;
     s->crank_seen = s->crank_angle;
@@ -63,7 +62,7 @@ static double speed_at(const struct drive *drive, int flange) {
 /* Time derivative of a state. */
 double exchange_rate(const struct drive *drive, int field) {
     const struct state *s = &drive->state;
-    double rate[FRICTION_ELEMENTS], found;
+    double rate[FRICTION_ELEMENTS], result;
     int flange = field >= INPUT_FRICTION_STRAIN_1 + FRICTION_ELEMENTS ? OUTPUT : INPUT;
     switch (field) {
     case CRANK_ANGLE: return s->crank_speed;
@@ -74,14 +73,14 @@ double exchange_rate(const struct drive *drive, int field) {
         return (s->torque - drive->pressed.by_rotation - drive->damping - compliant_rubbing(drive, OUTPUT).torque)
             / s->output_inertia;
     case DISSIPATED_ENERGY:
-        found = compliant_power(drive);
+        result = compliant_power(drive);
         for (flange = INPUT; flange <= OUTPUT; flange++) {
             if (drive->rubs[flange]) {
-                found += compliant_rubbing(drive, flange).torque * speed_at(drive, flange)
+                result += compliant_rubbing(drive, flange).torque * speed_at(drive, flange)
                     - friction_flow(drive, flange, speed_at(drive, flange), compliant_load(drive, flange), rate);
             }
         }
-        return found;
+        return result;
     default:
         friction_flow(drive, flange, speed_at(drive, flange), compliant_load(drive, flange), rate);
         return rate[(field - INPUT_FRICTION_STRAIN_1) % FRICTION_ELEMENTS];
@@ -90,24 +89,26 @@ double exchange_rate(const struct drive *drive, int field) {
 
 /* An indicator passes zero when a flank comes into or out of contact, a torque leaves the tables, or a flange with friction
    reverses. In the kinematic interface, whose output jumps from flank to flank: when the torque reverses. */
-void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
+void exchange_indicators(struct drive *drive, double result[EVENT_INDICATORS]) {
     const struct state *s = &drive->state;
     const int still = drive_kinematic(drive);
-    const double load = still ? s->load : drive->pressed.load, side = still ? s->side : drive->pressed.side;
-    found[2] = teeth_side(drive, side)->reach - load;
-    found[3] = drive->rubs[INPUT] ? s->crank_speed : 1.0;
+    const double torque = still ? kinematic_torque(drive) : drive->pressed.torque;
+    result[2] = drive->contacts.reach[torque > 0.0 ? 0 : 1] - fabs(torque);
+    result[3] = drive->rubs[INPUT] ? s->crank_speed : 1.0;
     if (still) {
-        found[0] = s->torque;
-        found[1] = found[4] = 1.0;
+        result[0] = s->torque;
+        result[1] = result[4] = 1.0;
     } else if (drive->b > 0.0) {
-        found[0] = found[1] = 1.0; /* contacts behind a first stage also begin at the ends of its plays: no own event */
-        found[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
+        result[0] = result[1] = 1.0; /* contacts behind a first stage also begin at the ends of its plays: no own event */
+        result[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
     } else {
-        struct play play = teeth_play(drive, drive_place(drive));
+        char message[MESSAGE_SIZE];
+        struct play play;
         double deviation = s->output_angle - drive_angle(drive) / drive->ratio;
-        found[0] = deviation - (play.end[0].deviation - play.offset);
-        found[1] = deviation + (play.end[1].deviation - play.offset);
-        found[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
+        teeth_play(drive, drive_angle(drive), &play, message);
+        result[0] = deviation - (play.high - play.offset);
+        result[1] = deviation - (play.low + play.offset);
+        result[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
     }
 }
 

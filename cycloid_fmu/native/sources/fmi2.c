@@ -6,6 +6,10 @@
 #include "format.h"
 #include "instance.h"
 
+#ifdef SOURCE_HASH
+FMI2_Export const char cycloid_sources[] = SOURCE_HASH; /* by which a library of other sources is recognised */
+#endif
+
 static void log_message(struct instance *instance, int status, const char *message) {
     const fmi2CallbackFunctions *functions = instance->callback;
     char format[2 * MESSAGE_SIZE];
@@ -38,7 +42,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     }
     instance->log = log_message;
     instance->callback = (void *)functions;
-    if (instance_open(instance, name, guid, resources, type == fmi2ModelExchange)) {
+    if (instance_open(instance, name, guid, resources, type == fmi2ModelExchange, 0) != STATUS_OK) {
         instance_close(instance);
         return NULL;
     }
@@ -51,15 +55,13 @@ void fmi2FreeInstance(fmi2Component c) {
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real start,
                                fmi2Boolean stopDefined, fmi2Real stop) {
-    struct instance *instance = c;
     (void)toleranceDefined, (void)tolerance, (void)stopDefined, (void)stop;
-    instance->drive.state.time = start;
+    *instance_time(c) = start;
     return fmi2OK;
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
-    struct instance *instance = c;
-    return (fmi2Status)instance_initialize(instance, instance->drive.state.time);
+    return (fmi2Status)instance_initialize(c, *instance_time(c));
 }
 
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
@@ -136,8 +138,8 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
 }
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size) {
-    (void)c, (void)state;
-    *size = drive_state_size();
+    (void)state;
+    *size = instance_state_size(c);
     return fmi2OK;
 }
 
@@ -228,11 +230,10 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status 
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
-    struct instance *instance = c;
     if (kind != fmi2LastSuccessfulTime) {
         return fmi2Discard;
     }
-    *value = instance->drive.state.time;
+    *value = *instance_time(c);
     return fmi2OK;
 }
 

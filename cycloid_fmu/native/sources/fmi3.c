@@ -40,8 +40,7 @@ static struct instance *opened(fmi3String name, fmi3String token, fmi3String res
         failed = instance_refuse(instance, STATUS_ERROR, "this FMU is none for %s.", refused);
     } else {
         instance->events = events;
-        failed = instance_open(instance, name, token, resources, exchange);
-        instance->drive.early = early;
+        failed = instance_open(instance, name, token, resources, exchange, early);
     }
     if (failed) {
         instance_close(instance);
@@ -217,12 +216,11 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *discreteStatesN
                                     fmi3Boolean *terminateSimulation, fmi3Boolean *nominalsOfContinuousStatesChanged,
                                     fmi3Boolean *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined,
                                     fmi3Float64 *nextEventTime) {
-    struct instance *instance = c;
     *discreteStatesNeedUpdate = *terminateSimulation = *nominalsOfContinuousStatesChanged = fmi3False;
     *nextEventTimeDefined = fmi3False;
     *nextEventTime = 0.0;
-    *valuesOfContinuousStatesChanged = instance->drive.exchange != 0;
-    return (fmi3Status)instance_update(instance);
+    *valuesOfContinuousStatesChanged = instance_exchanges(c) != 0;
+    return (fmi3Status)instance_update(c);
 }
 
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) {
@@ -264,15 +262,12 @@ fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 nominal
 }
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *nEventIndicators) {
-    const struct instance *instance = c;
-    *nEventIndicators = instance->drive.exchange ? EVENT_INDICATORS : 0;
+    *nEventIndicators = instance_exchanges(c) ? EVENT_INDICATORS : 0;
     return fmi3OK;
 }
 
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *nContinuousStates) {
-    const struct instance *instance = c;
-    int fields[MOST_STATES];
-    *nContinuousStates = instance->drive.exchange ? (size_t)exchange_states(&instance->drive, fields) : 0;
+    *nContinuousStates = instance_state_count(c);
     return fmi3OK;
 }
 
@@ -307,7 +302,7 @@ fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state) {
 }
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size) {
-    *size = drive_state_size();
+    *size = instance_state_size(c);
     return fmi3OK;
 }
 
@@ -322,11 +317,10 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 step, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
                       fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminateSimulation, fmi3Boolean *earlyReturn,
                       fmi3Float64 *lastSuccessfulTime) {
-    struct instance *instance = c;
-    int status = instance_step(instance, time, step);
-    *earlyReturn = instance->drive.left > 0.0;
-    *eventHandlingNeeded = instance->drive.early && instance->drive.impact;
+    int status = instance_step(c, time, step);
+    *earlyReturn = instance_early(c) != 0;
+    *eventHandlingNeeded = instance_event(c) != 0;
     *terminateSimulation = fmi3False;
-    *lastSuccessfulTime = instance->drive.state.time;
+    *lastSuccessfulTime = *instance_time(c);
     return (fmi3Status)status;
 }

@@ -26,25 +26,25 @@ double friction_viscous(const struct drive *drive, int flange) {
 static struct yields cold_yields(const struct drive *drive, int flange, double load, double speed) {
     const struct friction *law = &drive->state.friction[flange];
     double torque = law->coulomb + law->load_share * fabs(load);
-    struct yields found;
+    struct yields result;
     if (law->stribeck > 0.0) {
         double share = speed / law->stribeck_speed;
         torque += law->stribeck * exp(-fmin(share * share, 700.0));
     }
-    found.low = found.high = torque;
+    result.low = result.high = torque;
     if (flange == INPUT && drive->lossy) {
-        found.low += losses_torque(drive, speed, -load);
-        found.high += losses_torque(drive, speed, load);
+        result.low += losses_torque(drive, speed, -load);
+        result.high += losses_torque(drive, speed, load);
     }
-    return found;
+    return result;
 }
 
 struct yields friction_yields(const struct drive *drive, int flange, double load, double speed) {
-    struct yields found = cold_yields(drive, flange, load, speed);
+    struct yields result = cold_yields(drive, flange, load, speed);
     double warm = warmth(drive, flange);
-    found.low *= warm;
-    found.high *= warm;
-    return found;
+    result.low *= warm;
+    result.high *= warm;
+    return result;
 }
 
 /* Values that follow from the laws; elements with a new stiffness start unstrained, their stored energy is dissipated. */
@@ -71,7 +71,7 @@ void friction_settle(struct drive *drive) {
 /* Move the elements by a displacement in a time; their strains at the end are in `following`. */
 struct slid friction_slide(const double strain[FRICTION_ELEMENTS], double following[FRICTION_ELEMENTS], double way, double time,
                            double stiffness, struct yields yields) {
-    struct slid found = {0.0, 0.0, 0.0};
+    struct slid result = {0.0, 0.0, 0.0};
     double damping = time > 0.0 ? stiffness * PRESLIDING_TIME / time : 0.0;
     double low = SHARE * yields.low / stiffness, high = SHARE * yields.high / stiffness;
     double bound = SHARE * (way > 0.0 ? yields.high : -yields.low);
@@ -98,32 +98,32 @@ struct slid friction_slide(const double strain[FRICTION_ELEMENTS], double follow
         } else if (stuck == way) {
             change += damping;
         }
-        found.torque += mean + damped;
-        found.slope += change;
-        found.lost += 0.5 * stiffness * (strain[i] * strain[i] - start * start) + stiffness * end * (way - stuck)
+        result.torque += mean + damped;
+        result.slope += change;
+        result.lost += 0.5 * stiffness * (strain[i] * strain[i] - start * start) + stiffness * end * (way - stuck)
             + damped * way;
         following[i] = end;
     }
-    return found;
+    return result;
 }
 
 /* Friction over a displacement in a time, under a load of the teeth; only `following` is written. */
 struct slid friction_rub(const struct drive *drive, int flange, double way, double time, double load,
                          double following[FRICTION_ELEMENTS]) {
     double speed = time > 0.0 ? way / time : 0.0, stiffness = drive->element[flange], drag = friction_viscous(drive, flange);
-    struct slid found = {0.0, 0.0, 0.0};
+    struct slid result = {0.0, 0.0, 0.0};
     if (stiffness > 0.0) {
-        found = friction_slide(drive->state.strain[flange], following, way, time, stiffness,
+        result = friction_slide(drive->state.strain[flange], following, way, time, stiffness,
                                friction_yields(drive, flange, load, speed));
     } else {
         memcpy(following, drive->state.strain[flange], sizeof drive->state.strain[flange]);
     }
     if (drag > 0.0 && time > 0.0) {
-        found.torque += drag * speed;
-        found.slope += drag / time;
-        found.lost += drag * speed * way;
+        result.torque += drag * speed;
+        result.slope += drag / time;
+        result.lost += drag * speed * way;
     }
-    return found;
+    return result;
 }
 
 double friction_held(const struct drive *drive, int flange, double way, double load, double speed,
@@ -145,16 +145,16 @@ double friction_held(const struct drive *drive, int flange, double way, double l
 
 struct rubbing friction_press(const struct drive *drive, int flange, double way, double speed, double load, double time) {
     double stiffness = drive->element[flange], damped = stiffness * time * speed, drag = friction_viscous(drive, flange) * speed;
-    struct rubbing found = {0.0, 0.0, 0.0};
+    struct rubbing result = {0.0, 0.0, 0.0};
     struct yields yields;
     int i;
     if (!drive->rubs[flange]) {
-        return found;
+        return result;
     }
-    found.torque = drag;
-    found.power = drag * speed;
+    result.torque = drag;
+    result.power = drag * speed;
     if (stiffness == 0.0) {
-        return found;
+        return result;
     }
     yields = friction_yields(drive, flange, load, speed);
     for (i = 0; i < FRICTION_ELEMENTS; i++) {
@@ -163,12 +163,12 @@ struct rubbing friction_press(const struct drive *drive, int flange, double way,
         double reached = elastic + damped, torque = clipped(reached, least, most), held;
         double near = FRICTION_ROUNDING * (most - least);
         int slides = speed > 0.0 ? reached >= most - near : reached <= least + near;
-        found.torque += torque;
-        found.power += speed * (slides ? torque : damped);
+        result.torque += torque;
+        result.power += speed * (slides ? torque : damped);
         held = way == 0.0 ? drive->state.strain[flange][i] : elastic / stiffness; /* not dissipated yet if it yields less */
-        found.stored += 0.5 * stiffness * held * held;
+        result.stored += 0.5 * stiffness * held * held;
     }
-    return found;
+    return result;
 }
 
 double friction_strained(const struct drive *drive, int flange) {

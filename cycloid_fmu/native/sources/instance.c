@@ -8,23 +8,8 @@
 
 #include "uri.h"
 
-static const char TABLE[] = TABLE_FILE;
-
-static int table_path(const char *resources, char *path, size_t size) {
-    size_t used;
-    if (path_from_uri(resources, path, size)) {
-        return 1;
-    }
-    used = strlen(path);
-    if (used + 1 + sizeof TABLE > size) {
-        return 1;
-    }
-    if (path[used - 1] != '/' && path[used - 1] != '\\') {
-        path[used++] = '/';
-    }
-    memcpy(path + used, TABLE, sizeof TABLE);
-    return 0;
-}
+static const struct model *const MODELS[] = {&drive_model, &compensator_model};
+enum { MODEL_COUNT = sizeof MODELS / sizeof *MODELS, PATH_SIZE = 4096 };
 
 int instance_refuse(struct instance *instance, int status, const char *format, ...) {
     char message[MESSAGE_SIZE];
@@ -36,50 +21,99 @@ int instance_refuse(struct instance *instance, int status, const char *format, .
     return status;
 }
 
-static const struct variable *of_field(const struct instance *instance, int field) {
-    uint32_t i;
-    for (i = 0; i < instance->table->variables; i++) {
-        if (instance->table->variable[i].field == field) {
-            return &instance->table->variable[i];
+/* Status of a model's function that has written its message. */
+static int status_of(struct instance *instance, int failed) {
+    return failed ? instance_refuse(instance, STATUS_ERROR, "%s", instance->message) : STATUS_OK;
+}
+
+/* The same where a solver may try again with a shorter step. */
+static int solver_status_of(struct instance *instance, int failed) {
+    return failed ? instance_refuse(instance, instance->phase == CONTINUOUS ? STATUS_DISCARD : STATUS_ERROR, "%s",
+                                    instance->message)
+                  : STATUS_OK;
+}
+
+/* Path of a file in a folder with an end of `used` characters; returns 1 if it is too long. */
+static int file_path(char path[PATH_SIZE], size_t used, const char *name) {
+    size_t size = strlen(name) + 1;
+    if (used + size > PATH_SIZE) {
+        return 1;
+    }
+    memcpy(path + used, name, size);
+    return 0;
+}
+
+/* Find the model whose file is in the resources, and its path; NULL with a message without one. */
+static const struct model *model_of(struct instance *instance, const char *resources, char path[PATH_SIZE]) {
+    size_t used, i;
+    int failed = path_from_uri(resources, path, PATH_SIZE - 1);
+    used = failed ? 0 : strlen(path);
+    if (!failed && path[used - 1] != '/' && path[used - 1] != '\\') {
+        path[used++] = '/';
+    }
+    for (i = 0; i < MODEL_COUNT && !failed; i++) {
+        FILE *file;
+        failed = file_path(path, used, MODELS[i]->file);
+        file = failed ? NULL : resource_open(path);
+        if (file != NULL) {
+            fclose(file);
+            return MODELS[i];
         }
+    }
+    if (failed) {
+        instance_refuse(instance, STATUS_ERROR, "\"%.200s\" is neither a path nor a file URI of the FMU's resources.",
+                        resources == NULL ? "" : resources);
+    } else {
+        path[used] = '\0';
+        instance_refuse(instance, STATUS_ERROR, "%.300s: the table can't be read: there is neither %s nor %s.", path,
+                        MODELS[0]->file, MODELS[1]->file);
     }
     return NULL;
 }
 
-int instance_open(struct instance *instance, const char *name, const char *token, const char *resources, int exchange) {
-    char path[4096];
+int instance_open(struct instance *instance, const char *name, const char *token, const char *resources, int exchange,
+                  int early) {
+    char path[PATH_SIZE];
+    const struct model *model;
     size_t size = name == NULL ? 0 : strlen(name);
     instance->name = calloc(size + 1, 1);
     if (instance->name == NULL) {
-        return 1;
+        return STATUS_ERROR;
     }
     if (size > 0) {
         memcpy(instance->name, name, size);
     }
-    if (table_path(resources, path, sizeof path)) {
-        instance_refuse(instance, STATUS_ERROR, "\"%.200s\" is neither a path nor a file URI of the FMU's resources.",
-                        resources == NULL ? "" : resources);
-        return 1;
+    model = model_of(instance, resources, path);
+    if (model == NULL) {
+        return STATUS_ERROR;
     }
-    instance->table = table_open(path, instance->message);
-    if (instance->table == NULL) {
-        instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
-        return 1;
+    if (exchange && model->exchange == NULL) {
+        return instance_refuse(instance, STATUS_ERROR, "this FMU is for Co-Simulation only.");
     }
-    drive_open(&instance->drive, instance->table);
-    instance->drive.exchange = exchange;
-    instance->events |= exchange;
-    if (token == NULL || strcmp(token, instance->table->token) != 0) {
-        instance_refuse(instance, STATUS_ERROR, "the model description and the table belong to two FMUs: \"%.100s\" and "
-                        "\"%.100s\".", token == NULL ? "" : token, instance->table->token);
-        return 1;
+    instance->self = model->open(path, instance->message);
+    if (instance->self == NULL) {
+        return status_of(instance, 1);
     }
-    return 0;
+    instance->model = model;
+    instance->variable = model->variables(instance->self, &instance->variables);
+    if (model->exchange != NULL) {
+        model->exchange->prepare(instance->self, exchange, early);
+        instance->events |= exchange;
+    } else {
+        instance->events = 0;
+    }
+    if (token == NULL || strcmp(token, model->token(instance->self)) != 0) {
+        return instance_refuse(instance, STATUS_ERROR, "the model description and the table belong to two FMUs: \"%.100s\" "
+                               "and \"%.100s\".", token == NULL ? "" : token, model->token(instance->self));
+    }
+    return STATUS_OK;
 }
 
 void instance_close(struct instance *instance) {
     if (instance != NULL) {
-        table_close(instance->table);
+        if (instance->self != NULL) {
+            instance->model->close(instance->self);
+        }
         free(instance->name);
         free(instance);
     }
@@ -101,7 +135,7 @@ int instance_initialize(struct instance *instance, double start) {
         return instance_refuse(instance, STATUS_ERROR, "the start time is %g s: it must be finite.", start);
     }
     if (status == STATUS_OK) {
-        instance->drive.state.time = start;
+        *instance_time(instance) = start;
         instance->phase = INITIALIZING;
     }
     return status;
@@ -109,30 +143,29 @@ int instance_initialize(struct instance *instance, double start) {
 
 int instance_start(struct instance *instance) {
     int status = in_phase(instance, INITIALIZING, "to end initialization");
-    if (status == STATUS_OK && drive_start(&instance->drive, instance->message)) {
-        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    if (status == STATUS_OK) {
+        status = status_of(instance, instance->model->start(instance->self, instance->message));
     }
     if (status == STATUS_OK) {
         instance->phase = instance->events ? EVENT : STEPPING;
-        instance->drive.state.event_mode = instance->events;
+    }
+    if (status == STATUS_OK && instance->model->exchange != NULL) {
+        instance->model->exchange->set_event_mode(instance->self, instance->events);
     }
     return status;
 }
 
 static void warn_outside(struct instance *instance) {
-    if (!instance->warned && drive_outside(&instance->drive)) {
-        const struct side *side = instance->drive.table->side;
+    if (!instance->warned && instance->model->outside(instance->self, instance->message)) {
         instance->warned = 1;
-        instance_refuse(instance, STATUS_WARNING, "at %g s the torque is beyond the %g N.m of the FMU's tables: what goes "
-                        "on there has no stated accuracy (--largest-torque makes them longer). This is said once.",
-                        instance->drive.state.time, fmin(side[0].reach, side[1].reach));
+        instance_refuse(instance, STATUS_WARNING, "%s", instance->message);
     }
 }
 
 int instance_step(struct instance *instance, double time, double step) {
     int status = in_phase(instance, STEPPING, "a step");
-    if (status == STATUS_OK && drive_step(&instance->drive, time, step, instance->message)) {
-        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    if (status == STATUS_OK) {
+        status = status_of(instance, instance->model->step(instance->self, time, step, instance->message));
     }
     if (status == STATUS_OK) {
         warn_outside(instance);
@@ -147,10 +180,33 @@ int instance_terminate(struct instance *instance) {
     return status;
 }
 
+int instance_reset(struct instance *instance) {
+    instance->model->reset(instance->self);
+    instance->warned = 0;
+    instance->phase = INSTANTIATED;
+    return STATUS_OK;
+}
+
+double *instance_time(struct instance *instance) {
+    return instance->model->time(instance->self);
+}
+
 /* ---- events and Model Exchange ---- */
 
+int instance_exchanges(const struct instance *instance) {
+    return instance->model->exchange != NULL && instance->model->exchange->exchanges(instance->self);
+}
+
+int instance_early(const struct instance *instance) {
+    return instance->model->exchange != NULL && instance->model->exchange->rest(instance->self) > 0.0;
+}
+
+int instance_event(const struct instance *instance) {
+    return instance->model->exchange != NULL && instance->model->exchange->event(instance->self);
+}
+
 static enum phase running(const struct instance *instance) {
-    return instance->drive.exchange ? CONTINUOUS : STEPPING;
+    return instance_exchanges(instance) ? CONTINUOUS : STEPPING;
 }
 
 int instance_enter(struct instance *instance, enum phase phase) {
@@ -166,32 +222,13 @@ int instance_enter(struct instance *instance, enum phase phase) {
     status = in_phase(instance, from, "to change the mode");
     if (status == STATUS_OK) {
         instance->phase = phase;
-        instance->drive.state.event_mode = phase == EVENT;
-    }
-    return status;
-}
-
-static int solved(struct instance *instance) {
-    if (exchange_solve(&instance->drive, instance->message)) {
-        return instance_refuse(instance, instance->phase == CONTINUOUS ? STATUS_DISCARD : STATUS_ERROR, "%s",
-                               instance->message);
-    }
-    return STATUS_OK;
-}
-
-int instance_update(struct instance *instance) {
-    int status = in_phase(instance, EVENT, "to update discrete states");
-    if (status == STATUS_OK && instance->drive.exchange) {
-        status = solved(instance);
-    }
-    if (status == STATUS_OK && instance->drive.exchange) {
-        exchange_keep(&instance->drive);
+        instance->model->exchange->set_event_mode(instance->self, phase == EVENT);
     }
     return status;
 }
 
 static int exchanging(struct instance *instance) {
-    if (!instance->drive.exchange) {
+    if (!instance_exchanges(instance)) {
         return instance_refuse(instance, STATUS_ERROR, "this instance is one for Co-Simulation, not for Model Exchange.");
     }
     if (instance->phase != EVENT && instance->phase != CONTINUOUS) {
@@ -200,21 +237,36 @@ static int exchanging(struct instance *instance) {
     return STATUS_OK;
 }
 
-/* The fields of the states, if the host expects their number. */
-static int states_of(struct instance *instance, size_t count, int fields[MOST_STATES]) {
+static int solved(struct instance *instance) {
     int status = exchanging(instance);
-    size_t own = (size_t)exchange_states(&instance->drive, fields);
-    if (status == STATUS_OK && count != own) {
-        return instance_refuse(instance, STATUS_ERROR, "%u continuous states were asked for, there are %u.", (unsigned)count,
-                               (unsigned)own);
+    return status != STATUS_OK
+               ? status
+               : solver_status_of(instance, instance->model->exchange->solve(instance->self, instance->message));
+}
+
+int instance_update(struct instance *instance) {
+    int status = in_phase(instance, EVENT, "to update discrete states");
+    if (status == STATUS_OK && instance_exchanges(instance)) {
+        status = solved(instance);
+    }
+    if (status == STATUS_OK && instance_exchanges(instance)) {
+        instance->model->exchange->accept(instance->self);
     }
     return status;
 }
 
-static double *state_at(struct instance *instance, int field) {
-    struct variable of = {NULL, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0};
-    of.field = field;
-    return drive_stored(&instance->drive.state, &of);
+size_t instance_state_count(const struct instance *instance) {
+    return instance_exchanges(instance) ? instance->model->exchange->states(instance->self) : 0;
+}
+
+/* Whether the host exchanges as many states as there are. */
+static int states_of(struct instance *instance, size_t count) {
+    int status = exchanging(instance);
+    if (status == STATUS_OK && count != instance_state_count(instance)) {
+        return instance_refuse(instance, STATUS_ERROR, "%u continuous states were asked for, there are %u.", (unsigned)count,
+                               (unsigned)instance_state_count(instance));
+    }
+    return status;
 }
 
 int instance_set_time(struct instance *instance, double time) {
@@ -223,58 +275,54 @@ int instance_set_time(struct instance *instance, double time) {
         return instance_refuse(instance, STATUS_ERROR, "the time is %g s: it must be finite.", time);
     }
     if (status == STATUS_OK) {
-        instance->drive.state.time = time;
+        *instance_time(instance) = time;
     }
     return status;
 }
 
 int instance_set_states(struct instance *instance, const double *values, size_t count) {
-    int fields[MOST_STATES], status = states_of(instance, count, fields);
+    int status = states_of(instance, count);
     size_t i;
     for (i = 0; status == STATUS_OK && i < count; i++) {
         if (!(fabs(values[i]) < HUGE_VAL)) {
             return instance_refuse(instance, STATUS_ERROR, "the continuous state %u is %g: it must be finite.", (unsigned)i,
                                    values[i]);
         }
-        *state_at(instance, fields[i]) = values[i];
     }
-    instance->drive.solved = 0;
+    if (status == STATUS_OK) {
+        instance->model->exchange->set_states(instance->self, values);
+    }
     return status;
 }
 
 int instance_states(struct instance *instance, double *values, size_t count) {
-    int fields[MOST_STATES], status = states_of(instance, count, fields);
-    size_t i;
-    for (i = 0; status == STATUS_OK && i < count; i++) {
-        values[i] = *state_at(instance, fields[i]);
+    int status = states_of(instance, count);
+    if (status == STATUS_OK) {
+        instance->model->exchange->get_states(instance->self, values);
     }
     return status;
 }
 
 int instance_nominals(struct instance *instance, double *values, size_t count) {
-    int fields[MOST_STATES], status = states_of(instance, count, fields);
-    size_t i;
-    for (i = 0; status == STATUS_OK && i < count; i++) {
-        const struct variable *variable = of_field(instance, fields[i]);
-        values[i] = variable != NULL && variable->nominal > 0.0 ? variable->nominal : 1.0;
+    int status = states_of(instance, count);
+    if (status == STATUS_OK) {
+        instance->model->exchange->nominals(instance->self, values);
     }
     return status;
 }
 
 int instance_rates(struct instance *instance, double *values, size_t count) {
-    int fields[MOST_STATES], status = states_of(instance, count, fields);
-    size_t i;
+    int status = states_of(instance, count);
     if (status == STATUS_OK) {
         status = solved(instance);
     }
-    for (i = 0; status == STATUS_OK && i < count; i++) {
-        values[i] = exchange_rate(&instance->drive, fields[i]);
+    if (status == STATUS_OK) {
+        instance->model->exchange->rates(instance->self, values);
     }
     return status;
 }
 
 int instance_indicators(struct instance *instance, double *values, size_t count) {
-    double found[EVENT_INDICATORS];
     int status = exchanging(instance);
     if (status == STATUS_OK && count != EVENT_INDICATORS) {
         status = instance_refuse(instance, STATUS_ERROR, "%u event indicators were asked for, there are %d.",
@@ -284,41 +332,40 @@ int instance_indicators(struct instance *instance, double *values, size_t count)
         status = solved(instance);
     }
     if (status == STATUS_OK) {
-        exchange_indicators(&instance->drive, found);
-        memcpy(values, found, sizeof found);
+        instance->model->exchange->indicators(instance->self, values);
     }
     return status;
 }
 
 int instance_completed(struct instance *instance) {
-    int status = exchanging(instance);
+    int status = solved(instance);
     if (status == STATUS_OK) {
-        status = solved(instance);
-    }
-    if (status == STATUS_OK) {
-        exchange_keep(&instance->drive);
+        instance->model->exchange->accept(instance->self);
         warn_outside(instance);
     }
     return status;
 }
 
 int instance_derivatives(struct instance *instance, const uint32_t *unknowns, size_t count, const uint32_t *knowns,
-                         size_t known_count, const double *seeds, double *found, int adjoint) {
-    struct direction direction;
+                         size_t known_count, const double *seeds, double *values, int adjoint) {
+    const struct exchange *exchange = instance->model->exchange;
     size_t rounds = adjoint ? known_count : 1, i, j, k;
+    if (exchange == NULL) {
+        return instance_refuse(instance, STATUS_ERROR, "this FMU has no derivatives.");
+    }
     for (k = 0; k < rounds; k++) {
-        derivative_begin(&direction);
+        exchange->begin(instance->self);
         for (j = adjoint ? k : 0; j < (adjoint ? k + 1 : known_count); j++) {
             const struct variable *known = instance_variable(instance, knowns[j], KIND_REAL);
             if (known == NULL) {
                 return STATUS_ERROR;
             }
-            if (derivative_seed(&instance->drive, &direction, known, adjoint ? 1.0 : seeds[j], instance->message)) {
-                return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+            if (exchange->seed(instance->self, known, adjoint ? 1.0 : seeds[j], instance->message)) {
+                return status_of(instance, 1);
             }
         }
         if (adjoint) {
-            found[k] = 0.0;
+            values[k] = 0.0;
         }
         for (i = 0; i < count; i++) {
             const struct variable *unknown = instance_variable(instance, unknowns[i], KIND_REAL);
@@ -326,73 +373,75 @@ int instance_derivatives(struct instance *instance, const uint32_t *unknowns, si
             if (unknown == NULL) {
                 return STATUS_ERROR;
             }
-            if (derivative_of(&instance->drive, &direction, unknown, &value, instance->message)) {
-                return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+            if (exchange->derivative(instance->self, unknown, &value, instance->message)) {
+                return status_of(instance, 1);
             }
             if (adjoint) {
-                found[k] += seeds[i] * value;
+                values[k] += seeds[i] * value;
             } else {
-                found[i] = value;
+                values[i] = value;
             }
         }
     }
     return STATUS_OK;
 }
 
-int instance_reset(struct instance *instance) {
-    drive_reset(&instance->drive);
-    instance->warned = 0;
-    instance->phase = INSTANTIATED;
-    return STATUS_OK;
-}
+/* ---- variables ---- */
 
 const struct variable *instance_variable(struct instance *instance, uint32_t reference, int kind) {
-    if (reference >= instance->table->variables || instance->table->variable[reference].kind != kind) {
+    if (reference >= instance->variables || instance->variable[reference].kind != kind) {
         static const char *const KINDS[] = {"real", "integer", "boolean"};
         instance_refuse(instance, STATUS_ERROR, "there is no %s variable with the value reference %u.", KINDS[kind],
                         (unsigned)reference);
         return NULL;
     }
-    return &instance->table->variable[reference];
+    return &instance->variable[reference];
 }
 
 int instance_get(struct instance *instance, const struct variable *variable, double *value) {
-    if (drive_get(&instance->drive, variable, value, instance->message)) {
-        return instance_refuse(instance, instance->phase == CONTINUOUS ? STATUS_DISCARD : STATUS_ERROR, "%s",
-                               instance->message);
-    }
-    return STATUS_OK;
+    return solver_status_of(instance, instance->model->get(instance->self, variable, value, instance->message));
 }
 
 int instance_set(struct instance *instance, const struct variable *variable, double value) {
     if (instance->phase == TERMINATED) {
         return in_phase(instance, STEPPING, "to set a variable");
     }
-    if (drive_set(&instance->drive, variable, value, instance->message)) {
-        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
-    }
-    return STATUS_OK;
+    return status_of(instance, instance->model->set(instance->self, variable, value, instance->message));
+}
+
+/* ---- the state as bytes ---- */
+
+size_t instance_state_size(const struct instance *instance) {
+    return instance->model->state_size(instance->self);
 }
 
 int instance_state(struct instance *instance, void **state) {
     if (*state == NULL) {
-        *state = malloc(drive_state_size());
+        *state = malloc(instance_state_size(instance));
     }
     if (*state == NULL) {
         return instance_refuse(instance, STATUS_ERROR, "there is not enough memory for a state.");
     }
-    drive_state_write(&instance->drive, *state);
+    instance->model->state_write(instance->self, *state);
     return STATUS_OK;
 }
 
+/* Whether bytes are a state of this model; `sealed`: with a checksum. */
+static int check(struct instance *instance, const unsigned char *bytes, size_t size, int sealed) {
+    return status_of(instance, instance->model->state_check(instance->self, bytes, size, sealed, instance->message));
+}
+
 int instance_restore(struct instance *instance, const void *state) {
-    if (drive_state_check(&instance->drive, state, drive_state_size(), 0, instance->message)) {
-        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    const struct exchange *exchange = instance->model->exchange;
+    int initializing;
+    if (check(instance, state, instance_state_size(instance), 0) != STATUS_OK) {
+        return STATUS_ERROR;
     }
-    drive_state_read(&instance->drive, state);
-    if (instance->phase == TERMINATED || instance->phase == INSTANTIATED || !instance->drive.initializing) {
-        instance->phase = instance->drive.initializing              ? INITIALIZING
-            : instance->drive.state.event_mode != 0.0 ? EVENT : running(instance);
+    instance->model->state_read(instance->self, state);
+    initializing = instance->model->initializing(instance->self);
+    if (instance->phase == TERMINATED || instance->phase == INSTANTIATED || !initializing) {
+        instance->phase = initializing                                            ? INITIALIZING
+            : exchange != NULL && exchange->in_event_mode(instance->self) ? EVENT : running(instance);
     }
     return STATUS_OK;
 }
@@ -406,19 +455,20 @@ int instance_state_free(void **state) {
 }
 
 int instance_state_to_bytes(struct instance *instance, const void *state, unsigned char *bytes, size_t size) {
-    if (state == NULL || size < drive_state_size()) {
-        return instance_refuse(instance, STATUS_ERROR, "a state takes %u bytes, given are %u.",
-                               (unsigned)drive_state_size(), (unsigned)size);
+    size_t needed = instance_state_size(instance);
+    if (state == NULL || size < needed) {
+        return instance_refuse(instance, STATUS_ERROR, "a state takes %u bytes, given are %u.", (unsigned)needed,
+                               (unsigned)size);
     }
-    memcpy(bytes, state, drive_state_size());
-    drive_state_seal(bytes);
+    memcpy(bytes, state, needed);
+    instance->model->state_seal(instance->self, bytes);
     return STATUS_OK;
 }
 
 int instance_state_from_bytes(struct instance *instance, const unsigned char *bytes, size_t size, void **state) {
     void *blob;
-    if (drive_state_check(&instance->drive, bytes, size, 1, instance->message)) {
-        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    if (check(instance, bytes, size, 1) != STATUS_OK) {
+        return STATUS_ERROR;
     }
     blob = malloc(size);
     if (blob == NULL) {

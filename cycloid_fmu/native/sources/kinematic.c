@@ -1,37 +1,37 @@
-/* The kinematic interface. */
+/* The kinematic interface: a quasi-static drive. Friction and play form one rate-independent hysteresis: the output is
+   where teeth and friction elements balance the torque. Once all elements slide, the output is carried along, at its
+   position for torque - friction or torque + friction. At zero torque without friction these two limits are the ends of
+   the play. */
 #include "drive.h"
 
 #include <math.h>
 #include <string.h>
 
-const struct place *drive_place(struct drive *drive) {
-    if (!drive->placed) {
-        double crank = drive_kinematic(drive) || drive->resting ? drive->state.placed
-            : drive->b > 0.0 ? drive->pressed.crank : drive_angle(drive);
-        drive->place = table_place(drive->table, crank);
-        drive->placed = 1;
-        drive->at_load = 0.0;
-        drive->driven = 0;
-    }
-    return &drive->place;
+double kinematic_torque(const struct drive *drive) {
+    return drive->state.side < 0.0 ? -drive->state.load : drive->state.load;
 }
 
-/* The gear's deviation at a torque, minus the play if it is off; at zero torque the given end of the play. */
-int kinematic_gear(struct drive *drive, const struct play *play, double torque, double end, double *deviation,
-                   char message[MESSAGE_SIZE]) {
+int kinematic_pressed(const struct drive *drive) {
+    return drive->state.load > 0.0 || (drive->state.loose == 0.0 && teeth_width(drive, drive->state.placed) == 0.0);
+}
+
+int kinematic_gear(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    double side = torque == 0.0 ? (end < 0.0 ? -1.0 : 1.0) : copysign(1.0, torque), load = fabs(torque);
-    const struct side *table = teeth_side(drive, side);
-    s->load = load;
-    s->side = torque == 0.0 ? end : side;
+    struct loaded at;
+    struct play play = {0.0, 0.0, 0.0, 0.0};
+    s->load = fabs(torque);
+    s->side = torque == 0.0 ? end : copysign(1.0, torque);
+    if ((torque == 0.0 || s->backlash_on == 0.0) && teeth_play(drive, s->placed, &play, message)) {
+        return 1;
+    }
     if (torque == 0.0) {
-        double middle = 0.5 * (play->end[0].deviation - play->end[1].deviation);
-        *deviation = middle + end * (0.5 * play->width - play->offset);
+        *deviation = 0.5 * (play.low + play.high) + end * (0.5 * play.width - play.offset);
         return 0;
     }
-    drive->at = table_at(table, &drive->place, load);
-    drive->at_load = side * load;
-    *deviation = side * (drive->at.deviation - play->offset);
+    if (teeth_refuse(drive->contacts.loaded(drive->contacts.self, s->placed, torque, &at), torque, message)) {
+        return 1;
+    }
+    *deviation = at.deviation - s->side * play.offset;
     if (!(fabs(*deviation) < LARGEST_TRANSMISSION_ERROR)) {
         return drive_refuse(message, "flange_b.tau and friction_torque make %g N.m, which turns the output by more than %g rad.",
                       torque, LARGEST_TRANSMISSION_ERROR);
@@ -39,59 +39,65 @@ int kinematic_gear(struct drive *drive, const struct play *play, double torque, 
     return 0;
 }
 
-/* Rate of the output's angle with the crank's: that of the flank under load, or of the flank that pushes the output. */
-double kinematic_rate(struct drive *drive, const struct place *place, const struct play *play) {
+/* That of the flank under load, or of the flank that pushes the output. */
+double kinematic_rate(const struct drive *drive) {
     const struct state *s = &drive->state;
-    double side = s->side < 0.0 ? -1.0 : 1.0, rate;
+    const struct contacts *contacts = &drive->contacts;
+    const double side = s->side < 0.0 ? -1.0 : 1.0;
+    double rate;
     if (s->load > 0.0) {
-        rate = side * (table_at(teeth_side(drive, side), place, s->load).rate - play->offset_rate);
-    } else if (s->backlash_on == 0.0 || play->width == 0.0) {
-        rate = play->end[0].rate - play->offset_rate;
+        rate = contacts->rate(contacts->self, s->placed, kinematic_torque(drive)) - side * teeth_offset_rate(drive, s->placed);
+    } else if (s->backlash_on != 0.0 && teeth_width(drive, s->placed) > 0.0) {
+        rate = contacts->touch_rate(contacts->self, s->placed, s->pushed < 0.0 ? -1.0 : 1.0);
+    } else if (kinematic_pressed(drive)) {
+        rate = contacts->rate(contacts->self, s->placed, 0.0);
     } else {
-        rate = s->pushed < 0.0 ? -play->end[1].rate : play->end[0].rate;
+        rate = contacts->touch_rate(contacts->self, s->placed, 1.0) - teeth_offset_rate(drive, s->placed);
     }
     return rate + 1.0 / drive->table->ratio;
 }
 
 /* The flange's deviation at a torque; at zero torque the given end of the play. */
-static int elastic(struct drive *drive, const struct play *play, double torque, double end, double *deviation,
-                   char message[MESSAGE_SIZE]) {
+static int elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]) {
     int failed = drive->b > 0.0 ? reducer_elastic(drive, torque, end, deviation, message)
-                                : kinematic_gear(drive, play, torque, end, deviation, message);
+                                : kinematic_gear(drive, torque, end, deviation, message);
     *deviation += drive->state.series_compliance * torque;
     return failed;
 }
 
-static void hold(struct drive *drive, const struct play *play, double deviation) {
+static int hold(struct drive *drive, double deviation, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
+    double torque;
     if (drive->b > 0.0) {
-        reducer_hold(drive, deviation);
-        return;
+        return reducer_hold(drive, deviation, message);
     }
-    s->side = deviation > play->end[0].deviation - play->offset ? 1.0 : -1.0;
-    s->load = table_load(teeth_side(drive, s->side), &drive->place, s->side * deviation, play->offset, s->series_compliance);
+    if (teeth_hold(drive, s->placed, deviation, s->series_compliance, &torque, message)) {
+        return 1;
+    }
+    s->load = fabs(torque);
+    s->side = torque < 0.0 ? -1.0 : 1.0;
+    return 0;
 }
 
 /* The output at zero torque without friction: it stays at its position, limited to the ends of the play. */
-static int floating(struct drive *drive, const struct play *play, double before, double *deviation,
-                    char message[MESSAGE_SIZE]) {
+static int floating(struct drive *drive, double before, double *deviation, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     double low = 0.0, high = 0.0;
-    int failed = elastic(drive, play, 0.0, 1.0, &high, message);
+    int failed = elastic(drive, 0.0, 1.0, &high, message);
     *deviation = before;
     s->pushed = 0.0;
     if (!failed && before > high) {
         *deviation = high;
         s->pushed = 1.0;
     } else if (!failed) {
-        failed = elastic(drive, play, 0.0, -1.0, &low, message);
+        failed = elastic(drive, 0.0, -1.0, &low, message);
         if (before < low) {
             *deviation = low;
             s->pushed = -1.0;
         } else if (low == high) {
             *deviation = low;
         } else if (!failed) {
-            hold(drive, play, before);
+            failed = hold(drive, before, message);
         }
     }
     return failed;
@@ -105,14 +111,14 @@ static double pace(const struct drive *drive) {
 /* Friction of the output while all elements slide, with the share of the load of the teeth, |towards - friction|;
    `towards` is the torque on the output, positive in the direction of motion. */
 static double sliding(const struct drive *drive, double towards) {
-    double bare = friction_yields(drive, OUTPUT, 0.0, pace(drive)).high, found;
+    double bare = friction_yields(drive, OUTPUT, 0.0, pace(drive)).high, result;
     double share = friction_yields(drive, OUTPUT, 1.0, pace(drive)).high - bare;
-    found = (bare + share * towards) / (1.0 + share);
-    return found <= towards ? found : (bare - share * towards) / (1.0 - fmin(share, MOST_LOAD_SHARE));
+    result = (bare + share * towards) / (1.0 + share);
+    return result <= towards ? result : (bare - share * towards) / (1.0 - fmin(share, MOST_LOAD_SHARE));
 }
 
-/* The root of an increasing function, as `balanced` of cycloid_fmu/fmu/friction.py: Newton's method within bounds, with
-   bisection. */
+/* The root of an increasing function by Newton's method within bounds, with bisection where a step does not halve: it
+   could alternate for ever between two sliding states. */
 struct search {
     double at, low, high, before, step;
 };
@@ -142,9 +148,10 @@ static int search_on(struct search *search, double value, double slope, double a
     return 0;
 }
 
-/* The output's deviation with friction that held it before, as `_carried` of cycloid_fmu/fmu/model.py. */
-static int carried(struct drive *drive, const struct play *play, double before, double *deviation,
-                   char message[MESSAGE_SIZE]) {
+/* The output's deviation with friction that held it `before`: M + f(displacement) = T, teeth M, friction f. If all
+   elements slide, the friction follows from the torque. Otherwise it is in between: the teeth have one deviation at
+   T - f, which decreases with f, and the elements have one f at each deviation, which increases with it. */
+static int carried(struct drive *drive, double before, double *deviation, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     const double load = s->torque - friction_viscous(drive, OUTPUT) * pace(drive), stiffness = drive->element[OUTPUT];
     double following[FRICTION_ELEMENTS], slope, end, most, ends[2], place[2], borne[2], reached = 0.0;
@@ -152,15 +159,15 @@ static int carried(struct drive *drive, const struct play *play, double before, 
     int i, failed = 0;
     s->pushed = 1.0;
     if (stiffness == 0.0) {
-        return load == 0.0 ? floating(drive, play, before, deviation, message)
-                           : elastic(drive, play, load, 0.0, deviation, message);
+        return load == 0.0 ? floating(drive, before, deviation, message)
+                           : elastic(drive, load, 0.0, deviation, message);
     }
     ends[0] = -sliding(drive, -load);
     ends[1] = sliding(drive, load);
     most = fmax(-ends[0], ends[1]);
     for (i = 0; i < 2; i++) {
         const double side = i == 0 ? 1.0 : -1.0;
-        if (elastic(drive, play, load - ends[i], side, deviation, message)) {
+        if (elastic(drive, load - ends[i], side, deviation, message)) {
             return 1;
         }
         reached = friction_held(drive, OUTPUT, *deviation - before, load - ends[i], pace(drive), following, &slope);
@@ -172,7 +179,7 @@ static int carried(struct drive *drive, const struct play *play, double before, 
     }
     if (ends[0] < load && load < ends[1]) {
         for (i = 0; i < 2; i++) {
-            if (elastic(drive, play, 0.0, i == 0 ? -1.0 : 1.0, &place[i], message)) {
+            if (elastic(drive, 0.0, i == 0 ? -1.0 : 1.0, &place[i], message)) {
                 return 1;
             }
             borne[i] = friction_held(drive, OUTPUT, place[i] - before, 0.0, pace(drive), following, &slope);
@@ -188,8 +195,7 @@ static int carried(struct drive *drive, const struct play *play, double before, 
             }
             s->pushed = 0.0;
             memcpy(s->strain[OUTPUT], following, sizeof following);
-            hold(drive, play, *deviation);
-            return 0;
+            return hold(drive, *deviation, message);
         }
         ends[load > borne[1] ? 1 : 0] = load;
     }
@@ -198,10 +204,12 @@ static int carried(struct drive *drive, const struct play *play, double before, 
     for (i = 0; i < FRICTION_ITERATIONS && !failed; i++) {
         const double force = search.at, torque = load - force, side = torque == 0.0 ? end : copysign(1.0, torque);
         double compliance = s->series_compliance, teeth;
-        failed = elastic(drive, play, torque, side, deviation, message);
+        failed = elastic(drive, torque, side, deviation, message);
         reached = friction_held(drive, OUTPUT, *deviation - before, torque, pace(drive), following, &slope);
-        teeth = s->loose != 0.0 ? 0.0
-            : teeth_stiffness(drive, drive_place(drive), s->load, s->side < 0.0 ? -1.0 : 1.0, play->width);
+        if (failed) {
+            break;
+        }
+        teeth = kinematic_pressed(drive) ? teeth_stiffness(drive, s->placed, kinematic_torque(drive)) : 0.0;
         compliance += teeth > 0.0 ? 1.0 / teeth : 0.0;
         s->pushed = copysign(1.0, torque);
         if (search_on(&search, force - reached, 1.0 + slope * compliance, FRICTION_SHARE * most)) {
@@ -215,34 +223,27 @@ static int carried(struct drive *drive, const struct play *play, double before, 
 int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     double ideal = s->crank_angle / drive->ratio, deviation = 0.0;
-    struct play play;
     int failed;
     if (!((friction_viscous(drive, INPUT) + friction_viscous(drive, OUTPUT)) * s->crank_speed * s->crank_speed < HUGE_VAL)) {
         return drive_refuse(message, "flange_a.w = %g rad/s: viscous friction is beyond the range of numbers.", s->crank_speed, 0.0);
     }
-    memset(&play, 0, sizeof play);
     if (drive->b == 0.0) { /* a reducer's crank is set where its position is solved */
         s->placed = s->crank_angle;
-        drive->placed = 0;
-        drive_place(drive);
-        if (s->torque == 0.0 || drive->rubs[OUTPUT] || s->backlash_on == 0.0) {
-            play = teeth_play(drive, &drive->place);
-        }
     }
     if (s->settled == 0.0 || (!drive->rubs[OUTPUT] && s->torque != 0.0)) {
-        failed = elastic(drive, &play, s->torque, 0.0, &deviation, message);
+        failed = elastic(drive, s->torque, 0.0, &deviation, message);
         s->pushed = s->torque != 0.0 ? 1.0 : 0.0;
     } else if (drive->rubs[OUTPUT]) {
-        failed = carried(drive, &play, s->output_angle - ideal, &deviation, message);
+        failed = carried(drive, s->output_angle - ideal, &deviation, message);
     } else {
-        failed = floating(drive, &play, s->output_angle - ideal, &deviation, message);
+        failed = floating(drive, s->output_angle - ideal, &deviation, message);
     }
     if (!failed && !(fabs(deviation) < HUGE_VAL && fabs(ideal) < HUGE_VAL && s->load < HUGE_VAL)) {
         failed = drive_refuse(message, "flange_b.tau = %g N.m, flange_a.phi = %g rad: the output can't be found there.", s->torque, s->crank_angle);
     }
     s->settled = 1.0;
     s->output_angle = ideal + deviation;
-    s->deviation = deviation;
+    s->transmission_error = deviation;
     if (drive->element[INPUT] > 0.0 && drive->rubs[INPUT] && !failed) {
         double following[FRICTION_ELEMENTS], slope;
         friction_held(drive, INPUT, s->crank_angle - s->crank_seen, kinematic_crank_torque(drive), s->crank_speed, following,
@@ -274,43 +275,23 @@ double kinematic_yielding(struct drive *drive, double speed, double stiffness) {
 }
 
 double kinematic_crank_torque(struct drive *drive) {
-    const struct place *place = drive_place(drive);
-    struct play play;
-    double energy, torque;
-    if (drive->driven) {
-        return drive->crank_torque;
-    }
-    play = teeth_play(drive, place);
-    drive->driven = 1;
-    drive->crank_torque = 0.0;
-    if (drive->state.load == 0.0 && (play.width > 0.0 || drive->state.loose != 0.0)) {
+    double torque;
+    if (!kinematic_pressed(drive)) {
         return 0.0;
     }
-    torque = teeth_crank_torque(drive, place, drive->state.load, drive->state.side < 0.0 ? -1.0 : 1.0, play.offset_rate,
-                             &energy);
-    return drive->crank_torque = drive->b > 0.0 ? -drive->b * torque : torque;
+    torque = teeth_crank_torque(drive, drive->state.placed, kinematic_torque(drive));
+    return drive->b > 0.0 ? -drive->b * torque : torque;
 }
 
 double kinematic_speed(struct drive *drive) {
     const struct state *s = &drive->state;
-    const struct place *place = drive_place(drive);
-    struct play play;
-    double side = s->side < 0.0 ? -1.0 : 1.0, speed;
+    double speed;
     if (drive->b > 0.0) {
         return reducer_speed(drive);
     }
     if (s->crank_speed == 0.0 || (s->pushed == 0.0 && (s->backlash_on != 0.0 || drive->rubs[OUTPUT]))) {
         return 0.0;
     }
-    if (s->load > 0.0 && s->backlash_on != 0.0) {
-        if (drive->at_load != side * s->load) {
-            drive->at = table_at(teeth_side(drive, side), place, s->load);
-            drive->at_load = side * s->load;
-        }
-        speed = s->crank_speed * (side * drive->at.rate + 1.0 / drive->table->ratio);
-    } else {
-        play = teeth_play(drive, place);
-        speed = s->crank_speed * kinematic_rate(drive, place, &play);
-    }
+    speed = s->crank_speed * kinematic_rate(drive);
     return drive->rubs[OUTPUT] ? speed * kinematic_yielding(drive, speed, drive_stiffness(drive)) : speed;
 }

@@ -27,15 +27,18 @@ int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]) {
 }
 
 int losses_take(const struct drive *drive) {
-    int i, found = 0;
+    int i, result = 0;
     for (i = 0; i < drive->rows; i++) {
         const double *row = drive->state.loss + i * LOSS_COLUMNS;
-        found |= row[1] != 1.0 || row[2] != 1.0 || row[3] != 0.0 || row[4] != 0.0;
+        result |= row[1] != 1.0 || row[2] != 1.0 || row[3] != 0.0 || row[4] != 0.0;
     }
-    return found;
+    return result;
 }
 
-/* The same formula as in cycloid_fmu/fmu/losses.py. */
+/* Sliding friction torque at flange_a against its motion, as `Modelica.Mechanics.Rotational.Components.LossyGear` of the
+   Modelica Standard Library 4.0: with τ = `asked` the torque of the teeth, with the sign of the motion, flange_a needs
+   (τ + τ_bf1)/η_mf1 while it drives and η_mf2 (τ + τ_bf2) while flange_b does. Which one drives follows from flange_a's
+   torque without the bearings' part, Modelica's `tau_bf_a`. The stuck mode is that of friction.c. */
 double losses_torque(const struct drive *drive, double speed, double asked) {
     double size = fabs(speed), at[LOSS_COLUMNS], bearing;
     const double *rows = drive->state.loss;

@@ -1,4 +1,11 @@
-/* The first stage of an RV reducer: as in cycloid_fmu/fmu/reducer_model.py. */
+/* An RV reducer: the drive with an involute stage before it and its crank bearings (docs/theory/reducer.md).
+
+   The sun turns the planets, the planets the cranks, and the cycloid discs turn the carrier, in which the planets are
+   mounted: so the crank angle is θ = a φ_b - b (φ_a + δ) with b = z_1/z_2, a = 1 + b and δ the sun's position within its
+   play, and depends on the output angle that it causes. With s = 1/(1 + a/z_c) the output deviates by φ_b - φ_a/i = δ/i +
+   s (x(θ) - β) from the ideal reducer, with x the gear's deviation at its own torque and β the carrier's position in the
+   crank bearings. Virtual work gives the torques: T = M + a τ at the output and -b τ at the sun, with M at the gear and τ
+   at the crank. Between two flanges the energy is the cycloid stage's E(θ, φ) under this change of coordinates. */
 #include "drive.h"
 
 #include <math.h>
@@ -22,36 +29,35 @@ static double crank_at(const struct drive *drive, double sun_angle, double devia
         - 0.5 * drive->b * side * sun_play(drive);
 }
 
-static struct play turn_crank(struct drive *drive, double deviation, double side) {
-    struct state *s = &drive->state;
-    s->placed = crank_at(drive, s->crank_angle, deviation, side);
-    drive->placed = 0;
-    return teeth_play(drive, drive_place(drive));
+static void turn_crank(struct drive *drive, double deviation, double side) {
+    drive->state.placed = crank_at(drive, drive->state.crank_angle, deviation, side);
 }
 
-static double offset_of(const struct play *play, double side) {
-    return side * play->offset;
+static int offset_of(struct drive *drive, double side, double *offset, char message[MESSAGE_SIZE]) {
+    struct play play = {0.0, 0.0, 0.0, 0.0};
+    int failed = drive->state.backlash_on == 0.0 && teeth_play(drive, drive->state.placed, &play, message);
+    *offset = side * play.offset;
+    return failed;
 }
 
-int reducer_elastic(struct drive *drive, double torque, double end, double *deviation,
-                           char message[MESSAGE_SIZE]) {
+int reducer_elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    double side = torque == 0.0 ? end : copysign(1.0, torque), outer = side * outer_play(drive), energy;
-    double crank_torque = (1.0 - drive->s) / drive->a * torque;
+    double side = torque == 0.0 ? end : copysign(1.0, torque), outer = side * outer_play(drive);
+    double crank_torque = (1.0 - drive->s) / drive->a * torque, offset = 0.0;
     int i;
     s->loose = 0.0;
     *deviation = outer + drive->s * s->gear;
     for (i = 0; i < STAGE_ITERATIONS; i++) {
-        struct play play = turn_crank(drive, *deviation, side);
-        double gear, following, before = crank_torque;
-        if (kinematic_gear(drive, &play, torque == 0.0 ? 0.0 : torque - drive->a * crank_torque, end, &gear, message)) {
+        double gear, following, before = crank_torque, own;
+        turn_crank(drive, *deviation, side);
+        if (kinematic_gear(drive, torque == 0.0 ? 0.0 : torque - drive->a * crank_torque, end, &gear, message)
+            || offset_of(drive, torque == 0.0 ? end : s->side, &own, message) || offset_of(drive, side, &offset, message)) {
             return 1;
         }
-        s->gear = gear + offset_of(&play, torque == 0.0 ? end : s->side);
-        following = outer + drive->s * (s->gear - offset_of(&play, side));
-        if (s->load > 0.0 || play.width == 0.0) {
-            crank_torque = teeth_crank_torque(drive, &drive->place, s->load, s->side < 0.0 ? -1.0 : 1.0, play.offset_rate,
-                                           &energy);
+        s->gear = gear + own;
+        following = outer + drive->s * (s->gear - offset);
+        if (kinematic_pressed(drive)) {
+            crank_torque = teeth_crank_torque(drive, s->placed, kinematic_torque(drive));
         }
         gear = fabs(following - *deviation);
         *deviation = following;
@@ -62,13 +68,17 @@ int reducer_elastic(struct drive *drive, double torque, double end, double *devi
     return 0;
 }
 
-void reducer_hold(struct drive *drive, double deviation) {
+int reducer_hold(struct drive *drive, double deviation, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    struct play play = turn_crank(drive, deviation, 0.0);
-    double low = -play.end[1].deviation, high = play.end[0].deviation, side, outer = outer_play(drive);
-    if (play.width == 0.0 || s->backlash_on == 0.0) {
-        low = high = 0.5 * (low + high);
+    struct play play;
+    struct loaded at;
+    double low, high, side, outer = outer_play(drive), torque;
+    turn_crank(drive, deviation, 0.0);
+    if (teeth_play(drive, s->placed, &play, message)) {
+        return 1;
     }
+    low = play.low + play.offset;
+    high = play.high - play.offset;
     side = deviation > drive->s * high ? 1.0 : -1.0;
     if ((drive->s * low <= deviation && deviation <= drive->s * high)
         || fabs(deviation - drive->s * (side > 0.0 ? high : low)) <= outer) {
@@ -76,37 +86,49 @@ void reducer_hold(struct drive *drive, double deviation) {
         s->gear = gear < low ? low : gear > high ? high : gear;
         s->load = 0.0;
         s->loose = 1.0;
-        return;
+        return 0;
     }
-    play = turn_crank(drive, deviation, side);
-    s->side = side;
+    turn_crank(drive, deviation, side);
     s->loose = 0.0;
-    s->load = table_load(teeth_side(drive, side), &drive->place, side * (deviation - side * outer) / drive->s, play.offset,
-                         s->series_compliance / (drive->s * drive->s));
-    s->gear = side * (s->load < HUGE_VAL ? table_at(teeth_side(drive, side), &drive->place, s->load).deviation : 0.0);
+    if (teeth_hold(drive, s->placed, (deviation - side * outer) / drive->s, s->series_compliance / (drive->s * drive->s),
+                   &torque, message)) {
+        return 1;
+    }
+    s->side = side;
+    s->load = fabs(torque);
+    s->gear = 0.0;
+    if (s->load < HUGE_VAL) {
+        if (teeth_refuse(drive->contacts.loaded(drive->contacts.self, s->placed, torque, &at), torque, message)) {
+            return 1;
+        }
+        s->gear = at.deviation;
+    }
+    return 0;
 }
 
 /* Rate of the gear's deviation with the crank, without the play if it is off; and the stiffness of the teeth. */
 static double gear_rate(struct drive *drive, double *stiffness) {
     const struct state *s = &drive->state;
-    const struct place *place = drive_place(drive);
-    struct play play = teeth_play(drive, place);
-    double side = s->side < 0.0 ? -1.0 : 1.0;
-    *stiffness = s->loose != 0.0 ? 0.0 : teeth_stiffness(drive, place, s->load, side, play.width);
-    return kinematic_rate(drive, place, &play);
+    *stiffness = kinematic_pressed(drive) ? teeth_stiffness(drive, s->placed, kinematic_torque(drive)) : 0.0;
+    return kinematic_rate(drive);
 }
 
 /* Derivative of the crank's torque with respect to its angle, at constant torque on the gear. */
 static double crank_torque_rate(struct drive *drive) {
-    const struct state *s = &drive->state;
-    double found[2], energy;
+    const struct contacts *contacts = &drive->contacts;
+    const double angle = drive->state.placed, torque = kinematic_torque(drive);
+    double torques[2];
     int i;
-    for (i = 0; i < 2; i++) {
-        struct place place = table_place(drive->table, s->placed + (i == 0 ? -STAGE_DIFFERENCE : STAGE_DIFFERENCE));
-        struct play play = teeth_play(drive, &place);
-        found[i] = teeth_crank_torque(drive, &place, s->load, s->side < 0.0 ? -1.0 : 1.0, play.offset_rate, &energy);
+    if (contacts->begin != NULL) {
+        contacts->begin(contacts->self);
     }
-    return (found[1] - found[0]) / (2.0 * STAGE_DIFFERENCE);
+    for (i = 0; i < 2; i++) {
+        torques[i] = teeth_crank_torque(drive, angle + (i == 0 ? -STAGE_DIFFERENCE : STAGE_DIFFERENCE), torque);
+    }
+    if (contacts->undo != NULL) {
+        contacts->undo(contacts->self);
+    }
+    return (torques[1] - torques[0]) / (2.0 * STAGE_DIFFERENCE);
 }
 
 double reducer_speed(struct drive *drive) {
@@ -132,19 +154,20 @@ double reducer_stiffness(struct drive *drive) {
     return 1.0 / (1.0 / stiffness + drive->state.series_compliance);
 }
 
-double reducer_backlash(const struct drive *drive, double crank, double gear) {
+double reducer_backlash(const struct drive *drive, double crank_angle, double gear) {
     double outer = outer_play(drive), ends[2];
     int side, i;
     for (side = 0; side < 2; side++) {
         double x = gear;
         for (i = 0; i < STAGE_ITERATIONS; i++) {
-            double theta = crank + drive->a * ((side == 0 ? -outer : outer) + drive->s * (x - gear)), end;
-            struct place place = table_place(drive->table, theta);
-            struct play play = teeth_play(drive, &place);
-            if (play.width == 0.0) {
+            double theta = crank_angle + drive->a * ((side == 0 ? -outer : outer) + drive->s * (x - gear)), end, ways[2];
+            if (drive->contacts.play(drive->contacts.self, theta, ways) != CONTACTS_SOLVED) {
+                return NAN;
+            }
+            if (ways[0] == ways[1]) {
                 return 2.0 * outer;
             }
-            end = side == 0 ? -play.end[1].deviation : play.end[0].deviation;
+            end = ways[side];
             if (fabs(end - x) < STAGE_STEP) {
                 x = end;
                 break;
@@ -158,48 +181,59 @@ double reducer_backlash(const struct drive *drive, double crank, double gear) {
 
 /* Contacts at given flange angles with the plays of the gears at a relative position (-1 to 1); returns the derivative of
    the energy with respect to this position. */
-static double within_plays(const struct drive *drive, double sun_angle, double deviation, double side,
-                           struct pressed *found) {
+static int within_plays(const struct drive *drive, double sun_angle, double deviation, double side,
+                        struct pressed *pressed, double *rate, char message[MESSAGE_SIZE]) {
     double outer = outer_play(drive), by_crank, gear;
-    teeth_press_gear(drive, crank_at(drive, sun_angle, deviation, side), (deviation - side * outer) / drive->s,
-                     drive->state.series_compliance / (drive->s * drive->s), found);
-    gear = found->by_rotation;
-    by_crank = found->by_angle + gear / drive->table->ratio; /* at the same deviation of the gear */
-    found->by_angle *= -drive->b;
-    found->by_rotation = gear / drive->s + drive->a * by_crank;
-    found->stiffness /= drive->s * drive->s;
-    return -0.5 * drive->b * sun_play(drive) * by_crank - outer / drive->s * gear;
+    if (teeth_press_gear(drive, crank_at(drive, sun_angle, deviation, side), (deviation - side * outer) / drive->s,
+                         drive->state.series_compliance / (drive->s * drive->s), pressed, message)) {
+        return 1;
+    }
+    gear = pressed->by_rotation;
+    by_crank = pressed->by_angle + gear / drive->table->ratio; /* at the same deviation of the gear */
+    pressed->by_angle *= -drive->b;
+    pressed->by_rotation = gear / drive->s + drive->a * by_crank;
+    pressed->stiffness /= drive->s * drive->s;
+    *rate = -0.5 * drive->b * sun_play(drive) * by_crank - outer / drive->s * gear;
+    return 0;
 }
 
 /* The crank has no mass, so it is at the minimum of the energy: at an end of the plays, or without contact. */
-void reducer_press(const struct drive *drive, double sun_angle, double deviation, struct pressed *found) {
+int reducer_press(const struct drive *drive, double sun_angle, double deviation, struct pressed *pressed,
+                  char message[MESSAGE_SIZE]) {
     double first = deviation >= 0.0 ? 1.0 : -1.0, a = -first, b = first, rate, rate_a, rate_b, start;
+    const double free = drive->contacts.free_energy;
     struct pressed other;
     int i;
     if (outer_play(drive) == 0.0) {
-        within_plays(drive, sun_angle, deviation, drive->state.backlash_on != 0.0 ? first : 0.0, found);
-        return;
+        return within_plays(drive, sun_angle, deviation, drive->state.backlash_on != 0.0 ? first : 0.0, pressed, &rate,
+                            message);
     }
-    rate_b = within_plays(drive, sun_angle, deviation, first, found);
+    if (within_plays(drive, sun_angle, deviation, first, pressed, &rate_b, message)) {
+        return 1;
+    }
     if (first * rate_b < 0.0) {
-        return;
+        return 0;
     }
-    rate_a = within_plays(drive, sun_angle, deviation, -first, &other);
-    if (-first * rate_a < 0.0 || other.load == 0.0) {
-        *found = other;
-        return;
+    if (within_plays(drive, sun_angle, deviation, -first, &other, &rate_a, message)) {
+        return 1;
     }
-    if (found->load == 0.0) {
-        return;
+    if (-first * rate_a < 0.0 || (other.energy <= free && other.energy <= pressed->energy)) {
+        *pressed = other;
+        return 0;
+    }
+    if (pressed->energy <= free) {
+        return 0;
     }
     /* Interference between free plays: the minimum of the energy. */
     start = fabs(rate_b);
     for (i = 0; i < STAGE_ITERATIONS; i++) {
         double at = (a * rate_b - b * rate_a) / (rate_b - rate_a);
         at = fmin(fmax(at, fmin(a, b)), fmax(a, b));
-        rate = within_plays(drive, sun_angle, deviation, at, found);
+        if (within_plays(drive, sun_angle, deviation, at, pressed, &rate, message)) {
+            return 1;
+        }
         if (fabs(rate) <= STAGE_SHARE * start || fabs(b - a) < STAGE_SHARE) {
-            return;
+            return 0;
         }
         if ((rate > 0.0) == (rate_a > 0.0)) {
             rate_b *= 0.5;
@@ -210,17 +244,18 @@ void reducer_press(const struct drive *drive, double sun_angle, double deviation
         a = at;
         rate_a = rate;
     }
+    return 0;
 }
 
 double reducer_pressed_stiffness(const struct drive *drive) {
     const struct pressed *at = &drive->pressed;
-    struct place place = table_place(drive->table, at->crank);
-    struct play play = teeth_play(drive, &place);
-    double stiffness = teeth_stiffness(drive, &place, at->load, at->side, play.width);
-    double turned = 1.0 - drive->a / drive->table->ratio;
-    if (stiffness <= 0.0) {
+    const struct contacts *contacts = &drive->contacts;
+    double turned = 1.0 - drive->a / drive->table->ratio, rate;
+    if (at->stiffness <= 0.0) {
         return 0.0;
     }
-    turned -= drive->a * at->side * (table_at(teeth_side(drive, at->side), &place, at->load).rate - play.offset_rate);
-    return 1.0 / (1.0 / (stiffness * turned * turned) + drive->state.series_compliance);
+    rate = contacts->rate(contacts->self, at->crank, at->torque);
+    rate -= (at->torque < 0.0 ? -1.0 : 1.0) * teeth_offset_rate(drive, at->crank);
+    turned -= drive->a * rate;
+    return 1.0 / (1.0 / (at->stiffness * drive->s * drive->s * turned * turned) + drive->state.series_compliance);
 }

@@ -34,22 +34,22 @@ struct place table_place(const struct table *table, double crank_angle) {
     return place_among(table->period, table->angles, crank_angle);
 }
 
-struct place table_told_place(const struct table *table, double crank_angle) {
-    return place_among(table->period, table->told_angles, crank_angle);
+struct place table_pressure_place(const struct table *table, double crank_angle) {
+    return place_among(table->period, table->pressure_angles, crank_angle);
 }
 
 struct place table_turning(const struct table *table, const struct place *place) {
     const double s = place->share, n = table->angles / table->period;
-    struct place found = *place;
+    struct place result = *place;
     int i;
     for (i = 0; i < 4; i++) {
-        found.weight[i] = place->rate[i];
+        result.weight[i] = place->rate[i];
     }
-    found.rate[0] = (1.0 - s) * n * n;
-    found.rate[1] = (3.0 * s - 2.0) * n * n;
-    found.rate[2] = (1.0 - 3.0 * s) * n * n;
-    found.rate[3] = s * n * n;
-    return found;
+    result.rate[0] = (1.0 - s) * n * n;
+    result.rate[1] = (3.0 * s - 2.0) * n * n;
+    result.rate[2] = (1.0 - 3.0 * s) * n * n;
+    result.rate[3] = s * n * n;
+    return result;
 }
 
 /* Sum of the weights: 1, or 0 for those of a derivative, in which the base value cancels. */
@@ -106,11 +106,11 @@ static double hermite_slope(double u, double h, double a, double b, double ca, d
     return 6.0 * u * v * (b - a) / h + v * (1.0 - 3.0 * u) * ca + u * (3.0 * u - 2.0) * cb;
 }
 
-struct loaded table_at(const struct side *side, const struct place *place, double load) {
+struct interpolated table_at(const struct side *side, const struct place *place, double load) {
     uint32_t j = cell_of(side->load, side->loads, load), i;
     double h = side->load[j + 1] - side->load[j], u = (load - side->load[j]) / h;
     double a = 0.0, b = 0.0, ca = 0.0, cb = 0.0, ra = 0.0, rb = 0.0, rca = 0.0, rcb = 0.0;
-    struct loaded found;
+    struct interpolated result;
     for (i = 0; i < 4; i++) {
         const int16_t *x = side->deviation + (size_t)place->node[i] * side->loads + j;
         const uint16_t *c = side->compliance + (size_t)place->node[i] * side->loads + j;
@@ -133,28 +133,28 @@ struct loaded table_at(const struct side *side, const struct place *place, doubl
     rca *= side->compliance_step[j];
     rcb *= side->compliance_step[j + 1];
     if (u > 1.0) { /* beyond the last load */
-        found.deviation = b + (load - side->load[j + 1]) * cb;
-        found.compliance = cb;
-        found.rate = rb + (load - side->load[j + 1]) * rcb;
-        return found;
+        result.deviation = b + (load - side->load[j + 1]) * cb;
+        result.compliance = cb;
+        result.rate = rb + (load - side->load[j + 1]) * rcb;
+        return result;
     }
-    found.deviation = hermite(u, h, a, b, ca, cb);
-    found.compliance = hermite_slope(u, h, a, b, ca, cb);
-    found.rate = hermite(u, h, ra, rb, rca, rcb);
-    return found;
+    result.deviation = hermite(u, h, a, b, ca, cb);
+    result.compliance = hermite_slope(u, h, a, b, ca, cb);
+    result.rate = hermite(u, h, ra, rb, rca, rcb);
+    return result;
 }
 
-struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node) {
-    struct loaded found;
-    found.deviation = deviation_at(side, place, node);
-    found.rate = blend(side, place, node, place->rate);
-    found.compliance = compliance_at(side, place, node);
-    return found;
+struct interpolated table_at_node(const struct side *side, const struct place *place, uint32_t node) {
+    struct interpolated result;
+    result.deviation = deviation_at(side, place, node);
+    result.rate = blend(side, place, node, place->rate);
+    result.compliance = compliance_at(side, place, node);
+    return result;
 }
 
-double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series) {
+double table_load(const struct side *side, const struct place *place, double goal, double series) {
     uint32_t low = 0, high = side->loads - 1, step;
-    double a, b, ca, cb, h, left = 0.0, right = 1.0, u, goal = deviation + offset;
+    double a, b, ca, cb, h, lower = 0.0, upper = 1.0, u;
     a = deviation_at(side, place, low);
     b = deviation_at(side, place, high) + series * side->load[high];
     if (goal <= a) {
@@ -186,12 +186,12 @@ double table_load(const struct side *side, const struct place *place, double dev
             return side->load[low] + (u < 0.0 ? 0.0 : u > 1.0 ? 1.0 : u) * h;
         }
         if (short_ > 0.0) {
-            left = u;
+            lower = u;
         } else {
-            right = u;
+            upper = u;
         }
         next = slope > 0.0 ? u + short_ / slope : HUGE_VAL;
-        u = next >= left && next <= right ? next : 0.5 * (left + right);
+        u = next >= lower && next <= upper ? next : 0.5 * (lower + upper);
     }
     return side->load[low] + u * h;
 }
@@ -236,19 +236,19 @@ void table_energy(const struct side *side, const struct place *place, double loa
     }
 }
 
-double table_pressure(const struct side *side, const struct place *told, double load) {
-    uint32_t loads = side->told_loads, j = cell_of(side->told_load, loads, load);
-    double u = (load - side->told_load[j]) / (side->told_load[j + 1] - side->told_load[j]);
-    double low = blend_steps(side->pressure, side->pressure_step, loads, told, j);
-    double high = blend_steps(side->pressure, side->pressure_step, loads, told, j + 1);
+double table_pressure(const struct side *side, const struct place *place, double load) {
+    uint32_t loads = side->pressure_loads, j = cell_of(side->pressure_load, loads, load);
+    double u = (load - side->pressure_load[j]) / (side->pressure_load[j + 1] - side->pressure_load[j]);
+    double low = blend_steps(side->pressure, side->pressure_step, loads, place, j);
+    double high = blend_steps(side->pressure, side->pressure_step, loads, place, j + 1);
     double square = (1.0 - u) * low + u * high;
     return square > 0.0 ? sqrt(square) : 0.0;
 }
 
-int table_contact_count(const struct side *side, const struct place *told, double load) {
-    uint32_t loads = side->told_loads, j = cell_of(side->told_load, loads, load);
-    uint32_t nearest = 2.0 * load > side->told_load[j] + side->told_load[j + 1] || j == 0 ? j + 1 : j;
-    return side->contact_count[(size_t)told->node[told->share < 0.5 ? 1 : 2] * loads + nearest];
+int table_contact_count(const struct side *side, const struct place *place, double load) {
+    uint32_t loads = side->pressure_loads, j = cell_of(side->pressure_load, loads, load);
+    uint32_t nearest = 2.0 * load > side->pressure_load[j] + side->pressure_load[j + 1] || j == 0 ? j + 1 : j;
+    return side->contact_count[(size_t)place->node[place->share < 0.5 ? 1 : 2] * loads + nearest];
 }
 
 double table_rest_torque(const struct table *table, const struct place *place) {

@@ -2,25 +2,13 @@
 #ifndef CYCLOID_TABLE_H
 #define CYCLOID_TABLE_H
 
-#include <stddef.h>
-#include <stdint.h>
-
-#include "constants.h"
-
-enum { MESSAGE_SIZE = 512 };
-
-struct variable {
-    char *name;
-    int kind, causality, baked, fixed;
-    int field; /* its field in the model, for the loss table plus row and column; -1 if it is fixed in the tables */
-    double least, most, start, nominal;
-};
+#include "resource.h"
 
 /* One direction of torque: spline coefficients in steps of each load, the loads of a crank angle side by side. */
 struct side {
-    uint32_t loads, told_loads; /* told: of contact count and pressure, which are outputs only */
+    uint32_t loads, pressure_loads; /* pressure: of contact count and pressure, which are outputs only */
     double reach; /* the last load but one, up to which the accuracy is stated */
-    double load[MOST_LOADS], told_load[MOST_LOADS];
+    double load[MOST_LOADS], pressure_load[MOST_LOADS];
     double base[MOST_LOADS], step[MOST_LOADS]; /* of the deviation: its smallest value, and its step */
     double compliance_step[MOST_LOADS], pressure_step[MOST_LOADS];
     const int16_t *deviation;
@@ -36,7 +24,7 @@ struct table {
     uint32_t checksum;
     char *token;
     uint32_t offers, variables; /* the interface; `interface` is a macro in Windows' headers */
-    uint32_t angles, told_angles; /* of deviation and compliance; of contact count and pressure */
+    uint32_t angles, pressure_angles; /* 0 without tables; of deviation and compliance; of contact count and pressure */
     struct variable *variable;
     double ratio, period, allowed;
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
@@ -51,30 +39,30 @@ struct place {
 };
 
 /* Results for a load at a crank angle, mirrored like the sides, so that all increase with the load. */
-struct loaded {
+struct interpolated {
     double deviation, rate; /* and its change with the crank angle, rad and rad/rad */
     double compliance;      /* rad/(N.m) */
 };
 
 /* Return the table of a file, shared with other instances if the head is the same, or NULL with a message. */
 struct table *table_open(const char *path, char message[MESSAGE_SIZE]);
+/* The same of a file that this process made, which may be without tables, for a drive with other contacts; not shared. */
+struct table *table_read(const unsigned char *file, size_t size);
 void table_close(struct table *table);
-uint32_t table_checksum(const unsigned char *data, size_t size); /* CRC-32 */
 
 struct place table_place(const struct table *table, double crank_angle);
-struct place table_told_place(const struct table *table, double crank_angle); /* of contact count and pressure */
+struct place table_pressure_place(const struct table *table, double crank_angle); /* of contact count and pressure */
 /* A crank angle whose values are the first derivatives with respect to the crank angle, and whose rates are the second. */
 struct place table_turning(const struct table *table, const struct place *place);
-struct loaded table_at(const struct side *side, const struct place *place, double load);
-struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node);
+struct interpolated table_at(const struct side *side, const struct place *place, double load);
+struct interpolated table_at_node(const struct side *side, const struct place *place, uint32_t node);
 /* Beyond the very last load the tangent continues with constant compliance. */
-/* Load at which the deviation, with a further compliance in series and minus an offset, has a given value; 0 below the
-   first. */
-double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series);
+/* Load at which the deviation, with a further compliance in series, has a given value; 0 below the first. */
+double table_load(const struct side *side, const struct place *place, double deviation, double series);
 /* Integral of the deviation over the load, and of its rate. */
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate);
-double table_pressure(const struct side *side, const struct place *told, double load);
-int table_contact_count(const struct side *side, const struct place *told, double load);
+double table_pressure(const struct side *side, const struct place *place, double load);
+int table_contact_count(const struct side *side, const struct place *place, double load);
 double table_rest_torque(const struct table *table, const struct place *place);
 double table_rest_energy(const struct table *table, const struct place *place);
 

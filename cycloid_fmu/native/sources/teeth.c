@@ -1,68 +1,108 @@
+/* The contacts as the drive uses them: with the play taken out if `backlash_on` is false, and behind the first stage. */
 #include "drive.h"
 
 #include <math.h>
 #include <stdio.h>
 
-const struct side *teeth_side(const struct drive *drive, double direction) {
-    return &drive->table->side[direction > 0.0 ? 0 : 1];
+int teeth_outside(const struct drive *drive, double torque) {
+    return fabs(torque) > drive->contacts.reach[torque > 0.0 ? 0 : 1];
 }
 
-int teeth_outside(const struct drive *drive, double load, double side) {
-    return load > teeth_side(drive, side)->reach;
+int teeth_refuse(int status, double torque, char message[MESSAGE_SIZE]) {
+    if (status == CONTACTS_UNBALANCED) {
+        drive_refuse(message, "flange_b.tau = %g N.m: no contacts of this drive can balance it.", torque, 0.0);
+    } else if (status != CONTACTS_SOLVED) {
+        snprintf(message, MESSAGE_SIZE, "the contacts could not be solved at these flange angles.");
+    }
+    return status != CONTACTS_SOLVED;
 }
 
-struct play teeth_play(const struct drive *drive, const struct place *place) {
+static int solve_play(const struct drive *drive, double crank_angle, struct play *play) {
+    double ends[2];
+    int status = drive->contacts.play(drive->contacts.self, crank_angle, ends);
+    play->low = ends[0];
+    play->high = ends[1];
+    play->width = play->high - play->low;
+    play->offset = drive->state.backlash_on == 0.0 ? 0.5 * play->width : 0.0;
+    return status;
+}
+
+int teeth_play(const struct drive *drive, double crank_angle, struct play *play, char message[MESSAGE_SIZE]) {
+    return teeth_refuse(solve_play(drive, crank_angle, play), 0.0, message);
+}
+
+double teeth_width(const struct drive *drive, double crank_angle) {
     struct play play;
-    play.end[0] = table_at_node(&drive->table->side[0], place, 0);
-    play.end[1] = table_at_node(&drive->table->side[1], place, 0);
-    play.width = play.end[0].deviation + play.end[1].deviation;
-    play.offset = play.offset_rate = 0.0;
-    if (play.width <= NO_PLAY) {
-        play.width = 0.0;
-    } else if (drive->state.backlash_on == 0.0) {
-        play.offset = 0.5 * play.width;
-        play.offset_rate = 0.5 * (play.end[0].rate + play.end[1].rate);
-    }
-    return play;
+    return solve_play(drive, crank_angle, &play) == CONTACTS_SOLVED ? play.width : NAN;
 }
 
-/* Torque of the crank from the contacts: the energy's derivative at fixed output. */
-double teeth_crank_torque(const struct drive *drive, const struct place *place, double load, double side,
-                              double offset_rate, double *energy) {
-    double rate;
-    table_energy(teeth_side(drive, side), place, load, energy, &rate);
-    return table_rest_torque(drive->table, place) - side * load / drive->table->ratio - (rate - offset_rate * load);
-}
-
-double teeth_stiffness(const struct drive *drive, const struct place *place, double load, double side, double play) {
-    double compliance;
-    if (load > 0.0) {
-        compliance = table_at(teeth_side(drive, side), place, load).compliance;
-    } else if (play > 0.0) {
+double teeth_offset_rate(const struct drive *drive, double crank_angle) {
+    const struct contacts *contacts = &drive->contacts;
+    if (drive->state.backlash_on != 0.0 || teeth_width(drive, crank_angle) == 0.0) {
         return 0.0;
-    } else {
-        compliance = table_at_node(teeth_side(drive, 1.0), place, 0).compliance;
     }
-    return 1.0 / (compliance > LEAST_COMPLIANCE ? compliance : LEAST_COMPLIANCE);
+    return 0.5 * (contacts->touch_rate(contacts->self, crank_angle, 1.0)
+                  - contacts->touch_rate(contacts->self, crank_angle, -1.0));
 }
 
-void teeth_press_gear(const struct drive *drive, double crank_angle, double deviation, double series,
-                      struct pressed *found) {
-    struct place place = table_place(drive->table, crank_angle);
-    struct play play = teeth_play(drive, &place);
-    double energy;
-    found->side = deviation > play.end[0].deviation - play.offset ? 1.0 : -1.0;
-    found->load = table_load(teeth_side(drive, found->side), &place, found->side * deviation, play.offset, series);
-    found->by_angle = teeth_crank_torque(drive, &place, found->load, found->side, play.offset_rate, &energy);
-    found->by_rotation = found->side * found->load;
-    found->energy = found->load * (found->side * deviation + play.offset) - energy
-        - 0.5 * series * found->load * found->load + table_rest_energy(drive->table, &place);
-    found->stiffness = teeth_stiffness(drive, &place, found->load, found->side, play.width);
-    found->crank = crank_angle;
-    found->deviation = deviation - series * found->by_rotation;
+/* Without its play, the gear is moved and pressed by its play as well. */
+double teeth_crank_torque(const struct drive *drive, double crank_angle, double torque) {
+    return drive->contacts.crank_torque(drive->contacts.self, crank_angle, torque)
+        + teeth_offset_rate(drive, crank_angle) * fabs(torque);
 }
 
-int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *found,
+double teeth_stiffness(const struct drive *drive, double crank_angle, double torque) {
+    struct loaded at;
+    int status = drive->contacts.loaded(drive->contacts.self, crank_angle, torque, &at);
+    return status == CONTACTS_SOLVED ? 1.0 / at.compliance : NAN;
+}
+
+/* The contacts' deviation for that of the gear, on the side (±1) on which they are. */
+static int contacts_deviation(const struct drive *drive, double crank_angle, double *deviation, double *side,
+                              char message[MESSAGE_SIZE]) {
+    struct play play;
+    *side = 0.0;
+    if (drive->state.backlash_on != 0.0) {
+        return 0;
+    }
+    if (teeth_play(drive, crank_angle, &play, message)) {
+        return 1;
+    }
+    *side = *deviation > play.high - play.offset ? 1.0 : -1.0;
+    *deviation += *side * play.offset;
+    return 0;
+}
+
+int teeth_hold(const struct drive *drive, double crank_angle, double deviation, double series, double *torque,
+               char message[MESSAGE_SIZE]) {
+    double side;
+    if (contacts_deviation(drive, crank_angle, &deviation, &side, message)) {
+        return 1;
+    }
+    return teeth_refuse(drive->contacts.held(drive->contacts.self, crank_angle, deviation, series, torque), 0.0, message);
+}
+
+int teeth_press_gear(const struct drive *drive, double crank_angle, double deviation, double series,
+                     struct pressed *pressed, char message[MESSAGE_SIZE]) {
+    double contacts = deviation, side;
+    int status;
+    if (contacts_deviation(drive, crank_angle, &contacts, &side, message)) {
+        return 1;
+    }
+    status = drive->contacts.press(drive->contacts.self, crank_angle, contacts, series, pressed);
+    if (teeth_refuse(status, 0.0, message)) {
+        return 1;
+    }
+    if (side != 0.0) {
+        pressed->by_angle += side * teeth_offset_rate(drive, crank_angle) * pressed->by_rotation;
+    }
+    pressed->torque = pressed->by_rotation;
+    pressed->crank = crank_angle;
+    pressed->deviation = deviation - series * pressed->by_rotation;
+    return 0;
+}
+
+int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *pressed,
                 char message[MESSAGE_SIZE]) {
     if (!(deviation > -LARGEST_TRANSMISSION_ERROR && deviation < LARGEST_TRANSMISSION_ERROR)) {
         if (drive->table->offers == INTERFACE_COMPLIANT && drive->step > SUGGESTED_STEP) {
@@ -76,9 +116,7 @@ int teeth_press(const struct drive *drive, double crank_angle, double deviation,
                       LARGEST_TRANSMISSION_ERROR);
     }
     if (drive->b > 0.0) {
-        reducer_press(drive, crank_angle, deviation, found);
-    } else {
-        teeth_press_gear(drive, crank_angle, deviation, drive->state.series_compliance, found);
+        return reducer_press(drive, crank_angle, deviation, pressed, message);
     }
-    return 0;
+    return teeth_press_gear(drive, crank_angle, deviation, drive->state.series_compliance, pressed, message);
 }

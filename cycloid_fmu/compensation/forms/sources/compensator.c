@@ -13,26 +13,19 @@
 #pragma GCC optimize("fp-contract=off") /* GCC ignores the standard's pragma */
 #endif
 
-/* Integer coefficients of a periodic spline, of 8 or 16 bits, from the one before the first knot on. */
-struct spline {
-    const int8_t *small;
-    const int16_t *large;
-    double knots;
-};
-
-#include "tables.h"
+#include "compensator_numbers.h"
 
 #define MOST_TURNS 4503599627370496.0 /* 2^52: beyond it all doubles are whole */
 
-/* The tables at a torque and a temperature. */
-struct state {
-    double torque, wound, node[COLUMNS + FUNCTIONS];
-};
-
 enum { MEAN, FLANK, VARIANCE, RIPPLE }; /* the first columns of a node */
 
-static int given(double value) {
-    return value < LARGEST && value > -LARGEST; /* false for NaN */
+/* The tables at a torque and a temperature. */
+struct state {
+    double torque, wound, node[COLUMNS + MOST_FUNCTIONS];
+};
+
+static int given(const struct compensator *c, double value) {
+    return value < c->largest && value > -c->largest; /* false for NaN */
 }
 
 static double larger(double a, double b) {
@@ -70,59 +63,62 @@ static inline double on_line(const double *nodes, const double *rates, const dou
 }
 
 /* The torque through the teeth, the load minus friction; moves the friction elements. */
-static double torque_of_teeth(struct compensator_memory *m, double angle, double speed, double load,
-                              double temperature) {
-    double way = given(m->angle) ? angle - m->angle : 0.0;
-    double dry = COULOMB + LOAD_SHARE * size_of(load);
-    double rest = dry + STRIBECK;
+static double torque_of_teeth(const struct compensator *c, struct compensator_memory *m, double angle, double speed,
+                              double load, double temperature) {
+    double way = given(c, m->angle) ? angle - m->angle : 0.0;
+    double dry = c->coulomb + c->load_share * size_of(load);
+    double rest = dry + c->stribeck;
     double sliding, warmth, bound, total = 0.0;
     int i;
     m->angle = angle;
     if (rest <= 0.0) {
-        return load - VISCOUS * speed;
+        return load - c->viscous * speed;
     }
-    sliding = dry + STRIBECK * on_line(STRIBECK_SPEED, STRIBECK_RATE, STRIBECK_SHARE, STRIBECK_SPEEDS, size_of(speed));
-    warmth = on_line(WARMTH_TEMPERATURE, WARMTH_RATE, WARMTH, WARMTHS, temperature);
-    bound = STRAIN * warmth * sliding / rest;
+    sliding = dry + c->stribeck * on_line(c->stribeck_speed, c->stribeck_rate, c->stribeck_share, c->stribeck_speeds,
+                                          size_of(speed));
+    warmth = on_line(c->warmth_temperature, c->warmth_rate, c->warmth, c->warmths, temperature);
+    bound = c->strain * warmth * sliding / rest;
     for (i = 0; i < FRICTION_ELEMENTS; i++) {
         double most = bound * (i + 1);
         m->strains[i] = smaller(larger(m->strains[i] + way, -most), most);
         total += m->strains[i];
     }
-    return load - STIFFNESS * rest * total - VISCOUS * speed;
+    return load - c->stiffness * rest * total - c->viscous * speed;
 }
 
-static void state_of(struct state *found, double torque, double temperature) {
-    double v;
-    int j = between(TORQUE, TORQUE_RATE, TORQUES, torque, &v), n;
-#if TEMPERATURES > 1
-    double u, p, q, r, s;
-    int i = between(TEMPERATURE, TEMPERATURE_RATE, TEMPERATURES, temperature, &u);
-    const double *low = NODE[i * TORQUES + j], *above = NODE[i * TORQUES + j + 1];
-    const double *high = NODE[(i + 1) * TORQUES + j], *beyond = NODE[(i + 1) * TORQUES + j + 1];
-    p = (1.0 - u) * (1.0 - v);
-    q = (1.0 - u) * v;
-    r = u * (1.0 - v);
-    s = u * v;
-    for (n = 0; n < COLUMNS + FUNCTIONS; n++) {
-        found->node[n] = p * low[n] + q * above[n] + r * high[n] + s * beyond[n];
+static const double *node_of(const struct compensator *c, int cell) {
+    return c->node + cell * (COLUMNS + c->functions);
+}
+
+static void state_of(const struct compensator *c, struct state *found, double torque, double temperature) {
+    double u, v, p, q, r, s;
+    int j = between(c->torque, c->torque_rate, c->torques, torque, &v);
+    int i = between(c->temperature, c->temperature_rate, c->temperatures, temperature, &u), n;
+    const double *low = node_of(c, i * c->torques + j), *above = node_of(c, i * c->torques + j + 1);
+    if (c->temperatures > 1) {
+        const double *high = node_of(c, (i + 1) * c->torques + j);
+        const double *beyond = node_of(c, (i + 1) * c->torques + j + 1);
+        p = (1.0 - u) * (1.0 - v);
+        q = (1.0 - u) * v;
+        r = u * (1.0 - v);
+        s = u * v;
+        for (n = 0; n < COLUMNS + c->functions; n++) {
+            found->node[n] = p * low[n] + q * above[n] + r * high[n] + s * beyond[n];
+        }
+    } else {
+        p = 1.0 - v;
+        for (n = 0; n < COLUMNS + c->functions; n++) {
+            found->node[n] = p * low[n] + v * above[n];
+        }
     }
-#else
-    double p = 1.0 - v;
-    const double *low = NODE[j], *above = NODE[j + 1];
-    (void)temperature, (void)TEMPERATURE, (void)TEMPERATURE_RATE;
-    for (n = 0; n < COLUMNS + FUNCTIONS; n++) {
-        found->node[n] = p * low[n] + v * above[n];
-    }
-#endif
     found->torque = torque;
-    found->wound = COMPLIANCE * torque;
+    found->wound = c->compliance * torque;
 }
 
 /* The ripple at an ideal crank angle (rad), and its derivative unless `slope` is 0. */
-static inline double ripple_of(const struct state *state, double crank, double *slope) {
+static inline double ripple_of(const struct compensator *c, const struct state *state, double crank, double *slope) {
     double value = 0.0, steep = 0.0;
-    double turn = crank * PER_PERIOD, whole;
+    double turn = crank * c->per_period, whole;
     int n;
     if (size_of(turn) < MOST_TURNS) {
         whole = (double)(int64_t)turn;
@@ -130,8 +126,8 @@ static inline double ripple_of(const struct state *state, double crank, double *
     } else {
         turn = 0.0;
     }
-    for (n = 0; n < FUNCTIONS; n++) {
-        const struct spline *spline = &SPLINE[n];
+    for (n = 0; n < c->functions; n++) {
+        const struct spline *spline = &c->spline[n];
         double place = turn * spline->knots, share = state->node[COLUMNS + n], s, third, second, first;
         int knot = (int)place, a, b, d, e; /* integers of 19 bits at most */
         s = place - knot;
@@ -151,7 +147,7 @@ static inline double ripple_of(const struct state *state, double crank, double *
         }
     }
     if (slope != 0) {
-        *slope = steep * PER_PERIOD;
+        *slope = steep * c->per_period;
     }
     return value;
 }
@@ -159,7 +155,7 @@ static inline double ripple_of(const struct state *state, double crank, double *
 /* Solve for the posterior mean given measurements with a variance; returns the variance of the ripple's gain.
 
    Normal equations with the variance on their diagonal by L D L', written out: shorter than loops. */
-static inline double solve(struct compensator_memory *m, double v) {
+static inline double solve(const struct compensator *c, struct compensator_memory *m, double v) {
     const double *a = m->moments, *b = m->products;
     double d0 = 1.0 / larger(a[0] + v, v);
     double l10 = a[1] * d0, l20 = a[3] * d0, l30 = a[6] * d0;
@@ -170,17 +166,17 @@ static inline double solve(struct compensator_memory *m, double v) {
     double c32 = a[8] - a[6] * l20 - c31 * l21;
     double l32 = c32 * d2;
     double d3 = 1.0 / larger(a[9] + v - a[6] * l30 - c31 * l31 - c32 * l32, v);
-    double y0 = b[0] + v * PRIOR[0];
-    double y1 = b[1] + v * PRIOR[1] - l10 * y0;
-    double y2 = b[2] + v * PRIOR[2] - l20 * y0 - l21 * y1;
-    double z3 = (b[3] + v * PRIOR[3] - l30 * y0 - l31 * y1 - l32 * y2) * d3;
+    double y0 = b[0] + v * c->prior[0];
+    double y1 = b[1] + v * c->prior[1] - l10 * y0;
+    double y2 = b[2] + v * c->prior[2] - l20 * y0 - l21 * y1;
+    double z3 = (b[3] + v * c->prior[3] - l30 * y0 - l31 * y1 - l32 * y2) * d3;
     double z2 = y2 * d2 - l32 * z3;
     double z1 = y1 * d1 - l21 * z2 - l31 * z3;
     m->learned[0] = y0 * d0 - l10 * z1 - l20 * z2 - l30 * z3;
     m->learned[1] = z1;
     m->learned[2] = z2;
     m->learned[3] = z3;
-    return KNOWN[3] * KNOWN[3] * v * d3;
+    return c->known[3] * c->known[3] * v * d3;
 }
 
 /* Share of the ripple's variance that remains with an index of its probability. */
@@ -189,31 +185,32 @@ static double doubt(const struct compensator_memory *m) {
 }
 
 /* Add a measurement to the regression; returns whether it is plausible for this drive. */
-static int learn(struct compensator_memory *m, const struct state *state, double motor_angle, double output_angle) {
-    double measured = output_angle - motor_angle * PER_RATIO;
+static int learn(const struct compensator *c, struct compensator_memory *m, const struct state *state,
+                 double motor_angle, double output_angle) {
+    double measured = output_angle - motor_angle * c->per_ratio;
     double rows[4], targets[4], crank, turned, way, kept, expected, variance, off, weight, most, g;
     const double *node = state->node;
-    int first = !given(m->output), i, j, n = 0;
-    if (size_of(measured) > LARGEST_TRANSMISSION_ERROR) {
+    int first = !given(c, m->output), i, j, n = 0;
+    if (size_of(measured) > c->largest_transmission_error) {
         return 0;
     }
-    crank = (output_angle - m->applied[0] - m->applied[2] * state->wound) * CRANK_RATIO;
-    rows[0] = KNOWN[0];
-    rows[1] = KNOWN[1] * node[FLANK];
-    rows[2] = KNOWN[2] * (state->wound + node[MEAN]);
-    rows[3] = KNOWN[3] * ripple_of(state, crank + m->index, 0);
+    crank = (output_angle - m->applied[0] - m->applied[2] * state->wound) * c->crank_ratio;
+    rows[0] = c->known[0];
+    rows[1] = c->known[1] * node[FLANK];
+    rows[2] = c->known[2] * (state->wound + node[MEAN]);
+    rows[3] = c->known[3] * ripple_of(c, state, crank + m->index, 0);
     turned = first ? 0.0 : size_of(output_angle - m->output);
-    way = size_of(CRANK_RATIO * turned);
+    way = size_of(c->crank_ratio * turned);
     m->output = output_angle;
-    kept = larger(0.0, 1.0 - way * PER_MEMORY);
-    expected = node[VARIANCE] + NOISE + doubt(m) * node[RIPPLE];
-    variance = (FIRST * expected + kept * m->left) / (FIRST + kept * m->count);
+    kept = larger(0.0, 1.0 - way * c->per_memory);
+    expected = node[VARIANCE] + c->noise + doubt(m) * node[RIPPLE];
+    variance = (c->first * expected + kept * m->left) / (c->first + kept * m->count);
     off = measured - (m->learned[0] * rows[0] + m->learned[1] * rows[1] + m->learned[2] * rows[2]
                       + m->learned[3] * rows[3]);
-    m->settled = size_of(node[FLANK]) >= SURE_FLANK ? m->settled + turned : 0.0;
-    weight = m->settled < SETTLED ? 0.0 : first ? 1.0 : smaller(1.0, way * PER_CORRELATION);
-    weight *= smaller(1.0, LEAST / (node[VARIANCE] + NOISE));
-    most = OUTLIER * OUTLIER * variance;
+    m->settled = size_of(node[FLANK]) >= c->sure_flank ? m->settled + turned : 0.0;
+    weight = m->settled < c->settled ? 0.0 : first ? 1.0 : smaller(1.0, way * c->per_correlation);
+    weight *= smaller(1.0, c->least / (node[VARIANCE] + c->noise));
+    most = c->outlier * c->outlier * variance;
     if (off * off > most) {
         weight *= sqrt(most / (off * off));
     }
@@ -227,68 +224,71 @@ static int learn(struct compensator_memory *m, const struct state *state, double
         }
         m->products[i] = kept * m->products[i] + weighted * measured;
     }
-    m->sure = solve(m, variance);
-    g = KNOWN[3] * m->learned[3];
-    targets[0] = KNOWN[0] * m->learned[0];
-    targets[1] = KNOWN[1] * m->learned[1];
-    targets[2] = smaller(larger(KNOWN[2] * m->learned[2], 0.0), LARGEST_GAIN);
-    targets[3] = smaller(g > 0.0 ? g * g * g / (g * g + m->sure) : 0.0, LARGEST_GAIN);
+    m->sure = solve(c, m, variance);
+    g = c->known[3] * m->learned[3];
+    targets[0] = c->known[0] * m->learned[0];
+    targets[1] = c->known[1] * m->learned[1];
+    targets[2] = smaller(larger(c->known[2] * m->learned[2], 0.0), c->largest_gain);
+    targets[3] = smaller(g > 0.0 ? g * g * g / (g * g + m->sure) : 0.0, c->largest_gain);
     for (i = 0; i < 4; i++) {
-        most = way * (i < 2 ? ANGLE_RATE : GAIN_RATE);
+        most = way * (i < 2 ? c->angle_rate : c->gain_rate);
         m->applied[i] += smaller(larger(targets[i] - m->applied[i], -most), most);
     }
     return 1;
 }
 
-void compensator_start(struct compensator_memory *memory, double index, double probability) {
+void compensator_start(const struct compensator *c, struct compensator_memory *memory, double index,
+                       double probability) {
     struct compensator_memory fresh = {0};
     int i;
-    fresh.index = given(index) ? index : 0.0;
-    fresh.probability = given(index) && probability > 0.0 ? smaller(probability, 1.0) : 0.0;
+    fresh.index = given(c, index) ? index : 0.0;
+    fresh.probability = given(c, index) && probability > 0.0 ? smaller(probability, 1.0) : 0.0;
     fresh.angle = fresh.output = COMPENSATOR_NONE;
-    fresh.settled = SETTLED;
+    fresh.settled = c->settled;
     for (i = 0; i < 4; i++) {
-        fresh.applied[i] = EXPECTED[i];
-        fresh.learned[i] = PRIOR[i];
+        fresh.applied[i] = c->expected[i];
+        fresh.learned[i] = c->prior[i];
     }
     fresh.applied[3] = fresh.probability;
-    fresh.sure = KNOWN[3] * KNOWN[3];
+    fresh.sure = c->known[3] * c->known[3];
     *memory = fresh;
 }
 
-struct compensator_command compensator_step(struct compensator_memory *memory, double desired_angle,
-                                            double desired_speed, double load_torque, double temperature,
-                                            double motor_angle, double output_angle) {
+struct compensator_command compensator_step(const struct compensator *c, struct compensator_memory *memory,
+                                            double desired_angle, double desired_speed, double load_torque,
+                                            double temperature, double motor_angle, double output_angle) {
     struct compensator_memory *m = memory;
     struct compensator_command found;
     struct state state;
     double ripple, slope, wound, gain, angle, expected, variance, small;
     int inside, plausible = 1, more, another;
-    if (!given(desired_angle) || !given(desired_speed) || !given(load_torque) || !given(temperature)) {
-        found.motor_angle = RATIO * (given(desired_angle) ? desired_angle : given(m->angle) ? m->angle : 0.0);
+    if (!given(c, desired_angle) || !given(c, desired_speed) || !given(c, load_torque) || !given(c, temperature)) {
+        found.motor_angle = given(c, desired_angle) ? desired_angle : given(c, m->angle) ? m->angle : 0.0;
+        found.motor_angle *= c->ratio;
         found.motor_speed = found.gain = 0.0;
-        found.band = LARGEST;
+        found.band = c->largest;
         found.holds = 0;
         return found;
     }
-    state_of(&state, torque_of_teeth(m, desired_angle, desired_speed, load_torque, temperature), temperature);
-    inside = size_of(state.torque) <= REACH;
-    if (inside && given(motor_angle) && given(output_angle)) {
-        plausible = learn(m, &state, motor_angle, output_angle);
+    state_of(c, &state, torque_of_teeth(c, m, desired_angle, desired_speed, load_torque, temperature), temperature);
+    inside = size_of(state.torque) <= c->reach;
+    if (inside && given(c, motor_angle) && given(c, output_angle)) {
+        plausible = learn(c, m, &state, motor_angle, output_angle);
     }
     wound = m->applied[2];
     gain = m->applied[3];
     angle = desired_angle - m->applied[0] - wound * state.wound;
-    ripple = ripple_of(&state, angle * CRANK_RATIO + m->index, &slope);
+    ripple = ripple_of(c, &state, angle * c->crank_ratio + m->index, &slope);
     expected = state.node[VARIANCE] + doubt(m) * state.node[RIPPLE];
-    variance = (FIRST * expected + m->left) / (FIRST + m->count);
-    found.motor_angle = RATIO * (angle - m->applied[1] * state.node[FLANK] - wound * state.node[MEAN] - gain * ripple);
-    found.motor_speed = RATIO * desired_speed * (1.0 - gain * CRANK_RATIO * slope);
+    variance = (c->first * expected + m->left) / (c->first + m->count);
+    found.motor_angle =
+        c->ratio * (angle - m->applied[1] * state.node[FLANK] - wound * state.node[MEAN] - gain * ripple);
+    found.motor_speed = c->ratio * desired_speed * (1.0 - gain * c->crank_ratio * slope);
     found.band = sqrt(variance);
     found.gain = gain;
-    small = LEAST_GAIN * m->probability - KNOWN[3] * m->learned[3];
-    more = variance > ALARM * ALARM * (expected + NOISE);
-    another = small > 0.0 && small * small > ALARM * ALARM * m->sure;
-    found.holds = plausible && inside && !(m->count > ENOUGH && (more || another));
+    small = c->least_gain * m->probability - c->known[3] * m->learned[3];
+    more = variance > c->alarm * c->alarm * (expected + c->noise);
+    another = small > 0.0 && small * small > c->alarm * c->alarm * m->sure;
+    found.holds = plausible && inside && !(m->count > c->enough && (more || another));
     return found;
 }

@@ -13,6 +13,8 @@ extern "C" {
 
 #define COMPENSATOR_NONE 1e300
 
+struct compensator; /* numbers of a drive: compensator_numbers.h */
+
 /* Memory from step to step: one for each drive, initialised by compensator_start. */
 struct compensator_memory {
     double index;       /* crank angle of the model where the desired output angle is 0 */
@@ -38,13 +40,14 @@ struct compensator_command {
 
 /* index: crank angle of the model where the desired output angle is 0, or COMPENSATOR_NONE if unknown.
    probability: that it is right and the drive is this one, 0 to 1; ripple is compensated in this proportion at first. */
-void compensator_start(struct compensator_memory *memory, double index, double probability);
+void compensator_start(const struct compensator *c, struct compensator_memory *memory, double index,
+                       double probability);
 
 /* load_torque: of the environment on the output, inertia included, counter-clockwise positive. motor_angle and output_angle:
    readings of the encoders now, or COMPENSATOR_NONE. */
-struct compensator_command compensator_step(struct compensator_memory *memory, double desired_angle,
-                                            double desired_speed, double load_torque, double temperature,
-                                            double motor_angle, double output_angle);
+struct compensator_command compensator_step(const struct compensator *c, struct compensator_memory *memory,
+                                            double desired_angle, double desired_speed, double load_torque,
+                                            double temperature, double motor_angle, double output_angle);
 
 #ifdef __cplusplus
 }

@@ -1,34 +1,41 @@
 """Data shared by the C code of a native FMU and this package: the file of tables, and the numbers of `constants.h`.
 
-The file, little endian: magic, version, size of the rest and two sums of its words; then the FMU's token, interface and
-variables; ratio, period, first stage, torques; and for each direction, crank angle and load the
-deviation, its derivative with respect to the load, the square of the largest pressure (each in whole steps of 16 bits)
-and the contact count. The C code uses them in place, after summing the deviation's differences from angle to angle.
+The file (`resource_file`): interface and variables; ratio, period, first stage, torques; and for each direction, crank
+angle and load the deviation, its derivative with respect to the load, the square of the largest pressure (each in whole
+steps of 16 bits) and the contact count. The C code uses them in place, after summing the deviation's differences from
+angle to angle.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
-import math
 import re
 import struct
-from collections.abc import Mapping, Sized
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.friction import FLANGES, Law
+from cycloid_fmu.fmu.resource_file import (
+    CAUSALITIES,
+    COMPENSATOR,
+    DRIVE,
+    HEAD,
+    KINDS,
+    padding,
+    sealed,
+    variable_bytes,
+)
 from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
 from cycloid_fmu.geometry.first_stage import FirstStage
-from cycloid_fmu.native.tables import Tables
 
-TABLE = "drive.table"  # in an FMU's resources
-HEAD = struct.Struct("<8sIIQQ")
-_MAGIC = "cycltab\n"
-_KINDS = ("real", "integer", "boolean")
-_CAUSALITIES = ("input", "output", "parameter", "independent", "local")
+if TYPE_CHECKING:
+    from cycloid_fmu.native.tables import Tables
+
 _INTERFACES = ("kinematic", "compliant", "inertia")
 _FIELDS = (
     "crank_angle",
@@ -74,19 +81,25 @@ def constants_header() -> bytes:
     """Return `constants.h`."""
     numbers = re.findall(r"^([A-Z]\w*) = (\S+)  # (.+)$", inspect.getsource(constants), re.MULTILINE)
     enums = {
-        "kind": ("KIND_", _KINDS),
-        "causality": ("CAUSALITY_", _CAUSALITIES),
+        "kind": ("KIND_", KINDS),
+        "causality": ("CAUSALITY_", CAUSALITIES),
         "interface_kind": ("INTERFACE_", _INTERFACES),
         "field": ("", _FIELDS),
     }
     lines = [
-        "/* Made of cycloid_fmu/fmu/constants.py and cycloid_fmu/native/table_file.py. */",
+        "/* Made of cycloid_fmu/fmu/constants.py and cycloid_fmu/fmu/table_file.py. */",
         "#ifndef CYCLOID_CONSTANTS_H",
         "#define CYCLOID_CONSTANTS_H",
         "",
         *(f"#define {name} {value} /* {meaning} */" for name, value, meaning in numbers),
-        f'#define TABLE_FILE "{TABLE}"',
-        '#define TABLE_MAGIC "{}"'.format(_MAGIC.replace("\n", "\\n")),
+        *(
+            line
+            for resource in (DRIVE, COMPENSATOR)
+            for line in (
+                f'#define {resource.prefix}_FILE "{resource.file}"',
+                '#define {}_MAGIC "{}"'.format(resource.prefix, resource.magic.replace("\n", "\\n")),
+            )
+        ),
         f"#define TABLE_HEAD {HEAD.size}",
         *(
             f"enum {name} {{ {', '.join(f'{start}{v.upper()}' for v in values)} }};"
@@ -99,14 +112,10 @@ def constants_header() -> bytes:
     return "\n".join(lines).encode()
 
 
-def write(
-    tables: Tables,
-    interface: Interface,
-    variables: Mapping[int, Variable],
-    token: str = "",
-    first_stage: FirstStage | None = None,
+def table_body(
+    tables: Tables, interface: Interface, variables: Mapping[int, Variable], first_stage: FirstStage | None = None
 ) -> bytes:
-    """Return the file of tables.
+    """Return the body of the file of tables, for `resource_file.sealed`.
 
     Parameters
     ----------
@@ -114,8 +123,6 @@ def write(
         The FMU's interface.
     variables
         The FMU's variables by value reference, which are 0, 1, 2, ….
-    token
-        The FMU's `guid` or `instantiationToken`.
     first_stage
         The first stage of an RV reducer.
 
@@ -124,28 +131,12 @@ def write(
     ValueError
         If the range of values exceeds 16 bits.
     """
-    offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
-    body = bytearray(struct.pack("<II", offered, len(variables)))
-    for v in variables.values():
-        limits = (-math.inf if v.least is None else v.least, math.inf if v.most is None else v.most)
-        body += _text(v.name) + struct.pack(
-            "<BBBBidddd",
-            _KINDS.index(v.kind),
-            _CAUSALITIES.index(v.causality),
-            v.baked,
-            v.variability == "fixed",
-            _field(v),
-            *limits,
-            v.start or 0.0,
-            v.nominal or 1.0,
-        )
     sides = (tables.positive, tables.negative)
     rest = tables.rest_torque if tables.rest_torque.any() else np.empty(0)
-    stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)[:4]
     counts = [count for s in sides for count in (s.load.size + 1, s.told_load.size)]
-    body += struct.pack("<7d", tables.ratio, tables.period, tables.allowed, *stage)
+    body = _head(interface, variables, (tables.ratio, tables.period, tables.allowed), first_stage)
     body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)
-    body += _padding(body)
+    body += padding(body)
     for side in sides:
         far, far_deviation, far_compliance = side.far
         steps = [np.append(s, s[-1]) for s in side.steps[:2]]
@@ -161,34 +152,41 @@ def write(
         body += _words(np.round(np.vstack([side.compliance, far_compliance]) / steps[1][:, None]))
         body += _words(np.round(side.pressure / side.steps[2][:, None]))
         body += side.contact_count.T.astype("u1").tobytes()
-        body += _padding(body)
-    return sealed(bytes(body + rest.astype("<f8").tobytes() + _last(token)))
+        body += padding(body)
+    return bytes(body + rest.astype("<f8").tobytes())
 
 
-def named(file: bytes, token: str) -> bytes:
-    """Return a file that was written without a token with its token."""
-    return sealed(file[HEAD.size : -len(_last(""))] + _last(token))
+def described(
+    interface: Interface,
+    variables: Mapping[int, Variable],
+    ratio: float,
+    period: float,
+    first_stage: FirstStage | None = None,
+) -> bytes:
+    """Return a file without tables, for a drive with exact contacts.
+
+    Parameters
+    ----------
+    interface, variables, first_stage
+        As for `table_body`.
+    ratio, period
+        Ratio of the cycloid stage, signed, and the crank angle after which it repeats, rad.
+    """
+    head = _head(interface, variables, (ratio, period, 0.0), first_stage)
+    return sealed(bytes(head + struct.pack("<7I", *(0,) * 7)), "", DRIVE)
 
 
-def _padding(body: Sized) -> bytes:
-    """Return the padding to a multiple of 8 bytes."""
-    return bytes(-len(body) % 8)
-
-
-def _last(token: str) -> bytes:
-    return _text(token) + _padding(_text(token))
-
-
-def sealed(body: bytes) -> bytes:
-    """Return the content of a file, of a whole number of words, with its head."""
-    words = np.frombuffer(body, "<u4").astype(np.uint64)
-    sums = int(words.sum()), int(np.cumsum(words).sum())
-    return HEAD.pack(_MAGIC.encode(), constants.TABLE_VERSION, len(body), *sums) + body
-
-
-def _text(text: str) -> bytes:
-    encoded = text.encode()
-    return struct.pack("<H", len(encoded)) + encoded
+def _head(
+    interface: Interface,
+    variables: Mapping[int, Variable],
+    numbers: tuple[float, float, float],
+    first_stage: FirstStage | None,
+) -> bytearray:
+    """Return the interface and its variables; and ratio, period and allowed error with the numbers of a first stage."""
+    offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
+    body = bytearray(struct.pack("<I", offered) + variable_bytes(variables.values(), _field))
+    stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)[:4]
+    return body + struct.pack("<7d", *numbers, *stage)
 
 
 def _field(variable: Variable) -> int:
