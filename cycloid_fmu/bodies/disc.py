@@ -234,7 +234,7 @@ class DiscInfluence:
         own = [track.self_compliance(where, force) for track, where, force in moving]
         places = np.concatenate([np.arange(pair.pins), np.arange(pair.pins + fixed.size, len(found))])
         found[places, places] = np.concatenate(own)
-        return found
+        return np.asarray(0.5 * (found + found.T))
 
 
 def influence_of(pair: Pair, disc: int, matrix: PortMatrix, source: str) -> DiscInfluence:

@@ -248,7 +248,7 @@ def _beam(pair: Pair, bodies: Bodies, name: str, source: str) -> Array | None:
     if body is None:
         return None
     if body.matrix is not None:
-        return _given(str(body.matrix), "plane", pair.discs, 1, pair)
+        return _given(body.matrix, "plane", pair.discs, 1, pair)
     try:
         return _BEAMS[name](pair, body, bodies.disc_spacing)
     except edge.InputError as problem:
@@ -278,7 +278,7 @@ def _carrier(pair: Pair, body: CarrierBody) -> Array:
     assert pair.supports is not None
     count = pair.supports.count
     if body.matrix is not None:
-        return _given(str(body.matrix), "bore", count, 2, pair)
+        return _given(body.matrix, "bore", count, 2, pair)
     translation, rotation = carrier_compliance(body)
     angle = pair.supports.first_angle + 2.0 * math.pi * np.arange(count) / count
     turning = pair.supports.circle_radius * np.column_stack([-np.sin(angle), np.cos(angle)]).ravel()
@@ -287,7 +287,7 @@ def _carrier(pair: Pair, body: CarrierBody) -> Array:
 
 def _ring(pair: Pair, body: RingBody) -> Array:
     if body.matrix is not None:
-        return _given(str(body.matrix), "seat", pair.pins, 2, pair)
+        return _given(body.matrix, "seat", pair.pins, 2, pair)
     from cycloid_fmu.bodies.ring import annulus_influence
 
     assert body.outer_radius is not None

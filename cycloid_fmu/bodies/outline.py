@@ -208,7 +208,7 @@ def contradictions(pair: Pair, body: DiscBody) -> list[str]:
 def _encloses(curve: Points, point: complex) -> bool:
     """Whether a closed curve winds around a point."""
     away = curve - point
-    return abs(np.angle(np.roll(away, -1) / away).sum()) > math.pi
+    return bool(abs(np.angle(np.roll(away, -1) / away).sum()) > math.pi)
 
 
 def _dense(hole: Contour) -> Points:

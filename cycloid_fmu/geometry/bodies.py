@@ -48,12 +48,7 @@ class ElasticBody(Config):
 
     youngs_modulus: PositivePressure | None = None
     poissons_ratio: float | None = pydantic.Field(default=None, ge=0.0, lt=0.5)
-    matrix: str | tuple[str, ...] | None = None
-
-    @property
-    def matrices(self) -> tuple[str, ...]:
-        """The names of its files."""
-        return (self.matrix,) if isinstance(self.matrix, str) else self.matrix or ()
+    matrix: str | None = None
 
     def _check_stated(self, *keys: str) -> None:
         """Raise a `ValueError` that names the first of the dimensions that is missing without a matrix."""
@@ -168,12 +163,17 @@ class DiscBody(ElasticBody):
         Further holes.
     """
 
-    matrix: str | Annotated[tuple[str, ...], pydantic.Field(min_length=1)] | None = None
+    matrix: str | Annotated[tuple[str, ...], pydantic.Field(min_length=1)] | None = None  # type: ignore[assignment]
     plane: Literal["stress", "strain"] = "stress"
     bore_radius: PositiveLength | None = None
     centre_radius: PositiveLength | None = None
     roller_hole_radius: PositiveLength | None = None
     windows: tuple[Window, ...] = pydantic.Field(default=(), max_length=MOST_WINDOWS)
+
+    @property
+    def matrices(self) -> tuple[str, ...]:
+        """The names of its files, one for each disc; empty if they are computed."""
+        return (self.matrix,) if isinstance(self.matrix, str) else self.matrix or ()
 
     @pydantic.model_validator(mode="after")
     def _dimensions(self) -> DiscBody:
@@ -380,10 +380,12 @@ class Bodies(Config):
     def in_folder(self, folder: Path) -> Bodies:
         """Return the bodies with the names of their files relative to a folder."""
         changes: dict[str, Any] = {
-            name: body.replace(matrix=tuple(str(folder / one) for one in body.matrices))
+            name: body.replace(matrix=str(folder / body.matrix))
             for name, body in self.stated()
-            if body.matrix is not None
+            if isinstance(body.matrix, str)
         }
+        if self.disc is not None and len(self.disc.matrices) > 1:
+            changes["disc"] = self.disc.replace(matrix=tuple(str(folder / name) for name in self.disc.matrices))
         if self.disc is not None and any(window.dxf for window in self.disc.windows):
             windows = tuple(w.replace(dxf=str(folder / w.dxf)) if w.dxf else w for w in self.disc.windows)
             changes["disc"] = self.disc.replace(windows=windows)
