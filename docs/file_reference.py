@@ -11,6 +11,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core.core_schema import CoreSchema, ModelSchema
 
 from cycloid_fmu import edge
+from cycloid_fmu.bodies import files as bodies
 from cycloid_fmu.errors.kinds import KINDS, ErrorKind
 from cycloid_fmu.fmu import friction_file
 from cycloid_fmu.geometry import pair
@@ -29,6 +30,7 @@ from fitting.recordings import read_head as coaxiality
 # title, format, class that reads it, example
 FILES = (
     ("Gear pair", pair.FORMAT, pair._File, "drive-39-40-as-made.toml"),
+    ("Elastic bodies of a gear pair", f"{pair.FORMAT} with [bodies]", bodies._File, None),
     ("RV reducer", reducer.FORMAT, reducer.Reducer, "rv-20e.toml"),
     ("Tolerances", sampling.FORMAT, sampling.file_model(), "tolerances.toml"),
     ("Requirements of an application", limits.FORMAT, limits.Requirements, "requirements.toml"),

@@ -108,7 +108,8 @@ class PlaneBody:
         return {(int(facets[f, 0]), int(facets[f, 1])): int(middle[f]) for f in boundary}
 
     @functools.cached_property
-    def _corner(self) -> Indices:
+    def corners(self) -> Indices:
+        """Numbers in `nodes` of the mesh's own nodes."""
         place = np.full(self._basis.N, -1)
         place[self._dofs[0]] = np.arange(self.nodes.size)
         return np.asarray(place[self._basis.nodal_dofs[0]])
@@ -118,7 +119,7 @@ class PlaneBody:
         start = self.mesh.chains[contour]
         end = np.roll(start, -1)
         middle = [self._edges[min(a, b), max(a, b)] for a, b in zip(start.tolist(), end.tolist(), strict=True)]
-        return np.column_stack([self._corner[start], middle, self._corner[end]])
+        return np.column_stack([self.corners[start], middle, self.corners[end]])
 
     def both_components(self, weights: sp.csc_matrix) -> sp.csc_matrix:
         """Nodal forces along x and then along y of each density, shape (unknowns, 2 densities).

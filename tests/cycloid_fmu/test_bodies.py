@@ -22,6 +22,7 @@ from cycloid_fmu.bodies.given import read_influence, write_influence
 from cycloid_fmu.bodies.mesh import Contour, circle, meshed
 from cycloid_fmu.bodies.ports import PortMatrix, around, patch
 from cycloid_fmu.bodies.ring import annulus_influence
+from cycloid_fmu.draw.bodies import plot_disc
 from cycloid_fmu.geometry.bodies import Bodies, CarrierBody, DiscBody, Section
 from cycloid_fmu.geometry.pair import Material, Pair
 
@@ -629,3 +630,12 @@ def test_a_window_from_a_dxf_file_is_that_of_its_lines_and_arcs(tmp_path):
     document.saveas(tmp_path / "slot.dxf")
     with pytest.raises(cy.InputError, match="one closed outline"):
         read_bodies(path)
+
+
+def test_the_picture_of_a_disc_has_its_mesh_and_the_pressed_place_s_displacement():
+    """The largest displacement in the picture is at least the mean one under the pin's patch, and there."""
+    figure = plot_disc(SMALL, SMALL_DISC, pin=3)
+    mesh, colours = figure.axes[0], figure.axes[1].collections[0]
+    assert "unknowns" in mesh.get_title()
+    size = colours.get_array()
+    assert size.max() * 1e-9 > 0.9 * small().at(0.0)[3, 3]
