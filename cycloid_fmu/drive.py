@@ -471,7 +471,7 @@ class Drive(DriveValue):
         >>> bodies = Bodies(ring={"outer_radius": "80 mm", "width": "24 mm"})
         >>> seats = cy.Drive(pair).influence(bodies=bodies)["ring"]["compliance"]
         >>> seats.shape, f"{seats[0, 0]:.2e} m/N"
-        ((80, 80), '2.43e-10 m/N')
+        ((80, 80), '2.75e-10 m/N')
         """
         from cycloid_fmu.bodies.matrices import influence, matrices_of
 
