@@ -131,7 +131,7 @@ def matrices_of(
     """
     check_bodies(pair, bodies, source)
     return BodyMatrices(
-        discs=_discs(pair, bodies.disc, total, progress) if bodies.disc is not None else (),
+        discs=_discs(pair, bodies.disc, source, total, progress) if bodies.disc is not None else (),
         carrier=None if bodies.carrier is None else _carrier(pair, bodies.carrier),
         columns=_columns(bodies.carrier),
         ring=None if bodies.ring is None else _ring(pair, bodies.ring),
@@ -172,7 +172,7 @@ def _half_width(pair: Pair) -> float:
 
 
 def _discs(
-    pair: Pair, body: DiscBody, total: Callable[[int], None], progress: Callable[[int], None]
+    pair: Pair, body: DiscBody, source: str, total: Callable[[int], None], progress: Callable[[int], None]
 ) -> tuple[DiscInfluence, ...]:
     from cycloid_fmu.bodies.disc import condensed, influence_of, loads_of
 
@@ -182,14 +182,17 @@ def _discs(
     total(loads_of(pair) * pair.discs)
     found = []
     for disc in range(pair.discs):
-        matrix = edge.cached(
-            "influence",
-            f"disc {disc} {_disc_text(pair, body)} {_makers()}",
-            functools.partial(condensed, pair, body, disc, progress),
-            write=_written,
-            read=_read,
-            most_bytes=_MOST_BYTES,
-        )
+        try:
+            matrix = edge.cached(
+                "influence",
+                f"disc {disc} {_disc_text(pair, body)} {_makers()}",
+                functools.partial(condensed, pair, body, disc, progress),
+                write=_written,
+                read=_read,
+                most_bytes=_MOST_BYTES,
+            )
+        except edge.InputError as problem:
+            raise edge.InputError(f"{source}: [bodies.disc]: {problem}") from None
         found.append(influence_of(pair, disc, matrix, "the disc"))
     return tuple(found)
 

@@ -25,6 +25,7 @@ GROWTH = 0.45  # of the size of triangles per distance from the boundary
 _ROUNDS = 4  # of smoothing: more do not change influence matrices by 1e-4
 _LEAST_DISTANCE = 0.6  # of inner nodes from a boundary edge's middle, in edge lengths; 0.5 is the diametral circle
 _MOST_DIVISIONS = 30
+_NEIGHBOURS = 9  # edges whose lengths an edge is compared with
 _MOST_TURN = np.radians(7.5)  # of the boundary's direction along an edge
 _CIRCLE = 720  # points of a circle at least
 _MOST_NODES = 400_000
@@ -123,7 +124,24 @@ def meshed(outline: Contour, holes: Sequence[Contour], largest: float, growth: f
         moved = _smoothed(nodes, triangles, boundary.size)
         nodes, triangles = _triangulated(boundary, size.clear(moved[boundary.size :]), chains)
     ends = np.cumsum([0, *(chain.size for chain in chains)])
-    return Mesh(nodes, triangles, tuple(np.arange(a, b) for a, b in itertools.pairwise(ends)))
+    mesh = Mesh(nodes, triangles, tuple(np.arange(a, b) for a, b in itertools.pairwise(ends)))
+    _check_boundary(mesh, [outline, *holes])
+    return mesh
+
+
+def _check_boundary(mesh: Mesh, contours: Sequence[Contour]) -> None:
+    """Refuse a mesh whose boundary is not that of its contours: of one with slivers that vanish in the rounding."""
+    sides = np.concatenate([mesh.triangles[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    edges, times = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
+    wanted = np.concatenate([np.column_stack([chain, np.roll(chain, -1)]) for chain in mesh.chains])
+    if not np.array_equal(edges[times == 1], np.unique(np.sort(wanted, axis=1), axis=0)):
+        raise edge.InputError(
+            f"the region can't be meshed: a contour of it ({_names(contours)}) is too sharp or too flat."
+        )
+
+
+def _names(contours: Sequence[Contour]) -> str:
+    return edge.listed(dict.fromkeys(contour.name for contour in contours if contour.name))
 
 
 class _Size:
@@ -162,7 +180,10 @@ def _edges(piece: Points, size: float) -> int:
 
 
 def _divided(contours: Sequence[Contour], largest: float) -> list[Points]:
-    """Nodes on each contour, so dense that no edge's diametral circle contains a node that is not its end."""
+    """Nodes on each contour, so dense that no edge's diametral circle contains a node that is not its end.
+
+    An edge is not much longer than those near it either.
+    """
     curves = [
         (piece, np.concatenate([[0.0], np.cumsum(np.abs(np.diff(piece)))])) for c in contours for piece in c.pieces
     ]
@@ -174,20 +195,28 @@ def _divided(contours: Sequence[Contour], largest: float) -> list[Points]:
         points = [np.interp(mark, arc, piece) for mark, (piece, arc) in zip(marks, curves, strict=True)]
         if sum(part.size for part in points) > _MOST_NODES:
             break
-        tree = cKDTree(_columns(np.concatenate([part[:-1] for part in points])))
-        crowded = False
-        for number, part in enumerate(points):
-            middle, half = 0.5 * (part[1:] + part[:-1]), 0.5 * np.abs(np.diff(part))
-            split = tree.query(_columns(middle))[0] < 0.999 * half
-            if split.any():
-                marks[number], crowded = np.sort(np.concatenate([marks[number], _halves(marks[number])[split]])), True
-        if not crowded:
+        split = _too_long(points)
+        if not split.any():
             rows, chains = iter(points), []
             for contour in contours:
                 chains.append(np.concatenate([next(rows)[:-1] for _ in contour.pieces]))
             return chains
-    names = edge.listed(dict.fromkeys(c.name for c in contours if c.name))
-    raise edge.InputError(f"the contours ({names}) touch or nearly touch each other, so there is no mesh between them.")
+        ends = np.cumsum([part.size - 1 for part in points])[:-1]
+        for number, long in enumerate(np.split(split, ends)):
+            marks[number] = np.sort(np.concatenate([marks[number], _halves(marks[number])[long]]))
+    raise edge.InputError(
+        f"the contours ({_names(contours)}) touch or nearly touch each other, so there is no mesh between them."
+    )
+
+
+def _too_long(pieces: Sequence[Points]) -> NDArray[np.bool_]:
+    """Whether to divide each edge of all pieces: for a node in its diametral circle, or much shorter edges nearby."""
+    middles = np.concatenate([0.5 * (points[1:] + points[:-1]) for points in pieces])
+    lengths = np.concatenate([np.abs(np.diff(points)) for points in pieces])
+    nearest, _ = cKDTree(_columns(np.concatenate([points[:-1] for points in pieces]))).query(_columns(middles))
+    distance, near = cKDTree(_columns(middles)).query(_columns(middles), k=min(_NEIGHBOURS, middles.size))
+    graded = (2.0 * lengths[near] + distance).min(axis=1)
+    return np.asarray((nearest < 0.4995 * lengths) | (lengths > graded))
 
 
 def _halves(mark: Array) -> Array:

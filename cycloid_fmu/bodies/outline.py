@@ -16,7 +16,7 @@ from cycloid_fmu.geometry.profile import flank_normals, flank_points
 
 _PER_TOOTH = 400  # points of the flank's contour
 _ARC = math.radians(1.0)  # between points of a window's arcs
-_PER_METRE = 10_000  # points of straight sides, for their distances
+_STEP = 5e-4  # between points of holes, for their distances, over the pin circle's radius; half of `_LEAST_BRIDGE`
 _LEAST_BRIDGE = 1e-3  # of the pin circle's radius: material between two holes
 
 
@@ -189,7 +189,9 @@ def contradictions(pair: Pair, body: DiscBody) -> list[str]:
     root = pair.pin_circle_radius - pair.pin_radius - pair.eccentricity
     least = _LEAST_BRIDGE * pair.pin_circle_radius
     found = []
-    dense = [_dense(hole) for hole in holes]
+    dense = [_dense(hole, _STEP * pair.pin_circle_radius) for hole in holes]
+    centres = [points.mean() for points in dense]
+    reaches = [np.abs(points - centre).max() for points, centre in zip(dense, centres, strict=True)]
     for hole, points in zip(holes, dense, strict=True):
         if (furthest := float(np.abs(points).max())) > root - least:
             found.append(
@@ -199,6 +201,8 @@ def contradictions(pair: Pair, body: DiscBody) -> list[str]:
     for first in range(len(holes)):
         for second in range(first + 1, len(holes)):
             a, b = dense[first], dense[second]
+            if abs(centres[first] - centres[second]) > reaches[first] + reaches[second] + least:
+                continue
             if _apart(a, b) <= least or _encloses(b, a[0]) or _encloses(a, b[0]):
                 names = sorted({holes[first].name, holes[second].name})
                 found.append(f"holes cut each other, or almost: {' and '.join(names)}")
@@ -211,11 +215,11 @@ def _encloses(curve: Points, point: complex) -> bool:
     return bool(abs(np.angle(np.roll(away, -1) / away).sum()) > math.pi)
 
 
-def _dense(hole: Contour) -> Points:
+def _dense(hole: Contour, step: float) -> Points:
     parts = []
     for piece in hole.pieces:
         arc = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(piece)))])
-        count = max(2, int(arc[-1] * _PER_METRE))
+        count = max(2, int(arc[-1] / step))
         parts.append(np.interp(np.linspace(0.0, arc[-1], count, endpoint=False), arc, piece))
     return np.concatenate(parts)
 
