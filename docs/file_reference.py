@@ -91,6 +91,13 @@ class _Schema(GenerateJsonSchema):
         if stated is not None:
             own, (summary, *rest) = schema["cls"].__doc__, inspect.cleandoc(stated.__doc__ or "").split("\n\n")
             found["description"] = "\n\n".join([own or summary, *rest])
+        stated_above = {}  # by classes that this one extends
+        for base in reversed(schema["cls"].__mro__[1:]):
+            stated_above |= _meanings(base.__doc__) if issubclass(base, edge.Config) else {}
+        own_meanings = stated_above | _meanings(schema["cls"].__doc__)
+        for name, field in schema["cls"].model_fields.items():
+            if name in stated_above or field.alias:
+                found["properties"][field.alias or name]["meaning"] = own_meanings.get(name, "")
         return found
 
 
@@ -182,7 +189,9 @@ def _rows(schema: dict, definitions: dict) -> list[str]:
         if key == "text" or (table is not None and "properties" in definitions[table]):
             continue
         default = "needed" if key in needed else _default(one)
-        rows.append(f"| `{key}` | {_kind(one, definitions)} | {default} | {meanings.get(key, '')} |")
+        rows.append(
+            f"| `{key}` | {_kind(one, definitions)} | {default} | {one.get('meaning') or meanings.get(key, '')} |"
+        )
     return ["| key | value | if left out | meaning |", "| --- | --- | --- | --- |", *rows, ""] if rows else []
 
 

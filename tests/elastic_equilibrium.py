@@ -105,12 +105,12 @@ class Drive:
     def ideal_normals(self):
         """Unit normals out of the gear at the pins' ideal places, in axes at rest, shape (discs, pins, 2)."""
         true = self.pair.replace(isometric=0.0, offset=0.0)
-        found = []
+        normals = []
         for angle in self.crank_angle:
             turned = angle / self.pair.gear_teeth
             n = np.array(flank_normals(true, 2.0 * math.pi * np.arange(self.pair.pins) / self.pair.pins + turned))
-            found.append((turn(-turned) @ n).T)
-        return np.array(found)
+            normals.append((turn(-turned) @ n).T)
+        return np.array(normals)
 
     def assembled(self):
         """C between all ports, by body."""
@@ -323,10 +323,10 @@ class Drive:
 
     def centring(self, spring):
         """Stiffness of a vanishing spring on each unknown, N/m, or N·m/rad for rotations."""
-        found = np.full(self.unknowns, spring)
+        springs = np.full(self.unknowns, spring)
         turns = [0, *range(5, 3 + 3 * self.pair.discs, 3)]
-        found[turns] *= self.pair.pin_circle_radius**2
-        return found
+        springs[turns] *= self.pair.pin_circle_radius**2
+        return springs
 
     def solution(self, torque, start=None):
         """The balance at a torque, with its figures."""

@@ -230,11 +230,11 @@ class DiscInfluence:
         arm_rows = sp.csr_matrix((np.ones(fixed.size), (np.arange(fixed.size), fixed)), shape=(fixed.size, size))
         rows = [track.rows(where, force, size) for track, where, force in moving]
         weights = sp.vstack([rows[0], arm_rows, *rows[1:]]).tocsr()
-        found = np.asarray(weights @ (weights @ self.matrix.compliance).T)
+        compliance = np.asarray(weights @ (weights @ self.matrix.compliance).T)
         own = [track.self_compliance(where, force) for track, where, force in moving]
-        places = np.concatenate([np.arange(pair.pins), np.arange(pair.pins + fixed.size, len(found))])
-        found[places, places] = np.concatenate(own)
-        return np.asarray(0.5 * (found + found.T))
+        places = np.concatenate([np.arange(pair.pins), np.arange(pair.pins + fixed.size, len(compliance))])
+        compliance[places, places] = np.concatenate(own)
+        return np.asarray(0.5 * (compliance + compliance.T))
 
 
 def influence_of(pair: Pair, disc: int, matrix: PortMatrix, source: str) -> DiscInfluence:

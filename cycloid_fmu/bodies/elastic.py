@@ -126,8 +126,8 @@ class PlaneBody:
 
         `weights` are integrals of shape functions with the densities, shape (nodes, densities).
         """
-        found = [self.nodal(rows, *parts) for rows, *parts in _columns(weights)]
-        return sp.hstack(found).tocsc()
+        columns = [self.nodal(rows, *parts) for rows, *parts in _columns(weights)]
+        return sp.hstack(columns).tocsc()
 
     def nodal(self, nodes: Indices, along_x: Array, along_y: Array) -> sp.csc_matrix:
         """One column of nodal forces from forces on nodes, which are added up, N, shape (unknowns, 1)."""
@@ -140,20 +140,20 @@ class PlaneBody:
 
         `progress` is called with the number of loads just solved.
         """
-        found = np.empty((loads.shape[1], loads.shape[1]))
+        compliance = np.empty((loads.shape[1], loads.shape[1]))
         transposed = loads.T.tocsr()
         for begin in range(0, loads.shape[1], _BLOCK):
             block = slice(begin, min(begin + _BLOCK, loads.shape[1]))
-            found[:, block] = transposed @ self.displacement(loads[:, block].toarray())
+            compliance[:, block] = transposed @ self.displacement(loads[:, block].toarray())
             progress(block.stop - begin)
-        return 0.5 * (found + found.T)
+        return 0.5 * (compliance + compliance.T)
 
     def displacement(self, forces: Array) -> Array:
         """Displacements of all unknowns under nodal forces, m, both of shape (unknowns, loads)."""
         balanced = forces - self._inertia @ np.linalg.solve(self._gram, self._rigid.T @ forces)
-        found = np.zeros_like(balanced)
-        found[self._free] = self._factor.solve(balanced[self._free])
-        return np.asarray(found - self._rigid @ np.linalg.solve(self._gram, self._inertia.T @ found))
+        moved = np.zeros_like(balanced)
+        moved[self._free] = self._factor.solve(balanced[self._free])
+        return np.asarray(moved - self._rigid @ np.linalg.solve(self._gram, self._inertia.T @ moved))
 
     def at_nodes(self, displacement: Array) -> NDArray[np.complex128]:
         """Displacements x + iy at `nodes` from those of the unknowns."""

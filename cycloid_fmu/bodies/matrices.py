@@ -141,24 +141,24 @@ def matrices_of(
 
 def influence(matrices: BodyMatrices, crank_angle: float = 0.0, disc: int = 0) -> dict[str, Any]:
     """Return the influence of a drive's bodies at a crank angle, m/N, as `Drive.influence` describes it."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     if matrices.discs:
         stated = matrices.discs[disc]
         whole, pins = stated.at(crank_angle), stated.pair.pins
         arms = stated.matrix.of("bore").size
         teeth = whole[:pins, :pins]
-        found["disc"] = {"crank_angle": crank_angle, "teeth": teeth, **_norms(teeth), "self": teeth.diagonal()}
-        found["disc"]["bores"] = whole[pins : pins + arms, pins : pins + arms]
-        found["disc"]["rollers"] = whole[pins + arms :, pins + arms :]
-        found["disc"]["compliance"] = whole
+        result["disc"] = {"crank_angle": crank_angle, "teeth": teeth, **_norms(teeth), "self": teeth.diagonal()}
+        result["disc"]["bores"] = whole[pins : pins + arms, pins : pins + arms]
+        result["disc"]["rollers"] = whole[pins + arms :, pins + arms :]
+        result["disc"]["compliance"] = whole
     for name in ("pin", "crank", "output_pin"):
         if (matrix := getattr(matrices, name)) is not None:
-            found[name] = matrix
+            result[name] = matrix
     if matrices.ring is not None:
-        found["ring"] = {"compliance": matrices.ring, **_norms(matrices.ring)}
+        result["ring"] = {"compliance": matrices.ring, **_norms(matrices.ring)}
     if matrices.carrier is not None:
-        found["carrier"] = {"compliance": matrices.carrier, **matrices.columns}
-    return found
+        result["carrier"] = {"compliance": matrices.carrier, **matrices.columns}
+    return result
 
 
 def _norms(matrix: Array) -> dict[str, float]:
@@ -180,7 +180,7 @@ def _discs(
         given = [read_influence(path, _half_width(pair)) for path in body.matrices]
         return tuple(influence_of(pair, j, m, p) for j, (m, p) in enumerate(zip(given, body.matrices, strict=True)))
     total(loads_of(pair) * pair.discs)
-    found = []
+    influences = []
     for disc in range(pair.discs):
         try:
             matrix = edge.cached(
@@ -193,8 +193,8 @@ def _discs(
             )
         except edge.InputError as problem:
             raise edge.InputError(f"{source}: [bodies.disc]: {problem}") from None
-        found.append(influence_of(pair, disc, matrix, "the disc"))
-    return tuple(found)
+        influences.append(influence_of(pair, disc, matrix, "the disc"))
+    return tuple(influences)
 
 
 def _disc_text(pair: Pair, body: DiscBody) -> str:

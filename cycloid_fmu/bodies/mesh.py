@@ -84,15 +84,15 @@ def circle(centre: complex, radius: float, edges: int, name: str = "") -> Contou
 
 def inside(points: Points, polygon: Points) -> NDArray[np.bool_]:
     """Whether points are inside a closed polygon, by the number of sides left of them."""
-    found = np.zeros(points.size, dtype=bool)
+    within = np.zeros(points.size, dtype=bool)
     x, y = points.real, points.imag
     order = np.argsort(y)
     for a, b in zip(polygon, np.roll(polygon, -1), strict=True):
         low, high = min(a.imag, b.imag), max(a.imag, b.imag)
         rows = order[np.searchsorted(y[order], low, "right") : np.searchsorted(y[order], high, "right")]
         if rows.size:
-            found[rows] ^= x[rows] < a.real + (y[rows] - a.imag) * ((b.real - a.real) / (b.imag - a.imag))
-    return found
+            within[rows] ^= x[rows] < a.real + (y[rows] - a.imag) * ((b.real - a.real) / (b.imag - a.imag))
+    return within
 
 
 def meshed(outline: Contour, holes: Sequence[Contour], largest: float, growth: float = GROWTH) -> Mesh:
@@ -166,10 +166,10 @@ def _columns(points: Points) -> Array:
 
 
 def _within(points: Points, chains: Sequence[Points]) -> NDArray[np.bool_]:
-    found = inside(points, chains[0])
+    within = inside(points, chains[0])
     for chain in chains[1:]:
-        found &= ~inside(points, chain)
-    return found
+        within &= ~inside(points, chain)
+    return within
 
 
 def _edges(piece: Points, size: float) -> int:
@@ -272,6 +272,6 @@ def _smoothed(nodes: Points, triangles: Indices, fixed: int) -> Points:
         total += np.bincount(triangles[:, corner], area, nodes.size)
         moved += np.bincount(triangles[:, corner], weighted.real, nodes.size)
         moved += 1j * np.bincount(triangles[:, corner], weighted.imag, nodes.size)
-    found = np.where(total > 0.0, moved / np.where(total > 0.0, total, 1.0), nodes)
-    found[:fixed] = nodes[:fixed]
-    return found
+    placed = np.where(total > 0.0, moved / np.where(total > 0.0, total, 1.0), nodes)
+    placed[:fixed] = nodes[:fixed]
+    return placed

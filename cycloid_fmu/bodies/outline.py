@@ -83,13 +83,13 @@ def other_holes(pair: Pair, body: DiscBody, edges: int) -> list[Contour]:
 
 def windows(body: DiscBody) -> list[Contour]:
     """All windows of a disc."""
-    made = []
+    contours = []
     for number, window in enumerate(body.windows):
         pieces = _window(window)
         for k in range(window.count):
             turned = np.exp(1j * (window.first_angle + 2.0 * math.pi * k / window.count))
-            made.append(Contour(tuple(turned * piece for piece in pieces), math.inf, f"windows[{number}]"))
-    return made
+            contours.append(Contour(tuple(turned * piece for piece in pieces), math.inf, f"windows[{number}]"))
+    return contours
 
 
 def _window(window: Window) -> list[Points]:
@@ -157,7 +157,9 @@ def _outline_of_dxf(path: str) -> list[Points]:
         document = ezdxf.readfile(str(source))
         scale = units.conversion_factor(document.units, units.M) if document.units else 1e-3
         entities = document.modelspace().query("LINE ARC CIRCLE ELLIPSE SPLINE POLYLINE LWPOLYLINE")
-        chains = [[complex(v.x, v.y) * scale for v in paths.make_path(one).flattening(1e-3, 16)] for one in entities]
+        chains = [
+            [complex(v.x, v.y) * scale for v in paths.make_path(entity).flattening(1e-3, 16)] for entity in entities
+        ]
     joined = _joined([np.array(chain) for chain in chains if len(chain) > 1])
     if joined is None:
         raise edge.InputError(f"{source}: it must have one closed outline of lines, arcs and curves, and nothing else.")
@@ -188,13 +190,13 @@ def contradictions(pair: Pair, body: DiscBody) -> list[str]:
     holes = [*bores(pair, body, 96), *other_holes(pair, body, 96), *windows(body)]
     root = pair.pin_circle_radius - pair.pin_radius - pair.eccentricity
     least = _LEAST_BRIDGE * pair.pin_circle_radius
-    found = []
+    reasons = []
     dense = [_dense(hole, _STEP * pair.pin_circle_radius) for hole in holes]
     centres = [points.mean() for points in dense]
     reaches = [np.abs(points - centre).max() for points, centre in zip(dense, centres, strict=True)]
     for hole, points in zip(holes, dense, strict=True):
         if (furthest := float(np.abs(points).max())) > root - least:
-            found.append(
+            reasons.append(
                 f"{hole.name} reaches to {furthest * 1e3:.6g} mm from the disc's middle; the root circle of its teeth "
                 f"has a radius of {root * 1e3:.6g} mm"
             )
@@ -205,8 +207,8 @@ def contradictions(pair: Pair, body: DiscBody) -> list[str]:
                 continue
             if _apart(a, b) <= least or _encloses(b, a[0]) or _encloses(a, b[0]):
                 names = sorted({holes[first].name, holes[second].name})
-                found.append(f"holes cut each other, or almost: {' and '.join(names)}")
-    return list(dict.fromkeys(found))
+                reasons.append(f"holes cut each other, or almost: {' and '.join(names)}")
+    return list(dict.fromkeys(reasons))
 
 
 def _encloses(curve: Points, point: complex) -> bool:

@@ -115,11 +115,11 @@ def around(body: PlaneBody, contour: int, centre: complex, sectors: int) -> sp.c
     for s in range(sectors):
         away = np.abs((angle - pitch * s + np.pi) % (2.0 * np.pi) - np.pi)
         density.append(np.maximum(1.0 - away / pitch, 0.0) / (pitch * radius))
-    found = []
+    columns = []
     for values in density:
         parts = [
             np.einsum("eg,ng,g,e->en", values * along, shapes, 0.5 * _WEIGHT, length)
             for along in (np.cos(angle), np.sin(angle))
         ]
-        found.append(body.nodal(edges.ravel(), parts[0].ravel(), parts[1].ravel()))
-    return sp.hstack(found).tocsc()
+        columns.append(body.nodal(edges.ravel(), parts[0].ravel(), parts[1].ravel()))
+    return sp.hstack(columns).tocsc()

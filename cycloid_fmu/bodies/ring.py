@@ -78,10 +78,10 @@ def _compliances(orders: NDArray[np.int64], inner: float, outer: float, material
     ]
     system = np.array(rows).transpose(2, 0, 1)  # S and T divided by Young's modulus
     length = np.log(outer / inner)
-    found = np.empty((orders.size, 2, 2))
+    compliance = np.empty((orders.size, 2, 2))
     for low in range(min(2, orders.size)):  # powers of r coincide there
         across = expm(system[low] * length)
-        found[low] = np.linalg.solve(across[:2, :2], across[:2, 2:])
+        compliance[low] = np.linalg.solve(across[:2, :2], across[:2, 2:])
     if orders.size > 2:
         powers, modes = (part.real for part in np.linalg.eig(system[2:]))
         at_inner = (
@@ -90,6 +90,8 @@ def _compliances(orders: NDArray[np.int64], inner: float, outer: float, material
         at_outer = modes * np.exp(np.minimum(powers, 0.0) * length)[:, None, :]
         conditions = np.concatenate([at_outer[:, :2], at_inner[:, 2:]], axis=1)
         stresses = np.concatenate([np.zeros((2, 2)), -np.eye(2)])
-        found[2:] = at_inner[:, :2] @ np.linalg.solve(conditions, np.broadcast_to(stresses, (orders.size - 2, 4, 2)))
+        compliance[2:] = at_inner[:, :2] @ np.linalg.solve(
+            conditions, np.broadcast_to(stresses, (orders.size - 2, 4, 2))
+        )
     phase = np.array([1.0, -1.0j])
-    return np.asarray(found * inner / material.youngs_modulus * phase[:, None] / phase)
+    return np.asarray(compliance * inner / material.youngs_modulus * phase[:, None] / phase)

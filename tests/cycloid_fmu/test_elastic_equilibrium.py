@@ -43,13 +43,13 @@ def test_rigid_bodies_are_the_drive_on_its_bearings(name):
     expected, pair, matrices = rigid(name)
     torque = expected["results"][0]["torque"]
     angles = expected["crank_angle"][3:5]
-    found = cy.Drive(pair).analyze(torque, crank_angle=angles)
+    analysis = cy.Drive(pair).analyze(torque, crank_angle=angles)
     for number, angle in enumerate(angles):
         solution = elastic_equilibrium.Drive(pair, matrices, angle).solution(torque)
-        assert solution.x == pytest.approx(float(found.transmission_error[0, number]), abs=2e-3 / cy.ARCSEC)
-        forces = found.pin_force[0, number].values
+        assert solution.x == pytest.approx(float(analysis.transmission_error[0, number]), abs=2e-3 / cy.ARCSEC)
+        forces = analysis.pin_force[0, number].values
         assert np.abs(solution.pin_force - forces).max() < 2e-3 * forces.max()
-        assert solution.stiffness == pytest.approx(float(found.torsional_stiffness[0, number]), rel=2e-3)
+        assert solution.stiffness == pytest.approx(float(analysis.torsional_stiffness[0, number]), rel=2e-3)
 
 
 @pytest.mark.parametrize("name", SLOW)
@@ -63,26 +63,29 @@ def test_elastic_bodies_move_the_load_as_an_independent_solver_finds(name, tmp_p
     for result in expected["results"]:
         for number in (0, 5):
             drive = elastic_equilibrium.Drive(pair, matrices, expected["crank_angle"][number], HALF_SHELL.get(name))
-            found, want = drive.solution(result["torque"]), {k: v[number] for k, v in result.items() if k != "torque"}
+            solution, want = (
+                drive.solution(result["torque"]),
+                {k: v[number] for k, v in result.items() if k != "torque"},
+            )
             bodies_part = sum(want["compliance"].get(part, 0.0) for part in drive.parts) * abs(result["torque"])
-            assert abs(found.x - want["transmission_error"]) < max(0.05 / cy.ARCSEC, 0.01 * bodies_part)
-            assert found.stiffness == pytest.approx(want["torsional_stiffness"], rel=0.01)
+            assert abs(solution.x - want["transmission_error"]) < max(0.05 / cy.ARCSEC, 0.01 * bodies_part)
+            assert solution.stiffness == pytest.approx(want["torsional_stiffness"], rel=0.01)
             for force, share in (
                 ("pin_force", 0.015),
                 ("turning_arm_force", 0.01),
                 ("crank_bearing_force", 0.01),
                 ("output_roller_force", 0.01),
             ):
-                wanted = np.array(want.get(force, getattr(found, force)))
+                wanted = np.array(want.get(force, getattr(solution, force)))
                 if wanted.size:
-                    assert np.abs(getattr(found, force) - wanted).max() < share * wanted.max(), force
-            assert found.main_bearing_force == pytest.approx(want["main_bearing_force"], rel=0.01, abs=1.0)
+                    assert np.abs(getattr(solution, force) - wanted).max() < share * wanted.max(), force
+            assert solution.main_bearing_force == pytest.approx(want["main_bearing_force"], rel=0.01, abs=1.0)
             shift = np.column_stack([want["disc_shift_x"], want["disc_shift_y"]])
-            assert np.abs(found.disc_shift - shift).max() < 5e-8
+            assert np.abs(solution.disc_shift - shift).max() < 5e-8
             power = abs(result["torque"]) / pair.gear_teeth
-            assert abs(found.crank_torque - want["crank_torque"]) < 1e-3 * power
+            assert abs(solution.crank_torque - want["crank_torque"]) < 1e-3 * power
             total = 1.0 / want["torsional_stiffness"]
-            for part, share in found.compliance.items():
+            for part, share in solution.compliance.items():
                 assert share == pytest.approx(want["compliance"].get(part, 0.0), rel=0.02, abs=1e-3 * total), part
 
 
