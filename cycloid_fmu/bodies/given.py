@@ -16,6 +16,7 @@ from cycloid_fmu.bodies.ports import KINDS, PortMatrix
 FORMAT = "cycloid-influence/1"
 _ASYMMETRY, _NEGATIVE = 1e-6, 1e-9  # of the largest entry, and of the largest eigenvalue
 _MOST_PORTS = 20_000
+_LARGEST = 1e9
 _NUMBERS = ("x", "y", "direction_x", "direction_y")
 
 
@@ -117,19 +118,21 @@ def _matrix(kind: Any, numbers: Array, compliance: Array, about: Mapping[str, An
         raise edge.InputError(
             f"{source}: the matrix must be square, with a row and a column for each of {kind.size} ports."
         )
-    if not np.isfinite(compliance).all() or not np.isfinite(numbers).all():
-        raise edge.InputError(f"{source}: compliance, places and directions must be finite.")
+    if not (np.abs(compliance) < _LARGEST).all() or not (np.abs(numbers) < _LARGEST).all():
+        raise edge.InputError(f"{source}: compliance, places and directions must be finite, and within ±{_LARGEST:g}.")
     index, place, direction = numbers[0], numbers[1] + 1j * numbers[2], numbers[3] + 1j * numbers[4]
     if (index != np.round(index)).any() or (index < 0).any():
         raise edge.InputError(f"{source}: index must be whole numbers from 0.")
     if (np.abs(np.abs(direction) - 1.0) > 1e-6).any():
         raise edge.InputError(f"{source}: direction_x and direction_y must be unit vectors.")
-    gauge, width = about["gauge"], float(about["patch_half_width"])
+    gauge, width = str(about["gauge"]), float(about["patch_half_width"])
     if gauge not in ("free", "held"):
         raise edge.InputError(f'{source}: gauge = {edge.shown(gauge)}: it may be "free" or "held".')
-    if not width >= 0.0 or (width == 0.0 and (kind == "flank").any()):
-        raise edge.InputError(f"{source}: patch_half_width = {width:g}: it must be above zero, in m.")
-    return PortMatrix(kind, index.astype(np.int64), place, direction, compliance, gauge, width)
+    if not 0.0 <= width < 1.0 or (width == 0.0 and (kind == "flank").any()):
+        raise edge.InputError(f"{source}: patch_half_width = {width:g}: it must be above zero and below 1 m.")
+    return PortMatrix(
+        kind, index.astype(np.int64), place, direction, compliance, "free" if gauge == "free" else "held", width
+    )
 
 
 def _check(matrix: PortMatrix, source: str) -> None:

@@ -17,6 +17,7 @@ from cycloid_fmu.geometry.profile import flank_normals, flank_points
 _PER_TOOTH = 400  # points of the flank's contour
 _ARC = math.radians(1.0)  # between points of a window's arcs
 _STEP = 5e-4  # between points of holes, for their distances, over the pin circle's radius; half of `_LEAST_BRIDGE`
+_LARGEST = 5.0  # coordinate of a window's outline, m
 _LEAST_BRIDGE = 1e-3  # of the pin circle's radius: material between two holes
 
 
@@ -149,21 +150,30 @@ def _fan(window: Window) -> list[Points]:
 def _outline_of_dxf(path: str) -> list[Points]:
     """Pieces of the one closed outline in a DXF file, m, counter-clockwise."""
     with edge.needs_extra("bodies"):
-        import ezdxf
-        from ezdxf import path as paths
-        from ezdxf import units
+        import ezdxf  # noqa: F401
     source = edge.existing(Path(path))
     with edge.parsed_by_others(source, "this is not a DXF file, or it is damaged"):
-        document = ezdxf.readfile(str(source))
-        scale = units.conversion_factor(document.units, units.M) if document.units else 1e-3
-        entities = document.modelspace().query("LINE ARC CIRCLE ELLIPSE SPLINE POLYLINE LWPOLYLINE")
-        chains = [
-            [complex(v.x, v.y) * scale for v in paths.make_path(entity).flattening(1e-3, 16)] for entity in entities
-        ]
-    joined = _joined([np.array(chain) for chain in chains if len(chain) > 1])
+        chains = edge.call_limited(source, curves_of_dxf, str(source), needs="ezdxf")
+    joined = _joined([chain for chain in chains if chain.size > 1])
     if joined is None:
         raise edge.InputError(f"{source}: it must have one closed outline of lines, arcs and curves, and nothing else.")
     return _closed(joined)
+
+
+def curves_of_dxf(path: str) -> list[Points]:
+    """Return points of each curve in a DXF file, m; to be called by `edge.call_limited`."""
+    import ezdxf
+    from ezdxf import path as paths
+    from ezdxf import units
+
+    document = ezdxf.readfile(path)
+    scale = units.conversion_factor(document.units, units.M) if document.units else 1e-3
+    entities = document.modelspace().query("LINE ARC CIRCLE ELLIPSE SPLINE POLYLINE LWPOLYLINE")
+    curves = [[(v.x, v.y) for v in paths.make_path(entity).flattening(1e-3, 16)] for entity in entities]
+    points = [scale * np.array(curve).reshape(-1, 2) @ np.array([1.0, 1j]) for curve in curves]
+    if any(not np.isfinite(curve).all() or (np.abs(curve) > _LARGEST).any() for curve in points):
+        raise edge.InputError(f"{path}: its outline must be within {_LARGEST:g} m of the origin.")
+    return points
 
 
 def _joined(chains: list[Points]) -> Points | None:
@@ -200,6 +210,11 @@ def contradictions(pair: Pair, body: DiscBody) -> list[str]:
                 f"{hole.name} reaches to {furthest * 1e3:.6g} mm from the disc's middle; the root circle of its teeth "
                 f"has a radius of {root * 1e3:.6g} mm"
             )
+    if reasons:
+        return list(dict.fromkeys(reasons))
+    dense = [_dense(hole, _STEP * pair.pin_circle_radius) for hole in holes]
+    centres = [points.mean() for points in dense]
+    reaches = [np.abs(points - centre).max() for points, centre in zip(dense, centres, strict=True)]
     for first in range(len(holes)):
         for second in range(first + 1, len(holes)):
             a, b = dense[first], dense[second]

@@ -19,12 +19,17 @@ def _positive(value: float) -> float:
     return value
 
 
+def _near(value: float) -> float:
+    if not abs(value) <= _FURTHEST:
+        raise ValueError(f"it must be between -{_FURTHEST:g} m and {_FURTHEST:g} m")
+    return value
+
+
+_FURTHEST = 5.0
 PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
-PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
-AxialPlace = Annotated[Length, pydantic.Field(ge=-5.0, le=5.0)]
+Coordinate = Annotated[Length, pydantic.AfterValidator(_near)]
 SpanLength = sizes.Width
 MOST_WINDOWS = 120
-STEEL = 206e9, 0.3
 _WINDOW_KEYS = {
     "fan": ("inner_radius", "outer_radius", "half_angle", "corner_radius"),
     "round": ("circle_radius", "radius"),
@@ -88,14 +93,14 @@ class Window(Config):
     shape: Literal["fan", "round", "polygon"]
     count: int = pydantic.Field(default=1, ge=1, le=MOST_WINDOWS, strict=True)
     first_angle: Angle = 0.0
-    inner_radius: PositiveLength | None = None
-    outer_radius: PositiveLength | None = None
+    inner_radius: sizes.Dimension | None = None
+    outer_radius: sizes.Dimension | None = None
     half_angle: Angle | None = None
-    corner_radius: Annotated[Length, pydantic.Field(ge=0.0)] | None = None
-    circle_radius: PositiveLength | None = None
-    radius: PositiveLength | None = None
-    x: Annotated[tuple[Length, ...], pydantic.Field(min_length=3)] | None = None
-    y: Annotated[tuple[Length, ...], pydantic.Field(min_length=3)] | None = None
+    corner_radius: sizes.Dimension | None = None
+    circle_radius: sizes.Dimension | None = None
+    radius: sizes.Dimension | None = None
+    x: Annotated[tuple[Coordinate, ...], pydantic.Field(min_length=3)] | None = None
+    y: Annotated[tuple[Coordinate, ...], pydantic.Field(min_length=3)] | None = None
     dxf: str | None = None
 
     @pydantic.model_validator(mode="after")
@@ -165,9 +170,9 @@ class DiscBody(ElasticBody):
 
     matrix: str | Annotated[tuple[str, ...], pydantic.Field(min_length=1)] | None = None  # type: ignore[assignment]
     plane: Literal["stress", "strain"] = "stress"
-    bore_radius: PositiveLength | None = None
-    centre_radius: PositiveLength | None = None
-    roller_hole_radius: PositiveLength | None = None
+    bore_radius: sizes.Dimension | None = None
+    centre_radius: sizes.Dimension | None = None
+    roller_hole_radius: sizes.Dimension | None = None
     windows: tuple[Window, ...] = pydantic.Field(default=(), max_length=MOST_WINDOWS)
 
     @property
@@ -199,7 +204,7 @@ class PinBody(ElasticBody):
 
     ends: Literal["supported", "clamped"] | None = None
     span: SpanLength | None = None
-    diameter: PositiveLength | None = None
+    diameter: sizes.Dimension | None = None
 
     @pydantic.model_validator(mode="after")
     def _dimensions(self) -> PinBody:
@@ -220,9 +225,9 @@ class Section(Config):
 
     model_config = pydantic.ConfigDict(populate_by_name=True)
 
-    start: AxialPlace = pydantic.Field(alias="from")
-    end: AxialPlace = pydantic.Field(alias="to")
-    diameter: PositiveLength
+    start: Coordinate = pydantic.Field(alias="from")
+    end: Coordinate = pydantic.Field(alias="to")
+    diameter: sizes.Dimension
 
     @pydantic.model_validator(mode="after")
     def _has_length(self) -> Section:
@@ -242,7 +247,7 @@ class CrankBody(ElasticBody):
         Pieces of the shaft, without gaps, from the first bearing or disc to the last.
     """
 
-    bearings: tuple[AxialPlace, AxialPlace] | None = None
+    bearings: tuple[Coordinate, Coordinate] | None = None
     sections: Annotated[tuple[Section, ...], pydantic.Field(min_length=1, max_length=100)] | None = None
 
     @pydantic.model_validator(mode="after")
@@ -273,9 +278,9 @@ class OutputPinBody(ElasticBody):
     model_config = pydantic.ConfigDict(populate_by_name=True)
 
     ends: Literal["cantilever", "clamped"] | None = None
-    start: AxialPlace | None = pydantic.Field(default=None, alias="from")
-    end: AxialPlace | None = pydantic.Field(default=None, alias="to")
-    diameter: PositiveLength | None = None
+    start: Coordinate | None = pydantic.Field(default=None, alias="from")
+    end: Coordinate | None = pydantic.Field(default=None, alias="to")
+    diameter: sizes.Dimension | None = None
 
     @pydantic.model_validator(mode="after")
     def _dimensions(self) -> OutputPinBody:
@@ -305,8 +310,8 @@ class CarrierBody(ElasticBody):
     columns: int | None = pydantic.Field(default=None, ge=2, le=40, strict=True)
     circle_radius: sizes.CircleRadius | None = None
     length: SpanLength | None = None
-    radial_width: PositiveLength | None = None
-    tangential_width: PositiveLength | None = None
+    radial_width: sizes.Dimension | None = None
+    tangential_width: sizes.Dimension | None = None
     share: float | None = pydantic.Field(default=None, ge=0.0, le=1.0)
 
     @pydantic.model_validator(mode="after")
@@ -363,7 +368,7 @@ class Bodies(Config):
     ('stress', 0.062)
     """
 
-    disc_spacing: PositiveLength | None = None
+    disc_spacing: sizes.Dimension | None = None
     disc: DiscBody | None = None
     pin: PinBody | None = None
     crank: CrankBody | None = None
