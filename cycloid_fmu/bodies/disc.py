@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -155,11 +156,14 @@ class Track:
 
     def self_compliance(self, position: Array, force: Points) -> Array:
         """Compliance of ports at positions by themselves, m/N: a periodic cubic spline through `own`."""
-        steps = np.arange(len(self.own) + 1.0)
-        spline = CubicSpline(steps, np.concatenate([self.own, self.own[:1]]), bc_type="periodic")
         components = np.column_stack([force.real, force.imag])
-        blocks = spline((position - self.first) % len(self.own))
+        blocks = self._spline((position - self.first) % len(self.own))
         return np.asarray(np.einsum("pi,pij,pj->p", components, blocks, components))
+
+    @functools.cached_property
+    def _spline(self) -> CubicSpline:
+        steps = np.arange(len(self.own) + 1.0)
+        return CubicSpline(steps, np.concatenate([self.own, self.own[:1]]), bc_type="periodic")
 
 
 def _track(matrix: PortMatrix, ports: Indices, first: float) -> Track:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from pathlib import Path
@@ -21,6 +22,7 @@ _LARGEST = 5.0  # coordinate of a window's outline, m
 _LEAST_BRIDGE = 1e-3  # of the pin circle's radius: material between two holes
 
 
+@functools.lru_cache(maxsize=64)  # each crank angle needs it
 def true_flank(pair: Pair) -> Pair:
     """Return the pair without modification, whose flank the elastic disc has."""
     return pair.replace(isometric=0.0, offset=0.0)
