@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.compensation.compensator import Compensator
     from cycloid_fmu.fmu.friction_file import Friction
     from cycloid_fmu.fmu.variables import Interface
+    from cycloid_fmu.geometry.bodies import Bodies
     from cycloid_fmu.geometry.first_stage import FirstStage
     from cycloid_fmu.losses.figures import LossFigures
     from cycloid_fmu.losses.heat import Heat
@@ -494,6 +495,66 @@ class Drive(DriveValue):
         from cycloid_fmu.analysis import compliance
 
         return compliance(self, progress=progress)
+
+    def influence(
+        self,
+        crank_angle: float | str = 0.0,
+        *,
+        bodies: Bodies,
+        disc: int = 0,
+        total: Callable[[int], None] = lambda loads: None,
+        progress: Callable[[int], None] = lambda loads: None,
+    ) -> dict[str, Any]:
+        """Influence matrices of the drive's elastic bodies: displacements under unit forces, m/N.
+
+        Computed once for each body, and then from the user's cache folder. No analysis uses them yet.
+
+        Parameters
+        ----------
+        crank_angle
+            Crank angle, rad or text with a unit: pins and output rollers are at their ideal places.
+        bodies
+            The elastic bodies, those of a file by `cycloid_fmu.bodies.files.read_bodies`.
+        disc
+            Number of the disc, from 0.
+        total, progress
+            Called with the number of unit loads of all discs, and with the number that were just solved.
+
+        Returns
+        -------
+        dict
+            By body. `disc`: `teeth`, between the pins, each force on the disc along the inner normal, with the norms
+            `frobenius` and `spectral` and the diagonal `self`; `bores`, between x and y of each turning arm, in the
+            disc's axes; `rollers`, between the output rollers; `compliance`, between all of these. `pin`, `crank`,
+            `output_pin`: between the discs, shape (discs, discs). `ring`: `compliance` between x and y of each pin's
+            seat, and its norms. `carrier`: `compliance` between x and y of each crank's place, and the factors
+            `translation` and `rotation` (docs/theory/bodies.md).
+
+        Raises
+        ------
+        edge.InputError
+            If the pair has no supports, the bodies contradict it or each other, there is no such disc, or a computed
+            disc lacks the package scikit-fem of the extra `bodies`.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> from cycloid_fmu.geometry.bodies import Bodies
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+        ...     supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm"},
+        ... )
+        >>> bodies = Bodies(ring={"outer_radius": "80 mm", "width": "24 mm"})
+        >>> seats = cy.Drive(pair).influence(bodies=bodies)["ring"]["compliance"]
+        >>> seats.shape, f"{seats[0, 0]:.2e} m/N"
+        ((80, 80), '2.75e-10 m/N')
+        """
+        from cycloid_fmu.bodies.matrices import influence, matrices_of
+
+        angle = _quantity("crank_angle", crank_angle, "rad")
+        if not 0 <= disc < self.pair.discs:
+            raise edge.ArgumentError("disc", f"it must be from 0 to {self.pair.discs - 1}", disc)
+        return influence(matrices_of(self.pair, bodies, total=total, progress=progress), angle, disc)
 
     def bearing_loads(
         self, torque: float | str | None = None, *, angles: int = ANGLES, turns: int = 1

@@ -11,6 +11,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core.core_schema import CoreSchema, ModelSchema
 
 from cycloid_fmu import edge
+from cycloid_fmu.bodies import files as bodies
 from cycloid_fmu.errors.kinds import KINDS, ErrorKind
 from cycloid_fmu.fmu import friction_file
 from cycloid_fmu.geometry import pair
@@ -29,6 +30,7 @@ from fitting.recordings import read_head as coaxiality
 # title, format, class that reads it, example
 FILES = (
     ("Gear pair", pair.FORMAT, pair._File, "drive-39-40-as-made.toml"),
+    ("Elastic bodies of a gear pair", f"{pair.FORMAT} with [bodies]", bodies._File, None),
     ("RV reducer", reducer.FORMAT, reducer.Reducer, "rv-20e.toml"),
     ("Tolerances", sampling.FORMAT, sampling.file_model(), "tolerances.toml"),
     ("Requirements of an application", limits.FORMAT, limits.Requirements, "requirements.toml"),
@@ -96,6 +98,13 @@ class _Schema(GenerateJsonSchema):
         if stated is not None:
             own, (summary, *rest) = schema["cls"].__doc__, inspect.cleandoc(stated.__doc__ or "").split("\n\n")
             found["description"] = "\n\n".join([own or summary, *rest])
+        stated_above = {}  # by classes that this one extends
+        for base in reversed(schema["cls"].__mro__[1:]):
+            stated_above |= _meanings(base.__doc__) if issubclass(base, edge.Config) else {}
+        own_meanings = stated_above | _meanings(schema["cls"].__doc__)
+        for name, field in schema["cls"].model_fields.items():
+            if name in stated_above or field.alias:
+                found["properties"][field.alias or name]["meaning"] = own_meanings.get(name, "")
         return found
 
 
@@ -188,7 +197,9 @@ def _rows(schema: dict, definitions: dict) -> list[str]:
         if key == "text" or (table is not None and "properties" in definitions[table]):
             continue
         default = "needed" if key in needed else _default(one)
-        rows.append(f"| `{key}` | {_kind(one, definitions)} | {default} | {meanings.get(key, '')} |")
+        rows.append(
+            f"| `{key}` | {_kind(one, definitions)} | {default} | {one.get('meaning') or meanings.get(key, '')} |"
+        )
     return ["| key | value | if left out | meaning |", "| --- | --- | --- | --- |", *rows, ""] if rows else []
 
 

@@ -14,6 +14,8 @@ from playwright.sync_api import sync_playwright
 
 import cycloid_fmu as cy
 from cycloid_fmu.desk.server import DeskServer
+from cycloid_fmu.draw.bodies import plot_disc
+from cycloid_fmu.geometry.bodies import DiscBody
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "docs" / "_static"
@@ -72,7 +74,26 @@ def pages() -> None:
         browser.close()
 
 
+def disc() -> None:
+    """Draw an elastic disc for the page of its theory."""
+    pair = cy.Pair(
+        gear_teeth=39,
+        pin_circle_radius="52 mm",
+        pin_radius="2 mm",
+        eccentricity="0.9 mm",
+        face_width="10 mm",
+        supports={"kind": "cranks", "count": 3, "circle_radius": "28.5 mm"},
+    )
+    fan = {"inner_radius": "18 mm", "outer_radius": "40 mm", "half_angle": "24 deg", "corner_radius": "3 mm"}
+    windows = [{"shape": "fan", "count": 3, "first_angle": "60 deg", **fan}]
+    body = DiscBody(bore_radius="12.5 mm", centre_radius="12 mm", windows=windows)
+    with tempfile.TemporaryDirectory() as folder:
+        plot_disc(pair, body, pin=5).savefig(Path(folder, "disc.png"), dpi=75)
+        Image.open(Path(folder, "disc.png")).convert("RGB").quantize(96).save(OUT / "disc.png", optimize=True)
+
+
 if __name__ == "__main__":
+    disc()
     pages()
     examples()
     walks()

@@ -12,6 +12,7 @@ import zlib
 
 import can
 import cantools
+import ezdxf
 import hostile
 import numpy as np
 import pyarrow as pa
@@ -21,12 +22,17 @@ from pyarrow import parquet
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
+from cycloid_fmu.bodies.files import read_bodies
+from cycloid_fmu.bodies.given import read_influence, write_influence
+from cycloid_fmu.bodies.outline import windows
+from cycloid_fmu.bodies.ports import PortMatrix
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import limited
 from cycloid_fmu.fmu.bench_losses import read_bench_losses
 from cycloid_fmu.fmu.build import build_fmu, read_losses
 from cycloid_fmu.fmu.friction_file import read_friction
 from cycloid_fmu.fmu.run import read_motion, stated_drive, units_of
+from cycloid_fmu.geometry.bodies import DiscBody
 from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.studies.checkpoint import Checkpoint
 from cycloid_fmu.studies.limits import read_requirements
@@ -91,6 +97,35 @@ protocol = "amt21"
 port = "usb"
 address = 84
 """
+BODIES = (
+    SMALL.replace(supports={"kind": "cranks", "count": 3, "circle_radius": "16 mm"}).text
+    + """[bodies]
+disc_spacing = "11 mm"
+[bodies.disc]
+bore_radius = "6 mm"
+centre_radius = "5 mm"
+[[bodies.disc.windows]]
+shape = "fan"
+count = 3
+first_angle = "60 deg"
+inner_radius = "14 mm"
+outer_radius = "20 mm"
+half_angle = "12 deg"
+corner_radius = "1 mm"
+[[bodies.disc.windows]]
+shape = "polygon"
+x = ["24 mm", "25 mm", "25 mm"]
+y = ["0 mm", "0 mm", "1 mm"]
+[bodies.crank]
+bearings = ["-19 mm", "19 mm"]
+sections = [{ from = "-19 mm", to = "0 mm", diameter = "15 mm" }, { from = "0 mm", to = "19 mm", diameter = "15 mm" }]
+[bodies.ring]
+outer_radius = "52 mm"
+width = "24 mm"
+"""
+)
+INFLUENCE = "held:0,seat:0:0.05:0:1:0,seat:0:0.05:0:0:1\nseat:0:0.05:0:1:0,2e-9,5e-10\nseat:0:0.05:0:0:1,5e-10,1e-9\n"
+SLOT = {"shape": "polygon"}
 SENSOR = """[channel.torque]
 protocol = "dbc"
 bus = "can0"
@@ -170,6 +205,24 @@ def example(name, *beside):
         return folder / name
 
     return make
+
+
+def influence(folder):
+    """The matrix of two ports of a ring."""
+    kind, place = np.array(["seat", "seat"]), np.array([0.05, 0.05], dtype=complex)
+    compliance = np.array([[2.0, 0.5], [0.5, 1.0]]) * 1e-9
+    ports = PortMatrix(kind, np.array([0, 0]), place, np.array([1.0, 1j]), compliance, "held")
+    write_influence(ports, folder / "ring.nc")
+    return folder / "ring.nc"
+
+
+def dxf(folder):
+    document = ezdxf.new("R2000", units=ezdxf.units.MM)
+    document.modelspace().add_lwpolyline(
+        [(20.0, -3.0), (28.0, -3.0, 0.0, 0.0, 1.0), (28.0, 3.0), (20.0, 3.0)], close=True
+    )
+    document.saveas(folder / "slot.dxf")
+    return folder / "slot.dxf"
 
 
 def surface(folder):
@@ -336,6 +389,10 @@ READERS = {
         text_file("l.csv", "speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m]\n0,.9,.8,.1,.2\n9,1,1,0,0"),
         read_losses,
     ),
+    "bodies": (text_file("bodies.toml", BODIES), read_bodies),
+    "influence": (influence, lambda path: read_influence(path, 1e-3)),
+    "influence as CSV": (text_file("ring.csv", INFLUENCE), lambda path: read_influence(path, 1e-3)),
+    "DXF": (dxf, lambda path: windows(DiscBody(bore_radius="9 mm", windows=[{**SLOT, "dxf": str(path)}]))),
     "surface": (surface, cy.read_surface),
     "twin": (twin, cy.read_surface),
     "history": (text_file("history.toml", HISTORY), read_history),

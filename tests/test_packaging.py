@@ -226,6 +226,21 @@ DRIVE, TOLERANCES = EXAMPLES / "drive-39-40.toml", EXAMPLES / "tolerances.toml"
 RECORD = ("cycloid-bench", "record", "bench.toml", "-o", "run.arrows")
 SIMULATE = ("cycloid-bench", "simulate", "--ratio", "-39", "--torque", "20 N*m")
 STUDY = ("cycloid-fmu", "tolerance", DRIVE, "--tolerances", TOLERANCES, "-o", "study.nc")
+# Only Python has influence matrices yet.
+BODIES = """
+import sys
+import cycloid_fmu as cy
+from cycloid_fmu.geometry.bodies import Bodies
+
+supports = {"kind": "cranks", "count": 3, "circle_radius": "28.5 mm"}
+sizes = {"pin_circle_radius": "52 mm", "pin_radius": "2 mm", "eccentricity": "0.9 mm", "face_width": "10 mm"}
+pair = cy.Pair(gear_teeth=39, supports=supports, **sizes)
+try:
+    cy.Drive(pair).influence(bodies=Bodies(disc={"bore_radius": "12.5 mm"}))
+except cy.InputError as refused:
+    print(refused, file=sys.stderr)
+    sys.exit(refused.status)
+"""
 # Uses of an extra: the input files, the missing package, and the command.
 TAKES = {
     "ads": [({"bench.toml": PLC + 'protocol = "ads"\ncolumn = 1\n'}, "pyads", RECORD)],
@@ -241,6 +256,7 @@ TAKES = {
         ({"run.mf4": "x"}, "asammdf", ("cycloid-fit", "inspect", "run.mf4")),
         ({"run.asc": "x", "run.dbc": "x"}, "cantools", ("cycloid-fit", "inspect", "run.asc", "--dbc", "run.dbc")),
     ],
+    "bodies": [({}, "skfem", (BODIES,))],
     "cad": [({}, "ezdxf", ("cycloid-fmu", "profile", DRIVE, "-o", "disc.dxf"))],
     "distributed": [({}, "distributed", (*STUDY, "--samples", "64", "--scheduler", "tcp://127.0.0.1:1"))],
     "reports": [

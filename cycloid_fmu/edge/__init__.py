@@ -4,6 +4,7 @@ Quantities with units, configuration whose errors name file and field, atomic wr
 shared parts of command lines are in `edge.commands`. Nothing here depends on gears, measurements or encoders.
 """
 
+from cycloid_fmu.edge.cache import cached, hash_of_code
 from cycloid_fmu.edge.config import (
     Angle,
     Area,
@@ -124,6 +125,7 @@ __all__ = [
     "TorsionalStiffness",
     "Velocity",
     "WearCoefficient",
+    "cached",
     "call_limited",
     "check_format",
     "csv_rows",
@@ -135,6 +137,7 @@ __all__ = [
     "first_line",
     "format_of",
     "format_quantity",
+    "hash_of_code",
     "hdf5_target",
     "json_table",
     "json_text",

@@ -37,6 +37,7 @@ FORMATS = {
     "cycloid-losses": "the result of cycloid-fmu losses",
     "cycloid-sweep": "the result of cycloid-fmu sweep",
     "cycloid-tolerance-study": "the result of cycloid-fmu tolerance",
+    "cycloid-influence": "the influence matrix of a body, for [bodies] matrix",
     "cycloid-curve": "the result of cycloid-fit curve",
     "cycloid-friction-fit": "the result of cycloid-fit friction",
     "cycloid-maps": "the result of cycloid-fit maps",

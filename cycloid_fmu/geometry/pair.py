@@ -596,6 +596,11 @@ def parse_pair(text: str, source: str) -> Pair:
 def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
     """Return the pair that a file's tables describe; raise an `edge.InputError` that names invalid entries."""
     tables = dict(tables)
+    if "bodies" in tables:
+        raise edge.InputError(
+            f"{source}: [bodies]: of elastic bodies this version computes influence matrices alone, in Python by "
+            "cycloid_fmu.bodies.files.read_bodies and Drive.influence; remove the table to compute with rigid bodies."
+        )
     stated = tables.pop("errors", {})
     if not isinstance(stated, Mapping):
         raise edge.InputError(f"{source}: errors = {edge.shown(stated)}: it must be a table, [errors].")

@@ -33,5 +33,7 @@ PinRadius = Annotated[Length, *_between(20e-6, 0.5)]
 Eccentricity = Annotated[Length, *_between(10e-6, 0.25)]
 Width = Annotated[Length, *_between(0.1e-3, 2.0)]
 """Face width of a gear, and length of a bearing's roller."""
+Dimension = Annotated[Length, *_between(20e-6, 5.0)]
+"""Radius, diameter or width of a part or of a hole in it."""
 Module = Annotated[Length, *_between(0.05e-3, 60e-3)]
 """Module of involute gears: the series of DIN 780-1."""

@@ -1,17 +1,9 @@
-"""Cache of tables in the user's cache folder: all FMUs of one drive share them.
-
-A file's name is the hash of the drive, the settings of its tables and the code that made them; its first bytes are the
-hash of the rest. A file that does not match or cannot be read is made again. If all files together take too much space,
-the least recently used ones are removed.
-"""
+"""Cache of tables in the user's cache folder (`edge.cached`): all FMUs of one drive share them."""
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import hashlib
 import io
-import os
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +20,6 @@ _MAKERS = (
     *("native/nodes.py", "native/tables.py"),
 )
 _MOST_BYTES = 400_000_000  # of all tables in the cache
-_DIGEST = hashlib.sha256().digest_size
 _SIDE = ("load", "deviation", "compliance", "told_load", "contact_count", "pressure")
 _SCALARS = ("ratio", "period", "allowed", "largest_error")
 
@@ -38,43 +29,21 @@ def tables_of(drive: DriveValue, *, largest_load: float | None = None, **making:
 
     Parameters are those of `tables.compute`.
     """
-    import platformdirs
-
     asked = f"{drive.hash} {largest_load} {making.get('accuracy', tables.ACCURACY)!r} {_makers()}"
-    kept = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "tables"
-    path = kept / f"{hashlib.sha256(asked.encode()).hexdigest()}.tables"
-    with contextlib.suppress(Exception):  # a damaged file is made again, whatever the damage
-        found = _read(path.read_bytes())
-        os.utime(path)
-        return found
-    made = tables.compute(drive, largest_load=largest_load, **making)
-    with contextlib.suppress(OSError, edge.InputError):  # without a writable cache, tables are not stored
-        kept.mkdir(parents=True, exist_ok=True)
-        with edge.written_whole(path) as temporary:
-            temporary.write_bytes(_written(made))
-        _tidy(kept)
-    return made
+    return edge.cached(
+        "tables",
+        asked,
+        lambda: tables.compute(drive, largest_load=largest_load, **making),
+        write=_written,
+        read=_read,
+        most_bytes=_MOST_BYTES,
+    )
 
 
 @functools.cache
 def _makers() -> str:
     """Hash of the code that makes tables."""
-    digest = hashlib.sha256()
-    for name in _MAKERS:
-        place = _PACKAGE / name
-        for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def _tidy(kept: Path) -> None:
-    """Remove the least recently used files if all take more than `_MOST_BYTES`."""
-    files = sorted(((p.stat(), p) for p in kept.glob("*.tables")), key=lambda one: -one[0].st_mtime_ns)
-    room = _MOST_BYTES
-    for status, path in files:
-        room -= status.st_size
-        if room < 0:
-            path.unlink(missing_ok=True)
+    return edge.hash_of_code(_PACKAGE / name for name in _MAKERS)
 
 
 def _written(made: Tables) -> bytes:
@@ -94,14 +63,11 @@ def _written(made: Tables) -> bytes:
             arrays[f"{name}_step_{i}"] = step
     file = io.BytesIO()
     np.savez_compressed(file, allow_pickle=False, **arrays)
-    return hashlib.sha256(file.getvalue()).digest() + file.getvalue()
+    return file.getvalue()
 
 
 def _read(data: bytes) -> Tables:
-    digest, body = data[:_DIGEST], data[_DIGEST:]
-    if hashlib.sha256(body).digest() != digest:
-        raise ValueError("damaged")
-    with np.load(io.BytesIO(body), allow_pickle=False) as file:
+    with np.load(io.BytesIO(data), allow_pickle=False) as file:
         stiffness, pressure, crank = file["errors"][:2], file["errors"][2:4], file["errors"][5:]
         sides = []
         for name in ("positive", "negative"):
