@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
-from fitting.estimation.fit import Estimate, Problem, stated_range
-from fitting.estimation.normal_equations import Factor
-from fitting.model.observations import Linear, State, left_of, linearise
+from fitting.estimation.fit import Estimate, stated_range
+from fitting.model.observations import linearise
 
 if TYPE_CHECKING:
     import lmfit
@@ -42,18 +41,6 @@ class Confirmed:
     vary: bool
     stderr: float | None = None
     correl: Mapping[str, float] | None = None
-
-
-@dataclass(frozen=True)
-class _Evaluated:
-    """The model at some values, and its normal equations with the priors, in units of the noise."""
-
-    values: Array
-    state: State
-    linear: Linear
-    gram: Array
-    slope: Array
-    misfit: float
 
 
 def with_covariance(parameters: Mapping[str, Confirmed], covariance: Array) -> dict[str, Confirmed]:
@@ -110,7 +97,7 @@ def possible(pair: Pair, name: str) -> tuple[float, float]:
     return low, high
 
 
-def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, dict[str, Confirmed], Array]:
+def confirmed(estimate: Estimate, gain: float) -> tuple[Estimate, dict[str, Confirmed], Array]:
     """Take the last step of a fit, with its noise and scatter.
 
     It is an undamped Gauss-Newton step within the bounds: an unknown at a bound that would go beyond stays
@@ -118,8 +105,8 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
 
     Parameters
     ----------
-    pair, estimate
-        The nominal pair and the end of the fit.
+    estimate
+        The end of the fit.
     gain
         A step with a smaller predicted gain of the sum of squares in units of the noise is not taken.
 
@@ -133,8 +120,7 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
     covariance
         Of those that vary, in their order, SI.
     """
-    problem, observed = Problem(pair, estimate.observed, estimate.chosen), estimate.observed
-    precision = problem.precision(estimate.scatter)
+    pair, problem, observed = estimate.pair, estimate.problem, estimate.observed
     lowest = dict(zip(observed.bearing_names, observed.bearing_lowest, strict=True))
     # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
     low, high = np.transpose(
@@ -144,39 +130,30 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
         ]
     )
 
-    def evaluated(values: Array, linear: Linear | None = None) -> _Evaluated:
+    def evaluated(values: Array) -> Estimate:
         state = problem.state(values / problem.scale)
-        linear = linearise(pair, observed, state) if linear is None else linear
-        left = observed.weight * left_of(observed, linear, state)
-        columns = problem.columns(observed, linear)
-        gram = columns.T @ columns + np.diag(precision)
-        slope = columns.T @ left - precision * values / problem.scale
-        misfit = float(left @ left + precision @ (values / problem.scale) ** 2)
-        return _Evaluated(values, state, linear, gram, slope, misfit)
+        there = dataclasses.replace(estimate, state=state, linear=linearise(pair, observed, state))
+        return dataclasses.replace(there, misfit=there.misfit_with_priors)
 
-    ended = problem.unknowns(estimate.state) * problem.scale
+    ended = estimate.unknowns * problem.scale
     start = np.clip(ended, low, high)
     inside = bool(np.allclose(start, ended, rtol=1e-9, atol=0.0))
-    best = first = evaluated(start, estimate.linear if inside else None)
-    free = ~(((start <= low) & (first.slope < 0.0)) | ((start >= high) & (first.slope > 0.0)))
-    step = np.zeros(start.size)
-    step[free] = Factor(first.gram[np.ix_(free, free)]).solve(first.slope[free])
-    taken = not inside or first.slope @ step >= gain
+    first = dataclasses.replace(estimate, misfit=estimate.misfit_with_priors) if inside else evaluated(start)
+    best, slope = first, first.posterior.slope
+    step = first.posterior.holding(((start <= low) & (slope < 0.0)) | ((start >= high) & (slope > 0.0))).mean
+    taken = not inside or slope @ step >= gain
     if taken:
         then = evaluated(np.clip(start + step * problem.scale, low, high))
         best = min(first, then, key=lambda one: one.misfit)
-    covariance = np.linalg.inv(best.gram) * np.outer(problem.scale, problem.scale)
-    covariance = 0.5 * (covariance + covariance.T)
-    stated = zip(problem.names, best.values.tolist(), low.tolist(), high.tolist(), strict=True)
+    covariance = best.posterior.covariance * np.outer(problem.scale, problem.scale)
+    values = best.unknowns * problem.scale
+    stated = zip(problem.names, values.tolist(), low.tolist(), high.tolist(), strict=True)
     parameters = {name: Confirmed(value, least, most, vary=True) for name, value, least, most in stated}
     for name in observed.errors:
         if name not in estimate.chosen:
             parameters[name] = Confirmed(structured_value(problem.prior, name), *possible(pair, name), vary=False)
     found = dataclasses.replace(
-        estimate,
-        state=best.state,
-        linear=best.linear,
-        misfit=best.misfit,
+        best,
         evaluations=estimate.evaluations + int(taken) + (not inside),
         unlikelihood=estimate.unlikelihood + best.misfit - first.misfit,
     )

@@ -82,7 +82,7 @@ class MisfitSearch:
         # Where the chain is soft, the scatter of the whole fit would absorb what it can of run-out, drift and wind-up.
         beside = Likely({}, {}, ())
         if known.soft_chain:
-            suspected = causes_of(Residual(pair, start), beside_the_gear(start.observed)).columns
+            suspected = causes_of(Residual(start), beside_the_gear(start.observed)).columns
             every = beside_the_gear(observed_with(self.curves, pair, known))
             beside = Likely({n: one for n, one in every.items() if n in suspected}, {}, ())
         misfit = Discrepancy(beside.columns)
@@ -168,7 +168,7 @@ class MisfitSearch:
             elif ends[-1].verdict.state != "not explained":
                 return ends[-1]
             else:
-                suspects = likely_causes(Residual(pair, found), self._causes(found, known), suspects)
+                suspects = likely_causes(Residual(found), self._causes(found, known), suspects)
                 known = _with_form(known, self.form) if suspects.formed else known
         # Where the model does not hold, each linearisation at supports that gave way may fit worse than the one before.
         return min(ends, key=lambda e: (e.verdict.state == "not explained", e.found.unlikelihood), default=plain)
@@ -176,7 +176,7 @@ class MisfitSearch:
     def _tested(self, found: Estimate, known: Prior, misfit: Discrepancy, beside: Likely) -> tuple[Explained, Likely]:
         """The verdict on a fit, with the causes that its residual resembles, and those that it perhaps resembles."""
         self.progress("testing the residual")
-        residual, columns = Residual(self.pair, found), self._causes(found, known)
+        residual, columns = Residual(found), self._causes(found, known)
         likely = likely_causes(residual, columns, beside)
         one = self._judged(found, known, misfit, likely)
         if _are_more(likely, beside) or one.verdict.state == "not explained":
@@ -191,7 +191,7 @@ class MisfitSearch:
 
     def _judged(self, found: Estimate, known: Prior, misfit: Discrepancy, likely: Likely) -> Explained:
         formed = bool(self.form and known.profile)
-        return Explained(found, known, misfit, likely, verdict_of(self.pair, found, likely, formed))
+        return Explained(found, known, misfit, likely, verdict_of(found, likely, formed))
 
     def _tried(
         self,

@@ -14,18 +14,18 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, ErrorSurface, surface_of_pair
-from fitting.estimation.normal_equations import Factor
+from fitting.model.gaussian import Evidence, Gaussian
 from fitting.model.identifiability import UNKNOWN
 from fitting.model.near_drive import NearDrive
 from fitting.model.observations import (
@@ -73,6 +73,8 @@ class Estimate:
 
     Attributes
     ----------
+    pair
+        The nominal pair.
     observed
         The observations, weighted by the noise of the fit, without outliers.
     chosen
@@ -93,6 +95,7 @@ class Estimate:
         Number of starts from which a fit of some of the points ended in different optima; 0 if two of them agreed.
     """
 
+    pair: Pair
     observed: Observations
     chosen: tuple[str, ...]
     state: State
@@ -102,6 +105,42 @@ class Estimate:
     unlikelihood: float
     evaluations: int
     disagreeing: int = 0
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The unknowns."""
+        return Problem(self.pair, self.observed, self.chosen)
+
+    @cached_property
+    def unknowns(self) -> Array:
+        """The unknowns' values, in their scale."""
+        return self.problem.unknowns(self.state)
+
+    @cached_property
+    def residual(self) -> Array:
+        """Residual in units of the noise, shape (points,)."""
+        return self.observed.weight * left_of(self.observed, self.linear, self.state)
+
+    @cached_property
+    def columns(self) -> Array:
+        """Derivatives of the model by the unknowns in their scale, in units of the noise, shape (points, unknowns)."""
+        return self.problem.columns(self.observed, self.linear)
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """What the points tell of the unknowns."""
+        return Evidence.of(self.columns, self.residual)
+
+    @cached_property
+    def posterior(self) -> Gaussian:
+        """Distribution of the unknowns in their scale, as distances from where the fit ended."""
+        problem = self.problem
+        return self.evidence.posterior(problem.precision(self.scatter), self.unknowns, problem.names)
+
+    @property
+    def misfit_with_priors(self) -> float:
+        """Sum of squares of the residual and of the unknowns' distances from their priors."""
+        return self.evidence.square + float(self.problem.precision(self.scatter) @ self.unknowns**2)
 
     @property
     def noises(self) -> Array:
@@ -129,6 +168,11 @@ class _Normal:
     count: Array
     scale: Array
     outlying: Array
+
+    @property
+    def total(self) -> Evidence:
+        """What all curves tell together."""
+        return Evidence(self.gram.sum(axis=0), self.moment.sum(axis=0), float(self.square.sum()))
 
 
 class Problem:
@@ -261,10 +305,11 @@ class Problem:
             scale, count = 1.4826 * np.median(np.abs(left[one.weight > 0.0])), np.count_nonzero(inside)
             columns = self.columns(one, linear)
             columns[~inside], left[~inside] = 0.0, 0.0
+            told = Evidence.of(columns, left)
             return linear, (
-                columns.T @ columns,
-                columns.T @ left,
-                left @ left,
+                told.gram,
+                told.moment,
+                told.square,
                 count,
                 scale,
                 np.count_nonzero(one.weight) - count,
@@ -354,14 +399,11 @@ def fit(
         precision[list(pins)] = _PINNED
         away = unknowns - mean
         misfit = _misfit(now, limit) + float(precision @ away**2)
-        gram = now.gram.sum(axis=0) + np.diag(precision)
-        slope = now.moment.sum(axis=0) - precision * away
+        posterior = now.total.posterior(precision, away)
         # An unknown at its bound that would go beyond it stays there for this step.
-        bound = (unknowns <= problem.lowest) & (slope < 0.0)
-        gram[bound, bound] *= _PINNED
-        slope[bound] = 0.0
-        step = Factor(gram + damping * np.diag(np.diag(gram))).solve(slope)
-        promised = float(2.0 * slope @ step - step @ gram @ step)
+        posterior = posterior.holding((unknowns <= problem.lowest) & (posterior.slope < 0.0))
+        step = posterior.damped(damping).mean
+        promised = posterior.gain(step)
         if promised < gain and settled:
             break
         if promised < gain and not tried:
@@ -394,13 +436,13 @@ def fit(
         if idle > (0 if settled and promised < _LITTLE * min(gain, 1.0) else _PATIENCE):
             break
     misfit = _misfit(now, limit) + float(precision @ (unknowns - mean) ** 2)
-    gram = now.gram.sum(axis=0) + np.diag(precision)
     seen = observed.weight[observed.weight > 0.0]
-    unlikelihood = misfit + float(np.linalg.slogdet(gram)[1] - np.log(precision).sum() - 2.0 * np.log(seen).sum())
+    information = now.total.posterior(precision).log_determinant
+    unlikelihood = misfit + information - float(np.log(precision).sum() + 2.0 * np.log(seen).sum())
     state, linear = problem.state(unknowns), joined(now.linears)
     off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, limit)
     observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight)).with_sizes(scatter)
-    return Estimate(observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
+    return Estimate(pair, observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
 
 
 def _each_point(observed: Observations, values: Array) -> Array:
@@ -439,8 +481,7 @@ def _variances(
     `ahead` is a step of the unknowns, at whose end the fixed point is evaluated with the linear model.
     """
     precision = problem.precision(scatter)
-    gram = normal.gram.sum(axis=0) + np.diag(precision)
-    covariance = Factor(gram).inverse()
+    covariance = normal.total.posterior(precision).covariance
     resolved = normal.gram.reshape(len(normal.gram), -1) @ covariance.ravel()
     square = normal.square - 2.0 * normal.moment @ ahead + normal.gram @ ahead @ ahead
     # A step ahead that the linear model does not hold may promise to leave nothing.
@@ -468,29 +509,24 @@ def _ahead(
     """Return the Gauss-Newton step."""
     precision = problem.precision(scatter)
     precision[pins] = _PINNED
-    slope = normal.moment.sum(axis=0) - precision * (unknowns - mean)
-    return Factor(normal.gram.sum(axis=0) + np.diag(precision)).solve(slope)
+    return normal.total.posterior(precision, unknowns - mean).mean
 
 
-def allowed_radius(pair: Pair, estimate: Estimate) -> float:
+def allowed_radius(estimate: Estimate) -> float:
     """Return the posterior root mean square of the scatter of single pins' radii, m.
 
     Curves hardly separate it from that of the radial places, so its most likely value is often wrongly zero. This is
     the mean over its distribution: the restricted likelihood in the linear model, all other variances unchanged, with a
     uniform prior (Gelman, Bayesian Analysis 1 (2006) 515).
     """
-    problem = Problem(pair, estimate.observed, estimate.chosen)
-    columns = problem.columns(estimate.observed, estimate.linear)
-    unknowns = problem.unknowns(estimate.state)
-    gram = columns.T @ columns
-    left = estimate.observed.weight * left_of(estimate.observed, estimate.linear, estimate.state)
-    moment = columns.T @ left + gram @ unknowns
+    problem, told = estimate.problem, estimate.evidence
     sizes = np.concatenate([[NO_SCATTER], RADIUS_SPREAD * _SIZES])
     unlikely = []
     for size in sizes:
         precision = problem.precision({**estimate.scatter, PIN_RADIUS: float(size)})
-        whole = gram + np.diag(precision)
-        unlikely.append(np.linalg.slogdet(whole)[1] - np.log(precision).sum() - moment @ Factor(whole).solve(moment))
+        posterior = told.posterior(precision, estimate.unknowns)
+        misfit = float(precision @ estimate.unknowns**2) - posterior.gain(posterior.mean)
+        unlikely.append(posterior.log_determinant - np.log(precision).sum() + misfit)
     log = -0.5 * np.array(unlikely)
     weight = np.exp(log - log.max())
     return float(np.sqrt(np.trapezoid(weight * sizes**2, sizes) / np.trapezoid(weight, sizes)))
@@ -503,7 +539,7 @@ def stated_range(name: str) -> tuple[float, float]:
     return -largest, largest
 
 
-def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection[str]) -> Array:
+def freedom(estimate: Estimate, covariance: Array, known: Collection[str]) -> Array:
     """Degrees of freedom of the fitted errors' standard errors, which depend on estimated variances of the scatter.
 
     The standard error of an error affected by scatter depends on the scatter's variance, estimated from the patterns
@@ -513,10 +549,10 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
 
     Parameters
     ----------
-    pair, estimate
-        The nominal pair and the end of the fit.
+    estimate
+        The end of the fit.
     covariance
-        Of all that was fitted, SI, the errors first and the single pins' and teeth's scatter last.
+        Of all that was fitted, SI, in the order of `Problem.names`.
     known
         Patterns with a stated, not estimated, deviation.
 
@@ -525,12 +561,7 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
     degrees
         Shape (errors,), > 0, infinite for errors not affected by scatter.
     """
-    count, size = len(estimate.chosen), spread_of(pair, {}).size
-    parts = {
-        n: slice(p.start + len(covariance) - size, p.stop + len(covariance) - size)
-        for n, p in scatter_parts(pair).items()
-    }
-    parts |= {n: slice(count + p.start, count + p.stop) for n, p in estimate.observed.estimated.items()}
+    count, parts = len(estimate.chosen), estimate.problem.parts
     variance = np.diag(covariance)[:count]
     blur = np.zeros(count)
     for name, part in parts.items():
@@ -545,7 +576,7 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
 
 
 def profile_interval(
-    pair: Pair, estimate: Estimate, name: str, standard_error: float, inflation: float, rise: float
+    estimate: Estimate, name: str, standard_error: float, inflation: float, rise: float
 ) -> tuple[float, float]:
     """Profile interval of one error: its range until the best fit with it is worse by `rise`.
 
@@ -554,8 +585,8 @@ def profile_interval(
 
     Parameters
     ----------
-    pair, estimate
-        The nominal pair and the end of the fit.
+    estimate
+        The end of the fit.
     name, standard_error
         The error and its standard error, m or rad, from which the search starts.
     inflation
@@ -571,7 +602,7 @@ def profile_interval(
 
     def refitted(state: State, pinned: Mapping[str, float]) -> Estimate:
         return fit(
-            pair,
+            estimate.pair,
             estimate.observed,
             estimate.chosen,
             state,
@@ -599,7 +630,7 @@ def profile_interval(
     return ends[0], ends[1]
 
 
-def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Array:
+def turn_bootstrap(estimate: Estimate, draws: int, seed: int) -> Array:
     """Standard errors of the fitted errors from the scatter of turns: bootstrap of the turns.
 
     Every draw is one Gauss-Newton step from the optimum (Shao and Tu, The Jackknife and Bootstrap, 1995, section
@@ -608,8 +639,8 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
 
     Parameters
     ----------
-    estimate, pair
-        The end of the fit, of curves that keep their turns, and the nominal pair. Loops are not resampled.
+    estimate
+        The end of the fit, of curves that keep their turns. Loops are not resampled.
     draws, seed
         Number of draws, and the seed; the same seed draws the same turns.
 
@@ -627,12 +658,9 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
     turning = [observed.curves[i] for i in observed.running]
     if any(c.each_turn is None or len(c.each_turn) < TURNS for c in turning):
         raise ValueError(f"every curve needs at least {TURNS} turns")
-    problem = Problem(pair, observed, estimate.chosen)
-    columns = problem.columns(observed, estimate.linear)
-    gram = columns.T @ columns
     errors = slice(0, len(estimate.chosen))
-    step = linalg.solve(gram + np.diag(problem.precision(estimate.scatter)), columns.T, assume_a="pos")[errors]
-    step *= observed.weight * problem.scale[errors, None]
+    step = estimate.posterior.solve(estimate.columns.T)[errors]
+    step *= observed.weight * estimate.problem.scale[errors, None]
     generator = np.random.default_rng(seed)
     moved = np.zeros((draws, len(estimate.chosen)))
     left = left_of(observed, estimate.linear, estimate.state)

@@ -256,27 +256,27 @@ def result_of(
         Expected size of each order of a form that all flanks share, standard deviation, m: intervals allow for it.
     """
     if PIN_RADIUS not in known:
-        fit = dataclasses.replace(fit, scatter={**fit.scatter, PIN_RADIUS: allowed_radius(pair, fit)})
+        fit = dataclasses.replace(fit, scatter={**fit.scatter, PIN_RADIUS: allowed_radius(fit)})
     names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
     whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
     each = np.split(whitened, fit.observed.ends)
     inflation = inflation_of([each[i] for i in fit.observed.running])
     observed = dataclasses.replace(fit.observed, weight=fit.observed.weight / inflation)
     progress("confirming the optimum")
-    optimum, found, every = confirmed(pair, dataclasses.replace(fit, observed=observed), gain)
+    optimum, found, every = confirmed(dataclasses.replace(fit, observed=observed), gain)
     fit = dataclasses.replace(optimum, observed=fit.observed)
     state, linear = fit.state, fit.linear
     fitted = np.concatenate([c.transmission_error for c in observed.curves]) - left_of(observed, linear, state)
     if bootstrap:
         progress("drawing turns")
-        turns, white = turn_bootstrap(fit, pair, bootstrap, seed=0)
+        turns, white = turn_bootstrap(fit, bootstrap, seed=0)
         # What the turns' scatter adds to the noise that the covariance holds already.
         added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
         every[np.diag_indices(len(chosen))] += added
-    quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * CONFIDENCE)
+    quantiles = stdtrit(freedom(fit, every, known), 0.5 + 0.5 * CONFIDENCE)
     singular, combinations, reasons, beside = weakness(observed, linear, names, chosen)
     # Held errors that no fitted one represents may be as large as is usual; the intervals allow for it.
-    moved_by = moved_by_held(pair, fit, beside)
+    moved_by = moved_by_held(fit, beside)
     every += moved_by @ moved_by.T
     # The scatter of pins and teeth is behind the errors and the bench in the vector.
     stated = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
@@ -285,7 +285,7 @@ def result_of(
     bench[CHAIN] = _chain_compliance(observed, bench)
     deviations = np.array([stated[n].stderr for n in own], dtype=float)
     if own:
-        moved_by = moved_by_held(pair, fit, [n for n in names if n not in (*chosen, *beside)])
+        moved_by = moved_by_held(fit, [n for n in names if n not in (*chosen, *beside)])
         at = slice(len(every) - spread.size - len(own), len(every) - spread.size)
         deviations = np.hypot(deviations, np.linalg.norm(moved_by[at], axis=1))
     bearings = bearings_found(pair, observed, state.bearings, deviations)
@@ -299,7 +299,7 @@ def result_of(
     lag = None
     if LAG_NAME in bench:
         lag = clock_lag_found(observed, linear, bench[LAG_NAME], float(stated[LAG_NAME].stderr or 0.0))
-    moved = dict(zip(chosen, moved_by_form(pair, fit, form) if form else np.zeros(len(chosen)), strict=True))
+    moved = dict(zip(chosen, moved_by_form(fit, form) if form else np.zeros(len(chosen)), strict=True))
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
@@ -308,7 +308,7 @@ def result_of(
             one = parameter(name, unit_of(name), value, sigma, float(tolerance), quantile=quantile)
             if name in profiled:
                 progress(f"profile of {name}")
-                interval = profile_interval(pair, fit, name, sigma, inflation, quantile**2)
+                interval = profile_interval(fit, name, sigma, inflation, quantile**2)
                 one = dataclasses.replace(one, interval=interval)
             one = allowing(one, float(moved[name]), float(tolerance))
         else:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
+from fitting.model.gaussian import Gaussian
 from fitting.model.observations import ORDERS, Linear, Observations, nuisance_columns
 from fitting.model.prior import tolerances_of
 
@@ -80,13 +80,9 @@ def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], 
     information = _information(observed, linear, names, spread)
     free = [n not in observed.profile for n in names]
     own = np.flatnonzero([*free, *np.zeros(len(information) - len(names), bool)])
-    other = np.setdiff1d(np.arange(len(information)), own)
     # Information about the errors that remains with unknown scatter, form and nuisances.
-    size = np.sqrt(np.diag(information)[other])
-    among = information[np.ix_(other, other)] / np.outer(size, size)
-    blurred = linalg.solve(among, information[np.ix_(other, own)] / size[:, None], assume_a="pos") / size[:, None]
-    left = information[np.ix_(own, own)] - information[np.ix_(own, other)] @ blurred
-    found = choose(0.5 * (left + left.T), [n for n, one in zip(names, free, strict=True) if one])
+    known = Gaussian(information).marginal(own).information
+    found = choose(known, [n for n, one in zip(names, free, strict=True) if one])
     return [n for n in names if n in found or n in observed.profile]
 
 
@@ -215,8 +211,7 @@ def covariance_from(
     """Return the same covariance as `posterior_covariance` from given information."""
     chosen_first = [*(list(names).index(n) for n in chosen), *range(len(names), len(information))]
     scale = np.concatenate([tolerances_of(chosen, observed.profile), spread])
-    covariance = linalg.inv(information[np.ix_(chosen_first, chosen_first)])[: scale.size, : scale.size]
-    covariance = 0.5 * (covariance + covariance.T)
+    covariance = Gaussian(information[np.ix_(chosen_first, chosen_first)]).covariance[: scale.size, : scale.size]
     return np.asarray(covariance * np.outer(scale, scale))
 
 

@@ -17,11 +17,11 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.estimation.fit import OUTLYING, Problem
-from fitting.estimation.normal_equations import Factor
 from fitting.model.bearings import pair_with
 from fitting.model.first_stage import with_play
+from fitting.model.gaussian import Evidence, Gaussian, factor_of
 from fitting.model.observations import State, left_of, scatter_names
-from fitting.recalibration.known import Known, factor_of
+from fitting.recalibration.known import Known
 from fitting.recalibration.measured import Field, linearised
 
 Array = NDArray[np.float64]
@@ -184,32 +184,23 @@ class Rows:
         base = _base(_zeros_of(field))
         return Linearised(z, observed.weight, _without(base, left), _without(base, field.reduced(by_all)))
 
-    def solved(self, linear: Linearised) -> tuple[Array, Array]:
-        """Return the most likely unknowns of linear rows in units of the prior, and their covariance."""
-        columns, factor = linear.columns, self.factor
-        information = factor.T @ (columns.T @ columns) @ factor + np.eye(len(factor))
-        moment = factor.T @ (columns.T @ (linear.left + columns @ (factor @ linear.at)))
-        # The information about the unknowns differs by a factor of up to a million.
-        equations = Factor(information)
-        inverse = equations.inverse()
-        inverse = 0.5 * (inverse + inverse.T)
-        return self._within(equations.solve(moment), inverse), inverse
+    def solved(self, linear: Linearised) -> tuple[Array, Gaussian]:
+        """Return the most likely unknowns of linear rows in units of the prior, and their distribution.
 
-    def _within(self, z: Array, covariance: Array) -> Array:
-        """Return the most likely unknowns with no clearance or play below zero."""
-        free = set(self.lowest)
-        while free:
+        No clearance or play is below zero in the former.
+        """
+        told = Evidence.of(linear.columns @ self.factor, linear.left)
+        posterior = told.posterior(np.ones(linear.at.size), linear.at)
+        z, held = linear.at + posterior.mean, list[str]()
+        while free := self.lowest.keys() - set(held):
             below = {n: float(self.factor[self.names.index(n)] @ z) - self.lowest[n] for n in free}
             name = min(below, key=lambda n: below[n])
             if below[name] >= 0.0:
                 break
-            free.remove(name)
-            # The distribution of the others on the condition that this one is zero.
-            row = self.factor[self.names.index(name)]
-            gain = covariance @ row / (row @ covariance @ row)
-            z = z - gain * below[name]
-            covariance = covariance - np.outer(gain, row @ covariance)
-        return z
+            held.append(name)
+            rows = self.factor[[self.names.index(n) for n in held]]
+            z = linear.at + posterior.given(rows, np.array([self.lowest[n] for n in held]) - rows @ linear.at)[0]
+        return z, posterior
 
 
 def _zeros_of(field: Field) -> Array:
@@ -326,7 +317,8 @@ def _result(
     rows: Rows, known: Known, linear: Linearised, end: Linearised, keep: NDArray[np.bool_], done: int
 ) -> Updated:
     """Return the solution of the equations `linear`, which are those at the `end` without outliers."""
-    z, inverse = rows.solved(linear)
+    z, posterior = rows.solved(linear)
+    inverse = posterior.covariance
     left = linear.left - linear.columns @ (rows.factor @ (z - linear.at))
     lasting, drive, state = len(rows.lasting), rows.drive, rows.state(z)
     whole = rows.factor[:lasting, :lasting]

@@ -161,7 +161,7 @@ def test_the_last_step_confirms_the_optimum_and_its_covariance(simple, nominal, 
         return kernel(pair, surface, torque, angles, names)
 
     monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
-    again, parameters, covariance = confirmed(nominal, found, gain=1e-6)
+    again, parameters, covariance = confirmed(found, gain=1e-6)
     parameters = with_covariance(parameters, covariance)
     assert solved <= 2 * observed.measured.size
     assert again.misfit <= found.misfit * (1.0 + 1e-12)
@@ -189,7 +189,7 @@ def test_the_last_step_leads_to_the_optimum_from_beside_it(simple, nominal):
     )
     state = dataclasses.replace(found.state, surface=moved)
     beside = dataclasses.replace(found, state=state, linear=linearise(nominal, found.observed, state))
-    again, parameters, covariance = confirmed(nominal, beside, gain=1e-3)
+    again, parameters, covariance = confirmed(beside, gain=1e-3)
     parameters = with_covariance(parameters, covariance)
     assert parameters["eccentricity"].stderr < 100e-9
     for name in ERRORS:
@@ -234,7 +234,7 @@ def test_a_profile_is_the_interval_by_standard_error_where_the_model_is_linear(s
     kept = [names.index(n) for n in ERRORS] + list(range(len(names), columns.shape[1]))
     known = np.concatenate([np.zeros(len(ERRORS)), observed.bench_prior**-2.0, [observed.friction_prior**-2.0]])
     deviation = np.sqrt(np.diag(np.linalg.inv(columns[:, kept].T @ columns[:, kept] + np.diag(known))))
-    low, high = profile_interval(nominal, found, "centre_distance_x", 1.5 * deviation[0], 1.0, 1.96**2)
+    low, high = profile_interval(found, "centre_distance_x", 1.5 * deviation[0], 1.0, 1.96**2)
     value = structured_value(found.state.surface, "centre_distance_x")
     assert high - value == pytest.approx(1.96 * deviation[0], rel=0.1)
     assert value - low == pytest.approx(1.96 * deviation[0], rel=0.1)
@@ -254,7 +254,7 @@ def test_turns_drawn_again_show_what_is_not_white(simple, nominal):
             each = each + wander * np.outer(generator.normal(0.0, 1.0, turns), np.cos(c.input_angle))
             curves.append(dataclasses.replace(c, each_turn=c.transmission_error + each - each.mean(axis=0)))
         one = dataclasses.replace(found, observed=dataclasses.replace(found.observed, curves=tuple(curves)))
-        return turn_bootstrap(one, nominal, 400, seed=1)
+        return turn_bootstrap(one, 400, seed=1)
 
     drawn, white = errors(0.0)
     assert drawn == pytest.approx(white, rel=0.35)
@@ -263,7 +263,7 @@ def test_turns_drawn_again_show_what_is_not_white(simple, nominal):
     assert drawn[ERRORS.index("centre_distance_x")] > 3.0 * white[ERRORS.index("centre_distance_x")]
     assert drawn[ERRORS.index("tooth_cumulative_pitch_1_sin")] < 1.5 * white[-1]
     with pytest.raises(ValueError, match="turns"):
-        turn_bootstrap(found, nominal, 10, seed=1)
+        turn_bootstrap(found, 10, seed=1)
 
 
 def test_a_curve_keeps_its_turns_where_asked_to(nominal):
