@@ -46,7 +46,7 @@ def moved_by_held(fit: Estimate, names: Sequence[str]) -> Array:
     """
     held = fit.linear.structured[:, [fit.observed.errors.index(n) for n in names]]
     held = held * tolerances_of(names, fit.observed.profile) * fit.observed.weight[:, None]
-    moved: Array = fit.posterior.solve(fit.columns.T @ held) * fit.problem.scale[:, None]
+    moved: Array = fit.posterior.solve(fit.columns.T @ held) * fit.unknowns.scale[:, None]
     return moved
 
 
@@ -67,13 +67,13 @@ def moved_by_form(fit: Estimate, form: float) -> Array:
     # be another: the deviation of an eccentricity was 0.24 or 0.46 µm from starts that differed little.
     alone = fit.posterior
     residual = fit.residual - own @ alone.mean
-    precision = np.concatenate([fit.problem.precision(fit.scatter), np.ones(beside.shape[1])])
+    precision = np.concatenate([fit.precision, np.ones(beside.shape[1])])
     formed = Evidence.of(np.hstack([own, beside])).posterior(precision)
     if max(formed.condition, alone.condition) > _SINGULAR:
         raise np.linalg.LinAlgError("singular")
     moved = formed.covariance[:, own.shape[1] :] @ (beside.T @ residual)
     grown = np.diag(formed.covariance)[:count] - np.diag(alone.covariance)[:count] + moved[:count] ** 2
-    found: Array = np.sqrt(np.maximum(grown, 0.0)) * fit.problem.scale[:count]
+    found: Array = np.sqrt(np.maximum(grown, 0.0)) * fit.unknowns.scale[:count]
     return found
 
 

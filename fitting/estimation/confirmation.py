@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
-from fitting.estimation.fit import Estimate, stated_range
+from fitting.estimation.fit import Estimate
 from fitting.model.observations import linearise
+from fitting.model.unknowns import possible
 
 if TYPE_CHECKING:
     import lmfit
@@ -83,20 +83,6 @@ def as_lmfit(parameters: Mapping[str, Confirmed]) -> lmfit.Parameters:
     return found
 
 
-def possible(pair: Pair, name: str) -> tuple[float, float]:
-    """Return the possible range of an error, m or rad: the limits of a pair file, and of a valid gear pair."""
-    g = pair
-    low, high = stated_range(name)
-    if name == "eccentricity":
-        low, high = max(low, -g.eccentricity), min(high, g.pin_circle_radius / g.pins - g.eccentricity)
-    if name == "pin_circle_radius":
-        low = max(low, g.eccentricity * g.pins - g.pin_circle_radius)
-    if name == "pin_radius":
-        touching = g.pin_circle_radius * np.sin(np.pi / g.pins)
-        low, high = max(low, -g.pin_radius), min(high, float(touching) - g.pin_radius)
-    return low, high
-
-
 def confirmed(estimate: Estimate, gain: float) -> tuple[Estimate, dict[str, Confirmed], Array]:
     """Take the last step of a fit, with its noise and scatter.
 
@@ -120,22 +106,15 @@ def confirmed(estimate: Estimate, gain: float) -> tuple[Estimate, dict[str, Conf
     covariance
         Of those that vary, in their order, SI.
     """
-    pair, problem, observed = estimate.pair, estimate.problem, estimate.observed
-    lowest = dict(zip(observed.bearing_names, observed.bearing_lowest, strict=True))
-    # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
-    low, high = np.transpose(
-        [
-            possible(pair, name) if name in estimate.chosen else (lowest.get(name, -np.inf), np.inf)
-            for name in problem.names
-        ]
-    )
+    pair, unknowns, observed = estimate.pair, estimate.unknowns, estimate.observed
+    low, high, scale = unknowns.low, unknowns.high, unknowns.scale
 
     def evaluated(values: Array) -> Estimate:
-        state = problem.state(values / problem.scale)
+        state = unknowns.state(values / scale)
         there = dataclasses.replace(estimate, state=state, linear=linearise(pair, observed, state))
         return dataclasses.replace(there, misfit=there.misfit_with_priors)
 
-    ended = estimate.unknowns * problem.scale
+    ended = estimate.vector * scale
     start = np.clip(ended, low, high)
     inside = bool(np.allclose(start, ended, rtol=1e-9, atol=0.0))
     first = dataclasses.replace(estimate, misfit=estimate.misfit_with_priors) if inside else evaluated(start)
@@ -143,15 +122,15 @@ def confirmed(estimate: Estimate, gain: float) -> tuple[Estimate, dict[str, Conf
     step = first.posterior.holding(((start <= low) & (slope < 0.0)) | ((start >= high) & (slope > 0.0))).mean
     taken = not inside or slope @ step >= gain
     if taken:
-        then = evaluated(np.clip(start + step * problem.scale, low, high))
+        then = evaluated(np.clip(start + step * scale, low, high))
         best = min(first, then, key=lambda one: one.misfit)
-    covariance = best.posterior.covariance * np.outer(problem.scale, problem.scale)
-    values = best.unknowns * problem.scale
-    stated = zip(problem.names, values.tolist(), low.tolist(), high.tolist(), strict=True)
+    covariance = best.posterior.covariance * np.outer(scale, scale)
+    values = best.vector * scale
+    stated = zip(unknowns.names, values.tolist(), low.tolist(), high.tolist(), strict=True)
     parameters = {name: Confirmed(value, least, most, vary=True) for name, value, least, most in stated}
     for name in observed.errors:
         if name not in estimate.chosen:
-            parameters[name] = Confirmed(structured_value(problem.prior, name), *possible(pair, name), vary=False)
+            parameters[name] = Confirmed(structured_value(unknowns.prior, name), *possible(pair, name), vary=False)
     found = dataclasses.replace(
         best,
         evaluations=estimate.evaluations + int(taken) + (not inside),

@@ -21,18 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
-from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, ErrorSurface, surface_of_pair
+from cycloid_fmu.surfaces.structured import structured_value
 from fitting.model.gaussian import Evidence, Gaussian
-from fitting.model.identifiability import UNKNOWN
 from fitting.model.near_drive import NearDrive
 from fitting.model.observations import (
-    CHAIN,
     KNOWN_SIZES,
     PIN_RADIUS,
-    PROFILE_ORDERS,
     RADIUS_SPREAD,
     Linear,
     Observations,
@@ -40,26 +35,20 @@ from fitting.model.observations import (
     joined,
     left_of,
     linearised_curve,
-    nuisance_columns,
-    scatter_names,
     scatter_parts,
     split,
-    spread_of,
     with_scatter,
 )
-from fitting.model.prior import tolerances_of
+from fitting.model.unknowns import NO_SCATTER, Unknowns
 
 Array = NDArray[np.float64]
 
-NO_SCATTER = 1e-8  # m: a scatter below this changes nothing that a bench can see
 OUTLYING = 6.0  # robust standard deviations from the fit
 EVALUATIONS = 60  # of one fit, which needs ten to thirty
 _LITTLE = 4.0  # times the gain at which a fit ends: a smaller promise that a step did not keep is not pursued
 _PATIENCE = 3  # steps in a row that may bring less than they should, at the curves' corners
 TURNS = 3  # fewer do not say how they scatter
 _PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a profile ends, and how near it must come
-_CRANK_SCALE, _CREEP_SCALE = 1e-2, 1e-6  # rad
-_SCATTER_SCALE = {"m": 1e-6, "rad": 1e-4}
 _ROUNDS, _LINEAR = 40, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
 _SETTLED = 3e-3  # relative change of a deviation with one round, which comes near by ever smaller ones; in a start more
 _SIZES = np.geomspace(0.05, 20.0, 32)  # times the usual one: over which a size is averaged
@@ -107,14 +96,19 @@ class Estimate:
     disagreeing: int = 0
 
     @cached_property
-    def problem(self) -> Problem:
+    def unknowns(self) -> Unknowns:
         """The unknowns."""
-        return Problem(self.pair, self.observed, self.chosen)
+        return Unknowns(self.pair, self.observed, self.chosen)
 
     @cached_property
-    def unknowns(self) -> Array:
+    def vector(self) -> Array:
         """The unknowns' values, in their scale."""
-        return self.problem.unknowns(self.state)
+        return self.unknowns.vector(self.state)
+
+    @cached_property
+    def precision(self) -> Array:
+        """Prior precision of the unknowns, in their scale."""
+        return self.unknowns.precision(self.scatter)
 
     @cached_property
     def residual(self) -> Array:
@@ -124,7 +118,7 @@ class Estimate:
     @cached_property
     def columns(self) -> Array:
         """Derivatives of the model by the unknowns in their scale, in units of the noise, shape (points, unknowns)."""
-        return self.problem.columns(self.observed, self.linear)
+        return self.unknowns.columns(self.observed, self.linear)
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -134,13 +128,12 @@ class Estimate:
     @cached_property
     def posterior(self) -> Gaussian:
         """Distribution of the unknowns in their scale, as distances from where the fit ended."""
-        problem = self.problem
-        return self.evidence.posterior(problem.precision(self.scatter), self.unknowns, problem.names)
+        return self.evidence.posterior(self.precision, self.vector, self.unknowns.names)
 
     @property
     def misfit_with_priors(self) -> float:
         """Sum of squares of the residual and of the unknowns' distances from their priors."""
-        return self.evidence.square + float(self.problem.precision(self.scatter) @ self.unknowns**2)
+        return self.evidence.square + float(self.precision @ self.vector**2)
 
     @property
     def noises(self) -> Array:
@@ -175,149 +168,42 @@ class _Normal:
         return Evidence(self.gram.sum(axis=0), self.moment.sum(axis=0), float(self.square.sum()))
 
 
-class Problem:
-    """All unknowns of a fit as one vector: errors, nuisances, scatter, each in units of a usual size.
+def _evaluated(
+    unknowns: Unknowns,
+    vector: Array,
+    observed: Observations,
+    limit: Array,
+    around: Sequence[NearDrive] | None = None,
+    known: Linear | None = None,
+) -> _Normal:
+    """Evaluate the model, unless it is known, and its normal equations.
 
-    Values that are not fitted are those of `prior`, by default the pair file's errors.
+    Points beyond `limit` (curves,) are not used.
     """
+    state = unknowns.state(vector)
+    parts = None if known is None else split(known, observed.ends)
 
-    def __init__(
-        self,
-        pair: Pair,
-        observed: Observations,
-        chosen: Sequence[str],
-        around: Sequence[NearDrive] | None = None,
-        prior: ErrorSurface | None = None,
-    ) -> None:
-        self.pair, self.chosen, self.around = pair, list(chosen), around
-        self.prior = surface_of_pair(pair) if prior is None else prior
-        self.bounds = [stated_range(name) for name in chosen]
-        self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
-        known, rubs = np.isfinite(observed.bench_prior), np.isfinite(observed.friction_priors)
-        crank = [_CRANK_SCALE] if observed.fit_crank else []
-        scattered = spread_of(pair, {}).size
-        self.scale = np.concatenate(
-            [
-                tolerances_of(chosen, observed.profile),
-                np.where(known, observed.bench_prior, 1e-4),
-                np.where(rubs, observed.friction_priors, observed.friction_prior),
-                crank,
-                observed.bearing_prior,
-                spread_of(pair, {n: _SCATTER_SCALE[unit_of(n)] for n in scatter_parts(pair)}),
-            ]
-        )
-        flat = np.concatenate(
-            [
-                [n not in observed.profile for n in chosen],
-                ~known,
-                ~rubs,
-                np.ones(len(crank), bool),
-                np.zeros(observed.bearing_prior.size, bool),
-                np.ones(scattered, bool),
-            ]
-        )
-        self.known = np.where(flat, UNKNOWN, 1.0)
-        self.first_scatter = self.scale.size - scattered
-        self.parts = {
-            n: slice(p.start + self.first_scatter, p.stop + self.first_scatter) for n, p in scatter_parts(pair).items()
-        }
-        self.bench = slice(len(chosen), len(chosen) + known.size)
-        for group, part in observed.estimated.items():
-            self.parts[group] = slice(part.start + len(chosen), part.stop + len(chosen))
-            if group != CHAIN:
-                self.scale[self.parts[group]] = _CREEP_SCALE
-        self.least = {group: observed.least(group) for group in observed.estimated}
-        self.bearings = slice(self.first_scatter - observed.bearing_prior.size, self.first_scatter)
-        self.lowest = np.full(self.scale.size, -np.inf)
-        self.lowest[self.bearings] = observed.bearing_lowest / self.scale[self.bearings]
-        self.fit_crank, self.with_loops = observed.fit_crank, observed.with_loops
-        crank_name = ["crank_angle_offset"] if observed.fit_crank else []
-        self.names = [
-            *chosen,
-            *observed.bench_names,
-            *observed.friction_names,
-            *crank_name,
-            *observed.bearing_names,
-            *scatter_names(pair),
-        ]
-
-    def unknowns(self, state: State) -> Array:
-        """Return the vector of a state."""
-        plain = with_scatter(state.surface, -state.scatter)
-        errors = [structured_value(plain, n) for n in self.chosen]
-        crank = [state.crank_offset] if self.fit_crank else []
-        friction = [state.friction]
-        friction += [state.loop_friction, state.loop_friction_per_load] if self.with_loops else []
-        bearings = state.bearings if state.bearings.size else np.zeros(self.bearings.stop - self.bearings.start)
-        values = np.concatenate([errors, state.bench, friction, crank, bearings, state.scatter])
-        scaled: Array = values / self.scale
-        return scaled
-
-    def columns(self, observed: Observations, linear: Linear) -> Array:
-        """Return the model's derivatives by the unknowns in units of the noise, shape (points, unknowns)."""
-        nuisances, _ = nuisance_columns(observed, linear)
-        columns = np.column_stack([linear.structured[:, self.columns_of_chosen], nuisances, linear.scatter])
-        columns *= observed.weight[:, None]
-        columns *= self.scale
-        return columns
-
-    def state(self, unknowns: Array) -> State:
-        """Return the state of a vector."""
-        values = unknowns * self.scale
-        errors = dict(zip(self.chosen, values[: len(self.chosen)], strict=True))
-        scatter = values[self.first_scatter :]
-        return State(
-            surface=with_scatter(with_structured(self.prior, errors), scatter),
-            scatter=scatter,
-            bench=values[self.bench],
-            friction=float(values[self.bench.stop]),
-            loop_friction=float(values[self.bench.stop + 1]) if self.with_loops else 0.0,
-            loop_friction_per_load=float(values[self.bench.stop + 2]) if self.with_loops else 0.0,
-            crank_offset=float(values[self.bearings.start - 1]) if self.fit_crank else 0.0,
-            bearings=values[self.bearings],
+    def of(number: int) -> tuple[Linear, tuple[Any, ...]]:
+        one = observed.some([number])
+        linear = parts[number] if parts else linearised_curve(unknowns.pair, observed, number, state, around)
+        left = one.weight * left_of(one, linear, state)
+        inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
+        scale, count = 1.4826 * np.median(np.abs(left[one.weight > 0.0])), np.count_nonzero(inside)
+        columns = unknowns.columns(one, linear)
+        columns[~inside], left[~inside] = 0.0, 0.0
+        told = Evidence.of(columns, left)
+        return linear, (
+            told.gram,
+            told.moment,
+            told.square,
+            count,
+            scale,
+            np.count_nonzero(one.weight) - count,
         )
 
-    def is_possible(self, unknowns: Array) -> bool:
-        """Whether all errors are within the limits of a surface."""
-        return all(low < value < high for value, (low, high) in zip(unknowns * self.scale, self.bounds, strict=False))
-
-    def precision(self, scatter: Mapping[str, float]) -> Array:
-        """Return the prior precision of each unknown, 1/variance in its scale."""
-        found: Array = self.known.copy()
-        for name, part in self.parts.items():
-            size = max(scatter.get(name, 0.0), self.least.get(name, 1e-2 * NO_SCATTER))
-            found[part] = (self.scale[part.start] / size) ** 2
-        return found
-
-    def normal(self, unknowns: Array, observed: Observations, limit: Array, known: Linear | None = None) -> _Normal:
-        """Evaluate the model, unless given, and its normal equations.
-
-        Points beyond `limit` (curves,) are not used.
-        """
-        state = self.state(unknowns)
-        parts = None if known is None else split(known, observed.ends)
-
-        def of(number: int) -> tuple[Linear, tuple[Any, ...]]:
-            one = observed.some([number])
-            linear = parts[number] if parts else linearised_curve(self.pair, observed, number, state, self.around)
-            left = one.weight * left_of(one, linear, state)
-            inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
-            scale, count = 1.4826 * np.median(np.abs(left[one.weight > 0.0])), np.count_nonzero(inside)
-            columns = self.columns(one, linear)
-            columns[~inside], left[~inside] = 0.0, 0.0
-            told = Evidence.of(columns, left)
-            return linear, (
-                told.gram,
-                told.moment,
-                told.square,
-                count,
-                scale,
-                np.count_nonzero(one.weight) - count,
-            )
-
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
-        return _Normal(linears, *(np.array(v) for v in zip(*sums, strict=True)))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
+    return _Normal(linears, *(np.array(v) for v in zip(*sums, strict=True)))
 
 
 def _limits(normal: _Normal) -> Array:
@@ -366,16 +252,17 @@ def fit(
     pinned
         Errors held at these values, m or rad.
     """
-    problem = Problem(pair, observed, chosen, around)
-    unknowns = problem.unknowns(state)
+    unknowns = Unknowns(pair, observed, chosen)
+    vector = unknowns.vector(state)
+    low, high = unknowns.low / unknowns.scale, unknowns.high / unknowns.scale
     pins = {list(chosen).index(n): value for n, value in (pinned or {}).items()}
-    mean = np.zeros(unknowns.size)
+    mean = np.zeros(vector.size)
     for at, value in pins.items():
-        mean[at] = value / problem.scale[at]
-    known = {**{n: v for n, v in KNOWN_SIZES.items() if n in problem.parts}, **(known or {})}
+        mean[at] = value / unknowns.scale[at]
+    known = {**{n: v for n, v in KNOWN_SIZES.items() if n in unknowns.parts}, **(known or {})}
     scatter = {**scatter, **known}
     limit = np.full(len(observed.curves), np.inf)
-    now = problem.normal(unknowns, observed, limit, linear)
+    now = _evaluated(unknowns, vector, observed, limit, around, linear)
     limit = _limits(now)
     if estimated:
         observed, now = _at_noise(observed, now, now.scale**2)
@@ -385,23 +272,23 @@ def fit(
     def at_variances() -> None:
         """Let noise and scatter settle on the model at hand, in one round or, near the optimum, in many."""
         nonlocal observed, now, scatter, settled
-        ahead = np.zeros_like(unknowns)
+        ahead = np.zeros_like(vector)
         for _ in range(_ROUNDS if promised < _LINEAR * observed.measured.size else 1):
             observed, now, scatter, settled = _variances(
-                problem, observed, now, scatter, unknowns, ahead, known, _SETTLED * max(gain, 1.0)
+                unknowns, observed, now, scatter, vector, ahead, known, _SETTLED * max(gain, 1.0)
             )
             if settled:
                 break
-            ahead = _ahead(problem, now, scatter, unknowns, mean, list(pins))
+            ahead = _ahead(unknowns, now, scatter, vector, mean, list(pins))
 
     while done < evaluations:
-        precision = problem.precision(scatter)
+        precision = unknowns.precision(scatter)
         precision[list(pins)] = _PINNED
-        away = unknowns - mean
+        away = vector - mean
         misfit = _misfit(now, limit) + float(precision @ away**2)
         posterior = now.total.posterior(precision, away)
         # An unknown at its bound that would go beyond it stays there for this step.
-        posterior = posterior.holding((unknowns <= problem.lowest) & (posterior.slope < 0.0))
+        posterior = posterior.holding(_is_stuck(vector, posterior.slope, low, high))
         step = posterior.damped(damping).mean
         promised = posterior.gain(step)
         if promised < gain and settled:
@@ -411,12 +298,10 @@ def fit(
             at_variances()
             limit, tried = _limits(now), True
             continue
-        step = np.maximum(step, problem.lowest - unknowns)
-        while not problem.is_possible(unknowns + step) and np.abs(step).max() > 0.0:
-            step *= 0.5
+        step = np.clip(vector + step, low, high) - vector
         done += 1
         try:
-            then = problem.normal(unknowns + step, observed, limit)
+            then = _evaluated(unknowns, vector + step, observed, limit, around)
         except edge.InputError:
             # So far away no contacts balance the load.
             damping = max(10.0 * damping, 1e-2)
@@ -424,7 +309,7 @@ def fit(
         gained = misfit - _misfit(then, limit) - float(precision @ (away + step) ** 2)
         idle = idle + 1 if gained < gain else 0
         if gained > 0.0:
-            unknowns, now, tried = unknowns + step, then, False
+            vector, now, tried = vector + step, then, False
             damping = max(0.1 * damping, 1e-9) if gained > 0.5 * promised else damping
             if estimated:
                 at_variances()
@@ -435,14 +320,20 @@ def fit(
         # saves 3 of 6 evaluations of the exact fit; six curves of 720 points are identified 1.35 times as fast.
         if idle > (0 if settled and promised < _LITTLE * min(gain, 1.0) else _PATIENCE):
             break
-    misfit = _misfit(now, limit) + float(precision @ (unknowns - mean) ** 2)
+    misfit = _misfit(now, limit) + float(precision @ (vector - mean) ** 2)
     seen = observed.weight[observed.weight > 0.0]
     information = now.total.posterior(precision).log_determinant
     unlikelihood = misfit + information - float(np.log(precision).sum() + 2.0 * np.log(seen).sum())
-    state, linear = problem.state(unknowns), joined(now.linears)
+    state, linear = unknowns.state(vector), joined(now.linears)
     off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, limit)
     observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight)).with_sizes(scatter)
     return Estimate(pair, observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
+
+
+def _is_stuck(vector: Array, slope: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+    """Which unknowns are at a bound beyond which a step would go."""
+    stuck: NDArray[np.bool_] = ((vector <= low) & (slope < 0.0)) | ((vector >= high) & (slope > 0.0))
+    return stuck
 
 
 def _each_point(observed: Observations, values: Array) -> Array:
@@ -467,11 +358,11 @@ def _at_noise(observed: Observations, normal: _Normal, variance: Array) -> tuple
 
 
 def _variances(
-    problem: Problem,
+    unknowns: Unknowns,
     observed: Observations,
     normal: _Normal,
     scatter: Mapping[str, float],
-    unknowns: Array,
+    vector: Array,
     ahead: Array,
     known: Mapping[str, float],
     little: float,
@@ -480,23 +371,24 @@ def _variances(
 
     `ahead` is a step of the unknowns, at whose end the fixed point is evaluated with the linear model.
     """
-    precision = problem.precision(scatter)
+    precision = unknowns.precision(scatter)
     covariance = normal.total.posterior(precision).covariance
     resolved = normal.gram.reshape(len(normal.gram), -1) @ covariance.ravel()
     square = normal.square - 2.0 * normal.moment @ ahead + normal.gram @ ahead @ ahead
     # A step ahead that the linear model does not hold may promise to leave nothing.
     variance = np.maximum(square, _SHRINKS * normal.square) / np.maximum(normal.count - resolved, 1.0)
-    unknowns = unknowns + ahead
-    found = dict(known)
-    for name, part in problem.parts.items():
+    vector = vector + ahead
+    found, of_scatter = dict(known), scatter_parts(unknowns.pair)
+    for name, part in unknowns.parts.items():
         if name in known:
             continue
         resolved_of = part.stop - part.start - precision[part.start] * np.trace(covariance[part, part])
-        before = max(scatter.get(name, 0.0), problem.least.get(name, 1e-2 * NO_SCATTER)) ** 2
-        after = float(unknowns[part] @ unknowns[part]) * problem.scale[part.start] ** 2 / max(resolved_of, 1e-9)
+        before = max(scatter.get(name, 0.0), unknowns.least(name)) ** 2
+        after = float(vector[part] @ vector[part]) * unknowns.scale[part.start] ** 2 / max(resolved_of, 1e-9)
         found[name] = float(np.sqrt(np.clip(after / before, _SHRINKS, _GROWS) * before))
     hardly = all(
-        abs(v - scatter.get(n, 0.0)) < little * v or v < problem.least.get(n, NO_SCATTER) for n, v in found.items()
+        abs(v - scatter.get(n, 0.0)) < little * v or v < (NO_SCATTER if n in of_scatter else unknowns.least(n))
+        for n, v in found.items()
     )
     settled = hardly and bool((np.abs(variance - 1.0) < little).all())
     observed, normal = _at_noise(observed, normal, variance)
@@ -504,12 +396,12 @@ def _variances(
 
 
 def _ahead(
-    problem: Problem, normal: _Normal, scatter: Mapping[str, float], unknowns: Array, mean: Array, pins: list[int]
+    unknowns: Unknowns, normal: _Normal, scatter: Mapping[str, float], vector: Array, mean: Array, pins: list[int]
 ) -> Array:
     """Return the Gauss-Newton step."""
-    precision = problem.precision(scatter)
+    precision = unknowns.precision(scatter)
     precision[pins] = _PINNED
-    return normal.total.posterior(precision, unknowns - mean).mean
+    return normal.total.posterior(precision, vector - mean).mean
 
 
 def allowed_radius(estimate: Estimate) -> float:
@@ -519,24 +411,17 @@ def allowed_radius(estimate: Estimate) -> float:
     the mean over its distribution: the restricted likelihood in the linear model, all other variances unchanged, with a
     uniform prior (Gelman, Bayesian Analysis 1 (2006) 515).
     """
-    problem, told = estimate.problem, estimate.evidence
+    unknowns, told = estimate.unknowns, estimate.evidence
     sizes = np.concatenate([[NO_SCATTER], RADIUS_SPREAD * _SIZES])
     unlikely = []
     for size in sizes:
-        precision = problem.precision({**estimate.scatter, PIN_RADIUS: float(size)})
-        posterior = told.posterior(precision, estimate.unknowns)
-        misfit = float(precision @ estimate.unknowns**2) - posterior.gain(posterior.mean)
+        precision = unknowns.precision({**estimate.scatter, PIN_RADIUS: float(size)})
+        posterior = told.posterior(precision, estimate.vector)
+        misfit = float(precision @ estimate.vector**2) - posterior.gain(posterior.mean)
         unlikely.append(posterior.log_determinant - np.log(precision).sum() + misfit)
     log = -0.5 * np.array(unlikely)
     weight = np.exp(log - log.max())
     return float(np.sqrt(np.trapezoid(weight * sizes**2, sizes) / np.trapezoid(weight, sizes)))
-
-
-def stated_range(name: str) -> tuple[float, float]:
-    """Return the range of an error in a pair file."""
-    largest = {"m": LARGEST_DEVIATION, "rad": LARGEST_MISALIGNMENT}[unit_of(name)]
-    largest = LARGEST_ELEMENT if name in profile_names(PROFILE_ORDERS) else largest
-    return -largest, largest
 
 
 def freedom(estimate: Estimate, covariance: Array, known: Collection[str]) -> Array:
@@ -552,7 +437,7 @@ def freedom(estimate: Estimate, covariance: Array, known: Collection[str]) -> Ar
     estimate
         The end of the fit.
     covariance
-        Of all that was fitted, SI, in the order of `Problem.names`.
+        Of all that was fitted, SI, in the order of `Unknowns.names`.
     known
         Patterns with a stated, not estimated, deviation.
 
@@ -561,7 +446,7 @@ def freedom(estimate: Estimate, covariance: Array, known: Collection[str]) -> Ar
     degrees
         Shape (errors,), > 0, infinite for errors not affected by scatter.
     """
-    count, parts = len(estimate.chosen), estimate.problem.parts
+    count, parts = len(estimate.chosen), estimate.unknowns.parts
     variance = np.diag(covariance)[:count]
     blur = np.zeros(count)
     for name, part in parts.items():
@@ -660,7 +545,7 @@ def turn_bootstrap(estimate: Estimate, draws: int, seed: int) -> Array:
         raise ValueError(f"every curve needs at least {TURNS} turns")
     errors = slice(0, len(estimate.chosen))
     step = estimate.posterior.solve(estimate.columns.T)[errors]
-    step *= observed.weight * estimate.problem.scale[errors, None]
+    step *= observed.weight * estimate.unknowns.scale[errors, None]
     generator = np.random.default_rng(seed)
     moved = np.zeros((draws, len(estimate.chosen)))
     left = left_of(observed, estimate.linear, estimate.state)

@@ -41,7 +41,7 @@ from fitting.estimation.allowances import (
 from fitting.estimation.confirmation import Confirmed, as_lmfit, confirmed, lmfit_states, with_covariance
 from fitting.estimation.effects import Effect, effects_of
 from fitting.estimation.effects import as_json as effect_as_json
-from fitting.estimation.fit import NO_SCATTER, Estimate, allowed_radius, freedom, profile_interval, turn_bootstrap
+from fitting.estimation.fit import Estimate, allowed_radius, freedom, profile_interval, turn_bootstrap
 from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, parameter_as_json, withheld
 from fitting.estimation.realised import GAUGE, Realised, realised
 from fitting.estimation.run_out import RunOut, run_outs_of
@@ -67,6 +67,7 @@ from fitting.model.observations import (
     with_scatter,
 )
 from fitting.model.prior import tolerances_of
+from fitting.model.unknowns import NO_SCATTER
 from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:
@@ -274,23 +275,23 @@ def result_of(
         added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
         every[np.diag_indices(len(chosen))] += added
     quantiles = stdtrit(freedom(fit, every, known), 0.5 + 0.5 * CONFIDENCE)
-    singular, combinations, reasons, beside = weakness(observed, linear, names, chosen)
+    singular, combinations, reasons, beside = weakness(pair, observed, linear, chosen)
     # Held errors that no fitted one represents may be as large as is usual; the intervals allow for it.
     moved_by = moved_by_held(fit, beside)
     every += moved_by @ moved_by.T
-    # The scatter of pins and teeth is behind the errors and the bench in the vector.
-    stated = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
+    unknowns = fit.unknowns
+    before_scatter = slice(0, unknowns.scatter.start)
+    stated = _stated(found, every[before_scatter, before_scatter], observed.profile)
     own = observed.bearing_names
     bench = {n: p.value for n, p in stated.items() if n not in names and n not in own}
     bench[CHAIN] = _chain_compliance(observed, bench)
     deviations = np.array([stated[n].stderr for n in own], dtype=float)
     if own:
         moved_by = moved_by_held(fit, [n for n in names if n not in (*chosen, *beside)])
-        at = slice(len(every) - spread.size - len(own), len(every) - spread.size)
-        deviations = np.hypot(deviations, np.linalg.norm(moved_by[at], axis=1))
+        deviations = np.hypot(deviations, np.linalg.norm(moved_by[unknowns.bearings], axis=1))
     bearings = bearings_found(pair, observed, state.bearings, deviations)
     made = pair_with(pair, state.bearings, rounded=True)
-    lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
+    lasting = np.r_[unknowns.errors, unknowns.scatter]
     every = every[np.ix_(lasting, lasting)]
     covariance = every[: len(chosen), : len(chosen)]
     error = np.sqrt(np.diag(covariance))

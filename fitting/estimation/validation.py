@@ -168,23 +168,23 @@ class Residual:
     """
 
     def __init__(self, estimate: Estimate) -> None:
-        problem, precision = estimate.problem, estimate.problem.precision(estimate.scatter)
-        self.observed, self.scale = estimate.observed, problem.scale
+        unknowns, precision = estimate.unknowns, estimate.precision
+        self.observed, self.scale = estimate.observed, unknowns.scale
         self.weight, self.columns, self.posterior = self.observed.weight, estimate.columns, estimate.posterior
         # The fit ends where a step gains little; the tests are made at the optimum.
         step = self.posterior.mean
         self.left = estimate.residual - self.columns @ step
         self.pulls = _creeps_with_load(estimate)
         for name, cause in _PULLED.items():
-            at = problem.names.index(name)
+            at = unknowns.names.index(name)
             unit = np.zeros(step.size)
             unit[at] = 1.0
             # The prior pulls an estimate towards zero; one whose size is estimated as well scatters about the truth.
-            usual = (self.observed.chain_prior / problem.scale[at]) ** 2 if name == CHAIN else 1.0 / precision[at]
+            usual = (self.observed.chain_prior / unknowns.scale[at]) ** 2 if name == CHAIN else 1.0 / precision[at]
             left = float(self.posterior.solve(unit)[at])
             spread = usual + left if name in self.observed.estimated else usual - left
             if spread > (1.0 - _FREE) * usual:
-                square = float(estimate.unknowns[at] + step[at]) ** 2 / spread
+                square = float(estimate.vector[at] + step[at]) ** 2 / spread
                 pull = float(special.chdtrc(1, square)), square
                 self.pulls[cause] = min(pull, self.pulls.get(cause, pull))
 

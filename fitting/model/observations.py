@@ -665,18 +665,3 @@ def split(linear: Linear, ends: NDArray[np.int64]) -> list[Linear]:
 def left_of(observed: Observations, linear: Linear, state: State) -> Array:
     """Measured minus modelled transmission error, the bench's part included, shape (points,), rad."""
     return observed.measured - linear.model - observed.bench @ state.bench
-
-
-def nuisance_columns(observed: Observations, linear: Linear) -> tuple[Array, Array]:
-    """Return the columns of all nuisances, shape (points, nuisances), and their prior standard deviations."""
-    locked = observed.of_loops
-    columns = [observed.bench, (linear.by_friction * ~locked)[:, None]]
-    priors = [*observed.bench_prior, *observed.friction_priors]
-    if observed.with_loops:
-        columns += [(linear.by_friction * locked)[:, None], linear.by_friction_per_load[:, None]]
-    if observed.fit_crank:
-        columns.append(linear.by_crank[:, None])
-        priors.append(np.inf)
-    columns.append(linear.bearings)
-    priors += [*observed.bearing_prior]
-    return np.hstack(columns), np.array(priors)

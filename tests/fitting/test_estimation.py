@@ -19,13 +19,14 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.sampling import parse_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.estimation.confirmation import confirmed, possible, with_covariance
+from fitting.estimation.confirmation import confirmed, with_covariance
 from fitting.estimation.fit import fit, profile_interval, turn_bootstrap
 from fitting.estimation.identify import identify
 from fitting.estimation.realised import displaced
 from fitting.model.identifiability import chosen_errors, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of, with_scatter
 from fitting.model.prior import Prior, scatter_of
+from fitting.model.unknowns import possible
 from fitting.recordings.recording import Recording
 from fitting.reports.report import report
 from fitting.transmission_error.curve import Curve
@@ -101,12 +102,7 @@ def simple(nominal):
 @pytest.mark.slow(12)
 def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evaluations(simple, nominal, monkeypatch):
     observed = simple[1]
-    errors = chosen_errors(
-        observed,
-        linearise(nominal, observed, at_nominal(nominal, observed)),
-        errors_of(nominal),
-        np.zeros(spread_of(nominal, {}).size),
-    )
+    errors = chosen_errors(nominal, observed, linearise(nominal, observed, at_nominal(nominal, observed)), {})
     assert len(errors) > 15
     solved = {"fit": 0, "differences": 0}
     kernel = fitting.model.observations.error_sensitivity
@@ -168,9 +164,8 @@ def test_the_last_step_confirms_the_optimum_and_its_covariance(simple, nominal, 
     for name in ERRORS:
         moved = parameters[name].value - structured_value(with_scatter(found.state.surface, -found.state.scatter), name)
         assert abs(moved) < 0.05 * parameters[name].stderr
-    wanted = posterior_covariance(
-        found.observed, again.linear, errors_of(nominal), ERRORS, spread_of(nominal, found.scatter)
-    )[: len(ERRORS), : len(ERRORS)]
+    wanted = posterior_covariance(nominal, found.observed, again.linear, ERRORS, found.scatter)
+    wanted = wanted[: len(ERRORS), : len(ERRORS)]
     size = np.sqrt(np.diag(wanted))
     assert covariance[: len(ERRORS), : len(ERRORS)] / np.outer(size, size) == pytest.approx(
         wanted / np.outer(size, size), abs=1e-3
@@ -214,7 +209,7 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
 def test_a_fit_that_leaves_what_is_possible_ends_at_its_bound_and_says_so(simple, nominal, monkeypatch):
     _, observed = simple
     monkeypatch.setattr(
-        "fitting.estimation.confirmation.possible",
+        "fitting.model.unknowns.possible",
         lambda pair, name: (-0.5e-6, 0.5e-6) if name == "pin_radius" else (-1e-3, 1e-3),
     )
     found = identify(observed.curves, Drive(nominal), held_out=False)
