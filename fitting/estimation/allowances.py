@@ -14,7 +14,6 @@ from fitting.estimation.fit import Estimate
 from fitting.estimation.parameter import NORMAL, Parameter, parameter
 from fitting.model.bearings import as_stated, unit_of_bearing
 from fitting.model.discrepancy import LAG, by_lag
-from fitting.model.gaussian import Evidence
 from fitting.model.observations import MISFIT, Linear, Observations, form_columns
 from fitting.model.prior import tolerances_of
 
@@ -67,8 +66,7 @@ def moved_by_form(fit: Estimate, form: float) -> Array:
     # be another: the deviation of an eccentricity was 0.24 or 0.46 µm from starts that differed little.
     alone = fit.posterior
     residual = fit.residual - own @ alone.mean
-    precision = np.concatenate([fit.precision, np.ones(beside.shape[1])])
-    formed = Evidence.of(np.hstack([own, beside])).posterior(precision)
+    formed = alone.extended(own.T @ beside, beside.T @ beside + np.eye(beside.shape[1]))
     if max(formed.condition, alone.condition) > _SINGULAR:
         raise np.linalg.LinAlgError("singular")
     moved = formed.covariance[:, own.shape[1] :] @ (beside.T @ residual)

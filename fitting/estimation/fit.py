@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.structured import structured_value
 from fitting.model.gaussian import Evidence, Gaussian
 from fitting.model.near_drive import NearDrive
 from fitting.model.observations import (
@@ -37,7 +36,6 @@ from fitting.model.observations import (
     linearised_curve,
     scatter_parts,
     split,
-    with_scatter,
 )
 from fitting.model.unknowns import NO_SCATTER, Unknowns
 
@@ -48,11 +46,9 @@ EVALUATIONS = 60  # of one fit, which needs ten to thirty
 _LITTLE = 4.0  # times the gain at which a fit ends: a smaller promise that a step did not keep is not pursued
 _PATIENCE = 3  # steps in a row that may bring less than they should, at the curves' corners
 TURNS = 3  # fewer do not say how they scatter
-_PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a profile ends, and how near it must come
 _ROUNDS, _LINEAR = 40, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
 _SETTLED = 3e-3  # relative change of a deviation with one round, which comes near by ever smaller ones; in a start more
 _SIZES = np.geomspace(0.05, 20.0, 32)  # times the usual one: over which a size is averaged
-_PINNED = 1e6  # precision that holds an unknown where it is put, in its scale
 _SHRINKS, _GROWS = 0.1, 10.0  # by how much a variance may change with one step
 
 
@@ -128,7 +124,8 @@ class Estimate:
     @cached_property
     def posterior(self) -> Gaussian:
         """Distribution of the unknowns in their scale, as distances from where the fit ended."""
-        return self.evidence.posterior(self.precision, self.vector, self.unknowns.names)
+        along = self.unknowns.along(self.vector)
+        return self.evidence.posterior(self.precision, self.vector, self.unknowns.names, along)
 
     @property
     def misfit_with_priors(self) -> float:
@@ -223,7 +220,6 @@ def fit(
     evaluations: int = EVALUATIONS,
     estimated: bool = True,
     known: Mapping[str, float] | None = None,
-    pinned: Mapping[str, float] | None = None,
 ) -> Estimate:
     """Fit errors, bench and scatter to observations.
 
@@ -249,16 +245,11 @@ def fit(
         Whether the noise and the scatter's deviations are estimated as well.
     known
         Standard deviations of patterns that are not estimated, m.
-    pinned
-        Errors held at these values, m or rad.
     """
     unknowns = Unknowns(pair, observed, chosen)
-    vector = unknowns.vector(state)
-    low, high = unknowns.low / unknowns.scale, unknowns.high / unknowns.scale
-    pins = {list(chosen).index(n): value for n, value in (pinned or {}).items()}
-    mean = np.zeros(vector.size)
-    for at, value in pins.items():
-        mean[at] = value / unknowns.scale[at]
+    begun = unknowns.vector(state)
+    vector = unknowns.within(begun)
+    linear = linear if np.array_equal(vector, begun) else None
     known = {**{n: v for n, v in KNOWN_SIZES.items() if n in unknowns.parts}, **(known or {})}
     scatter = {**scatter, **known}
     limit = np.full(len(observed.curves), np.inf)
@@ -279,16 +270,14 @@ def fit(
             )
             if settled:
                 break
-            ahead = _ahead(unknowns, now, scatter, vector, mean, list(pins))
+            ahead = now.total.posterior(unknowns.precision(scatter), vector, along=unknowns.along(vector)).mean
 
     while done < evaluations:
         precision = unknowns.precision(scatter)
-        precision[list(pins)] = _PINNED
-        away = vector - mean
-        misfit = _misfit(now, limit) + float(precision @ away**2)
-        posterior = now.total.posterior(precision, away)
+        misfit = _misfit(now, limit) + float(precision @ vector**2)
+        posterior = now.total.posterior(precision, vector, along=unknowns.along(vector))
         # An unknown at its bound that would go beyond it stays there for this step.
-        posterior = posterior.holding(_is_stuck(vector, posterior.slope, low, high))
+        posterior = posterior.holding(unknowns.is_stuck(vector, posterior.slope))
         step = posterior.damped(damping).mean
         promised = posterior.gain(step)
         if promised < gain and settled:
@@ -298,7 +287,7 @@ def fit(
             at_variances()
             limit, tried = _limits(now), True
             continue
-        step = np.clip(vector + step, low, high) - vector
+        step = unknowns.within(vector + step) - vector
         done += 1
         try:
             then = _evaluated(unknowns, vector + step, observed, limit, around)
@@ -306,7 +295,7 @@ def fit(
             # So far away no contacts balance the load.
             damping = max(10.0 * damping, 1e-2)
             continue
-        gained = misfit - _misfit(then, limit) - float(precision @ (away + step) ** 2)
+        gained = misfit - _misfit(then, limit) - float(precision @ (vector + step) ** 2)
         idle = idle + 1 if gained < gain else 0
         if gained > 0.0:
             vector, now, tried = vector + step, then, False
@@ -320,20 +309,14 @@ def fit(
         # saves 3 of 6 evaluations of the exact fit; six curves of 720 points are identified 1.35 times as fast.
         if idle > (0 if settled and promised < _LITTLE * min(gain, 1.0) else _PATIENCE):
             break
-    misfit = _misfit(now, limit) + float(precision @ (vector - mean) ** 2)
+    misfit = _misfit(now, limit) + float(precision @ vector**2)
     seen = observed.weight[observed.weight > 0.0]
-    information = now.total.posterior(precision).log_determinant
+    information = now.total.posterior(precision, along=unknowns.along(vector)).log_determinant
     unlikelihood = misfit + information - float(np.log(precision).sum() + 2.0 * np.log(seen).sum())
     state, linear = unknowns.state(vector), joined(now.linears)
     off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, limit)
     observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight)).with_sizes(scatter)
     return Estimate(pair, observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
-
-
-def _is_stuck(vector: Array, slope: Array, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Which unknowns are at a bound beyond which a step would go."""
-    stuck: NDArray[np.bool_] = ((vector <= low) & (slope < 0.0)) | ((vector >= high) & (slope > 0.0))
-    return stuck
 
 
 def _each_point(observed: Observations, values: Array) -> Array:
@@ -372,7 +355,7 @@ def _variances(
     `ahead` is a step of the unknowns, at whose end the fixed point is evaluated with the linear model.
     """
     precision = unknowns.precision(scatter)
-    covariance = normal.total.posterior(precision).covariance
+    covariance = normal.total.posterior(precision, along=unknowns.along(vector)).covariance
     resolved = normal.gram.reshape(len(normal.gram), -1) @ covariance.ravel()
     square = normal.square - 2.0 * normal.moment @ ahead + normal.gram @ ahead @ ahead
     # A step ahead that the linear model does not hold may promise to leave nothing.
@@ -393,15 +376,6 @@ def _variances(
     settled = hardly and bool((np.abs(variance - 1.0) < little).all())
     observed, normal = _at_noise(observed, normal, variance)
     return observed, normal, found, settled
-
-
-def _ahead(
-    unknowns: Unknowns, normal: _Normal, scatter: Mapping[str, float], vector: Array, mean: Array, pins: list[int]
-) -> Array:
-    """Return the Gauss-Newton step."""
-    precision = unknowns.precision(scatter)
-    precision[pins] = _PINNED
-    return normal.total.posterior(precision, vector - mean).mean
 
 
 def allowed_radius(estimate: Estimate) -> float:
@@ -458,61 +432,6 @@ def freedom(estimate: Estimate, covariance: Array, known: Collection[str]) -> Ar
         blur += share**2 / max(resolved, 1.0)
     found: Array = np.divide(1.0, blur, out=np.full(count, np.inf), where=blur > 0.0)
     return found
-
-
-def profile_interval(
-    estimate: Estimate, name: str, standard_error: float, inflation: float, rise: float
-) -> tuple[float, float]:
-    """Profile interval of one error: its range until the best fit with it is worse by `rise`.
-
-    Unlike the interval by standard error it need not be symmetrical, and it does not assume a linear model
-    (Venzon and Moolgavkar, Applied Statistics 37 (1988) 87).
-
-    Parameters
-    ----------
-    estimate
-        The end of the fit.
-    name, standard_error
-        The error and its standard error, m or rad, from which the search starts.
-    inflation
-        Factor of the standard errors relative to white noise.
-    rise
-        Of the sum of squares in units of the noise: the square of the quantile of Student's t.
-
-    Returns
-    -------
-    low, high
-        m or rad; infinite if the rise is not reached within sixteen standard errors.
-    """
-
-    def refitted(state: State, pinned: Mapping[str, float]) -> Estimate:
-        return fit(
-            estimate.pair,
-            estimate.observed,
-            estimate.chosen,
-            state,
-            estimate.scatter,
-            gain=_PROFILE_GAIN * rise,
-            estimated=False,
-            pinned=pinned,
-        )
-
-    best = refitted(estimate.state, {})
-    centre = structured_value(with_scatter(best.state.surface, -best.state.scatter), name)
-    ends = []
-    for way in (-1.0, 1.0):
-        distance, state, found = standard_error * np.sqrt(rise), best.state, np.inf
-        while distance < 16.0 * standard_error:
-            one = refitted(state, {name: centre + way * distance})
-            # The root of the rise grows in proportion to the distance where the model is linear.
-            reached = max(one.misfit - best.misfit, 0.01 * rise) / (inflation**2 * rise)
-            state = one.state
-            if abs(reached - 1.0) < _PROFILE_WITHIN:
-                found = distance / np.sqrt(reached)
-                break
-            distance *= float(np.clip(1.0 / np.sqrt(reached), 0.4, 2.5))
-        ends.append(centre + way * found)
-    return ends[0], ends[1]
 
 
 def turn_bootstrap(estimate: Estimate, draws: int, seed: int) -> Array:

@@ -253,7 +253,14 @@ def _put_back(pair: Pair, state: State, pin: int, reach: int) -> State:
 
 def observed_with(curves: Sequence[Curve], pair: Pair, known: Prior) -> Observations:
     """Return the observations of curves, with the unknowns that a prior asks for."""
-    return observations(curves, pair, profile=known.profile, first_stage=known.first_stage, soft_chain=known.soft_chain)
+    return observations(
+        curves,
+        pair,
+        profile=known.profile,
+        first_stage=known.first_stage,
+        soft_chain=known.soft_chain,
+        constraints=known.constraints,
+    )
 
 
 def _first_sizes(observed: Observations) -> dict[str, float]:
@@ -375,7 +382,10 @@ def _carried_over(
 def _chosen(observed: Observations, linear: Linear, pair: Pair) -> list[str]:
     # Without the scatter of single pins and teeth, which widens the intervals: a scatter that has absorbed held errors
     # would keep them held, and fitted errors of nearly the same effect would absorb the rest.
-    chosen = chosen_errors(pair, observed, linear, {})
+    chosen, decided = chosen_errors(pair, observed, linear, {}), observed.constraints
+    if decided is not None:
+        own = {*decided.free, *decided.ties}
+        chosen = [n for n in observed.errors if n in own or (n in chosen and n not in decided.held)]
     if not chosen:
         raise edge.InputError("the data resolve none of the structured errors; record more loads or more turns.")
     return chosen

@@ -210,14 +210,13 @@ class Residual:
         _, part = self.score(columns)
         size = (own**2).sum(axis=0)
         cross = self.columns.T @ own
-        whole = [[self.posterior.information, cross], [cross.T, own.T @ own + np.diag(_SEEN * size)]]
-        self.posterior = Gaussian(np.block(whole))
+        self.posterior = self.posterior.extended(cross, own.T @ own + np.diag(_SEEN * size))
         self.columns = np.hstack([self.columns, own])
         self.left = self.left - part
 
     def is_zero(self, numbers: Sequence[int], values: Array) -> bool:
         """Whether unknowns of the fit, in their scale, are compatible with zero (Wald)."""
-        square = Gaussian(self.posterior.information).score(numbers, values)
+        square = Gaussian(self.posterior.information, along=self.posterior.along).score(numbers, values)
         return float(special.chdtrc(values.size, square)) > FALSE_ALARM
 
     def contradicts(self, numbers: Sequence[int]) -> float:

@@ -29,6 +29,9 @@ class Gaussian:
         Information times mean, shape (unknowns,); by default the mean is zero.
     names
         Names of the unknowns, if they have any.
+    along
+        On the condition that the unknowns' distance from zero is `along` times that of those which are free, shape
+        (unknowns, unknowns); columns of others are zero. By default all are free.
 
     Raises
     ------
@@ -44,9 +47,16 @@ class Gaussian:
     (array([[4.]]), array([1., 2.]))
     """
 
-    def __init__(self, information: Array, slope: Array | None = None, names: Sequence[str] = ()) -> None:
-        self.information, self.names = information, tuple(names)
+    def __init__(
+        self,
+        information: Array,
+        slope: Array | None = None,
+        names: Sequence[str] = (),
+        along: Array | None = None,
+    ) -> None:
+        self.information, self.names, self.along = information, tuple(names), along
         self.slope = np.zeros(len(information)) if slope is None else slope
+        self._ways = None if along is None else along[:, along.any(axis=0)]
 
     @classmethod
     def of(cls, mean: Array, covariance: Array, names: Sequence[str] = ()) -> Gaussian:
@@ -55,12 +65,17 @@ class Gaussian:
         return cls(information, information @ mean, names)
 
     @cached_property
+    def _reduced(self) -> Array:
+        """Information on the free unknowns."""
+        return self.information if self._ways is None else self._ways.T @ self.information @ self._ways
+
+    @cached_property
     def _size(self) -> Array:
-        return np.sqrt(np.diag(self.information))
+        return np.sqrt(np.diag(self._reduced))
 
     @cached_property
     def _scaled(self) -> Array:
-        scaled: Array = self.information / np.outer(self._size, self._size)
+        scaled: Array = self._reduced / np.outer(self._size, self._size)
         return scaled
 
     @cached_property
@@ -71,8 +86,9 @@ class Gaussian:
     def solve(self, right: Array) -> Array:
         """Return the covariance times a vector, or times each column of a matrix."""
         size = self._size if right.ndim == 1 else self._size[:, None]
-        solved: Array = linalg.cho_solve(self._factor, right / size) / size
-        return solved
+        own = right if self._ways is None else self._ways.T @ right
+        solved: Array = linalg.cho_solve(self._factor, own / size) / size
+        return solved if self._ways is None else self._ways @ solved
 
     @cached_property
     def mean(self) -> Array:
@@ -84,7 +100,7 @@ class Gaussian:
         """Covariance, symmetric, shape (unknowns, unknowns)."""
         inverse = linalg.cho_solve(self._factor, np.eye(self._size.size)) / np.outer(self._size, self._size)
         symmetric: Array = 0.5 * (inverse + inverse.T)
-        return symmetric
+        return symmetric if self._ways is None else self._ways @ symmetric @ self._ways.T
 
     @property
     def log_determinant(self) -> float:
@@ -124,12 +140,24 @@ class Gaussian:
         """Return the distribution on the condition that some unknowns are zero, shape (unknowns,) of bool."""
         if not held.any():
             return self
-        information = np.where(held[:, None] | held, np.diag(np.diag(self.information)), self.information)
-        return Gaussian(information, np.where(held, 0.0, self.slope), self.names)
+        along = np.eye(held.size) if self.along is None else self.along
+        return Gaussian(self.information, self.slope, self.names, np.where(held, 0.0, along))
+
+    def extended(self, cross: Array, own: Array) -> Gaussian:
+        """Return the distribution with further unknowns, all means zero.
+
+        Parameters
+        ----------
+        cross, own
+            Information on these with the others, shape (unknowns, further), and on these, shape (further, further).
+        """
+        along = None if self.along is None else linalg.block_diag(self.along, np.eye(len(own)))
+        return Gaussian(np.block([[self.information, cross], [cross.T, own]]), along=along)
 
     def damped(self, share: float) -> Gaussian:
         """Return the distribution with more information on each unknown by a share (Levenberg and Marquardt's step)."""
-        return Gaussian(self.information + share * np.diag(np.diag(self.information)), self.slope, self.names)
+        damped = self.information + share * np.diag(np.diag(self.information))
+        return Gaussian(damped, self.slope, self.names, self.along)
 
     def gain(self, change: Array) -> float:
         """Return by how much x = change is a better solution than x = 0: the decrease of the sum of squares."""
@@ -165,7 +193,13 @@ class Evidence:
             return cls(columns.T @ columns, np.zeros(columns.shape[1]))
         return cls(columns.T @ columns, columns.T @ residual, float(residual @ residual))
 
-    def posterior(self, precision: Array, away: Array | None = None, names: Sequence[str] = ()) -> Gaussian:
+    def posterior(
+        self,
+        precision: Array,
+        away: Array | None = None,
+        names: Sequence[str] = (),
+        along: Array | None = None,
+    ) -> Gaussian:
         """Return the distribution of the unknowns' changes, from where the residual was evaluated.
 
         Parameters
@@ -174,11 +208,11 @@ class Evidence:
             1/variance of each unknown's prior, shape (unknowns,).
         away
             Distance of the unknowns from the prior's mean where the residual was evaluated; by default zero.
-        names
-            Of the unknowns.
+        names, along
+            As in `Gaussian`.
         """
         slope = self.moment if away is None else self.moment - precision * away
-        return Gaussian(self.gram + np.diag(precision), slope, names)
+        return Gaussian(self.gram + np.diag(precision), slope, names, along)
 
 
 def truncated(slope: Array, spread: Array, size: Array, least: float) -> tuple[float, int, Array]:

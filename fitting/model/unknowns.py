@@ -35,6 +35,7 @@ UNKNOWN = 1e-6  # precision of unknowns without a prior, so that those without e
 NO_SCATTER = 1e-8  # m: a scatter below this changes nothing that a bench can see
 _BENCH_SCALE, _CRANK_SCALE, _CREEP_SCALE = 1e-4, 1e-2, 1e-6  # rad
 _SCATTER_SCALE = {"m": 1e-6, "rad": 1e-4}
+_DIFFERENCE = 1e-3  # step of the derivatives of expressions, in units of an unknown's scale
 _FRICTION_UNITS = {"loop_friction_per_load": "1"}
 
 
@@ -114,6 +115,16 @@ class Unknowns:
         self.low, self.high = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
         self.low[self.errors], self.high[self.errors] = np.reshape([possible(pair, n) for n in errors], (-1, 2)).T
         self.low[self.bearings] = observed.bearing_lowest
+        self.constraints = observed.constraints
+        self._fixed, self._tied = np.zeros(len(self.names), bool), dict[int, str]()
+        if (decided := self.constraints) is not None:
+            for at, name in enumerate(self.names[: self.scatter.start]):
+                low, high = decided.bounds.get(name, (-np.inf, np.inf))
+                self.low[at], self.high[at] = max(low, self.low[at]), min(high, self.high[at])
+                if name in decided.held:
+                    self._fixed[at], self.low[at], self.high[at] = True, decided.held[name], decided.held[name]
+                if name in decided.ties:
+                    self._tied[at], self.low[at], self.high[at] = name, -np.inf, np.inf
         self._columns_of_errors = [observed.errors.index(n) for n in errors]
         self.units = [
             *map(unit_of, errors),
@@ -166,10 +177,44 @@ class Unknowns:
         columns *= self.scale
         return columns
 
-    def is_possible(self, vector: Array) -> bool:
-        """Whether all errors are within their bounds."""
-        values = vector[self.errors] * self.scale[self.errors]
-        return bool(((self.low[self.errors] < values) & (values < self.high[self.errors])).all())
+    def within(self, vector: Array) -> Array:
+        """Return the nearest vector within the bounds whose tied unknowns are what their expressions say."""
+        inside = np.clip(vector, self.low / self.scale, self.high / self.scale)
+        for at, value in self._values_of_ties(inside).items():
+            inside[at] = value / self.scale[at]
+        return inside
+
+    def is_stuck(self, vector: Array, slope: Array) -> NDArray[np.bool_]:
+        """Which unknowns are at a bound beyond which a step along the slope would go."""
+        low, high = self.low / self.scale, self.high / self.scale
+        stuck: NDArray[np.bool_] = ((vector <= low) & (slope < 0.0)) | ((vector >= high) & (slope > 0.0))
+        return stuck
+
+    def _values_of_ties(self, vector: Array) -> dict[int, float]:
+        if not self._tied or self.constraints is None:
+            return {}
+        seen = slice(0, self.scatter.start)
+        values = dict(zip(self.names[seen], (vector * self.scale)[seen].tolist(), strict=True))
+        tied = self.constraints.tied(values)
+        return {at: tied[name] for at, name in self._tied.items()}
+
+    def along(self, vector: Array) -> Array | None:
+        """Return how all unknowns move with those that are free (`Gaussian`); None if all are free.
+
+        Derivatives of expressions are central differences over a thousandth of each unknown's scale.
+        """
+        if not self._tied and not self._fixed.any():
+            return None
+        along = np.diag((~self._fixed).astype(float))
+        along[:, [*self._tied]] = 0.0
+        free = np.flatnonzero(np.diag(along)[: self.scatter.start]).tolist()
+        for at in free if self._tied else ():
+            step = np.zeros(vector.size)
+            step[at] = _DIFFERENCE
+            ends = self._values_of_ties(vector + step), self._values_of_ties(vector - step)
+            for tied in self._tied:
+                along[tied, at] = (ends[0][tied] - ends[1][tied]) / (2.0 * _DIFFERENCE * self.scale[tied])
+        return along
 
     def precision(self, sizes: Mapping[str, float]) -> Array:
         """Return the prior precision of each unknown, 1/variance in its scale, from the sizes of `parts`.

@@ -19,9 +19,10 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.sampling import parse_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.estimation.confirmation import confirmed, with_covariance
-from fitting.estimation.fit import fit, profile_interval, turn_bootstrap
+from fitting.estimation.confirmation import confirmed, stated, with_covariance
+from fitting.estimation.fit import fit, turn_bootstrap
 from fitting.estimation.identify import identify
+from fitting.estimation.minimisation import Search
 from fitting.estimation.realised import displaced
 from fitting.model.identifiability import chosen_errors, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of, with_scatter
@@ -157,7 +158,8 @@ def test_the_last_step_confirms_the_optimum_and_its_covariance(simple, nominal, 
         return kernel(pair, surface, torque, angles, names)
 
     monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
-    again, parameters, covariance = confirmed(found, gain=1e-6)
+    again = confirmed(found, gain=1e-6)
+    parameters, covariance = stated(again)
     parameters = with_covariance(parameters, covariance)
     assert solved <= 2 * observed.measured.size
     assert again.misfit <= found.misfit * (1.0 + 1e-12)
@@ -184,7 +186,8 @@ def test_the_last_step_leads_to_the_optimum_from_beside_it(simple, nominal):
     )
     state = dataclasses.replace(found.state, surface=moved)
     beside = dataclasses.replace(found, state=state, linear=linearise(nominal, found.observed, state))
-    again, parameters, covariance = confirmed(beside, gain=1e-3)
+    again = confirmed(beside, gain=1e-3)
+    parameters, covariance = stated(again)
     parameters = with_covariance(parameters, covariance)
     assert parameters["eccentricity"].stderr < 100e-9
     for name in ERRORS:
@@ -229,7 +232,7 @@ def test_a_profile_is_the_interval_by_standard_error_where_the_model_is_linear(s
     kept = [names.index(n) for n in ERRORS] + list(range(len(names), columns.shape[1]))
     known = np.concatenate([np.zeros(len(ERRORS)), observed.bench_prior**-2.0, [observed.friction_prior**-2.0]])
     deviation = np.sqrt(np.diag(np.linalg.inv(columns[:, kept].T @ columns[:, kept] + np.diag(known))))
-    low, high = profile_interval(found, "centre_distance_x", 1.5 * deviation[0], 1.0, 1.96**2)
+    low, high = Search(found).interval("centre_distance_x", 1.5 * deviation[0], 1.96**2)
     value = structured_value(found.state.surface, "centre_distance_x")
     assert high - value == pytest.approx(1.96 * deviation[0], rel=0.1)
     assert value - low == pytest.approx(1.96 * deviation[0], rel=0.1)
