@@ -13,7 +13,15 @@ from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names
 from fitting.estimation.fit import Estimate
-from fitting.estimation.starting import GAIN, fitted, observed_with, started, starting_estimate, without_scatter
+from fitting.estimation.starting import (
+    GAIN,
+    described_by,
+    fitted,
+    observed_with,
+    started,
+    starting_estimate,
+    without_scatter,
+)
 from fitting.estimation.validation import (
     Likely,
     Residual,
@@ -23,6 +31,7 @@ from fitting.estimation.validation import (
     verdict_of,
 )
 from fitting.model.discrepancy import GIVE, RIPPLE, beside_the_gear, causes, given_way, ripple_of
+from fitting.model.discs import other_descriptions
 from fitting.model.observations import (
     MISFIT,
     PROFILE_ORDERS,
@@ -106,6 +115,8 @@ class MisfitSearch:
             other = self._tried(without_scatter(pair, found), formed, misfit)
             if other is not None:
                 plain, suspects = self._tested(other, formed, misfit, beside)
+        if plain.verdict.state == "not explained" and pair.supports is not None:
+            plain, suspects = self._described_otherwise(plain, suspects, beside)
         residual, is_failed = plain.verdict.residual, plain.verdict.state == "not explained"
         if (_are_more(suspects, beside) or is_failed) and residual < _BESIDE * plain.verdict.noise:
             # It may be that a better minimum leaves nothing.
@@ -123,6 +134,20 @@ class MisfitSearch:
                 found = again if better else dataclasses.replace(end.found, disagreeing=again.disagreeing)
                 end = self._judged(found, end.known, end.misfit, end.likely)
         return end
+
+    def _described_otherwise(self, plain: Explained, suspects: Likely, beside: Likely) -> tuple[Explained, Likely]:
+        """The fit from each other disc as the first, if that is likelier.
+
+        On bearings such a description makes nearly the same curves, so that a search may end in it: a minimum beside
+        the best one, from which no single pin leads away.
+        """
+        for surface in other_descriptions(self.pair, plain.found.state.surface):
+            self.progress("describing the drive from another disc")
+            state = described_by(self.pair, plain.found, surface)
+            other = self._tried(dataclasses.replace(plain.found, state=state), plain.known, plain.misfit)
+            if other is not None and other.unlikelihood < plain.found.unlikelihood - GAIN:
+                plain, suspects = self._tested(other, plain.known, plain.misfit, beside)
+        return plain, suspects
 
     def _is_likelier(self, plain: Explained, end: Explained) -> bool:
         """Whether curves are much likelier with doubted causes: with the same errors in the fit, and from there."""

@@ -278,7 +278,8 @@ def fit(
         posterior = now.total.posterior(precision, vector, along=unknowns.along(vector))
         # An unknown at its bound that would go beyond it stays there for this step.
         posterior = posterior.holding(unknowns.is_stuck(vector, posterior.slope))
-        step = posterior.damped(damping).mean
+        damped = posterior.damped(damping)
+        step = damped.bounded(unknowns.low / unknowns.scale - vector, unknowns.high / unknowns.scale - vector)
         promised = posterior.gain(step)
         if promised < gain and settled:
             break

@@ -136,6 +136,26 @@ class Gaussian:
         gain = np.linalg.solve(rows @ shared, shared.T).T
         return self.mean + gain @ (values - rows @ self.mean), self.covariance - gain @ shared.T
 
+    def bounded(self, low: Array, high: Array, rows: Array | None = None) -> Array:
+        """Return the most likely values within bounds: what is beyond is put at its bound, the farthest first.
+
+        Parameters
+        ----------
+        low, high
+            Bounds of rows @ values, shape (rows,).
+        rows
+            Shape (rows, unknowns); by default the bounds are those of the unknowns.
+        """
+        every, values, held = np.eye(self.slope.size) if rows is None else rows, self.mean, dict[int, float]()
+        while True:
+            combined = values if rows is None else rows @ values
+            beyond = np.maximum(low - combined, combined - high)
+            beyond[list(held)] = 0.0
+            if not beyond.size or beyond[at := int(np.argmax(beyond))] <= 0.0:
+                return np.clip(values, low, high) if rows is None else values
+            held[at] = float(low[at] if combined[at] < low[at] else high[at])
+            values, _ = self.given(every[list(held)], np.array([*held.values()]))
+
     def holding(self, held: NDArray[np.bool_]) -> Gaussian:
         """Return the distribution on the condition that some unknowns are zero, shape (unknowns,) of bool."""
         if not held.any():

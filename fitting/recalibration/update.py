@@ -192,15 +192,9 @@ class Rows:
         """
         told = Evidence.of(linear.columns @ self.factor, linear.left)
         posterior = told.posterior(np.ones(linear.at.size), linear.at)
-        z, held = linear.at + posterior.mean, list[str]()
-        while free := self.lowest.keys() - set(held):
-            below = {n: float(self.factor[self.names.index(n)] @ z) - self.lowest[n] for n in free}
-            name = min(below, key=lambda n: below[n])
-            if below[name] >= 0.0:
-                break
-            held.append(name)
-            rows = self.factor[[self.names.index(n) for n in held]]
-            z = linear.at + posterior.given(rows, np.array([self.lowest[n] for n in held]) - rows @ linear.at)[0]
+        rows = self.factor[[self.names.index(n) for n in self.lowest]]
+        low = np.array([*self.lowest.values()]) - rows @ linear.at
+        z = linear.at + posterior.bounded(low, np.full_like(low, np.inf), rows)
         return z, posterior
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import linalg, stats
+from scipy import linalg, optimize, stats
 
 from fitting.model.gaussian import Evidence, Gaussian, factor_of, truncated
 
@@ -78,6 +78,40 @@ def test_conditions_are_those_of_many_draws_and_of_an_observation_without_noise(
     brute = drawn[near].mean(axis=0)
     assert np.count_nonzero(near) > 3000
     assert distribution.given(rows[:1], wanted)[0] / size == pytest.approx(brute, abs=0.06)
+
+
+def test_values_within_bounds_are_those_of_bounded_least_squares():
+    """Where one bound binds; a step that is cut off there instead is no step downhill for the others."""
+    generator = np.random.default_rng(9)
+    columns, residual = generator.normal(size=(30, 4)), generator.normal(size=30)
+    columns[:, 1] += 5.0 * columns[:, 0]  # strongly coupled
+    distribution = Evidence.of(columns, residual).posterior(np.full(4, 1e-12))
+    low, high = np.full(4, -np.inf), np.full(4, np.inf)
+    low[0] = distribution.mean[0] + 0.1
+    expected = optimize.lsq_linear(columns, residual, (low, high), tol=1e-14).x
+    found = distribution.bounded(low, high)
+    assert found == pytest.approx(expected, abs=1e-6)
+    cut = np.clip(distribution.mean, low, high)
+    assert distribution.gain(found) > distribution.gain(cut)
+    row = np.array([[1.0, 0.0, 0.0, 0.0]])
+    assert distribution.bounded(low[:1], high[:1], row) == pytest.approx(found, abs=1e-9)
+    free = np.full(4, np.inf)
+    assert distribution.bounded(-free, free) == pytest.approx(distribution.mean)
+
+
+def test_unknowns_move_as_those_that_are_free(joint):
+    """x = T f: the covariance is that of the condition, here of a tie c = 3 b and of e, which is held."""
+    _, covariance, distribution = joint
+    along = np.diag([1.0, 1.0, 0.0, 1.0, 0.0])
+    along[2, 1] = 3.0
+    tied = Gaussian(distribution.information, distribution.slope, NAMES, along)
+    rows = np.array([[0.0, 3.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]])
+    mean, expected = distribution.given(rows, np.zeros(2))
+    size = np.sqrt(np.diag(covariance))
+    assert tied.mean / size == pytest.approx(mean / size, abs=1e-8)
+    assert tied.covariance / np.outer(size, size) == pytest.approx(expected / np.outer(size, size), abs=1e-8)
+    assert tied.covariance[2, 2] == pytest.approx(9.0 * tied.covariance[1, 1])
+    assert not tied.covariance[4].any()
 
 
 def test_held_unknowns_are_those_given_as_zero(joint):
