@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fitting.estimation.ensemble import ensemble as ensemble
     from fitting.estimation.identify import identify as identify
+    from fitting.estimation.identify import parameters as parameters
     from fitting.estimation.plan import Plan as Plan
     from fitting.estimation.plan import plan as plan
     from fitting.estimation.result import Identification as Identification
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "estimation.ensemble": "ensemble",
-    "estimation.identify": "identify",
+    "estimation.identify": "identify parameters",
     "estimation.plan": "Plan plan",
     "estimation.result": "Identification",
     "figures.coefficients": "loss_coefficients",

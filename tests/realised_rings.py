@@ -11,7 +11,6 @@ from sampled_drives import ARCSEC, LOADS, random_drive, recorded
 
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import read_pair
-from fitting.estimation.fit import NO_SCATTER
 from fitting.estimation.identify import identify
 from fitting.estimation.realised import displaced, displaced_covariance
 from fitting.model.discs import other_descriptions
@@ -20,13 +19,13 @@ from fitting.model.observations import (
     PIN_RADIUS,
     RADIUS_SPREAD,
     State,
-    errors_of,
     estimated_parts,
     linearise,
     observations,
     scatter_parts,
     spread_of,
 )
+from fitting.model.unknowns import NO_SCATTER
 
 SCATTER = 2e-6
 
@@ -49,10 +48,10 @@ def cramer_rao(pair, surface, curves, noise, scatter, radius, lever):
     """
     observed = observations(curves, pair, [noise / np.sqrt(np.median(c.sample_count)) for c in curves])
     state = State(surface, np.zeros(spread_of(pair, {}).size), np.zeros(observed.bench.shape[1]))
-    linear, names = linearise(pair, observed, state), errors_of(pair)
-    spread = spread_of(pair, {**dict.fromkeys(scatter_parts(pair), scatter), PIN_RADIUS: radius})
-    chosen = chosen_errors(observed, linear, names, spread)
-    covariance = posterior_covariance(observed, linear, names, chosen, spread)
+    linear = linearise(pair, observed, state)
+    sizes = {**dict.fromkeys(scatter_parts(pair), scatter), PIN_RADIUS: radius}
+    chosen = chosen_errors(pair, observed, linear, sizes)
+    covariance = posterior_covariance(pair, observed, linear, chosen, sizes)
     return displaced_covariance(pair, chosen, covariance, lever)
 
 

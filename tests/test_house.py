@@ -246,6 +246,7 @@ WIDE = {
     "fitting.ageing.forecast.forecast": _OPTIONS,
     "fitting.ageing.life.life_figures": _OPTIONS,
     "fitting.estimation.fit.fit": _ESTIMATION,
+    "fitting.estimation.identify.identify": _OPTIONS,
     "fitting.estimation.result.result_of": _ESTIMATION,
     "fitting.model.near_drive._sweep": _ESTIMATION,
 }

@@ -44,6 +44,13 @@ def identify(
     form: Annotated[
         str, typer.Option(metavar="LENGTH", help="Expected form error shared by all flanks; 0 um if the form is known.")
     ] = "1 um",
+    parameters: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PARAMETERS.json",
+            help="Unknowns to hold, bound, tie or free, as lmfit.Parameters.dump writes them.",
+        ),
+    ] = None,
     bootstrap: Annotated[int, typer.Option(min=0, help="Number of bootstrap resamples of output turns.")] = 0,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -56,6 +63,7 @@ def identify(
     import fitting
     from cycloid_fmu.drive import read_drive
     from fitting.estimation.result import as_json as content
+    from fitting.model.constraints import read_parameters
 
     options.check_report(report)
     nominal = read_drive(drive)
@@ -68,6 +76,7 @@ def identify(
             profiled=profiled or (),
             bootstrap=bootstrap,
             form=form,
+            parameters=None if parameters is None else read_parameters(parameters),
             progress=progress,
         )
     notes = list(result.notes)

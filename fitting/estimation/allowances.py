@@ -8,14 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from cycloid_fmu.geometry.pair import Pair
-from fitting.estimation.fit import Estimate, Problem
+from fitting.estimation.fit import Estimate
 from fitting.estimation.parameter import NORMAL, Parameter, parameter
 from fitting.model.bearings import as_stated, unit_of_bearing
 from fitting.model.discrepancy import LAG, by_lag
-from fitting.model.observations import MISFIT, Linear, Observations, form_columns, left_of
+from fitting.model.observations import MISFIT, Linear, Observations, form_columns
 from fitting.model.prior import tolerances_of
 
 Array = NDArray[np.float64]
@@ -26,7 +25,7 @@ LAG_NAME = f"{MISFIT}_{LAG}_0"
 _TOLD = 0.1  # share of a bearing's variance that the data must take away for it to be told
 
 
-def moved_by_held(pair: Pair, fit: Estimate, names: Sequence[str]) -> Array:
+def moved_by_held(fit: Estimate, names: Sequence[str]) -> Array:
     """Change of the fitted unknowns by held errors of usual size.
 
     A held error moves the curves nearly as fitted ones do; the difference moves other errors. Considered in the sense
@@ -34,8 +33,8 @@ def moved_by_held(pair: Pair, fit: Estimate, names: Sequence[str]) -> Array:
 
     Parameters
     ----------
-    pair, fit
-        The nominal pair and the end of the fit.
+    fit
+        The end of the fit.
     names
         The held errors.
 
@@ -44,53 +43,35 @@ def moved_by_held(pair: Pair, fit: Estimate, names: Sequence[str]) -> Array:
     moved
         Shape (unknowns, names), SI: each for one standard deviation of an error.
     """
-    problem = Problem(pair, fit.observed, fit.chosen)
-    own = problem.columns(fit.observed, fit.linear)
-    information = own.T @ own + np.diag(problem.precision(fit.scatter))
     held = fit.linear.structured[:, [fit.observed.errors.index(n) for n in names]]
     held = held * tolerances_of(names, fit.observed.profile) * fit.observed.weight[:, None]
-    size = np.sqrt(np.diag(information))
-    moved = linalg.solve(information / np.outer(size, size), (own.T @ held) / size[:, None], assume_a="pos")
-    found: Array = moved / size[:, None] * problem.scale[:, None]
-    return found
+    moved: Array = fit.posterior.solve(fit.columns.T @ held) * fit.unknowns.scale[:, None]
+    return moved
 
 
-def _inverse(information: Array) -> Array:
-    """Invert information on unknowns of very different uncertainty.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If it is singular.
-    """
-    size = np.sqrt(np.diag(information))
-    scaled = information / np.outer(size, size)
-    if np.linalg.cond(scaled) > _SINGULAR:
-        raise np.linalg.LinAlgError("singular")
-    found: Array = linalg.inv(scaled) / np.outer(size, size)
-    return found
-
-
-def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
+def moved_by_form(fit: Estimate, form: float) -> Array:
     """Possible effect of a form that all flanks share on the fitted errors: standard deviations, m or rad.
 
     The orders of the form are added to the unknowns of the linear model, with their sizes as prior. The stated errors
     are those without form, so the effect of form on the best estimate is included.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the equations are singular.
     """
-    problem, observed, count = Problem(pair, fit.observed, fit.chosen), fit.observed, len(fit.chosen)
-    own = problem.columns(observed, fit.linear)
-    beside = form * observed.weight[:, None] * form_columns(pair, observed, fit.state, fit.linear, form)
-    columns = np.hstack([own, beside])
-    precision = np.concatenate([problem.precision(fit.scatter), np.ones(beside.shape[1])])
-    information = columns.T @ columns + np.diag(precision)
-    covariance, alone = _inverse(information), _inverse(information[: own.shape[1], : own.shape[1]])
-    left = observed.weight * left_of(observed, fit.linear, fit.state)
+    observed, own, count = fit.observed, fit.columns, len(fit.chosen)
+    beside = form * observed.weight[:, None] * form_columns(fit.pair, observed, fit.state, fit.linear, form)
     # The fit ends where a step gains little. At the optimum, where its own unknowns have no slope, the form's slope can
     # be another: the deviation of an eccentricity was 0.24 or 0.46 µm from starts that differed little.
-    slope = own.T @ left - problem.precision(fit.scatter) * problem.unknowns(fit.state)
-    moved = covariance[:, own.shape[1] :] @ (beside.T @ (left - own @ (alone @ slope)))
-    grown = np.diag(covariance)[:count] - np.diag(alone)[:count] + moved[:count] ** 2
-    found: Array = np.sqrt(np.maximum(grown, 0.0)) * problem.scale[:count]
+    alone = fit.posterior
+    residual = fit.residual - own @ alone.mean
+    formed = alone.extended(own.T @ beside, beside.T @ beside + np.eye(beside.shape[1]))
+    if max(formed.condition, alone.condition) > _SINGULAR:
+        raise np.linalg.LinAlgError("singular")
+    moved = formed.covariance[:, own.shape[1] :] @ (beside.T @ residual)
+    grown = np.diag(formed.covariance)[:count] - np.diag(alone.covariance)[:count] + moved[:count] ** 2
+    found: Array = np.sqrt(np.maximum(grown, 0.0)) * fit.unknowns.scale[:count]
     return found
 
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
-from fitting.estimation.fit import Estimate, Problem, stated_range
-from fitting.estimation.normal_equations import Factor
-from fitting.model.observations import Linear, State, left_of, linearise
+from fitting.estimation.fit import Estimate
+from fitting.model.observations import linearise
+from fitting.model.unknowns import possible
 
 if TYPE_CHECKING:
     import lmfit
@@ -34,6 +33,8 @@ class Confirmed:
         Whether it was fitted.
     stderr, correl
         Standard error, and {name: correlation} with the others that were fitted.
+    expr
+        Expression of others to which it is tied.
     """
 
     value: float
@@ -42,32 +43,23 @@ class Confirmed:
     vary: bool
     stderr: float | None = None
     correl: Mapping[str, float] | None = None
-
-
-@dataclass(frozen=True)
-class _Evaluated:
-    """The model at some values, and its normal equations with the priors, in units of the noise."""
-
-    values: Array
-    state: State
-    linear: Linear
-    gram: Array
-    slope: Array
-    misfit: float
+    expr: str | None = None
 
 
 def with_covariance(parameters: Mapping[str, Confirmed], covariance: Array) -> dict[str, Confirmed]:
-    """Return the first varying parameters, as many as have a covariance, with their errors from it."""
-    names = [n for n, p in parameters.items() if p.vary][: len(covariance)]
-    deviation = np.sqrt(np.diag(covariance))
-    correlation = (covariance / np.outer(deviation, deviation)).tolist()
+    """Return the first parameters, as many as have a covariance, with their errors from it."""
+    names, deviation = list(parameters)[: len(covariance)], np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    size = np.where(deviation > 0.0, deviation, 1.0)
+    correlation = (covariance / np.outer(size, size)).tolist()
+
+    def of_others(name: str, row: Sequence[float]) -> dict[str, float] | None:
+        if not parameters[name].vary:
+            return None
+        return {n: c for n, c in zip(names, row, strict=True) if n != name and parameters[n].vary}
+
     return {
-        name: dataclasses.replace(
-            parameters[name],
-            stderr=float(deviation[at]),
-            correl={n: c for n, c in zip(names, correlation[at], strict=True) if n != name},
-        )
-        for at, name in enumerate(names)
+        name: dataclasses.replace(parameters[name], stderr=float(one), correl=of_others(name, row))
+        for name, one, row in zip(names, deviation, correlation, strict=True)
     }
 
 
@@ -79,7 +71,7 @@ def lmfit_states(parameters: Mapping[str, Confirmed]) -> dict[str, Any]:
     return {
         "unique_symbols": {name: p.value for name, p in parameters.items()},
         "params": [
-            [name, p.value, p.vary, None, p.min, p.max, None, p.stderr, p.correl, p.value, None]
+            [name, p.value, p.vary, p.expr, p.min, p.max, None, p.stderr, p.correl, p.value, None]
             for name, p in parameters.items()
         ],
     }
@@ -93,91 +85,53 @@ def as_lmfit(parameters: Mapping[str, Confirmed]) -> lmfit.Parameters:
     for name, p in parameters.items():
         found.add(name, p.value, vary=p.vary, min=p.min, max=p.max)
         found[name].stderr, found[name].correl = p.stderr, None if p.correl is None else dict(p.correl)
+    for name, p in parameters.items():
+        if p.expr is not None:
+            found[name].expr = p.expr
+            found[name].stderr = p.stderr
     return found
 
 
-def possible(pair: Pair, name: str) -> tuple[float, float]:
-    """Return the possible range of an error, m or rad: the limits of a pair file, and of a valid gear pair."""
-    g = pair
-    low, high = stated_range(name)
-    if name == "eccentricity":
-        low, high = max(low, -g.eccentricity), min(high, g.pin_circle_radius / g.pins - g.eccentricity)
-    if name == "pin_circle_radius":
-        low = max(low, g.eccentricity * g.pins - g.pin_circle_radius)
-    if name == "pin_radius":
-        touching = g.pin_circle_radius * np.sin(np.pi / g.pins)
-        low, high = max(low, -g.pin_radius), min(high, float(touching) - g.pin_radius)
-    return low, high
-
-
-def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, dict[str, Confirmed], Array]:
-    """Take the last step of a fit, with its noise and scatter.
+def confirmed(estimate: Estimate, gain: float) -> Estimate:
+    """Take the last step of a fit, with its noise and scatter; return the fit there, or as it was if that is better.
 
     It is an undamped Gauss-Newton step within the bounds: an unknown at a bound that would go beyond stays
     there.
 
     Parameters
     ----------
-    pair, estimate
-        The nominal pair and the end of the fit.
+    estimate
+        The end of the fit.
     gain
         A step with a smaller predicted gain of the sum of squares in units of the noise is not taken.
-
-    Returns
-    -------
-    estimate
-        At the optimum, or unchanged if that is no better.
-    parameters
-        Every error, the bench and every pin's and tooth's scatter, SI, with the bounds of `possible`; errors that are
-        not fitted do not vary.
-    covariance
-        Of those that vary, in their order, SI.
     """
-    problem, observed = Problem(pair, estimate.observed, estimate.chosen), estimate.observed
-    precision = problem.precision(estimate.scatter)
-    lowest = dict(zip(observed.bearing_names, observed.bearing_lowest, strict=True))
-    # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
-    low, high = np.transpose(
-        [
-            possible(pair, name) if name in estimate.chosen else (lowest.get(name, -np.inf), np.inf)
-            for name in problem.names
-        ]
+    first = dataclasses.replace(estimate, misfit=estimate.misfit_with_priors)
+    vector, posterior = first.vector, first.posterior
+    posterior = posterior.holding(first.unknowns.is_stuck(vector, posterior.slope))
+    if posterior.slope @ posterior.mean < gain:
+        return first
+    state = first.unknowns.state(first.unknowns.within(vector + posterior.mean))
+    then = dataclasses.replace(first, state=state, linear=linearise(first.pair, first.observed, state))
+    best = min(first, dataclasses.replace(then, misfit=then.misfit_with_priors), key=lambda one: one.misfit)
+    return dataclasses.replace(
+        best, evaluations=first.evaluations + 1, unlikelihood=first.unlikelihood + best.misfit - first.misfit
     )
 
-    def evaluated(values: Array, linear: Linear | None = None) -> _Evaluated:
-        state = problem.state(values / problem.scale)
-        linear = linearise(pair, observed, state) if linear is None else linear
-        left = observed.weight * left_of(observed, linear, state)
-        columns = problem.columns(observed, linear)
-        gram = columns.T @ columns + np.diag(precision)
-        slope = columns.T @ left - precision * values / problem.scale
-        misfit = float(left @ left + precision @ (values / problem.scale) ** 2)
-        return _Evaluated(values, state, linear, gram, slope, misfit)
 
-    ended = problem.unknowns(estimate.state) * problem.scale
-    start = np.clip(ended, low, high)
-    inside = bool(np.allclose(start, ended, rtol=1e-9, atol=0.0))
-    best = first = evaluated(start, estimate.linear if inside else None)
-    free = ~(((start <= low) & (first.slope < 0.0)) | ((start >= high) & (first.slope > 0.0)))
-    step = np.zeros(start.size)
-    step[free] = Factor(first.gram[np.ix_(free, free)]).solve(first.slope[free])
-    taken = not inside or first.slope @ step >= gain
-    if taken:
-        then = evaluated(np.clip(start + step * problem.scale, low, high))
-        best = min(first, then, key=lambda one: one.misfit)
-    covariance = np.linalg.inv(best.gram) * np.outer(problem.scale, problem.scale)
-    covariance = 0.5 * (covariance + covariance.T)
-    stated = zip(problem.names, best.values.tolist(), low.tolist(), high.tolist(), strict=True)
-    parameters = {name: Confirmed(value, least, most, vary=True) for name, value, least, most in stated}
-    for name in observed.errors:
+def stated(estimate: Estimate) -> tuple[dict[str, Confirmed], Array]:
+    """Return every error, the bench and the scatter of every pin and tooth, SI, and the covariance of what was fitted.
+
+    Errors that are not fitted come last, and do not vary.
+    """
+    unknowns, decided = estimate.unknowns, estimate.unknowns.constraints
+    covariance: Array = estimate.posterior.covariance * np.outer(unknowns.scale, unknowns.scale)
+    every = zip(unknowns.names, estimate.vector * unknowns.scale, unknowns.low, unknowns.high, strict=True)
+    parameters = {name: Confirmed(float(value), float(low), float(high), vary=True) for name, value, low, high in every}
+    for name in estimate.observed.errors:
         if name not in estimate.chosen:
-            parameters[name] = Confirmed(structured_value(problem.prior, name), *possible(pair, name), vary=False)
-    found = dataclasses.replace(
-        estimate,
-        state=best.state,
-        linear=best.linear,
-        misfit=best.misfit,
-        evaluations=estimate.evaluations + int(taken) + (not inside),
-        unlikelihood=estimate.unlikelihood + best.misfit - first.misfit,
-    )
-    return found, parameters, covariance
+            low, high = possible(estimate.pair, name)
+            parameters[name] = Confirmed(structured_value(unknowns.prior, name), low, high, vary=False)
+    for name in parameters.keys() & (set() if decided is None else {*decided.held, *decided.ties}):
+        expression = None if decided is None else decided.ties.get(name)
+        parameters[name] = dataclasses.replace(parameters[name], vary=False, expr=expression, min=-np.inf, max=np.inf)
+    return parameters, covariance

@@ -13,7 +13,15 @@ from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names
 from fitting.estimation.fit import Estimate
-from fitting.estimation.starting import GAIN, fitted, observed_with, started, starting_estimate, without_scatter
+from fitting.estimation.starting import (
+    GAIN,
+    described_by,
+    fitted,
+    observed_with,
+    started,
+    starting_estimate,
+    without_scatter,
+)
 from fitting.estimation.validation import (
     Likely,
     Residual,
@@ -23,6 +31,7 @@ from fitting.estimation.validation import (
     verdict_of,
 )
 from fitting.model.discrepancy import GIVE, RIPPLE, beside_the_gear, causes, given_way, ripple_of
+from fitting.model.discs import other_descriptions
 from fitting.model.observations import (
     MISFIT,
     PROFILE_ORDERS,
@@ -82,7 +91,7 @@ class MisfitSearch:
         # Where the chain is soft, the scatter of the whole fit would absorb what it can of run-out, drift and wind-up.
         beside = Likely({}, {}, ())
         if known.soft_chain:
-            suspected = causes_of(Residual(pair, start), beside_the_gear(start.observed)).columns
+            suspected = causes_of(Residual(start), beside_the_gear(start.observed)).columns
             every = beside_the_gear(observed_with(self.curves, pair, known))
             beside = Likely({n: one for n, one in every.items() if n in suspected}, {}, ())
         misfit = Discrepancy(beside.columns)
@@ -106,6 +115,8 @@ class MisfitSearch:
             other = self._tried(without_scatter(pair, found), formed, misfit)
             if other is not None:
                 plain, suspects = self._tested(other, formed, misfit, beside)
+        if plain.verdict.state == "not explained" and pair.supports is not None:
+            plain, suspects = self._described_otherwise(plain, suspects, beside)
         residual, is_failed = plain.verdict.residual, plain.verdict.state == "not explained"
         if (_are_more(suspects, beside) or is_failed) and residual < _BESIDE * plain.verdict.noise:
             # It may be that a better minimum leaves nothing.
@@ -123,6 +134,20 @@ class MisfitSearch:
                 found = again if better else dataclasses.replace(end.found, disagreeing=again.disagreeing)
                 end = self._judged(found, end.known, end.misfit, end.likely)
         return end
+
+    def _described_otherwise(self, plain: Explained, suspects: Likely, beside: Likely) -> tuple[Explained, Likely]:
+        """The fit from each other disc as the first, if that is likelier.
+
+        On bearings such a description makes nearly the same curves, so that a search may end in it: a minimum beside
+        the best one, from which no single pin leads away.
+        """
+        for surface in other_descriptions(self.pair, plain.found.state.surface):
+            self.progress("describing the drive from another disc")
+            state = described_by(self.pair, plain.found, surface)
+            other = self._tried(dataclasses.replace(plain.found, state=state), plain.known, plain.misfit)
+            if other is not None and other.unlikelihood < plain.found.unlikelihood - GAIN:
+                plain, suspects = self._tested(other, plain.known, plain.misfit, beside)
+        return plain, suspects
 
     def _is_likelier(self, plain: Explained, end: Explained) -> bool:
         """Whether curves are much likelier with doubted causes: with the same errors in the fit, and from there."""
@@ -168,7 +193,7 @@ class MisfitSearch:
             elif ends[-1].verdict.state != "not explained":
                 return ends[-1]
             else:
-                suspects = likely_causes(Residual(pair, found), self._causes(found, known), suspects)
+                suspects = likely_causes(Residual(found), self._causes(found, known), suspects)
                 known = _with_form(known, self.form) if suspects.formed else known
         # Where the model does not hold, each linearisation at supports that gave way may fit worse than the one before.
         return min(ends, key=lambda e: (e.verdict.state == "not explained", e.found.unlikelihood), default=plain)
@@ -176,7 +201,7 @@ class MisfitSearch:
     def _tested(self, found: Estimate, known: Prior, misfit: Discrepancy, beside: Likely) -> tuple[Explained, Likely]:
         """The verdict on a fit, with the causes that its residual resembles, and those that it perhaps resembles."""
         self.progress("testing the residual")
-        residual, columns = Residual(self.pair, found), self._causes(found, known)
+        residual, columns = Residual(found), self._causes(found, known)
         likely = likely_causes(residual, columns, beside)
         one = self._judged(found, known, misfit, likely)
         if _are_more(likely, beside) or one.verdict.state == "not explained":
@@ -191,7 +216,7 @@ class MisfitSearch:
 
     def _judged(self, found: Estimate, known: Prior, misfit: Discrepancy, likely: Likely) -> Explained:
         formed = bool(self.form and known.profile)
-        return Explained(found, known, misfit, likely, verdict_of(self.pair, found, likely, formed))
+        return Explained(found, known, misfit, likely, verdict_of(found, likely, formed))
 
     def _tried(
         self,

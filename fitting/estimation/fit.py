@@ -14,25 +14,19 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
-from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, ErrorSurface, surface_of_pair
-from fitting.estimation.normal_equations import Factor
-from fitting.model.identifiability import UNKNOWN
+from fitting.model.gaussian import Evidence, Gaussian
 from fitting.model.near_drive import NearDrive
 from fitting.model.observations import (
-    CHAIN,
     KNOWN_SIZES,
     PIN_RADIUS,
-    PROFILE_ORDERS,
     RADIUS_SPREAD,
     Linear,
     Observations,
@@ -40,30 +34,21 @@ from fitting.model.observations import (
     joined,
     left_of,
     linearised_curve,
-    nuisance_columns,
-    scatter_names,
     scatter_parts,
     split,
-    spread_of,
-    with_scatter,
 )
-from fitting.model.prior import tolerances_of
+from fitting.model.unknowns import NO_SCATTER, Unknowns
 
 Array = NDArray[np.float64]
 
-NO_SCATTER = 1e-8  # m: a scatter below this changes nothing that a bench can see
 OUTLYING = 6.0  # robust standard deviations from the fit
 EVALUATIONS = 60  # of one fit, which needs ten to thirty
 _LITTLE = 4.0  # times the gain at which a fit ends: a smaller promise that a step did not keep is not pursued
 _PATIENCE = 3  # steps in a row that may bring less than they should, at the curves' corners
 TURNS = 3  # fewer do not say how they scatter
-_PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a profile ends, and how near it must come
-_CRANK_SCALE, _CREEP_SCALE = 1e-2, 1e-6  # rad
-_SCATTER_SCALE = {"m": 1e-6, "rad": 1e-4}
 _ROUNDS, _LINEAR = 40, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
 _SETTLED = 3e-3  # relative change of a deviation with one round, which comes near by ever smaller ones; in a start more
 _SIZES = np.geomspace(0.05, 20.0, 32)  # times the usual one: over which a size is averaged
-_PINNED = 1e6  # precision that holds an unknown where it is put, in its scale
 _SHRINKS, _GROWS = 0.1, 10.0  # by how much a variance may change with one step
 
 
@@ -73,6 +58,8 @@ class Estimate:
 
     Attributes
     ----------
+    pair
+        The nominal pair.
     observed
         The observations, weighted by the noise of the fit, without outliers.
     chosen
@@ -93,6 +80,7 @@ class Estimate:
         Number of starts from which a fit of some of the points ended in different optima; 0 if two of them agreed.
     """
 
+    pair: Pair
     observed: Observations
     chosen: tuple[str, ...]
     state: State
@@ -102,6 +90,47 @@ class Estimate:
     unlikelihood: float
     evaluations: int
     disagreeing: int = 0
+
+    @cached_property
+    def unknowns(self) -> Unknowns:
+        """The unknowns."""
+        return Unknowns(self.pair, self.observed, self.chosen)
+
+    @cached_property
+    def vector(self) -> Array:
+        """The unknowns' values, in their scale."""
+        return self.unknowns.vector(self.state)
+
+    @cached_property
+    def precision(self) -> Array:
+        """Prior precision of the unknowns, in their scale."""
+        return self.unknowns.precision(self.scatter)
+
+    @cached_property
+    def residual(self) -> Array:
+        """Residual in units of the noise, shape (points,)."""
+        return self.observed.weight * left_of(self.observed, self.linear, self.state)
+
+    @cached_property
+    def columns(self) -> Array:
+        """Derivatives of the model by the unknowns in their scale, in units of the noise, shape (points, unknowns)."""
+        return self.unknowns.columns(self.observed, self.linear)
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """What the points tell of the unknowns."""
+        return Evidence.of(self.columns, self.residual)
+
+    @cached_property
+    def posterior(self) -> Gaussian:
+        """Distribution of the unknowns in their scale, as distances from where the fit ended."""
+        along = self.unknowns.along(self.vector)
+        return self.evidence.posterior(self.precision, self.vector, self.unknowns.names, along)
+
+    @property
+    def misfit_with_priors(self) -> float:
+        """Sum of squares of the residual and of the unknowns' distances from their priors."""
+        return self.evidence.square + float(self.precision @ self.vector**2)
 
     @property
     def noises(self) -> Array:
@@ -130,149 +159,48 @@ class _Normal:
     scale: Array
     outlying: Array
 
+    @property
+    def total(self) -> Evidence:
+        """What all curves tell together."""
+        return Evidence(self.gram.sum(axis=0), self.moment.sum(axis=0), float(self.square.sum()))
 
-class Problem:
-    """All unknowns of a fit as one vector: errors, nuisances, scatter, each in units of a usual size.
 
-    Values that are not fitted are those of `prior`, by default the pair file's errors.
+def _evaluated(
+    unknowns: Unknowns,
+    vector: Array,
+    observed: Observations,
+    limit: Array,
+    around: Sequence[NearDrive] | None = None,
+    known: Linear | None = None,
+) -> _Normal:
+    """Evaluate the model, unless it is known, and its normal equations.
+
+    Points beyond `limit` (curves,) are not used.
     """
+    state = unknowns.state(vector)
+    parts = None if known is None else split(known, observed.ends)
 
-    def __init__(
-        self,
-        pair: Pair,
-        observed: Observations,
-        chosen: Sequence[str],
-        around: Sequence[NearDrive] | None = None,
-        prior: ErrorSurface | None = None,
-    ) -> None:
-        self.pair, self.chosen, self.around = pair, list(chosen), around
-        self.prior = surface_of_pair(pair) if prior is None else prior
-        self.bounds = [stated_range(name) for name in chosen]
-        self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
-        known, rubs = np.isfinite(observed.bench_prior), np.isfinite(observed.friction_priors)
-        crank = [_CRANK_SCALE] if observed.fit_crank else []
-        scattered = spread_of(pair, {}).size
-        self.scale = np.concatenate(
-            [
-                tolerances_of(chosen, observed.profile),
-                np.where(known, observed.bench_prior, 1e-4),
-                np.where(rubs, observed.friction_priors, observed.friction_prior),
-                crank,
-                observed.bearing_prior,
-                spread_of(pair, {n: _SCATTER_SCALE[unit_of(n)] for n in scatter_parts(pair)}),
-            ]
-        )
-        flat = np.concatenate(
-            [
-                [n not in observed.profile for n in chosen],
-                ~known,
-                ~rubs,
-                np.ones(len(crank), bool),
-                np.zeros(observed.bearing_prior.size, bool),
-                np.ones(scattered, bool),
-            ]
-        )
-        self.known = np.where(flat, UNKNOWN, 1.0)
-        self.first_scatter = self.scale.size - scattered
-        self.parts = {
-            n: slice(p.start + self.first_scatter, p.stop + self.first_scatter) for n, p in scatter_parts(pair).items()
-        }
-        self.bench = slice(len(chosen), len(chosen) + known.size)
-        for group, part in observed.estimated.items():
-            self.parts[group] = slice(part.start + len(chosen), part.stop + len(chosen))
-            if group != CHAIN:
-                self.scale[self.parts[group]] = _CREEP_SCALE
-        self.least = {group: observed.least(group) for group in observed.estimated}
-        self.bearings = slice(self.first_scatter - observed.bearing_prior.size, self.first_scatter)
-        self.lowest = np.full(self.scale.size, -np.inf)
-        self.lowest[self.bearings] = observed.bearing_lowest / self.scale[self.bearings]
-        self.fit_crank, self.with_loops = observed.fit_crank, observed.with_loops
-        crank_name = ["crank_angle_offset"] if observed.fit_crank else []
-        self.names = [
-            *chosen,
-            *observed.bench_names,
-            *observed.friction_names,
-            *crank_name,
-            *observed.bearing_names,
-            *scatter_names(pair),
-        ]
-
-    def unknowns(self, state: State) -> Array:
-        """Return the vector of a state."""
-        plain = with_scatter(state.surface, -state.scatter)
-        errors = [structured_value(plain, n) for n in self.chosen]
-        crank = [state.crank_offset] if self.fit_crank else []
-        friction = [state.friction]
-        friction += [state.loop_friction, state.loop_friction_per_load] if self.with_loops else []
-        bearings = state.bearings if state.bearings.size else np.zeros(self.bearings.stop - self.bearings.start)
-        values = np.concatenate([errors, state.bench, friction, crank, bearings, state.scatter])
-        scaled: Array = values / self.scale
-        return scaled
-
-    def columns(self, observed: Observations, linear: Linear) -> Array:
-        """Return the model's derivatives by the unknowns in units of the noise, shape (points, unknowns)."""
-        nuisances, _ = nuisance_columns(observed, linear)
-        columns = np.column_stack([linear.structured[:, self.columns_of_chosen], nuisances, linear.scatter])
-        columns *= observed.weight[:, None]
-        columns *= self.scale
-        return columns
-
-    def state(self, unknowns: Array) -> State:
-        """Return the state of a vector."""
-        values = unknowns * self.scale
-        errors = dict(zip(self.chosen, values[: len(self.chosen)], strict=True))
-        scatter = values[self.first_scatter :]
-        return State(
-            surface=with_scatter(with_structured(self.prior, errors), scatter),
-            scatter=scatter,
-            bench=values[self.bench],
-            friction=float(values[self.bench.stop]),
-            loop_friction=float(values[self.bench.stop + 1]) if self.with_loops else 0.0,
-            loop_friction_per_load=float(values[self.bench.stop + 2]) if self.with_loops else 0.0,
-            crank_offset=float(values[self.bearings.start - 1]) if self.fit_crank else 0.0,
-            bearings=values[self.bearings],
+    def of(number: int) -> tuple[Linear, tuple[Any, ...]]:
+        one = observed.some([number])
+        linear = parts[number] if parts else linearised_curve(unknowns.pair, observed, number, state, around)
+        left = one.weight * left_of(one, linear, state)
+        inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
+        scale, count = 1.4826 * np.median(np.abs(left[one.weight > 0.0])), np.count_nonzero(inside)
+        columns = unknowns.columns(one, linear)
+        columns[~inside], left[~inside] = 0.0, 0.0
+        told = Evidence.of(columns, left)
+        return linear, (
+            told.gram,
+            told.moment,
+            told.square,
+            count,
+            scale,
+            np.count_nonzero(one.weight) - count,
         )
 
-    def is_possible(self, unknowns: Array) -> bool:
-        """Whether all errors are within the limits of a surface."""
-        return all(low < value < high for value, (low, high) in zip(unknowns * self.scale, self.bounds, strict=False))
-
-    def precision(self, scatter: Mapping[str, float]) -> Array:
-        """Return the prior precision of each unknown, 1/variance in its scale."""
-        found: Array = self.known.copy()
-        for name, part in self.parts.items():
-            size = max(scatter.get(name, 0.0), self.least.get(name, 1e-2 * NO_SCATTER))
-            found[part] = (self.scale[part.start] / size) ** 2
-        return found
-
-    def normal(self, unknowns: Array, observed: Observations, limit: Array, known: Linear | None = None) -> _Normal:
-        """Evaluate the model, unless given, and its normal equations.
-
-        Points beyond `limit` (curves,) are not used.
-        """
-        state = self.state(unknowns)
-        parts = None if known is None else split(known, observed.ends)
-
-        def of(number: int) -> tuple[Linear, tuple[Any, ...]]:
-            one = observed.some([number])
-            linear = parts[number] if parts else linearised_curve(self.pair, observed, number, state, self.around)
-            left = one.weight * left_of(one, linear, state)
-            inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
-            scale, count = 1.4826 * np.median(np.abs(left[one.weight > 0.0])), np.count_nonzero(inside)
-            columns = self.columns(one, linear)
-            columns[~inside], left[~inside] = 0.0, 0.0
-            return linear, (
-                columns.T @ columns,
-                columns.T @ left,
-                left @ left,
-                count,
-                scale,
-                np.count_nonzero(one.weight) - count,
-            )
-
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
-        return _Normal(linears, *(np.array(v) for v in zip(*sums, strict=True)))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
+    return _Normal(linears, *(np.array(v) for v in zip(*sums, strict=True)))
 
 
 def _limits(normal: _Normal) -> Array:
@@ -292,7 +220,6 @@ def fit(
     evaluations: int = EVALUATIONS,
     estimated: bool = True,
     known: Mapping[str, float] | None = None,
-    pinned: Mapping[str, float] | None = None,
 ) -> Estimate:
     """Fit errors, bench and scatter to observations.
 
@@ -318,19 +245,15 @@ def fit(
         Whether the noise and the scatter's deviations are estimated as well.
     known
         Standard deviations of patterns that are not estimated, m.
-    pinned
-        Errors held at these values, m or rad.
     """
-    problem = Problem(pair, observed, chosen, around)
-    unknowns = problem.unknowns(state)
-    pins = {list(chosen).index(n): value for n, value in (pinned or {}).items()}
-    mean = np.zeros(unknowns.size)
-    for at, value in pins.items():
-        mean[at] = value / problem.scale[at]
-    known = {**{n: v for n, v in KNOWN_SIZES.items() if n in problem.parts}, **(known or {})}
+    unknowns = Unknowns(pair, observed, chosen)
+    begun = unknowns.vector(state)
+    vector = unknowns.within(begun)
+    linear = linear if np.array_equal(vector, begun) else None
+    known = {**{n: v for n, v in KNOWN_SIZES.items() if n in unknowns.parts}, **(known or {})}
     scatter = {**scatter, **known}
     limit = np.full(len(observed.curves), np.inf)
-    now = problem.normal(unknowns, observed, limit, linear)
+    now = _evaluated(unknowns, vector, observed, limit, around, linear)
     limit = _limits(now)
     if estimated:
         observed, now = _at_noise(observed, now, now.scale**2)
@@ -340,28 +263,24 @@ def fit(
     def at_variances() -> None:
         """Let noise and scatter settle on the model at hand, in one round or, near the optimum, in many."""
         nonlocal observed, now, scatter, settled
-        ahead = np.zeros_like(unknowns)
+        ahead = np.zeros_like(vector)
         for _ in range(_ROUNDS if promised < _LINEAR * observed.measured.size else 1):
             observed, now, scatter, settled = _variances(
-                problem, observed, now, scatter, unknowns, ahead, known, _SETTLED * max(gain, 1.0)
+                unknowns, observed, now, scatter, vector, ahead, known, _SETTLED * max(gain, 1.0)
             )
             if settled:
                 break
-            ahead = _ahead(problem, now, scatter, unknowns, mean, list(pins))
+            ahead = now.total.posterior(unknowns.precision(scatter), vector, along=unknowns.along(vector)).mean
 
     while done < evaluations:
-        precision = problem.precision(scatter)
-        precision[list(pins)] = _PINNED
-        away = unknowns - mean
-        misfit = _misfit(now, limit) + float(precision @ away**2)
-        gram = now.gram.sum(axis=0) + np.diag(precision)
-        slope = now.moment.sum(axis=0) - precision * away
+        precision = unknowns.precision(scatter)
+        misfit = _misfit(now, limit) + float(precision @ vector**2)
+        posterior = now.total.posterior(precision, vector, along=unknowns.along(vector))
         # An unknown at its bound that would go beyond it stays there for this step.
-        bound = (unknowns <= problem.lowest) & (slope < 0.0)
-        gram[bound, bound] *= _PINNED
-        slope[bound] = 0.0
-        step = Factor(gram + damping * np.diag(np.diag(gram))).solve(slope)
-        promised = float(2.0 * slope @ step - step @ gram @ step)
+        posterior = posterior.holding(unknowns.is_stuck(vector, posterior.slope))
+        damped = posterior.damped(damping)
+        step = damped.bounded(unknowns.low / unknowns.scale - vector, unknowns.high / unknowns.scale - vector)
+        promised = posterior.gain(step)
         if promised < gain and settled:
             break
         if promised < gain and not tried:
@@ -369,20 +288,18 @@ def fit(
             at_variances()
             limit, tried = _limits(now), True
             continue
-        step = np.maximum(step, problem.lowest - unknowns)
-        while not problem.is_possible(unknowns + step) and np.abs(step).max() > 0.0:
-            step *= 0.5
+        step = unknowns.within(vector + step) - vector
         done += 1
         try:
-            then = problem.normal(unknowns + step, observed, limit)
+            then = _evaluated(unknowns, vector + step, observed, limit, around)
         except edge.InputError:
             # So far away no contacts balance the load.
             damping = max(10.0 * damping, 1e-2)
             continue
-        gained = misfit - _misfit(then, limit) - float(precision @ (away + step) ** 2)
+        gained = misfit - _misfit(then, limit) - float(precision @ (vector + step) ** 2)
         idle = idle + 1 if gained < gain else 0
         if gained > 0.0:
-            unknowns, now, tried = unknowns + step, then, False
+            vector, now, tried = vector + step, then, False
             damping = max(0.1 * damping, 1e-9) if gained > 0.5 * promised else damping
             if estimated:
                 at_variances()
@@ -393,14 +310,14 @@ def fit(
         # saves 3 of 6 evaluations of the exact fit; six curves of 720 points are identified 1.35 times as fast.
         if idle > (0 if settled and promised < _LITTLE * min(gain, 1.0) else _PATIENCE):
             break
-    misfit = _misfit(now, limit) + float(precision @ (unknowns - mean) ** 2)
-    gram = now.gram.sum(axis=0) + np.diag(precision)
+    misfit = _misfit(now, limit) + float(precision @ vector**2)
     seen = observed.weight[observed.weight > 0.0]
-    unlikelihood = misfit + float(np.linalg.slogdet(gram)[1] - np.log(precision).sum() - 2.0 * np.log(seen).sum())
-    state, linear = problem.state(unknowns), joined(now.linears)
+    information = now.total.posterior(precision, along=unknowns.along(vector)).log_determinant
+    unlikelihood = misfit + information - float(np.log(precision).sum() + 2.0 * np.log(seen).sum())
+    state, linear = unknowns.state(vector), joined(now.linears)
     off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, limit)
     observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight)).with_sizes(scatter)
-    return Estimate(observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
+    return Estimate(pair, observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
 
 
 def _each_point(observed: Observations, values: Array) -> Array:
@@ -425,11 +342,11 @@ def _at_noise(observed: Observations, normal: _Normal, variance: Array) -> tuple
 
 
 def _variances(
-    problem: Problem,
+    unknowns: Unknowns,
     observed: Observations,
     normal: _Normal,
     scatter: Mapping[str, float],
-    unknowns: Array,
+    vector: Array,
     ahead: Array,
     known: Mapping[str, float],
     little: float,
@@ -438,72 +355,51 @@ def _variances(
 
     `ahead` is a step of the unknowns, at whose end the fixed point is evaluated with the linear model.
     """
-    precision = problem.precision(scatter)
-    gram = normal.gram.sum(axis=0) + np.diag(precision)
-    covariance = Factor(gram).inverse()
+    precision = unknowns.precision(scatter)
+    covariance = normal.total.posterior(precision, along=unknowns.along(vector)).covariance
     resolved = normal.gram.reshape(len(normal.gram), -1) @ covariance.ravel()
     square = normal.square - 2.0 * normal.moment @ ahead + normal.gram @ ahead @ ahead
     # A step ahead that the linear model does not hold may promise to leave nothing.
     variance = np.maximum(square, _SHRINKS * normal.square) / np.maximum(normal.count - resolved, 1.0)
-    unknowns = unknowns + ahead
-    found = dict(known)
-    for name, part in problem.parts.items():
+    vector = vector + ahead
+    found, of_scatter = dict(known), scatter_parts(unknowns.pair)
+    for name, part in unknowns.parts.items():
         if name in known:
             continue
         resolved_of = part.stop - part.start - precision[part.start] * np.trace(covariance[part, part])
-        before = max(scatter.get(name, 0.0), problem.least.get(name, 1e-2 * NO_SCATTER)) ** 2
-        after = float(unknowns[part] @ unknowns[part]) * problem.scale[part.start] ** 2 / max(resolved_of, 1e-9)
+        before = max(scatter.get(name, 0.0), unknowns.least(name)) ** 2
+        after = float(vector[part] @ vector[part]) * unknowns.scale[part.start] ** 2 / max(resolved_of, 1e-9)
         found[name] = float(np.sqrt(np.clip(after / before, _SHRINKS, _GROWS) * before))
     hardly = all(
-        abs(v - scatter.get(n, 0.0)) < little * v or v < problem.least.get(n, NO_SCATTER) for n, v in found.items()
+        abs(v - scatter.get(n, 0.0)) < little * v or v < (NO_SCATTER if n in of_scatter else unknowns.least(n))
+        for n, v in found.items()
     )
     settled = hardly and bool((np.abs(variance - 1.0) < little).all())
     observed, normal = _at_noise(observed, normal, variance)
     return observed, normal, found, settled
 
 
-def _ahead(
-    problem: Problem, normal: _Normal, scatter: Mapping[str, float], unknowns: Array, mean: Array, pins: list[int]
-) -> Array:
-    """Return the Gauss-Newton step."""
-    precision = problem.precision(scatter)
-    precision[pins] = _PINNED
-    slope = normal.moment.sum(axis=0) - precision * (unknowns - mean)
-    return Factor(normal.gram.sum(axis=0) + np.diag(precision)).solve(slope)
-
-
-def allowed_radius(pair: Pair, estimate: Estimate) -> float:
+def allowed_radius(estimate: Estimate) -> float:
     """Return the posterior root mean square of the scatter of single pins' radii, m.
 
     Curves hardly separate it from that of the radial places, so its most likely value is often wrongly zero. This is
     the mean over its distribution: the restricted likelihood in the linear model, all other variances unchanged, with a
     uniform prior (Gelman, Bayesian Analysis 1 (2006) 515).
     """
-    problem = Problem(pair, estimate.observed, estimate.chosen)
-    columns = problem.columns(estimate.observed, estimate.linear)
-    unknowns = problem.unknowns(estimate.state)
-    gram = columns.T @ columns
-    left = estimate.observed.weight * left_of(estimate.observed, estimate.linear, estimate.state)
-    moment = columns.T @ left + gram @ unknowns
+    unknowns, told = estimate.unknowns, estimate.evidence
     sizes = np.concatenate([[NO_SCATTER], RADIUS_SPREAD * _SIZES])
     unlikely = []
     for size in sizes:
-        precision = problem.precision({**estimate.scatter, PIN_RADIUS: float(size)})
-        whole = gram + np.diag(precision)
-        unlikely.append(np.linalg.slogdet(whole)[1] - np.log(precision).sum() - moment @ Factor(whole).solve(moment))
+        precision = unknowns.precision({**estimate.scatter, PIN_RADIUS: float(size)})
+        posterior = told.posterior(precision, estimate.vector)
+        misfit = float(precision @ estimate.vector**2) - posterior.gain(posterior.mean)
+        unlikely.append(posterior.log_determinant - np.log(precision).sum() + misfit)
     log = -0.5 * np.array(unlikely)
     weight = np.exp(log - log.max())
     return float(np.sqrt(np.trapezoid(weight * sizes**2, sizes) / np.trapezoid(weight, sizes)))
 
 
-def stated_range(name: str) -> tuple[float, float]:
-    """Return the range of an error in a pair file."""
-    largest = {"m": LARGEST_DEVIATION, "rad": LARGEST_MISALIGNMENT}[unit_of(name)]
-    largest = LARGEST_ELEMENT if name in profile_names(PROFILE_ORDERS) else largest
-    return -largest, largest
-
-
-def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection[str]) -> Array:
+def freedom(estimate: Estimate, covariance: Array, known: Collection[str]) -> Array:
     """Degrees of freedom of the fitted errors' standard errors, which depend on estimated variances of the scatter.
 
     The standard error of an error affected by scatter depends on the scatter's variance, estimated from the patterns
@@ -513,10 +409,10 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
 
     Parameters
     ----------
-    pair, estimate
-        The nominal pair and the end of the fit.
+    estimate
+        The end of the fit.
     covariance
-        Of all that was fitted, SI, the errors first and the single pins' and teeth's scatter last.
+        Of all that was fitted, SI, in the order of `Unknowns.names`.
     known
         Patterns with a stated, not estimated, deviation.
 
@@ -525,12 +421,7 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
     degrees
         Shape (errors,), > 0, infinite for errors not affected by scatter.
     """
-    count, size = len(estimate.chosen), spread_of(pair, {}).size
-    parts = {
-        n: slice(p.start + len(covariance) - size, p.stop + len(covariance) - size)
-        for n, p in scatter_parts(pair).items()
-    }
-    parts |= {n: slice(count + p.start, count + p.stop) for n, p in estimate.observed.estimated.items()}
+    count, parts = len(estimate.chosen), estimate.unknowns.parts
     variance = np.diag(covariance)[:count]
     blur = np.zeros(count)
     for name, part in parts.items():
@@ -544,62 +435,7 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
     return found
 
 
-def profile_interval(
-    pair: Pair, estimate: Estimate, name: str, standard_error: float, inflation: float, rise: float
-) -> tuple[float, float]:
-    """Profile interval of one error: its range until the best fit with it is worse by `rise`.
-
-    Unlike the interval by standard error it need not be symmetrical, and it does not assume a linear model
-    (Venzon and Moolgavkar, Applied Statistics 37 (1988) 87).
-
-    Parameters
-    ----------
-    pair, estimate
-        The nominal pair and the end of the fit.
-    name, standard_error
-        The error and its standard error, m or rad, from which the search starts.
-    inflation
-        Factor of the standard errors relative to white noise.
-    rise
-        Of the sum of squares in units of the noise: the square of the quantile of Student's t.
-
-    Returns
-    -------
-    low, high
-        m or rad; infinite if the rise is not reached within sixteen standard errors.
-    """
-
-    def refitted(state: State, pinned: Mapping[str, float]) -> Estimate:
-        return fit(
-            pair,
-            estimate.observed,
-            estimate.chosen,
-            state,
-            estimate.scatter,
-            gain=_PROFILE_GAIN * rise,
-            estimated=False,
-            pinned=pinned,
-        )
-
-    best = refitted(estimate.state, {})
-    centre = structured_value(with_scatter(best.state.surface, -best.state.scatter), name)
-    ends = []
-    for way in (-1.0, 1.0):
-        distance, state, found = standard_error * np.sqrt(rise), best.state, np.inf
-        while distance < 16.0 * standard_error:
-            one = refitted(state, {name: centre + way * distance})
-            # The root of the rise grows in proportion to the distance where the model is linear.
-            reached = max(one.misfit - best.misfit, 0.01 * rise) / (inflation**2 * rise)
-            state = one.state
-            if abs(reached - 1.0) < _PROFILE_WITHIN:
-                found = distance / np.sqrt(reached)
-                break
-            distance *= float(np.clip(1.0 / np.sqrt(reached), 0.4, 2.5))
-        ends.append(centre + way * found)
-    return ends[0], ends[1]
-
-
-def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Array:
+def turn_bootstrap(estimate: Estimate, draws: int, seed: int) -> Array:
     """Standard errors of the fitted errors from the scatter of turns: bootstrap of the turns.
 
     Every draw is one Gauss-Newton step from the optimum (Shao and Tu, The Jackknife and Bootstrap, 1995, section
@@ -608,8 +444,8 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
 
     Parameters
     ----------
-    estimate, pair
-        The end of the fit, of curves that keep their turns, and the nominal pair. Loops are not resampled.
+    estimate
+        The end of the fit, of curves that keep their turns. Loops are not resampled.
     draws, seed
         Number of draws, and the seed; the same seed draws the same turns.
 
@@ -627,12 +463,9 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
     turning = [observed.curves[i] for i in observed.running]
     if any(c.each_turn is None or len(c.each_turn) < TURNS for c in turning):
         raise ValueError(f"every curve needs at least {TURNS} turns")
-    problem = Problem(pair, observed, estimate.chosen)
-    columns = problem.columns(observed, estimate.linear)
-    gram = columns.T @ columns
     errors = slice(0, len(estimate.chosen))
-    step = linalg.solve(gram + np.diag(problem.precision(estimate.scatter)), columns.T, assume_a="pos")[errors]
-    step *= observed.weight * problem.scale[errors, None]
+    step = estimate.posterior.solve(estimate.columns.T)[errors]
+    step *= observed.weight * estimate.unknowns.scale[errors, None]
     generator = np.random.default_rng(seed)
     moved = np.zeros((draws, len(estimate.chosen)))
     left = left_of(observed, estimate.linear, estimate.state)

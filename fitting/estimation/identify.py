@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,20 +19,23 @@ from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
-from cycloid_fmu.surfaces.structured import structured_value
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import DEVIATIONS, surface_of_pair
 from fitting.arguments import positive
 from fitting.estimation.explaining import MisfitSearch
 from fitting.estimation.fit import OUTLYING, TURNS, Estimate, fit
+from fitting.estimation.minimisation import default_parameters, names_of
 from fitting.estimation.result import Identification, is_uneven, result_of
-from fitting.estimation.starting import GAIN, described_by, fitted, started
+from fitting.estimation.starting import GAIN, described_by, fitted, observed_with, started
 from fitting.estimation.validation import (
     HeldOut,
     mispredicted,
     yardsticks,
 )
+from fitting.model.constraints import Constraints, checked
 from fitting.model.discs import other_descriptions
 from fitting.model.loops import observed_curves, on_the_curves_zero
 from fitting.model.observations import (
@@ -44,6 +48,9 @@ from fitting.model.observations import (
 from fitting.model.prior import Prior, prior_of, tolerances_of
 from fitting.recordings.sources import Source
 from fitting.transmission_error.curve import Curve
+
+if TYPE_CHECKING:
+    from lmfit import Parameters
 
 Array = NDArray[np.float64]
 
@@ -60,6 +67,7 @@ def identify(
     bootstrap: int = 0,
     held_out: bool = True,
     form: float | str = "1 um",
+    parameters: Parameters | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Identification:
     """Identify a drive's errors from recordings at one or more loads, one or both directions.
@@ -87,14 +95,18 @@ def identify(
         Expected size of a form that all flanks share, standard deviation of each of its first four half waves, m. It is
         fitted if the curves show one; otherwise errors that the curves can't separate from it have intervals that allow
         for it. 0 if the flanks' form is known; a form in the tolerances is always fitted.
+    parameters
+        Decisions on errors, bench and bearings, SI, made from those of `fitting.parameters`: `vary=False` holds one at
+        its value, `min` and `max` bound it, `expr` ties it to others, `vary=True` fits an error even if the data do not
+        resolve it. Of all that they do not name the fit decides. The search ends with lmfit's `Minimizer`.
     progress
         Called with the name of each stage.
 
     Raises
     ------
     edge.InputError
-        If a recording can't be read, is of another drive or has no load, an argument is invalid, the data resolve no
-        error, or there are too few turns to draw from.
+        If a recording can't be read, is of another drive or has no load, an argument is invalid, `parameters` name
+        what is not an unknown, the data resolve no error, or there are too few turns to draw from.
 
     Examples
     --------
@@ -117,11 +129,11 @@ def identify(
     """
     pair, shape = drive.pair, positive(form, "m", "form", zero=True)
     progress("reading")
-    curves = observed_curves(recordings, drive, keep_turns=bootstrap > 0)
+    running, loops = _measured(recordings, drive, keep_turns=bootstrap > 0)
+    curves = [*running, *loops]
     if isinstance(tolerances, str | os.PathLike):
         tolerances = read_tolerances(tolerances)
-    prior = prior_of(pair, tolerances) if isinstance(tolerances, Tolerances) else tolerances or Prior()
-    prior, beside = dataclasses.replace(prior, first_stage=drive.first_stage), []
+    prior, beside = _prior(drive, tolerances), []
     if pair.supports is not None and prior.profile:
         shape = max(prior.profile.values())
         prior = dataclasses.replace(prior, profile={})
@@ -140,23 +152,12 @@ def identify(
         if name not in (errors := [*errors_of(pair), *prior.profile]):
             near = edge.did_you_mean(name, errors).rstrip("?") or f"one of {', '.join(errors)}"
             raise edge.ArgumentError("profiled", f"it is not an error of this drive; {near}", name)
-    running = [c for c in curves if not c.branch]
-    if not running:
-        raise edge.InputError(
-            "there is no transmission error curve: a loop sees the drive at one crank angle only; give recordings of a "
-            "turning crank too."
-        )
-    loops = on_the_curves_zero([c for c in curves if c.branch], running)
-    for curve in (*running, *loops):
-        if abs(curve.ratio / pair.ratio - 1.0) > 1e-9:
-            raise edge.InputError(
-                f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {pair.ratio:g}; it is of another drive."
-            )
-    for curve in running:
-        if abs(curve.torque) < 1e-3 * max(abs(c.torque) for c in running) or curve.torque == 0.0:
-            raise edge.InputError(
-                f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
-            )
+    decided = None
+    if parameters is not None:
+        checked(parameters, names_of(pair, observed_with(curves, pair, prior)))
+        decided = Constraints.of(parameters)
+        pair = _stating(pair, {n: p.value for n, p in parameters.items() if n in errors_of(pair)})
+    errors_alone = None if decided is None else decided.only([*errors_of(pair), *prior.profile])
     try:
         # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
         with threadpool_limits(limits=1, user_api="blas"):
@@ -166,10 +167,12 @@ def identify(
             if kept:
                 progress("fitting without the held-out curves")
                 # One to first order is enough, a third of the work: where it predicts badly the whole fit has the say.
-                start, prior, _ = started(rest, pair, prior, progress)
+                # Recordings are numbered anew there, so nothing of the bench is decided.
+                start, prior, _ = started(rest, pair, dataclasses.replace(prior, constraints=errors_alone), progress)
                 predicted = _predicted(pair, start, [running[i] for i in kept])
                 if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):
                     start = None
+            prior = dataclasses.replace(prior, constraints=decided)
             shape = 0.0 if prior.profile else shape
             # The model on bearings fits no form: intervals allow for it, and the verdict does not name it.
             cause = 0.0 if pair.supports is not None else shape
@@ -179,9 +182,8 @@ def identify(
             if predicted is not None and verdict.state == "explained" and _is_mispredicted(predicted):
                 # The first fit may have ended beside its best optimum, which the whole one has found.
                 progress("fitting without the held-out curves, from there")
-                predicted = _predicted(
-                    pair, fitted(rest, pair, found, explained.known, progress), [running[i] for i in kept]
-                )
+                alone = dataclasses.replace(explained.known, constraints=errors_alone)
+                predicted = _predicted(pair, fitted(rest, pair, found, alone, progress), [running[i] for i in kept])
                 verdict = mispredicted(verdict, predicted) if _is_mispredicted(predicted) else verdict
             found, others = _described_otherwise(pair, found, explained.known, progress)
             verdict = dataclasses.replace(verdict, descriptions=1 + len(others), disagreeing=found.disagreeing)
@@ -209,6 +211,86 @@ def identify(
         )
     stated = tolerances if isinstance(tolerances, Tolerances) else None
     return dataclasses.replace(result, notes=(*result.notes, *beside), tolerances=stated)
+
+
+def parameters(
+    recordings: Source | Curve | Iterable[Source | Curve],
+    drive: Drive,
+    *,
+    tolerances: Tolerances | Prior | str | os.PathLike[str] | None = None,
+) -> Parameters:
+    """Return the unknowns of an identification as lmfit parameters, SI, to be changed and given to `identify`.
+
+    They are the errors, the bench and the bearings, at the values of the drive, with the bounds of a possible gear
+    pair. Those errors vary that the recordings resolve near this drive.
+
+    Parameters
+    ----------
+    recordings, drive, tolerances
+        As for `identify`.
+
+    Raises
+    ------
+    edge.InputError
+        As of `identify`.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy, fitting, numpy as np
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> angle = np.linspace(0.0, 2.0 * np.pi * 9, 120)
+    >>> def run(load):
+    ...     error = cy.Drive(pair).analyze(load, crank_angle=angle).transmission_error.values[0]
+    ...     return fitting.Run(input_angle=angle, output_angle=angle / -9 + error, torque=load, known_index=True)
+    >>> given = fitting.parameters([run(load) for load in (20.0, -20.0)], cy.Drive(pair))
+    >>> given["eccentricity"].vary, given["isometric"].vary, float(round(given["pin_radius"].max, 6))
+    (True, False, 0.001)
+    """
+    running, loops = _measured(recordings, drive)
+    if isinstance(tolerances, str | os.PathLike):
+        tolerances = read_tolerances(tolerances)
+    pair, prior = drive.pair, _prior(drive, tolerances)
+    observed = observed_with([*running, *loops], pair, prior)
+    return default_parameters(pair, observed)
+
+
+def _prior(drive: Drive, tolerances: Tolerances | Prior | None) -> Prior:
+    prior = prior_of(drive.pair, tolerances) if isinstance(tolerances, Tolerances) else tolerances or Prior()
+    return dataclasses.replace(prior, first_stage=drive.first_stage)
+
+
+def _measured(
+    recordings: Source | Curve | Iterable[Source | Curve], drive: Drive, keep_turns: bool = False
+) -> tuple[list[Curve], list[Curve]]:
+    """Curves of a turning crank, and the branches of loops."""
+    pair, curves = drive.pair, observed_curves(recordings, drive, keep_turns=keep_turns)
+    running = [c for c in curves if not c.branch]
+    if not running:
+        raise edge.InputError(
+            "there is no transmission error curve: a loop sees the drive at one crank angle only; give recordings of a "
+            "turning crank too."
+        )
+    loops = on_the_curves_zero([c for c in curves if c.branch], running)
+    for curve in (*running, *loops):
+        if abs(curve.ratio / pair.ratio - 1.0) > 1e-9:
+            raise edge.InputError(
+                f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {pair.ratio:g}; it is of another drive."
+            )
+    for curve in running:
+        if abs(curve.torque) < 1e-3 * max(abs(c.torque) for c in running) or curve.torque == 0.0:
+            raise edge.InputError(
+                f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
+            )
+    return running, loops
+
+
+def _stating(pair: Pair, values: Mapping[str, float]) -> Pair:
+    """A pair with these structured errors, which are then its stated ones: the prior and start of a fit."""
+    surface = surface_of_pair(pair)
+    changed = {n: v for n, v in values.items() if v != structured_value(surface, n)}
+    stated = with_structured(surface, changed)
+    own = {name for name in stated.errors if not np.array_equal(stated.errors[name], surface.errors[name])}
+    return pair.replace(errors={KINDS[name].file_key: stated.errors[name] for name in own}) if own else pair
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:

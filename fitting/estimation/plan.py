@@ -19,11 +19,10 @@ from fitting.estimation.realised import (
     errors_by_pattern,
     radius_lever_of,
 )
+from fitting.model.gaussian import Evidence, Gaussian
 from fitting.model.identifiability import (
-    chosen_errors,
-    covariance_from,
-    information_of_points,
-    known_before,
+    chosen_from,
+    covariance_of,
     weakness,
 )
 from fitting.model.loops import planned_branches
@@ -33,7 +32,6 @@ from fitting.model.observations import (
     Linear,
     Observations,
     State,
-    errors_of,
     estimated_parts,
     form_columns,
     joined,
@@ -42,6 +40,7 @@ from fitting.model.observations import (
     spread_of,
     with_scatter,
 )
+from fitting.model.unknowns import Unknowns
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
@@ -226,10 +225,9 @@ class _Foretold:
         form: float,
     ) -> None:
         pair = drive.pair
-        self.pair, self.names = pair, errors_of(pair)
-        self.spread = spread_of(
-            pair, {**dict.fromkeys(estimated_parts(pair), scatter), PIN_RADIUS: min(scatter, RADIUS_SPREAD)}
-        )
+        self.pair = pair
+        self.sizes = {**dict.fromkeys(estimated_parts(pair), scatter), PIN_RADIUS: min(scatter, RADIUS_SPREAD)}
+        spread = spread_of(pair, self.sizes)
         self.peak = max(torques) if loop is None else loop
         loads = [*torques, *_between(torques)]
         self.runs = [(t, way) for t in loads for way in (1, -1)]
@@ -247,29 +245,30 @@ class _Foretold:
             curves, pair, [noise / np.sqrt(c.sample_count[0]) for c in curves], first_stage=drive.first_stage
         )
         # Pins and teeth that scatter share a small load unevenly, so that single ones show more of themselves.
-        drawn = self.spread * np.random.default_rng(0).standard_normal(self.spread.size)
+        drawn = spread * np.random.default_rng(0).standard_normal(spread.size)
         surface = with_scatter(surface_of_pair(pair), drawn)
-        state = State(surface, np.zeros_like(self.spread), np.zeros(self.observed.bench.shape[1]))
+        state = State(surface, np.zeros_like(spread), np.zeros(self.observed.bench.shape[1]))
         once = linearise(pair, self.observed.some(range(self.second)), state)
         self.linear = joined([once, once])
         whole = self.observed
         if form > 0.0:
             columns = form_columns(pair, self.observed.some(range(self.second)), state, once, form)
             whole = whole.with_form(np.vstack([columns, columns]), form)
-        self.told = [
-            information_of_points(*self._some(whole, [n]), self.names, self.spread) for n in range(2 * self.second)
-        ]
-        self.before = known_before(*self._some(whole, [0]), self.names, self.spread)
+        self.formed, self.unknowns = whole, Unknowns(pair, whole, whole.errors)
+        self.told = [Evidence.of(self.unknowns.columns(*self._some(whole, [n]))).gram for n in range(2 * self.second)]
+        self.precision = self.unknowns.precision(self.sizes)
 
     def plan(self, words: str, runs: Sequence[tuple[float, int]], with_loop: bool) -> Plan:
         """Prediction for a set of runs, and the possible next runs."""
         loop = list(range(len(self.runs), self.second))
         numbers = [self.runs.index(one) for one in runs] + loop * with_loop
         observed, linear = self._some(self.observed, numbers)
-        chosen = chosen_errors(observed, linear, self.names, self.spread)
-        _, _, reasons, _ = weakness(observed, linear, self.names, chosen)
-        information = self.before + sum(self.told[n] for n in numbers)
-        covariance = covariance_from(information, observed, self.names, chosen, self.spread)
+        information = np.diag(self.precision) + sum(self.told[n] for n in numbers)
+        # As in a fit, errors are chosen as if the flanks had no form, which then widens their intervals.
+        formless = Unknowns(self.pair, observed, observed.errors)
+        chosen = chosen_from(formless, observed, Gaussian(self._of(formless, information)))
+        _, _, reasons, _ = weakness(self.pair, observed, linear, chosen)
+        covariance = self._known(chosen, information)
         error = np.sqrt(np.diag(covariance)[: len(chosen)])
         further = {
             f"{t:g} N·m {'forward' if way > 0 else 'backward'}{' once more' * ((t, way) in runs)}": [self.second + at]
@@ -279,8 +278,7 @@ class _Foretold:
         nexts = []
         for run, added in further.items():
             more = information + sum(self.told[n] for n in added)
-            known = covariance_from(more, observed, self.names, chosen, self.spread)
-            nexts.append(NextRun(run, self._of_elements(chosen, known)))
+            nexts.append(NextRun(run, self._of_elements(chosen, self._known(chosen, more))))
         nexts.sort(key=lambda one: self._mean_square(one.realised))
         return Plan(
             words,
@@ -289,6 +287,17 @@ class _Foretold:
             self._of_elements(chosen, covariance),
             tuple(nexts),
         )
+
+    def _of(self, unknowns: Unknowns, information: Array) -> Array:
+        """Information on some of all unknowns, if the others are zero."""
+        at = np.array([self.unknowns.names.index(name) for name in unknowns.names])
+        part: Array = information[np.ix_(at, at)]
+        return part
+
+    def _known(self, chosen: Sequence[str], information: Array) -> Array:
+        """Covariance of chosen errors and of the scatter."""
+        unknowns = Unknowns(self.pair, self.formed, chosen)
+        return covariance_of(unknowns, Gaussian(self._of(unknowns, information)))
 
     def _some(self, observed: Observations, numbers: Sequence[int]) -> tuple[Observations, Linear]:
         places = np.split(np.arange(self.observed.measured.size), self.observed.ends)

@@ -20,10 +20,10 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.posterior import DISC_PHASE
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
 from cycloid_fmu.surfaces.surface import ErrorSurface
-from fitting.estimation.fit import NO_SCATTER
 from fitting.estimation.parameter import CONFIDENCE, NORMAL, Parameter, parameter, withheld
 from fitting.model.observations import PIN_RADIUS, estimated_parts, scatter_names, scatter_parts
 from fitting.model.prior import tolerances_of
+from fitting.model.unknowns import NO_SCATTER
 
 Array = NDArray[np.float64]
 

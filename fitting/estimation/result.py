@@ -7,11 +7,10 @@ degrees of freedom of the data.
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -39,10 +38,11 @@ from fitting.estimation.allowances import (
     moved_by_form,
     moved_by_held,
 )
-from fitting.estimation.confirmation import Confirmed, as_lmfit, confirmed, lmfit_states, with_covariance
+from fitting.estimation.confirmation import Confirmed, as_lmfit, confirmed, lmfit_states, stated, with_covariance
 from fitting.estimation.effects import Effect, effects_of
 from fitting.estimation.effects import as_json as effect_as_json
-from fitting.estimation.fit import NO_SCATTER, Estimate, allowed_radius, freedom, profile_interval, turn_bootstrap
+from fitting.estimation.fit import Estimate, allowed_radius, freedom, turn_bootstrap
+from fitting.estimation.minimisation import Search
 from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, parameter_as_json, withheld
 from fitting.estimation.realised import GAUGE, Realised, realised
 from fitting.estimation.run_out import RunOut, run_outs_of
@@ -50,6 +50,7 @@ from fitting.estimation.validation import HeldOut, Verdict, with_run_out
 from fitting.model.bearings import (
     pair_with,
 )
+from fitting.model.constraints import Constraints, loaded
 from fitting.model.discrepancy import GIVE
 from fitting.model.first_stage import share_of, with_play
 from fitting.model.identifiability import weakness
@@ -68,10 +69,12 @@ from fitting.model.observations import (
     with_scatter,
 )
 from fitting.model.prior import tolerances_of
+from fitting.model.unknowns import NO_SCATTER
 from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:
-    import lmfit
+    from lmfit import Parameters
+    from lmfit.minimizer import MinimizerResult
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-identification/1"
@@ -146,6 +149,8 @@ class Identification:
         Of a reducer, with its identified play; otherwise None.
     curves
         The fitted curves without the branches of loops; behind a first stage over the angle of ideal cranks.
+    search
+        The search for the best values, whose result is `lmfit`.
     tolerances
         The tolerances of the drawing, if they were given.
 
@@ -182,6 +187,7 @@ class Identification:
     pair: Pair
     first_stage: FirstStage | None
     curves: tuple[Curve, ...]
+    search: Search = field(repr=False, compare=False)
     tolerances: Tolerances | None = None
 
     @property
@@ -189,8 +195,19 @@ class Identification:
         """Names of the fitted parameters."""
         return tuple(p.name for p in self.parameters if p.held is None)
 
+    @property
+    def lmfit(self) -> MinimizerResult:
+        """The last search for the best values of errors, bench and bearings as lmfit's result.
+
+        Its residual and covariance are in units of the noise and have a row for each prior, the scatter of pins and
+        teeth is marginalised, and allowances for held errors and a form of the flanks are not part of its errors. If
+        lmfit was not needed for the fit, the search starts where that ended; it moves values by a small share of their
+        standard errors.
+        """
+        return self.search.result
+
     @cached_property
-    def lmfit_parameters(self) -> lmfit.Parameters:
+    def lmfit_parameters(self) -> Parameters:
         """`confirmed` as lmfit parameters."""
         return as_lmfit(self.confirmed)
 
@@ -257,41 +274,51 @@ def result_of(
         Expected size of each order of a form that all flanks share, standard deviation, m: intervals allow for it.
     """
     if PIN_RADIUS not in known:
-        fit = dataclasses.replace(fit, scatter={**fit.scatter, PIN_RADIUS: allowed_radius(pair, fit)})
+        fit = dataclasses.replace(fit, scatter={**fit.scatter, PIN_RADIUS: allowed_radius(fit)})
     names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
     whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
     each = np.split(whitened, fit.observed.ends)
     inflation = inflation_of([each[i] for i in fit.observed.running])
     observed = dataclasses.replace(fit.observed, weight=fit.observed.weight / inflation)
     progress("confirming the optimum")
-    optimum, found, every = confirmed(pair, dataclasses.replace(fit, observed=observed), gain)
+    search, decided = Search(dataclasses.replace(fit, observed=observed)), observed.constraints
+    if decided is None and not profiled:
+        # Loading lmfit takes as much processor time as a third of a fit of six recordings.
+        search = Search(confirmed(search.start, gain))
+    optimum = search.start if decided is None and not profiled else search.end
+    found, every = stated(optimum)
     fit = dataclasses.replace(optimum, observed=fit.observed)
     state, linear = fit.state, fit.linear
     fitted = np.concatenate([c.transmission_error for c in observed.curves]) - left_of(observed, linear, state)
     if bootstrap:
         progress("drawing turns")
-        turns, white = turn_bootstrap(fit, pair, bootstrap, seed=0)
+        turns, white = turn_bootstrap(fit, bootstrap, seed=0)
         # What the turns' scatter adds to the noise that the covariance holds already.
         added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
         every[np.diag_indices(len(chosen))] += added
-    quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * CONFIDENCE)
-    singular, combinations, reasons, beside = weakness(observed, linear, names, chosen)
+    quantiles = stdtrit(freedom(fit, every, known), 0.5 + 0.5 * CONFIDENCE)
+    singular, combinations, reasons, beside = weakness(pair, observed, linear, chosen)
+    by_user = set() if decided is None else {*decided.held}
+    beside = tuple(n for n in beside if n not in by_user)
     # Held errors that no fitted one represents may be as large as is usual; the intervals allow for it.
-    moved_by = moved_by_held(pair, fit, beside)
+    moved_by = moved_by_held(fit, beside)
     every += moved_by @ moved_by.T
-    # The scatter of pins and teeth is behind the errors and the bench in the vector.
-    stated = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
+    unknowns = fit.unknowns
+    before_scatter = slice(0, unknowns.scatter.start)
+    table = with_covariance(found, every[before_scatter, before_scatter])
+    held = [one for one in names if one not in chosen]
+    for name, sigma in zip(held, tolerances_of(held, observed.profile), strict=True):
+        table[name] = dataclasses.replace(found[name], stderr=0.0 if name in by_user else float(sigma))
     own = observed.bearing_names
-    bench = {n: p.value for n, p in stated.items() if n not in names and n not in own}
+    bench = {n: p.value for n, p in table.items() if n not in names and n not in own}
     bench[CHAIN] = _chain_compliance(observed, bench)
-    deviations = np.array([stated[n].stderr for n in own], dtype=float)
+    deviations = np.array([table[n].stderr for n in own], dtype=float)
     if own:
-        moved_by = moved_by_held(pair, fit, [n for n in names if n not in (*chosen, *beside)])
-        at = slice(len(every) - spread.size - len(own), len(every) - spread.size)
-        deviations = np.hypot(deviations, np.linalg.norm(moved_by[at], axis=1))
+        moved_by = moved_by_held(fit, [n for n in names if n not in (*chosen, *beside, *by_user)])
+        deviations = np.hypot(deviations, np.linalg.norm(moved_by[unknowns.bearings], axis=1))
     bearings = bearings_found(pair, observed, state.bearings, deviations)
     made = pair_with(pair, state.bearings, rounded=True)
-    lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
+    lasting = np.r_[unknowns.errors, unknowns.scatter]
     every = every[np.ix_(lasting, lasting)]
     covariance = every[: len(chosen), : len(chosen)]
     error = np.sqrt(np.diag(covariance))
@@ -299,25 +326,26 @@ def result_of(
     plain = with_scatter(state.surface, -state.scatter)
     lag = None
     if LAG_NAME in bench:
-        lag = clock_lag_found(observed, linear, bench[LAG_NAME], float(stated[LAG_NAME].stderr or 0.0))
-    moved = dict(zip(chosen, moved_by_form(pair, fit, form) if form else np.zeros(len(chosen)), strict=True))
+        lag = clock_lag_found(observed, linear, bench[LAG_NAME], float(table[LAG_NAME].stderr or 0.0))
+    moved = dict(zip(chosen, moved_by_form(fit, form) if form else np.zeros(len(chosen)), strict=True))
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
             sigma, quantile = float(error[chosen.index(name)]), float(quantiles[chosen.index(name)])
             value = structured_value(plain, name)
             one = parameter(name, unit_of(name), value, sigma, float(tolerance), quantile=quantile)
-            if name in profiled:
+            if name in profiled and found[name].expr is None:
                 progress(f"profile of {name}")
-                interval = profile_interval(pair, fit, name, sigma, inflation, quantile**2)
+                interval = search.interval(name, quantile * sigma, quantile**2)
                 one = dataclasses.replace(one, interval=interval)
             one = allowing(one, float(moved[name]), float(tolerance))
         else:
-            value, sigma = structured_value(prior, name), float(tolerance)
-            one = parameter(name, unit_of(name), value, sigma, sigma, reasons[name])
+            value, sigma = structured_value(prior, name), 0.0 if name in by_user else float(tolerance)
+            why = "the given parameters hold it at this value" if name in by_user else reasons[name]
+            one = parameter(name, unit_of(name), value, sigma, float(tolerance), why)
         parameters.append(one)
     ring = realised(DriveValue(pair, state.surface), chosen, every, spread)
-    run_out = run_outs_of(observed, stated)
+    run_out = run_outs_of(observed, table)
     told = verdict.state != "not explained"
     if not told:
         run_out = tuple(one.withheld() for one in run_out)
@@ -346,7 +374,8 @@ def result_of(
         clock_lag=lag,
         run_out=run_out,
         bench=bench,
-        confirmed=stated,
+        confirmed=table,
+        search=search,
         surface=surface,
         correlation=covariance / np.outer(error, error),
         singular_values=singular,
@@ -368,13 +397,9 @@ def result_of(
             *form_note(parameters, form),
             *tilt_notes(DriveValue(pair, state.surface)),
             *_of_discs(len(others)),
-            *(
-                f"{n} ends at {found[n].value * 1e3:.2g} {'mm' if unit_of(n) == 'm' else 'mrad'}, as far as it can be; "
-                "check counts per turn, directions and the pair file."
-                for n in chosen
-                if _bounded(found[n])
-            ),
+            *(_at_bound(n, found[n], decided) for n in chosen if _bounded(found[n])),
             *(f"{n} is held, so it has no profile: {reasons[n]}." for n in profiled if n not in chosen),
+            *(f"{n} is tied to others, so it has no profile." for n in profiled if n in found and found[n].expr),
             *dict.fromkeys(note for curve in observed.curves for note in curve.notes),
         ),
         pair=made,
@@ -401,16 +426,15 @@ def _of_discs(others: int) -> list[str]:
 
 
 def _bounded(parameter: Confirmed) -> bool:
-    return bool(min(parameter.value - parameter.min, parameter.max - parameter.value) < _AT_BOUND * parameter.max)
+    ends = [end for end in (parameter.min, parameter.max) if math.isfinite(end)]
+    return any(abs(parameter.value - end) <= _AT_BOUND * abs(end) for end in ends)
 
 
-def _stated(found: Mapping[str, Confirmed], covariance: Array, profile: Mapping[str, float]) -> dict[str, Confirmed]:
-    """Return the results of the first parameters, those of a covariance, and of held ones."""
-    held = [n for n, p in found.items() if not p.vary]
-    before = tolerances_of(held, profile)
-    return with_covariance(found, covariance) | {
-        name: dataclasses.replace(found[name], stderr=float(sigma)) for name, sigma in zip(held, before, strict=True)
-    }
+def _at_bound(name: str, one: Confirmed, decided: Constraints | None) -> str:
+    ends = f"{name} ends at {one.value * 1e3:.2g} {'mm' if unit_of(name) == 'm' else 'mrad'}, "
+    if decided is not None and name in decided.bounds:
+        return f"{ends}a bound of the given parameters."
+    return f"{ends}as far as it can be; check counts per turn, directions and the pair file."
 
 
 def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array) -> tuple[LoopFit, ...]:
@@ -606,7 +630,7 @@ def read_chain(path: str | os.PathLike[str]) -> tuple[float, float]:
     return found[0], found[1]
 
 
-def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
+def read_lmfit_parameters(path: str | os.PathLike[str]) -> Parameters:
     """Read the errors and the bench of an identification file as lmfit parameters, SI.
 
     Raises
@@ -614,14 +638,8 @@ def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
     edge.InputError
         If the file is not an identification, or its parameters are not those of lmfit.
     """
-    from lmfit import Parameters
-
     data = edge.json_table(path, FORMAT, "identification")
     if "lmfit_parameters" not in data:
         raise edge.InputError(f"{path}: lmfit_parameters is missing; identify once more.")
     with edge.parsed_by_others(path, "lmfit_parameters are not as lmfit writes them"):
-        states = data["lmfit_parameters"]["params"]
-        # lmfit would run an expression or a symbol of the file's; a fit of ours has neither.
-        if any(state[3] is not None for state in states):
-            raise ValueError("an expression")
-        return Parameters().loads(json.dumps({"unique_symbols": {}, "params": states}))
+        return loaded(data["lmfit_parameters"]["params"])

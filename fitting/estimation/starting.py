@@ -14,7 +14,7 @@ from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
-from fitting.estimation.fit import NO_SCATTER, Estimate, fit
+from fitting.estimation.fit import Estimate, fit
 from fitting.estimation.result import is_uneven
 from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors
@@ -39,6 +39,7 @@ from fitting.model.observations import (
     with_scatter,
 )
 from fitting.model.prior import Prior, tolerances_of
+from fitting.model.unknowns import NO_SCATTER
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
@@ -252,7 +253,14 @@ def _put_back(pair: Pair, state: State, pin: int, reach: int) -> State:
 
 def observed_with(curves: Sequence[Curve], pair: Pair, known: Prior) -> Observations:
     """Return the observations of curves, with the unknowns that a prior asks for."""
-    return observations(curves, pair, profile=known.profile, first_stage=known.first_stage, soft_chain=known.soft_chain)
+    return observations(
+        curves,
+        pair,
+        profile=known.profile,
+        first_stage=known.first_stage,
+        soft_chain=known.soft_chain,
+        constraints=known.constraints,
+    )
 
 
 def _first_sizes(observed: Observations) -> dict[str, float]:
@@ -374,7 +382,10 @@ def _carried_over(
 def _chosen(observed: Observations, linear: Linear, pair: Pair) -> list[str]:
     # Without the scatter of single pins and teeth, which widens the intervals: a scatter that has absorbed held errors
     # would keep them held, and fitted errors of nearly the same effect would absorb the rest.
-    chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, {}))
+    chosen, decided = chosen_errors(pair, observed, linear, {}), observed.constraints
+    if decided is not None:
+        own = {*decided.free, *decided.ties}
+        chosen = [n for n in observed.errors if n in own or (n in chosen and n not in decided.held)]
     if not chosen:
         raise edge.InputError("the data resolve none of the structured errors; record more loads or more turns.")
     return chosen

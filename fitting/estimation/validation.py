@@ -13,15 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, special
+from scipy import special
 
 from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
-from fitting.estimation.fit import Estimate, Problem
+from fitting.estimation.fit import Estimate
 from fitting.estimation.run_out import RunOut
 from fitting.model.discrepancy import BESIDE_THE_GEAR, FORM, RUN_OUT_CAUSE, SENTENCES, is_whole, waves, way
-from fitting.model.observations import CHAIN, CREEP, MISFIT, Observations, left_of, with_scatter
+from fitting.model.gaussian import Gaussian, truncated
+from fitting.model.observations import CHAIN, CREEP, MISFIT, Observations, with_scatter
 
 Array = NDArray[np.float64]
 
@@ -163,42 +163,36 @@ class Residual:
 
     Parameters
     ----------
-    pair, estimate
-        The nominal pair and the end of the fit.
+    estimate
+        The end of the fit.
     """
 
-    def __init__(self, pair: Pair, estimate: Estimate) -> None:
-        problem = Problem(pair, estimate.observed, estimate.chosen)
-        self.observed, self.scale = estimate.observed, problem.scale
-        self.weight = self.observed.weight
-        self.left = self.weight * left_of(self.observed, estimate.linear, estimate.state)
-        self.columns = problem.columns(self.observed, estimate.linear)
-        precision = problem.precision(estimate.scatter)
-        self.information = self.columns.T @ self.columns + np.diag(precision)
-        self._factor = linalg.cho_factor(self.information)
+    def __init__(self, estimate: Estimate) -> None:
+        unknowns, precision = estimate.unknowns, estimate.precision
+        self.observed, self.scale = estimate.observed, unknowns.scale
+        self.weight, self.columns, self.posterior = self.observed.weight, estimate.columns, estimate.posterior
         # The fit ends where a step gains little; the tests are made at the optimum.
-        slope = self.columns.T @ self.left - precision * problem.unknowns(estimate.state)
-        step = linalg.cho_solve(self._factor, slope)
-        self.left = self.left - self.columns @ step
+        step = self.posterior.mean
+        self.left = estimate.residual - self.columns @ step
         self.pulls = _creeps_with_load(estimate)
         for name, cause in _PULLED.items():
-            at = problem.names.index(name)
+            at = unknowns.names.index(name)
             unit = np.zeros(step.size)
             unit[at] = 1.0
             # The prior pulls an estimate towards zero; one whose size is estimated as well scatters about the truth.
-            usual = (self.observed.chain_prior / problem.scale[at]) ** 2 if name == CHAIN else 1.0 / precision[at]
-            left = float(linalg.cho_solve(self._factor, unit)[at])
+            usual = (self.observed.chain_prior / unknowns.scale[at]) ** 2 if name == CHAIN else 1.0 / precision[at]
+            left = float(self.posterior.solve(unit)[at])
             spread = usual + left if name in self.observed.estimated else usual - left
             if spread > (1.0 - _FREE) * usual:
-                square = float(problem.unknowns(estimate.state)[at] + step[at]) ** 2 / spread
+                square = float(estimate.vector[at] + step[at]) ** 2 / spread
                 pull = float(special.chdtrc(1, square)), square
                 self.pulls[cause] = min(pull, self.pulls.get(cause, pull))
 
     def beyond(self, columns: Array) -> Array:
         """Part of columns outside the span of the fit's unknowns, in units of the noise, shape (points, columns)."""
         own = self.weight[:, None] * columns
-        found: Array = own - self.columns @ linalg.cho_solve(self._factor, self.columns.T @ own)
-        return found
+        outside: Array = own - self.columns @ self.posterior.solve(self.columns.T @ own)
+        return outside
 
     def score(self, columns: Array) -> tuple[float, Array]:
         """Probability that noise resembles these columns as much, and their part of the residual.
@@ -207,14 +201,8 @@ class Residual:
         """
         own, beyond = self.weight[:, None] * columns, self.beyond(columns)
         size = np.sqrt((own**2).sum(axis=0))
-        values, vectors = np.linalg.eigh(own.T @ beyond / np.outer(size, size))
-        told = values > _SEEN
-        if not told.any():
-            return 1.0, np.zeros_like(self.left)
-        slopes = (vectors.T @ ((own.T @ self.left) / size))[told]
-        chance = float(special.chdtrc(np.count_nonzero(told), float(slopes**2 @ (1.0 / values[told]))))
-        coefficients = vectors[:, told] @ (slopes / values[told]) / size
-        return chance, np.asarray(beyond @ coefficients)
+        square, count, coefficients = truncated(own.T @ self.left, own.T @ beyond, size, _SEEN)
+        return (float(special.chdtrc(count, square)) if count else 1.0), np.asarray(beyond @ coefficients)
 
     def take(self, columns: Array) -> None:
         """Add columns to the unknowns of the fit."""
@@ -222,20 +210,14 @@ class Residual:
         _, part = self.score(columns)
         size = (own**2).sum(axis=0)
         cross = self.columns.T @ own
-        self.information = np.block(
-            [
-                [self.information, cross],
-                [cross.T, own.T @ own + np.diag(_SEEN * size)],
-            ]
-        )
+        self.posterior = self.posterior.extended(cross, own.T @ own + np.diag(_SEEN * size))
         self.columns = np.hstack([self.columns, own])
-        self._factor = linalg.cho_factor(self.information)
         self.left = self.left - part
 
     def is_zero(self, numbers: Sequence[int], values: Array) -> bool:
         """Whether unknowns of the fit, in their scale, are compatible with zero (Wald)."""
-        covariance = linalg.cho_solve(self._factor, np.eye(len(self.information))[:, numbers])[list(numbers)]
-        return float(special.chdtrc(values.size, float(values @ np.linalg.solve(covariance, values)))) > FALSE_ALARM
+        square = Gaussian(self.posterior.information, along=self.posterior.along).score(numbers, values)
+        return float(special.chdtrc(values.size, square)) > FALSE_ALARM
 
     def contradicts(self, numbers: Sequence[int]) -> float:
         """Probability that noise makes some curves and the others disagree as much on the fit's unknowns."""
@@ -243,13 +225,10 @@ class Residual:
         part = np.concatenate([places[n] for n in numbers])
         columns = self.columns[part]
         own = columns.T @ columns
-        score = columns.T @ self.left[part]
-        spread = own - own @ linalg.cho_solve(self._factor, own)
         size = np.sqrt(np.maximum(np.diag(own), 1e-12 * np.diag(own).max()))
-        values, vectors = np.linalg.eigh(spread / np.outer(size, size))
-        told = values > _TOLD
-        slopes = (vectors.T @ (score / size))[told]
-        return float(special.chdtrc(max(np.count_nonzero(told), 1), float(slopes**2 @ (1.0 / values[told]))))
+        spread = own - own @ self.posterior.solve(own)
+        square, count, _ = truncated(columns.T @ self.left[part], spread, size, _TOLD)
+        return float(special.chdtrc(max(count, 1), square))
 
 
 def _creeps_with_load(estimate: Estimate) -> dict[str, tuple[float, float]]:
@@ -449,7 +428,7 @@ def causes_of(
     return Likely(found, alike, known.orders if known else (), formed)
 
 
-def _form_of(pair: Pair, estimate: Estimate, residual: Residual) -> float:
+def _form_of(estimate: Estimate, residual: Residual) -> float:
     """Size of a form that all flanks share, rms of its contribution, rad; 0 if the data need none."""
     observed = estimate.observed
     surface = with_scatter(estimate.state.surface, -estimate.state.scatter)
@@ -461,19 +440,19 @@ def _form_of(pair: Pair, estimate: Estimate, residual: Residual) -> float:
     return float(np.sqrt(np.mean((columns[used] @ values) ** 2)))
 
 
-def verdict_of(pair: Pair, estimate: Estimate, likely: Likely, formed: bool = False) -> Verdict:
+def verdict_of(estimate: Estimate, likely: Likely, formed: bool = False) -> Verdict:
     """Return the verdict on a fit.
 
     Parameters
     ----------
-    pair, estimate
-        The nominal pair and where the fit ended, with the causes among its unknowns.
+    estimate
+        The end of the fit, with the causes among its unknowns.
     likely
         These causes.
     formed
         Whether the errors include a form of the flanks that was not stated.
     """
-    observed, residual = estimate.observed, Residual(pair, estimate)
+    observed, residual = estimate.observed, Residual(estimate)
     failed, yardstick = failures(residual, residual.left)
     used = (observed.weight > 0.0) & ~observed.of_loops
     misfits = []
@@ -487,7 +466,7 @@ def verdict_of(pair: Pair, estimate: Estimate, likely: Likely, formed: bool = Fa
         if cause in likely.columns:
             size = float(np.sqrt(np.mean((observed.bench[used, part] @ estimate.state.bench[part]) ** 2)))
             misfits.append(Misfit(cause, size, likely.alike.get(cause, ()), likely.orders if cause == "orders" else ()))
-    if formed and (size := _form_of(pair, estimate, residual)):
+    if formed and (size := _form_of(estimate, residual)):
         misfits.append(Misfit(FORM, size))
     noise = float(np.exp(np.mean(np.log(yardstick * estimate.noises[observed.running]))))
     largest = max((m.size for m in misfits), default=0.0)

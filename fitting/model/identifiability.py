@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
-from fitting.model.observations import ORDERS, Linear, Observations, nuisance_columns
-from fitting.model.prior import tolerances_of
+from cycloid_fmu.geometry.pair import Pair
+from fitting.model.gaussian import Evidence, Gaussian
+from fitting.model.observations import ORDERS, Linear, Observations
+from fitting.model.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 
@@ -29,7 +30,6 @@ PREFERENCE = (
     "misalignment_xz",
     "misalignment_yz",
 )
-UNKNOWN = 1e-6  # precision of unknowns without a prior, so that those without effect on these curves stay unchanged
 _STOOD_FOR = 2e-3  # relative remainder of an effect below which the other errors reproduce it completely
 KNOWN = 0.2  # an error is known if its uncertainty is below this share of its tolerance
 
@@ -65,70 +65,34 @@ def choose(information: Array, names: Sequence[str]) -> list[str]:
     return [list(names)[i] for i in chosen]
 
 
-def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> list[str]:
-    """Choose the errors that observations resolve, in the order of `names`; orders of the profile are always included.
+def chosen_errors(pair: Pair, observed: Observations, linear: Linear, sizes: Mapping[str, float]) -> list[str]:
+    """Choose the errors that observations resolve, in their order; orders of the profile are always included.
 
     Like the scatter, these orders have a prior size and add uncertainty to the other errors.
 
     Parameters
     ----------
-    observed, linear, names
-        The observations and the model at a state.
-    spread
-        Standard deviation of each scattered displacement of a pin or tooth, m.
+    pair, observed, linear
+        The nominal pair, the observations and the model at a state.
+    sizes
+        Standard deviation of each scattered pattern, m; of those that are not named it is the usual one, or none.
     """
-    information = _information(observed, linear, names, spread)
-    free = [n not in observed.profile for n in names]
-    own = np.flatnonzero([*free, *np.zeros(len(information) - len(names), bool)])
-    other = np.setdiff1d(np.arange(len(information)), own)
+    unknowns = Unknowns(pair, observed, observed.errors)
+    told = Evidence.of(unknowns.columns(observed, linear))
+    return chosen_from(unknowns, observed, told.posterior(unknowns.precision(sizes)))
+
+
+def chosen_from(unknowns: Unknowns, observed: Observations, posterior: Gaussian) -> list[str]:
+    """Return the same from the distribution of all errors of the observations, the nuisances and the scatter."""
+    free = [i for i, n in enumerate(unknowns.chosen) if n not in observed.profile]
     # Information about the errors that remains with unknown scatter, form and nuisances.
-    size = np.sqrt(np.diag(information)[other])
-    among = information[np.ix_(other, other)] / np.outer(size, size)
-    blurred = linalg.solve(among, information[np.ix_(other, own)] / size[:, None], assume_a="pos") / size[:, None]
-    left = information[np.ix_(own, own)] - information[np.ix_(own, other)] @ blurred
-    found = choose(0.5 * (left + left.T), [n for n, one in zip(names, free, strict=True) if one])
-    return [n for n in names if n in found or n in observed.profile]
-
-
-def _information(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
-    """Information matrix of errors, scatter and nuisances, each in units of its prior.
-
-    Scatter, the orders of the profile and some nuisances have a prior; the errors and the other nuisances do not.
-    """
-    return information_of_points(observed, linear, names, spread) + known_before(observed, linear, names, spread)
-
-
-def information_of_points(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
-    """Return the information of the points on errors, scatter and nuisances; information of curves is additive.
-
-    Returns
-    -------
-    information
-        Shape (unknowns, unknowns), each in units of its prior: errors as `names`, scatter, nuisances.
-    """
-    nuisances, priors = nuisance_columns(observed, linear)
-    columns = np.column_stack([linear.structured, linear.scatter, nuisances])
-    columns *= observed.weight[:, None]
-    columns *= np.concatenate(
-        [
-            tolerances_of(names, observed.profile),
-            spread,
-            np.where(np.isfinite(priors), priors, 1e-4),
-        ]
-    )
-    information: Array = columns.T @ columns
-    return information
-
-
-def known_before(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
-    """Return the prior information on errors, scatter and nuisances, shape (unknowns, unknowns)."""
-    _, priors = nuisance_columns(observed, linear)
-    stated = np.array([float(n in observed.profile) for n in names])
-    return np.diag(np.concatenate([stated, np.ones(spread.size), np.where(np.isfinite(priors), 1.0, UNKNOWN)]))
+    known = posterior.marginal(free).information
+    resolved = choose(known, [unknowns.chosen[i] for i in free])
+    return [n for n in unknowns.chosen if n in resolved or n in observed.profile]
 
 
 def weakness(
-    observed: Observations, linear: Linear, names: Sequence[str], chosen: Sequence[str]
+    pair: Pair, observed: Observations, linear: Linear, chosen: Sequence[str]
 ) -> tuple[Array, tuple[str, ...], dict[str, str], tuple[str, ...]]:
     """Return what the data cannot resolve.
 
@@ -145,17 +109,12 @@ def weakness(
         Errors not chosen whose effect on the curves differs at least a little from that of the chosen ones: held errors
         may bias these. Of a set with equal effects it has the first.
     """
-    weight = observed.weight[:, None]
-    nuisances, priors = nuisance_columns(observed, linear)
+    unknowns, names = Unknowns(pair, observed, observed.errors), observed.errors
+    every, precision = unknowns.columns(observed, linear), unknowns.precision({})[unknowns.nuisances]
     # A nuisance with a prior is an additional measurement of itself.
-    known = np.isfinite(priors)
-    rows = np.vstack([weight * nuisances, np.diag(1.0 / priors)[known]])
-    scale = np.linalg.norm(rows, axis=0)
-    rows = rows[:, scale > 0.0] / scale[scale > 0.0]
-    q, _ = np.linalg.qr(rows)
-    columns = np.vstack(
-        [weight * linear.structured * tolerances_of(names, observed.profile), np.zeros((known.sum(), len(names)))]
-    )
+    rows = np.vstack([every[:, unknowns.nuisances], np.diag(np.sqrt(precision))])
+    q, _ = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))
+    columns = np.vstack([every[:, unknowns.errors], np.zeros((precision.size, len(names)))])
     columns = columns - q @ (q.T @ columns)
     singular = np.linalg.svd(columns, compute_uv=False)
     keep = [list(names).index(n) for n in chosen]
@@ -190,34 +149,32 @@ def weakness(
 
 
 def posterior_covariance(
-    observed: Observations, linear: Linear, names: Sequence[str], chosen: Sequence[str], spread: Array
+    pair: Pair, observed: Observations, linear: Linear, chosen: Sequence[str], sizes: Mapping[str, float]
 ) -> Array:
     """Covariance of the chosen errors and of the scatter of every pin and tooth, the nuisances unknown.
 
     Parameters
     ----------
+    pair, observed, linear, sizes
+        As in `chosen_errors`.
     chosen
         The fitted errors; they have no prior.
-    spread
-        Prior standard deviation of each scattered displacement, m.
 
     Returns
     -------
     covariance
         Shape (chosen + scatter, chosen + scatter), m² or rad².
     """
-    return covariance_from(_information(observed, linear, names, spread), observed, names, chosen, spread)
+    unknowns = Unknowns(pair, observed, chosen)
+    told = Evidence.of(unknowns.columns(observed, linear))
+    return covariance_of(unknowns, told.posterior(unknowns.precision(sizes)))
 
 
-def covariance_from(
-    information: Array, observed: Observations, names: Sequence[str], chosen: Sequence[str], spread: Array
-) -> Array:
-    """Return the same covariance as `posterior_covariance` from given information."""
-    chosen_first = [*(list(names).index(n) for n in chosen), *range(len(names), len(information))]
-    scale = np.concatenate([tolerances_of(chosen, observed.profile), spread])
-    covariance = linalg.inv(information[np.ix_(chosen_first, chosen_first)])[: scale.size, : scale.size]
-    covariance = 0.5 * (covariance + covariance.T)
-    return np.asarray(covariance * np.outer(scale, scale))
+def covariance_of(unknowns: Unknowns, posterior: Gaussian) -> Array:
+    """Return the same from a distribution of the unknowns in their scale."""
+    own = np.r_[unknowns.errors, unknowns.scatter]
+    covariance: Array = posterior.covariance[np.ix_(own, own)] * np.outer(unknowns.scale[own], unknowns.scale[own])
+    return covariance
 
 
 def _in_words(name: str, alike: Sequence[tuple[float, str]]) -> str:

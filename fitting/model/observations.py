@@ -36,6 +36,7 @@ from cycloid_fmu.surfaces.structured import (
 )
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.model.bearings import lowest_of, pair_with, sizes_of, unknown_bearings
+from fitting.model.constraints import Constraints
 from fitting.model.first_stage import share_of, turned
 from fitting.model.near_drive import NearDrive
 from fitting.transmission_error.curve import Curve, noise_of
@@ -132,6 +133,8 @@ class Observations:
         Usual size of the chain's compliance, rad/(N·m): a small share of the gear pair's own.
     soft_chain
         Whether the sizes of the chain's compliance and hysteresis are estimated, as far as the curves separate them.
+    constraints
+        What a user has decided of the unknowns.
     """
 
     curves: tuple[Curve, ...]
@@ -153,6 +156,7 @@ class Observations:
     first_stage: FirstStage | None = None
     chain_prior: float = 0.0
     soft_chain: bool = False
+    constraints: Constraints | None = None
 
     @property
     def running(self) -> list[int]:
@@ -293,6 +297,7 @@ def observations(
     profile: Mapping[str, float] | None = None,
     first_stage: FirstStage | None = None,
     soft_chain: bool = False,
+    constraints: Constraints | None = None,
 ) -> Observations:
     """Return curves as observations of a pair.
 
@@ -308,7 +313,7 @@ def observations(
         Orders of the profile deviation to consider too, with their prior sizes, m.
     first_stage
         First stage of the curves, which are over the angle of ideal cranks (`fitting.model.first_stage.of_cranks`).
-    soft_chain
+    soft_chain, constraints
         As in `Observations`.
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
@@ -388,6 +393,7 @@ def observations(
         first_stage=first_stage,
         chain_prior=priors[-1],
         soft_chain=soft_chain,
+        constraints=constraints,
     )
 
 
@@ -665,18 +671,3 @@ def split(linear: Linear, ends: NDArray[np.int64]) -> list[Linear]:
 def left_of(observed: Observations, linear: Linear, state: State) -> Array:
     """Measured minus modelled transmission error, the bench's part included, shape (points,), rad."""
     return observed.measured - linear.model - observed.bench @ state.bench
-
-
-def nuisance_columns(observed: Observations, linear: Linear) -> tuple[Array, Array]:
-    """Return the columns of all nuisances, shape (points, nuisances), and their prior standard deviations."""
-    locked = observed.of_loops
-    columns = [observed.bench, (linear.by_friction * ~locked)[:, None]]
-    priors = [*observed.bench_prior, *observed.friction_priors]
-    if observed.with_loops:
-        columns += [(linear.by_friction * locked)[:, None], linear.by_friction_per_load[:, None]]
-    if observed.fit_crank:
-        columns.append(linear.by_crank[:, None])
-        priors.append(np.inf)
-    columns.append(linear.bearings)
-    priors += [*observed.bearing_prior]
-    return np.hstack(columns), np.array(priors)

@@ -13,6 +13,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, sample_surface
 from cycloid_fmu.surfaces.structured import profile_names, profile_wave, unit_of
 from cycloid_fmu.surfaces.surface import Elements
+from fitting.model.constraints import Constraints
 from fitting.model.observations import ORDERS, PROFILE_ORDERS, estimated_parts
 
 Array = NDArray[np.float64]
@@ -40,12 +41,15 @@ class Prior:
         First stage before the pair, as drawn.
     soft_chain
         Whether compliance and hysteresis between the encoders may be far above the usual ones.
+    constraints
+        What a user has decided of the unknowns.
     """
 
     scatter: Mapping[str, float] = field(default_factory=dict)
     profile: Mapping[str, float] = field(default_factory=dict)
     first_stage: FirstStage | None = None
     soft_chain: bool = False
+    constraints: Constraints | None = None
 
 
 def prior_of(pair: Pair, tolerances: Tolerances) -> Prior:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
 from fitting.estimation.parameter import NORMAL
+from fitting.model.gaussian import factor_of
 from fitting.model.observations import State, scatter_names
-from fitting.recalibration.known import Known, factor_of
+from fitting.recalibration.known import Known
 from fitting.recalibration.measured import Field, LostMotion, field_of, linearised
 from fitting.transmission_error.curve import Curve
 

@@ -126,13 +126,3 @@ def drifted(known: Known, pair: Pair, crank_turns: float, drift: float) -> Known
     count = len(known.errors)
     added = np.concatenate([walked[:count], bearing_drift(known.bench, crank_turns, drift), walked[count:]]) ** 2
     return dataclasses.replace(known, covariance=known.covariance + np.diag(added))
-
-
-def factor_of(covariance: Array) -> Array:
-    """Return F with F Fᵀ the covariance, which may be singular."""
-    size = np.sqrt(np.diag(covariance))
-    scale = np.where(size > 0.0, size, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    # Unknowns without variance stay exactly constant.
-    found: Array = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    return found

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
@@ -17,6 +16,7 @@ from cycloid_fmu.drive import Drive
 from fitting.arguments import positive
 from fitting.estimation.parameter import NORMAL
 from fitting.estimation.plan import planned_curve
+from fitting.model.gaussian import Evidence
 from fitting.recalibration.figures import Gradient
 from fitting.recalibration.known import DRIFT, Known, drifted, known_of
 from fitting.recalibration.measured import TORQUE_SHARE, LostMotion, field_of, quantised
@@ -156,9 +156,9 @@ def _half_widths(
     slope = np.zeros(len(rows.names))
     slope[[rows.names.index(n) for n in known.names(drive.pair)]] = gradient
     slope = slope @ rows.factor
-    information = columns.T @ columns
+    prior = np.ones(len(rows.names))
     widths = {}
     for count in TURNS:
-        spread = linalg.cho_solve(linalg.cho_factor(count * information + np.eye(len(rows.names))), slope)
-        widths[count] = float(NORMAL * np.sqrt(slope @ spread))
+        posterior = Evidence.of(np.sqrt(count) * columns).posterior(prior)
+        widths[count] = float(NORMAL * np.sqrt(slope @ posterior.solve(slope)))
     return widths

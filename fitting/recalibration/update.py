@@ -16,12 +16,13 @@ from scipy import linalg, special
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import ErrorSurface
-from fitting.estimation.fit import OUTLYING, Problem
-from fitting.estimation.normal_equations import Factor
+from fitting.estimation.fit import OUTLYING
 from fitting.model.bearings import pair_with
 from fitting.model.first_stage import with_play
+from fitting.model.gaussian import Evidence, Gaussian, factor_of
 from fitting.model.observations import State, left_of, scatter_names
-from fitting.recalibration.known import Known, factor_of
+from fitting.model.unknowns import Unknowns
+from fitting.recalibration.known import Known
 from fitting.recalibration.measured import Field, linearised
 
 Array = NDArray[np.float64]
@@ -119,9 +120,9 @@ class Rows:
     def __init__(self, drive: Drive, known: Known, field: Field) -> None:
         self.drive, self.field = drive, field
         observed = field.observed
-        self.problem = Problem(drive.pair, observed, known.errors, prior=_plain(drive.surface))
+        self.unknowns = Unknowns(drive.pair, observed, known.errors, prior=_plain(drive.surface))
         single = scatter_names(drive.pair)
-        names = self.problem.names
+        names = self.unknowns.names
         own = [n for n in names[len(known.errors) : len(names) - len(single)] if not n.startswith(_LOCAL)]
         self.bench = [*known.bench, *(n for n in own if n not in known.bench)]
         lasting = [*known.errors, *self.bench, *single]
@@ -135,8 +136,8 @@ class Rows:
         was = [*known.errors, *known.bench, *single]
         at = [lasting.index(n) for n in was]
         covariance[np.ix_(at, at)] = known.covariance
-        scale = dict(zip(names, self.problem.scale, strict=True))
-        deviation = {n: scale[n] / np.sqrt(k) for n, k in zip(names, self.problem.known, strict=True)}
+        scale = dict(zip(names, self.unknowns.scale, strict=True))
+        deviation = {n: scale[n] / np.sqrt(k) for n, k in zip(names, self.unknowns.known, strict=True)}
         deviation |= dict.fromkeys(own, field.own_friction)
         for name in self.bench:
             if name not in known.bench:
@@ -149,27 +150,27 @@ class Rows:
         bench = np.array([mean.get(n, 0.0) for n in observed.bench_names])
         # Friction opposes the motion: the start value is its standard deviation, not zero.
         self.start = State(drive.surface, np.zeros(len(single)), bench, friction=observed.friction_prior)
-        self.mean = self.problem.unknowns(self.start) * self.problem.scale
+        self.mean = self.unknowns.vector(self.start) * self.unknowns.scale
         self.before = np.array([mean.get(n, 0.0) for n in self.bench])
         self.lowest = dict(zip(observed.bearing_names, observed.bearing_lowest.tolist(), strict=True))
         self.form: Array | None = None
 
     def state(self, z: Array) -> State:
         """Return the state of unknowns in units of the prior."""
-        unknowns = self.mean.copy()
-        unknowns[self.estimated] += (self.factor @ z)[self.place]
-        return self.problem.state(np.maximum(unknowns / self.problem.scale, self.problem.lowest))
+        values = self.mean.copy()
+        values[self.estimated] += (self.factor @ z)[self.place]
+        return self.unknowns.state(np.maximum(values, self.unknowns.low) / self.unknowns.scale)
 
     def evaluated(self, z: Array, field: Field | None = None) -> Linearised:
         """Linearise the rows, or those of a field with fewer points, at unknowns in units of the prior."""
         field = field or self.field
-        problem, observed, running, state = self.problem, field.observed, field.running, self.state(z)
+        unknowns, observed, running, state = self.unknowns, field.observed, field.running, self.state(z)
         if self.form is not None and len(self.form) != observed.measured.size:
             self.form = None  # it belongs to other points
         linear, self.form = linearised(self.drive.pair, observed, state, self.form)
-        columns = problem.columns(observed, linear) / problem.scale
+        columns = unknowns.columns(observed, linear) / unknowns.scale
         # The torques of a lost motion are those at the flanks: they already include friction.
-        first = len(problem.chosen) + len(observed.bench_names)
+        first = unknowns.bench.stop
         columns[running:, first : first + len(observed.friction_names)] = 0.0
         by_all = np.zeros((columns.shape[0], len(self.names)))
         by_all[:, self.place] = columns[:, self.estimated]
@@ -184,32 +185,17 @@ class Rows:
         base = _base(_zeros_of(field))
         return Linearised(z, observed.weight, _without(base, left), _without(base, field.reduced(by_all)))
 
-    def solved(self, linear: Linearised) -> tuple[Array, Array]:
-        """Return the most likely unknowns of linear rows in units of the prior, and their covariance."""
-        columns, factor = linear.columns, self.factor
-        information = factor.T @ (columns.T @ columns) @ factor + np.eye(len(factor))
-        moment = factor.T @ (columns.T @ (linear.left + columns @ (factor @ linear.at)))
-        # The information about the unknowns differs by a factor of up to a million.
-        equations = Factor(information)
-        inverse = equations.inverse()
-        inverse = 0.5 * (inverse + inverse.T)
-        return self._within(equations.solve(moment), inverse), inverse
+    def solved(self, linear: Linearised) -> tuple[Array, Gaussian]:
+        """Return the most likely unknowns of linear rows in units of the prior, and their distribution.
 
-    def _within(self, z: Array, covariance: Array) -> Array:
-        """Return the most likely unknowns with no clearance or play below zero."""
-        free = set(self.lowest)
-        while free:
-            below = {n: float(self.factor[self.names.index(n)] @ z) - self.lowest[n] for n in free}
-            name = min(below, key=lambda n: below[n])
-            if below[name] >= 0.0:
-                break
-            free.remove(name)
-            # The distribution of the others on the condition that this one is zero.
-            row = self.factor[self.names.index(name)]
-            gain = covariance @ row / (row @ covariance @ row)
-            z = z - gain * below[name]
-            covariance = covariance - np.outer(gain, row @ covariance)
-        return z
+        No clearance or play is below zero in the former.
+        """
+        told = Evidence.of(linear.columns @ self.factor, linear.left)
+        posterior = told.posterior(np.ones(linear.at.size), linear.at)
+        rows = self.factor[[self.names.index(n) for n in self.lowest]]
+        low = np.array([*self.lowest.values()]) - rows @ linear.at
+        z = linear.at + posterior.bounded(low, np.full_like(low, np.inf), rows)
+        return z, posterior
 
 
 def _zeros_of(field: Field) -> Array:
@@ -326,7 +312,8 @@ def _result(
     rows: Rows, known: Known, linear: Linearised, end: Linearised, keep: NDArray[np.bool_], done: int
 ) -> Updated:
     """Return the solution of the equations `linear`, which are those at the `end` without outliers."""
-    z, inverse = rows.solved(linear)
+    z, posterior = rows.solved(linear)
+    inverse = posterior.covariance
     left = linear.left - linear.columns @ (rows.factor @ (z - linear.at))
     lasting, drive, state = len(rows.lasting), rows.drive, rows.state(z)
     whole = rows.factor[:lasting, :lasting]

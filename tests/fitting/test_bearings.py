@@ -18,12 +18,17 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair, read_pair, write_pair
 from cycloid_fmu.supports.assembly import kinds_of
 from cycloid_fmu.supports.bearing import push
-from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation import explaining
+from fitting.estimation.explaining import MisfitSearch
+from fitting.estimation.fit import fit
 from fitting.estimation.identify import identify
 from fitting.estimation.plan import planned_curve
+from fitting.estimation.starting import observed_with
 from fitting.model.bearings import lowest_of, pair_with, unknown_bearings
-from fitting.model.loops import play_of
+from fitting.model.discs import other_descriptions
+from fitting.model.loops import observed_curves, play_of
 from fitting.model.observations import (
     State,
     linearise,
@@ -34,6 +39,7 @@ from fitting.model.observations import (
     spread_of,
     with_scatter,
 )
+from fitting.model.prior import Prior
 
 SIZES = {"hole_x": 3e-6, "hole_y": 3e-6, "crank_x": 3e-6, "crank_y": 3e-6, "crank_throw": 2e-6, "crank_phase": 2e-4}
 OF_PAIR = ("gear_teeth", "pins", "pin_circle_radius", "pin_radius", "eccentricity", "face_width", "rated_torque")
@@ -63,6 +69,10 @@ def as_made(seed, discs):
     errors = {n: e for n, e in rigid.errors.items() if n in own.errors and not n.startswith("misalignment")}
     errors |= {n: generator.normal(0.0, size, np.shape(own.errors[n])) for n, size in SIZES.items()}
     return made, own.replace(**errors), values, generator
+
+
+def structured_of(surface, names):
+    return {name: structured_value(surface, name) for name in names}
 
 
 def run_of(made, surface, load, generator, each, turns):
@@ -217,6 +227,30 @@ def test_intervals_hold_of_drives_on_bearings_that_are_not_as_drawn(discs, seeds
     assert agreed >= len(seeds) - 1
     assert np.mean(np.abs(far) < 1.0) > 0.85
     assert np.abs(far).max() < 2.5
+
+
+@pytest.mark.slow(60)
+def test_a_fit_that_ended_in_the_drive_s_mirror_finds_the_drive(monkeypatch):
+    """Two discs on bearings: from its second disc a drive makes nearly the same curves, with odd orders negated."""
+    made, surface, values, generator = as_made(1, 2)
+    runs = [run_of(made, surface, load, generator, 24.37, 1) for load in (30.0, -30.0, 200.0, -200.0)]
+    pair = cranked(2)
+    curves = observed_curves(runs, Drive(pair))
+    observed = observed_with(curves, pair, Prior())
+    # Far from the noise no search among the minima nearby follows.
+    monkeypatch.setattr(explaining, "_BESIDE", 0.0)
+    # Where a search has gone that saw the mirror first.
+    (mirror,) = other_descriptions(pair, surface.replace(pair=pair.nominal))
+    nothing = np.zeros(spread_of(pair, {}).size)
+    state = State(with_structured(surface_of_pair(pair), structured_of(mirror, values)), nothing, np.zeros(0))
+    state = dataclasses.replace(state, bench=np.zeros(observed.bench.shape[1]))
+    start = fit(pair, observed, list(values), state, {}, gain=8.0, evaluations=12)
+    search = MisfitSearch(curves, pair, 0.0, lambda step: None)
+    found = search.validated(start, Prior())
+    assert found.verdict.state == "explained"
+    plain = with_scatter(found.found.state.surface, -found.found.state.scatter)
+    largest = max((n for n in values if "_1_" in n and n in found.found.chosen), key=lambda n: abs(values[n]))
+    assert structured_value(plain, largest) == pytest.approx(values[largest], abs=0.4 * abs(values[largest]))
 
 
 @pytest.mark.slow(3)

@@ -19,13 +19,15 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.sampling import parse_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.estimation.confirmation import confirmed, possible, with_covariance
-from fitting.estimation.fit import fit, profile_interval, turn_bootstrap
+from fitting.estimation.confirmation import confirmed, stated, with_covariance
+from fitting.estimation.fit import fit, turn_bootstrap
 from fitting.estimation.identify import identify
+from fitting.estimation.minimisation import Search
 from fitting.estimation.realised import displaced
 from fitting.model.identifiability import chosen_errors, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of, with_scatter
 from fitting.model.prior import Prior, scatter_of
+from fitting.model.unknowns import possible
 from fitting.recordings.recording import Recording
 from fitting.reports.report import report
 from fitting.transmission_error.curve import Curve
@@ -101,12 +103,7 @@ def simple(nominal):
 @pytest.mark.slow(12)
 def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evaluations(simple, nominal, monkeypatch):
     observed = simple[1]
-    errors = chosen_errors(
-        observed,
-        linearise(nominal, observed, at_nominal(nominal, observed)),
-        errors_of(nominal),
-        np.zeros(spread_of(nominal, {}).size),
-    )
+    errors = chosen_errors(nominal, observed, linearise(nominal, observed, at_nominal(nominal, observed)), {})
     assert len(errors) > 15
     solved = {"fit": 0, "differences": 0}
     kernel = fitting.model.observations.error_sensitivity
@@ -161,16 +158,16 @@ def test_the_last_step_confirms_the_optimum_and_its_covariance(simple, nominal, 
         return kernel(pair, surface, torque, angles, names)
 
     monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
-    again, parameters, covariance = confirmed(nominal, found, gain=1e-6)
+    again = confirmed(found, gain=1e-6)
+    parameters, covariance = stated(again)
     parameters = with_covariance(parameters, covariance)
     assert solved <= 2 * observed.measured.size
     assert again.misfit <= found.misfit * (1.0 + 1e-12)
     for name in ERRORS:
         moved = parameters[name].value - structured_value(with_scatter(found.state.surface, -found.state.scatter), name)
         assert abs(moved) < 0.05 * parameters[name].stderr
-    wanted = posterior_covariance(
-        found.observed, again.linear, errors_of(nominal), ERRORS, spread_of(nominal, found.scatter)
-    )[: len(ERRORS), : len(ERRORS)]
+    wanted = posterior_covariance(nominal, found.observed, again.linear, ERRORS, found.scatter)
+    wanted = wanted[: len(ERRORS), : len(ERRORS)]
     size = np.sqrt(np.diag(wanted))
     assert covariance[: len(ERRORS), : len(ERRORS)] / np.outer(size, size) == pytest.approx(
         wanted / np.outer(size, size), abs=1e-3
@@ -189,7 +186,8 @@ def test_the_last_step_leads_to_the_optimum_from_beside_it(simple, nominal):
     )
     state = dataclasses.replace(found.state, surface=moved)
     beside = dataclasses.replace(found, state=state, linear=linearise(nominal, found.observed, state))
-    again, parameters, covariance = confirmed(nominal, beside, gain=1e-3)
+    again = confirmed(beside, gain=1e-3)
+    parameters, covariance = stated(again)
     parameters = with_covariance(parameters, covariance)
     assert parameters["eccentricity"].stderr < 100e-9
     for name in ERRORS:
@@ -214,7 +212,7 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
 def test_a_fit_that_leaves_what_is_possible_ends_at_its_bound_and_says_so(simple, nominal, monkeypatch):
     _, observed = simple
     monkeypatch.setattr(
-        "fitting.estimation.confirmation.possible",
+        "fitting.model.unknowns.possible",
         lambda pair, name: (-0.5e-6, 0.5e-6) if name == "pin_radius" else (-1e-3, 1e-3),
     )
     found = identify(observed.curves, Drive(nominal), held_out=False)
@@ -234,7 +232,7 @@ def test_a_profile_is_the_interval_by_standard_error_where_the_model_is_linear(s
     kept = [names.index(n) for n in ERRORS] + list(range(len(names), columns.shape[1]))
     known = np.concatenate([np.zeros(len(ERRORS)), observed.bench_prior**-2.0, [observed.friction_prior**-2.0]])
     deviation = np.sqrt(np.diag(np.linalg.inv(columns[:, kept].T @ columns[:, kept] + np.diag(known))))
-    low, high = profile_interval(nominal, found, "centre_distance_x", 1.5 * deviation[0], 1.0, 1.96**2)
+    low, high = Search(found).interval("centre_distance_x", 1.5 * deviation[0], 1.96**2)
     value = structured_value(found.state.surface, "centre_distance_x")
     assert high - value == pytest.approx(1.96 * deviation[0], rel=0.1)
     assert value - low == pytest.approx(1.96 * deviation[0], rel=0.1)
@@ -254,7 +252,7 @@ def test_turns_drawn_again_show_what_is_not_white(simple, nominal):
             each = each + wander * np.outer(generator.normal(0.0, 1.0, turns), np.cos(c.input_angle))
             curves.append(dataclasses.replace(c, each_turn=c.transmission_error + each - each.mean(axis=0)))
         one = dataclasses.replace(found, observed=dataclasses.replace(found.observed, curves=tuple(curves)))
-        return turn_bootstrap(one, nominal, 400, seed=1)
+        return turn_bootstrap(one, 400, seed=1)
 
     drawn, white = errors(0.0)
     assert drawn == pytest.approx(white, rel=0.35)
@@ -263,7 +261,7 @@ def test_turns_drawn_again_show_what_is_not_white(simple, nominal):
     assert drawn[ERRORS.index("centre_distance_x")] > 3.0 * white[ERRORS.index("centre_distance_x")]
     assert drawn[ERRORS.index("tooth_cumulative_pitch_1_sin")] < 1.5 * white[-1]
     with pytest.raises(ValueError, match="turns"):
-        turn_bootstrap(found, nominal, 10, seed=1)
+        turn_bootstrap(found, 10, seed=1)
 
 
 def test_a_curve_keeps_its_turns_where_asked_to(nominal):

@@ -1,0 +1,141 @@
+"""What a user decides of a fit's unknowns by `lmfit.Parameters`: held at a value, bounded, or tied to others."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import dataclasses
+import json
+import math
+import os
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from cycloid_fmu import edge
+
+if TYPE_CHECKING:
+    import lmfit
+
+_ARITHMETIC = (
+    *(ast.Expression, ast.BinOp, ast.UnaryOp, ast.Name, ast.Load, ast.Constant),
+    *(ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.UAdd, ast.USub),
+)
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Decisions on unknowns by name, SI; of all that are not named the fit decides.
+
+    Attributes
+    ----------
+    free
+        Unknowns that vary: errors among them are fitted even if the data do not resolve them.
+    held
+        {name: value} of those that do not vary.
+    bounds
+        {name: (smallest, largest value)}.
+    ties
+        {name: expression of others}.
+    parameters
+        The `lmfit.Parameters` that evaluate the expressions, without bounds.
+    """
+
+    free: frozenset[str]
+    held: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]]
+    ties: Mapping[str, str]
+    parameters: lmfit.Parameters
+
+    @classmethod
+    def of(cls, given: lmfit.Parameters) -> Constraints:
+        """Return the decisions of lmfit parameters."""
+        ties = {name: one.expr for name, one in given.items() if one.expr}
+        unbounded = copy.deepcopy(given)
+        for one in unbounded.values():
+            one.min, one.max = -math.inf, math.inf
+        return cls(
+            frozenset(name for name, one in given.items() if one.vary and name not in ties),
+            {name: float(one.value) for name, one in given.items() if not one.vary and name not in ties},
+            {name: (float(one.min), float(one.max)) for name, one in given.items()},
+            ties,
+            unbounded,
+        )
+
+    @property
+    def named(self) -> list[str]:
+        """All unknowns that are named, in their order."""
+        return list(self.bounds)
+
+    def only(self, names: Collection[str]) -> Constraints:
+        """The same for some unknowns alone."""
+        return dataclasses.replace(
+            self,
+            free=self.free & set(names),
+            held={n: v for n, v in self.held.items() if n in names},
+            bounds={n: v for n, v in self.bounds.items() if n in names},
+            ties={n: v for n, v in self.ties.items() if n in names},
+        )
+
+    def tied(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the values of tied unknowns from those of the others."""
+        for name, value in values.items():
+            if name in self.parameters and name not in self.ties:
+                self.parameters[name].value = value
+        return {name: float(self.parameters[name].value) for name in self.ties}
+
+
+def checked(given: lmfit.Parameters, names: Collection[str]) -> None:
+    """Refuse parameters that are not unknowns of the fit, or have values that are impossible.
+
+    Raises
+    ------
+    edge.ArgumentError
+        If a name is unknown, a bound is not a number, or a value is outside the bounds.
+    """
+    for name, one in given.items():
+        # Causes of misfit that another fit found are suspected anew.
+        if name not in names and not name.startswith("misfit_"):
+            near = edge.did_you_mean(name, names).rstrip("?") or "fitting.parameters states all"
+            raise edge.ArgumentError("parameters", f"{name} is not an unknown of this fit; {near}")
+        if not math.isfinite(one.value):
+            raise edge.ArgumentError("parameters", f"{name} must have a finite value", one.value)
+
+
+def read_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
+    """Read a file written by `lmfit.Parameters.dump`.
+
+    Expressions may only be arithmetic, and functions that lmfit has pickled in the file are not read.
+
+    Raises
+    ------
+    edge.InputError
+        If the file cannot be read, or holds anything else.
+    """
+    text = edge.read_text(path)
+    with edge.parsed_by_others(path, "this is not a file of lmfit.Parameters.dump"):
+        return loaded(json.loads(text)["params"])
+
+
+def loaded(states: list[list[object]]) -> lmfit.Parameters:
+    """Return lmfit parameters from the `params` of their file.
+
+    Raises
+    ------
+    ValueError
+        If an expression is more than arithmetic.
+    """
+    from lmfit import Parameters
+
+    for state in states:
+        # lmfit would run what an expression says.
+        if state[3] is not None and not all(isinstance(n, _ARITHMETIC) for n in ast.walk(_parsed(str(state[3])))):
+            raise ValueError(f"the expression of {state[0]} is more than arithmetic")
+    return Parameters().loads(json.dumps({"unique_symbols": {}, "params": states}))
+
+
+def _parsed(expression: str) -> ast.AST:
+    try:
+        return ast.parse(expression.strip(), mode="eval")
+    except SyntaxError:
+        raise ValueError("an expression is not arithmetic") from None
