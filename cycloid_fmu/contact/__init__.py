@@ -13,7 +13,7 @@ once (`placement`) with deviations of form (`deviations`), their force (`hertz`)
 or none (`play`), and what follows: `load_sharing`, `energy`, `sensitivity`. `sweeps` go through crank angles.
 """
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.energy import crank_side, elastic_energy, press
 from cycloid_fmu.contact.equilibrium import behind_compliance, equilibrium
 from cycloid_fmu.contact.hertz import half_width, hertz
@@ -54,17 +54,14 @@ __all__ = [
     "equilibrium",
     "half_width",
     "hertz",
-    "inlined",
     "is_solved_at",
     "load_sharing",
     "local_frame",
-    "part",
     "place",
     "play",
     "poses",
     "press",
     "sensitivities",
-    "spliced",
     "sweep",
     "sweep_contacts",
     "sweep_crank_side",

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
 from cycloid_fmu.contact.lanes import LANES, on_stack, vectors
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
@@ -17,7 +17,7 @@ LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is ma
 _BY_RATES = 1e-6  # rad: so near the rotation at which contacts were solved, their rates say how they are
 
 
-@inlined
+@compiled(inline=True)
 def rotational_stiffness(contact: np.record) -> float:
     """Change of one contact's torque F L for each radian: of its approach, its arm and its flank's curvature."""
     arm = contact.arm
@@ -25,7 +25,7 @@ def rotational_stiffness(contact: np.record) -> float:
     return float(contact.stiffness * arm * arm + contact.force * contact.arm_rate + curved * arm)
 
 
-@inlined
+@compiled
 def by_rates(circle_radius: float) -> float:
     """How far from where they were placed contacts follow by their rates, rad, on a flank's circle radius (m).
 
@@ -34,7 +34,7 @@ def by_rates(circle_radius: float) -> float:
     return min(_BY_RATES, CLEAR / circle_radius)
 
 
-@inlined
+@compiled(inline=True)
 def load(problem: Problem, contacts: Rows) -> tuple[float, float]:
     """Forces of all rows where they were placed; returns the torque that balances them (N·m), its derivative by x."""
     # The whole problem as an argument would have the references to each of its arrays counted at every call.
@@ -50,7 +50,7 @@ def load(problem: Problem, contacts: Rows) -> tuple[float, float]:
     )
 
 
-@part
+@compiled
 def _press(
     contacts: Rows,
     pin_radius: Array,
@@ -83,7 +83,7 @@ def _press(
     return torque, stiffness
 
 
-@part
+@compiled
 def to_touch(contacts: Rows, theta: float, x: float, direction: float) -> float:
     """Rotation from x, in `direction` (±1), at which the first flank touches, to second order.
 
@@ -103,7 +103,7 @@ def to_touch(contacts: Rows, theta: float, x: float, direction: float) -> float:
     return best
 
 
-@inlined
+@compiled(inline=True)
 def touched_after(gap: float, arm: float, rate: float) -> float:
     """Rotation in the arm's direction after which one flank touches, to second order; infinite where it does not."""
     inside = arm * arm + 2.0 * rate * gap
@@ -148,7 +148,7 @@ def behind_compliance(
     return _balance(problem, theta, 0.0, compliance, flange, 1.0, x, contacts, cold)
 
 
-@spliced
+@compiled
 def _balance(
     problem: Problem,
     theta: float,
@@ -192,7 +192,7 @@ def _balance(
     return x, stiffness
 
 
-@part
+@compiled
 def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None:
     """Move the rows that may touch by a small rotation to x: the gap to second order, the others to first.
 
@@ -207,7 +207,7 @@ def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None
         contact.deviation = x
 
 
-@inlined
+@compiled(inline=True)
 def follow(contact: np.record, step: float) -> None:
     """Force, gap, arm and curvature of a contact after a small rotation, by their rates."""
     if contact.force > 0.0:

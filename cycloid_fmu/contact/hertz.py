@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cycloid_fmu.contact.compiling import compiled, inlined, part
+from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.lanes import Lanes, lanes_of, logarithm, vectors
 
 _FORCE_STEP = 1e-5  # of the force: Halley's last step; the next one would be a fiftieth of its cube, or less
@@ -103,7 +103,7 @@ class _Law(NamedTuple):
     bending: float  # -∂H/∂(1/ρ_c), m
 
 
-@inlined
+@compiled(inline=True)
 def _law(
     curvature: float,
     pin_radius: float,
@@ -129,13 +129,13 @@ def _law(
     return _Law(kappa, h, bending)
 
 
-@inlined
+@compiled(inline=True)
 def _first_guess(target: float, h: float, series: float) -> float:
     # Of 1 N: a better one takes a logarithm, and mostly there is the force of a neighbouring crank angle.
     return target / (max(h, 2.0) + series)
 
 
-@inlined
+@compiled(inline=True)
 def _following(force: float, target: float, h: float, series: float) -> tuple[float, float]:
     """Halley's next force, and H - ln F with what a spring adds, before it."""
     q = max(h - logarithm(force), 1.5) + series
@@ -146,14 +146,14 @@ def _following(force: float, target: float, h: float, series: float) -> tuple[fl
     return following if following > 0.0 else 0.5 * force, q
 
 
-@inlined
+@compiled(inline=True)
 def _logarithm_of_step(force: float, start: float) -> float:
     """ln(F/F₀) after the last step, whose cube is nothing."""
     share = (force - start) / start
     return share * (1.0 - 0.5 * share)
 
 
-@part
+@compiled
 def hertz_in_lanes(
     one: Lanes,
     filled: int,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.hertz import half_width
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.problem import Problem
@@ -83,7 +83,7 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
     return count, largest_pressure
 
 
-@inlined
+@compiled
 def _half_width(problem: Problem, contact: np.record, pin: int) -> float:
     return half_width(
         contact.force,
@@ -95,7 +95,7 @@ def _half_width(problem: Problem, contact: np.record, pin: int) -> float:
     )
 
 
-@part
+@compiled
 def write_contact_lines(
     problem: Problem, lines: ContactLines | None, load: int, angle: int, theta: float, x: float, contacts: Rows
 ) -> None:

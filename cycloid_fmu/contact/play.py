@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cycloid_fmu.contact.compiling import compiled, part
+from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.equilibrium import to_touch
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.placement import CLEAR, place
@@ -15,7 +15,7 @@ TOUCHING = 2e-10  # m: an interference below this counts as touching
 ROTATION_STEP = 1e-12  # rad: last step of the play's ends
 
 
-@part
+@compiled
 def _smallest_gap(contacts: Rows, step: float) -> tuple[float, int]:
     """Smallest gap after a small rotation, to first order, and its row."""
     best, active = math.inf, 0
@@ -91,7 +91,7 @@ def play(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool) -
     return low, _first_touch(problem, theta, x, contacts, cold, 1.0), 0.0
 
 
-@part
+@compiled
 def end_beside(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, direction: float) -> float:
     """End of the free rotation in `direction` (±1) of nominal flanks, from that of a neighbouring crank angle, x.
 
@@ -102,7 +102,7 @@ def end_beside(problem: Problem, theta: float, x: float, contacts: Rows, cold: b
     return _first_touch(problem, theta, x, contacts, cold, direction)
 
 
-@part
+@compiled
 def _first_touch(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, direction: float) -> float:
     # What a flank with deviations predicts reaches no farther than its next element.
     clear = CLEAR if problem.deviations is None else math.inf

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cycloid_fmu.contact.compiling import Array, inlined
+from cycloid_fmu.contact.compiling import Array, compiled
 
 
 class Deviations(NamedTuple):
@@ -129,7 +129,7 @@ class Drives(NamedTuple):
     root_margin: Array
 
 
-@inlined
+@compiled(inline=True)
 def poses(problem: Problem, theta: float, x: float, disc: int) -> tuple[float, float, float]:
     """Crank angle of a disc and the rotations of ring and gear, at disc 0's crank angle θ and deviation x, rad."""
     phase = problem.crank_phase[disc]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.equilibrium import rotational_stiffness
 from cycloid_fmu.contact.lanes import LANES, Lanes, lanes_of, on_stack, sine_cosine, vectors
 from cycloid_fmu.contact.local_frame import Carrying, FlankFrame, LocalFrame, displaced, flank_frame, levers
@@ -17,7 +17,7 @@ from cycloid_fmu.contact.rows import Rows, disc_slice_pin, touching_count
 CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING, BODY_COUNT = range(8)
 
 
-@inlined
+@compiled(inline=True)
 def larger_circle(
     problem: Problem, contact: np.record | Carrying, distance: float, local: LocalFrame | FlankFrame
 ) -> tuple[float, float]:
@@ -47,7 +47,7 @@ def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out:
     return stiffness
 
 
-@part
+@compiled
 def derivatives(problem: Problem, theta: float, x: float, contacts: Rows, out: Array) -> tuple[float, float]:
     """Derivatives of the deviation at constant torque by every displacement, and of the output by the crank.
 
@@ -141,7 +141,7 @@ _SEEN = lanes_of(
 )
 
 
-@inlined
+@compiled
 def _see(problem: Problem, theta: float, x: float, contact: np.record, row: int, seen: Lanes, lane: int) -> None:
     """Put a contact into a lane."""
     disc, slice_, pin = disc_slice_pin(problem, row)
@@ -156,7 +156,7 @@ def _see(problem: Problem, theta: float, x: float, contact: np.record, row: int,
     seen.force_by_curvature[lane], seen.curvature_rate[lane] = contact.force_by_curvature, contact.curvature_rate
 
 
-@spliced
+@compiled
 def _torques(problem: Problem, theta: float, x: float, seen: Lanes, filled: int) -> None:
     """Write how the torques of contacts in lanes change."""
     _, rotation, _ = poses(problem, theta, x, 0)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, spliced
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.energy import crank_side
 from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffness
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
@@ -69,7 +69,7 @@ def sweep(
         know of none.
     """
     if with_play:
-        _solve_play(problem, thetas, first, last, low, high, gap)
+        _solve_play(problem, thetas, first, last, low, high, gap, contact_rows(problem), contact_rows(problem))
     for k in range(torques.shape[0]):
         contacts = contact_rows(problem)
         deviation, stiffness = found.deviation[k], found.stiffness[k]
@@ -95,7 +95,7 @@ def sweep(
             write_contact_lines(problem, lines, k, i, thetas[i], x, contacts)
 
 
-@inlined
+@compiled
 def _ahead(thetas: Array, deviation: Array, first: int, i: int) -> float:
     """Deviation to start a crank angle from: on the parabola through the last three, where these are as near."""
     x = float(deviation[i - 1]) if i > first else 0.0
@@ -121,12 +121,22 @@ def sweep_play(problem: Problem, thetas: Array, first: int, last: int, low: Arra
     low, high, gap
         Overwritten from `first` to `last`, shape (angles,): ends of the play (rad) and interference (m), as `play`.
     """
-    _solve_play(problem, thetas, first, last, low, high, gap)
+    _solve_play(problem, thetas, first, last, low, high, gap, contact_rows(problem), contact_rows(problem))
 
 
-@spliced
-def _solve_play(problem: Problem, thetas: Array, first: int, last: int, low: Array, high: Array, gap: Array) -> None:
-    contacts, at_low, at_high = contact_rows(problem), contact_rows(problem), contact_rows(problem)
+@compiled
+def _solve_play(
+    problem: Problem,
+    thetas: Array,
+    first: int,
+    last: int,
+    low: Array,
+    high: Array,
+    gap: Array,
+    at_low: Rows,
+    at_high: Rows,
+) -> None:
+    """Solve the play as `sweep_play`; rows at both ends are memory."""
     followed = False
     for i in range(first, last):
         cold = i == first or math.isnan(low[i - 1])
@@ -142,7 +152,7 @@ def _solve_play(problem: Problem, thetas: Array, first: int, last: int, low: Arr
                 gap[i] = 0.0
                 continue
             cold = True
-        low[i], high[i], gap[i] = play(problem, thetas[i], x, contacts, cold)
+        low[i], high[i], gap[i] = play(problem, thetas[i], x, at_low, cold)
 
 
 @compiled

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, part, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.geometry.losses import PARTS
 from cycloid_fmu.supports.balance import Load, assemble, settling
 from cycloid_fmu.supports.joints import (
@@ -99,12 +99,12 @@ class Acting(NamedTuple):
     turns: bool  # whether the pin turns in its seat, instead of sliding on the flank
 
 
-@part
+@compiled
 def _coefficient(kinetic: float, static: float, decay: float, speed: float) -> float:
     return kinetic + (static - kinetic) * math.exp(-decay * speed * speed)
 
 
-@part
+@compiled
 def sliding_friction(law: np.record, direction: float, radius: float, speed: float, force: float) -> Acting:
     """Friction of a contact with a pin or roller of a radius, m, which turns where that takes less."""
     ratio, turns = _coefficient(law.kinetic, law.static, law.decay, speed), False
@@ -117,14 +117,14 @@ def sliding_friction(law: np.record, direction: float, radius: float, speed: flo
     return Acting(sign * ratio * force, sign * ratio, speed, sign, turns)
 
 
-@part
+@compiled
 def bearing_friction(law: np.record, direction: float, speed: float, force: float) -> Acting:
     """Friction moment of a bearing."""
     sign = math.copysign(1.0, direction * speed)
     return Acting(sign * (law.constant + law.arm * force), sign * law.arm, speed, sign, False)
 
 
-@part
+@compiled
 def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) -> float:
     """Sliding of a flank on its pin along ẑ × n for each radian of the crank, m.
 
@@ -141,7 +141,7 @@ def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) ->
     return float(-(lever_x * local.normal_x + lever_y * local.normal_y - distance) / problem.teeth)
 
 
-@spliced
+@compiled
 def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubbing: Rubbing, loss: Array) -> None:
     """Add the friction of flanks on pins to the balance, and their losses."""
     residual, jacobian, law = work.residual, work.jacobian, rubbing.laws[FLANK_LAW]
@@ -177,7 +177,7 @@ def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubb
             jacobian[at + 2, at + j] += pressed * sy + turned * dy
 
 
-@part
+@compiled
 def joint_speed(problem: Problem, assembly: Assembly, joint: np.record, d: Displacement, work: Work) -> float:
     """Speed of a joint's friction for each radian of the crank: sliding of a roller in its hole, m; rotation, rad."""
     if joint.reach > 0.0:
@@ -187,7 +187,7 @@ def joint_speed(problem: Problem, assembly: Assembly, joint: np.record, d: Displ
     return float(assembly.bodies[int(joint.outer)].rate - assembly.bodies[int(joint.inner)].rate)
 
 
-@part
+@compiled
 def joint_friction(rubbing: Rubbing, joint: np.record, speed: float, force: float) -> Acting:
     """Friction of an output roller, or the moment of a bearing, at its speed and normal force."""
     law = rubbing.laws[int(joint.law)]
@@ -196,7 +196,7 @@ def joint_friction(rubbing: Rubbing, joint: np.record, speed: float, force: floa
     return bearing_friction(law, rubbing.direction, speed, force)
 
 
-@part
+@compiled
 def write_sliding(
     assembly: Assembly, joint: np.record, radius: float, d: Displacement, work: Work, unknowns: int, out: Array
 ) -> None:
@@ -211,7 +211,7 @@ def write_sliding(
             out[i] += radius
 
 
-@part
+@compiled
 def _add_roller(
     assembly: Assembly, joint: np.record, d: Displacement, stiffness: float, f: Acting, work: Work, sliding: Array
 ) -> None:
@@ -232,7 +232,7 @@ def _add_roller(
             work.jacobian[at[i], at[j]] += change
 
 
-@part
+@compiled
 def _add_moment(
     assembly: Assembly, joint: np.record, d: Displacement, stiffness: float, f: Acting, work: Work, unknowns: int
 ) -> None:
@@ -246,7 +246,7 @@ def _add_moment(
                 work.jacobian[body, work.at[j]] += sign * f.slope * stiffness * closing
 
 
-@spliced
+@compiled
 def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbing, slope: Slope, loss: Array) -> float:
     """Add the friction of joints to the balance, and their losses; return the crank's torque, and write its slope."""
     torque = 0.0
@@ -280,13 +280,13 @@ def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbi
     return torque
 
 
-@part
+@compiled
 def through_first_stage(rubbing: Rubbing, crank_torque: float) -> float:
     """Factor of the sun's torque by the first stage's loss: 1/(1 - ζ) where the sun drives the cranks, else 1 - ζ."""
     return 1.0 / (1.0 - rubbing.loss) if rubbing.direction * crank_torque > 0.0 else 1.0 - rubbing.loss
 
 
-@part
+@compiled
 def assemble_rubbing(
     problem: Problem,
     assembly: Assembly,

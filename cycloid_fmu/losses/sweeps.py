@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.losses.rubbing import (
     ARM,
     CONSTANT,
@@ -97,7 +97,7 @@ def sweep_rubbing(
         found.contact_count[i], found.max_contact_pressure[i] = count, pressure
 
 
-@part
+@compiled
 def _by_coefficients(
     law: np.record, f: Acting, force: float, rolls: bool, along: float, radius: float, out: Array
 ) -> None:
@@ -117,7 +117,7 @@ def _by_coefficients(
         out[STATIC] += sign * force * rest
 
 
-@spliced
+@compiled
 def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubbing: Rubbing, out: Array) -> None:
     """Subtract λ·∂r/∂p of the flanks, λ in `work.step`."""
     law, row_ = rubbing.laws[FLANK_LAW], work.step
@@ -135,7 +135,7 @@ def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubb
         _by_coefficients(law, f, force, False, along, radius, out[FLANK_LAW])
 
 
-@spliced
+@compiled
 def _add_joints(
     problem: Problem,
     assembly: Assembly,

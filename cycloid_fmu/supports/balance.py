@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, part, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.equilibrium import load
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, orient, reaction
@@ -51,7 +51,7 @@ class Load(NamedTuple):
     centring: float
 
 
-@spliced
+@compiled
 def _place_discs(problem: Problem, assembly: Assembly, theta: float, contacts: Rows, work: Work) -> None:
     """Place the discs according to the unknowns and solve the gaps that may close."""
     q, x = work.place, work.place[0]
@@ -71,7 +71,7 @@ def _place_discs(problem: Problem, assembly: Assembly, theta: float, contacts: R
     place(problem, theta, x, contacts, cold, clear, BOUNDED)
 
 
-@spliced
+@compiled
 def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work) -> None:
     """Add the pins' forces on the discs and the derivatives of these forces."""
     residual, jacobian = work.residual, work.jacobian
@@ -105,7 +105,7 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work) -> Non
         jacobian[at + 2, at + 2] -= force * ay
 
 
-@spliced
+@compiled
 def _add_joints(assembly: Assembly, theta: float, centring: float, work: Work) -> None:
     """Add the joints' forces on their two bodies and the derivatives of these forces."""
     residual, jacobian, by, at = work.residual, work.jacobian, work.by, work.at
@@ -137,7 +137,7 @@ def _add_joints(assembly: Assembly, theta: float, centring: float, work: Work) -
             jacobian[turn, turn] += force * (nx * d.inner_x + ny * d.inner_y)
 
 
-@part
+@compiled
 def assemble(
     problem: Problem, assembly: Assembly, theta: float, pull: Load, contacts: Rows, work: Work, more: Any
 ) -> None:
@@ -154,7 +154,7 @@ def assemble(
     work.jacobian[0, 0] += pull.spring
 
 
-@part
+@compiled
 def solve_linear(matrix: Array, right: Array) -> bool:
     """Solve matrix · x = right in place by pivoted elimination, x in `right`; return False if singular."""
     n = right.size
@@ -183,7 +183,7 @@ def solve_linear(matrix: Array, right: Array) -> bool:
     return True
 
 
-@part
+@compiled
 def longest_of(problem: Problem, assembly: Assembly, step: Array, power: float) -> float:
     """Longest displacement of a step, m (power 1), or largest force of a residual, N (-1)."""
     scale = assembly.rotation_scale**power
@@ -193,13 +193,13 @@ def longest_of(problem: Problem, assembly: Assembly, step: Array, power: float) 
     return longest
 
 
-@part
+@compiled
 def _is_rotation(problem: Problem, i: int) -> bool:
     last = FIRST_DISC + 3 * problem.shift_x.size
     return i == 0 or (FIRST_DISC <= i < last and (i - FIRST_DISC) % 3 == 2)
 
 
-@part
+@compiled
 def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
     """Write the derivatives with springs (N/m) on rotations and, above `HELD`, on all unknowns."""
     for i in range(work.step.size):
@@ -211,7 +211,7 @@ def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
             work.matrix[i, i] += held
 
 
-@part
+@compiled
 def solve_transposed(problem: Problem, assembly: Assembly, work: Work, right: Array, held: float) -> bool:
     """Solve with the transposed derivatives of the balance, `held` as in `hold`; return False if singular."""
     hold(problem, assembly, work, held)
@@ -221,7 +221,7 @@ def solve_transposed(problem: Problem, assembly: Assembly, work: Work, right: Ar
     return solve_linear(work.matrix, right)
 
 
-@spliced
+@compiled
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
     """Torsional stiffness dT/dx = 1/(H⁻¹)_xx at the balance, N·m/rad; NaN if the carrier is free."""
     hold(problem, assembly, work, HELD)
@@ -230,7 +230,7 @@ def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> flo
     return 1.0 / work.step[0] if solve_linear(work.matrix, work.step) else math.nan
 
 
-@part
+@compiled
 def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
     """Write Newton's step, limited if it is no descent or too long; return the fraction to take, 0 for none."""
     step, matrix, n = work.step, work.matrix, work.step.size
@@ -250,7 +250,7 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
     return 0.0
 
 
-@part
+@compiled
 def _between(work: Work, share: float, now: float, low: float, high: float) -> float:
     """Return the fraction of a step at which the work should vanish: by Newton's method, or between the known ends.
 
@@ -279,7 +279,7 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
         Kernel such as `assemble`: it writes the residual and its derivatives, and may add forces that store no energy.
     """
 
-    @part
+    @compiled
     def balance(
         problem: Problem,
         assembly: Assembly,
@@ -337,7 +337,7 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
                     return iteration + 1
         return 0
 
-    @part
+    @compiled
     def settle(
         problem: Problem,
         assembly: Assembly,

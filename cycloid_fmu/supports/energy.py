@@ -14,7 +14,7 @@ from numba import types
 from numba.experimental import structref
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.load_sharing import load_sharing
 from cycloid_fmu.supports.balance import HELD, Load, settle, solve_transposed
 from cycloid_fmu.supports.joints import (
@@ -60,7 +60,7 @@ def held(drive: Problem, assembly: Assembly, work: Work, by_energy: Array, by_an
     return Held(drive, assembly, work, by_energy, by_angle)
 
 
-@spliced
+@compiled
 def _mesh(
     drive: Problem, theta: float, x: float, rows: Rows, by_energy: Array, by_angle: Array
 ) -> tuple[float, float, float]:
@@ -94,7 +94,7 @@ def _mesh(
     return energy, turning, bent_by
 
 
-@spliced
+@compiled
 def _joints(assembly: Assembly, centring: float, work: Work, by_angle: Array) -> tuple[float, float]:
     """Add the joints at the solved place; returns their energy and its derivative by θ at fixed unknowns."""
     stored = turning = 0.0

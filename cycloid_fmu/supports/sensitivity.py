@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CIRCLE_GENERATING,
@@ -70,7 +70,7 @@ class Derivatives(NamedTuple):
     by_torque: Array
 
 
-@spliced
+@compiled
 def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work, out: Array) -> float:
     """Subtract λ·∂r/∂p for the displacements of pins and flanks; return λ·∂r/∂θ."""
     row, turning = work.step, 0.0
@@ -113,14 +113,14 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work, out: A
     return turning
 
 
-@part
+@compiled
 def _by_place(d: Displacement, acting: Reaction, ux: float, uy: float, lx: float, ly: float, turn: float) -> float:
     """λ·∂r for a motion of the outer body's place along u; `turn` is λ for its rotation."""
     gx, gy = change(d, acting, ux, uy)
     return gx * lx + gy * ly + acting.force * (d.normal_y * ux - d.normal_x * uy) * turn
 
 
-@spliced
+@compiled
 def _add_joints(assembly: Assembly, work: Work, by_joint: Array) -> None:
     """Subtract λ·∂r/∂p for the parameters of each joint, and add ∂r/∂θ to `work.residual`."""
     row, at, by = work.step, work.at, work.by

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, compiled, spliced
+from cycloid_fmu.contact import Array, Problem, compiled
 from cycloid_fmu.contact.load_sharing import write_contact_lines
 from cycloid_fmu.supports.balance import NEIGHBOUR, Load, settle, torsional_stiffness
 from cycloid_fmu.supports.bearing import CENTRING
@@ -30,7 +30,7 @@ class Found(NamedTuple):
     force: Array
 
 
-@spliced
+@compiled
 def _forces(assembly: Assembly, work: Work, force: Array) -> float:
     """Write the force of every joint (N) at the solved place; return the crank torque (N·m)."""
     crank_torque = 0.0
