@@ -6,7 +6,7 @@ import math
 
 from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.equilibrium import behind_compliance, load, rotational_stiffness
-from cycloid_fmu.contact.local_frame import displaced, local_frame
+from cycloid_fmu.contact.local_frame import crank_motion, displaced, local_frame
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows
@@ -32,8 +32,7 @@ def crank_side(problem: Problem, theta: float, x: float, contacts: Rows) -> tupl
         if force <= 0.0:
             continue
         local = local_frame(problem, theta, x, contacts, row)
-        # The gear's centre moves by e i e^{iθ}, so the pin's axis by the opposite of it.
-        vx, vy = problem.eccentricity * local.crank_y, -problem.eccentricity * local.crank_x
+        vx, vy = crank_motion(problem, local)
         wx, wy = (0.0, 0.0) if problem.ring else (vy, -vx)
         crank_torque -= force * (vx * local.normal_x + vy * local.normal_y)
         coupling += displaced(contact, local, vx, vy, wx, wy)
@@ -63,7 +62,7 @@ def elastic_energy(problem: Problem, theta: float, x: float, contacts: Rows) -> 
         if force <= 0.0:
             continue
         local = local_frame(problem, theta, x, contacts, row)
-        vx, vy = problem.eccentricity * local.crank_y, -problem.eccentricity * local.crank_x
+        vx, vy = crank_motion(problem, local)
         normal = vx * local.normal_x + vy * local.normal_y
         tangent = vy * local.normal_x - vx * local.normal_y
         bending = 0.5 * force * contact.force_by_curvature * contact.curvature_rate / contact.stiffness

@@ -191,6 +191,15 @@ def displaced(
     return float((curved - contact.stiffness * normal) * contact.arm - contact.force * mixed)
 
 
+@compiled
+def crank_motion(problem: Problem, local: LocalFrame) -> tuple[float, float]:
+    """Motion of the pin's axis relative to the gear for each radian of the crank, m.
+
+    The gear's centre moves by e i e^{iθ}, so the pin's axis by the opposite of it.
+    """
+    return problem.eccentricity * local.crank_y, -problem.eccentricity * local.crank_x
+
+
 class GapGradient(NamedTuple):
     """Derivatives of a contact's gap, and of the sliding of the pin's axis along the flank, by the gear's position.
 
@@ -214,9 +223,9 @@ def gap_gradient(local: LocalFrame) -> GapGradient:
 
 
 class ContactStiffness(NamedTuple):
-    """Derivatives of the generalised forces F ∂g/∂(u, v, y) of a contact on the gear, row by row, by (u, v, y).
+    """Derivatives of -F ∂g/∂(u, v, y), the forces and moment that hold the gear against one contact, by (u, v, y).
 
-    N/m, N and N·m; with the sign of a stiffness, ∂²U/∂q² of the contact's energy without the bend of curvature.
+    The first letter is that of the force, the second that of the position; N/m, N and N·m.
     """
 
     uu: float

@@ -6,7 +6,7 @@ import math
 
 from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.equilibrium import to_touch
-from cycloid_fmu.contact.local_frame import local_frame
+from cycloid_fmu.contact.local_frame import crank_motion, local_frame
 from cycloid_fmu.contact.placement import CLEAR, place
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows
@@ -128,5 +128,5 @@ def touch_rate(problem: Problem, theta: float, x: float, contacts: Rows, directi
     if touching < 0:
         return math.nan
     local = local_frame(problem, theta, x, contacts, touching)
-    rate = problem.eccentricity * (local.crank_y * local.normal_x - local.crank_x * local.normal_y)
-    return rate / contacts[touching].arm
+    vx, vy = crank_motion(problem, local)
+    return (vx * local.normal_x + vy * local.normal_y) / contacts[touching].arm

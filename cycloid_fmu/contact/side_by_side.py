@@ -19,7 +19,7 @@ from cycloid_fmu.contact.equilibrium import LINEAR_STEP, by_rates, follow, rotat
 from cycloid_fmu.contact.gap import Flank
 from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
 from cycloid_fmu.contact.lanes import LANES, lanes_of, on_stack, record_of, vectors
-from cycloid_fmu.contact.local_frame import local_frame
+from cycloid_fmu.contact.local_frame import gap_gradient, local_frame
 from cycloid_fmu.contact.placement import PLACED, enter, enter_flank, feet_in_lanes, place
 from cycloid_fmu.contact.play import ROTATION_STEP
 from cycloid_fmu.contact.pose import conjugate_point, disc_pose, pin_axis
@@ -124,8 +124,8 @@ def guide_rows(problem: Problem, thetas: Array, deviation: Array, rows: NDArray[
             guide.crank = nx * local.crank_x + ny * local.crank_y
             guide.crank_along = nx * local.crank_y - ny * local.crank_x
             guide.facing, guide.leaning = local.facing, local.leaning
-            guide.turn = nx * local.gear_y - ny * local.gear_x
-            guide.turn_along, guide.slide = -(nx * local.gear_x + ny * local.gear_y), local.slide
+            by_position = gap_gradient(local)
+            guide.turn, guide.turn_along, guide.slide = by_position.gap_y, by_position.slide_y, local.slide
             along = local.around * teeth / (2.0 * math.pi)
             along -= math.floor(along)
             other = (local.tooth + (1 if along > 0.5 else -1)) % teeth if not 0.2 < along < 0.8 else local.tooth

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
+from cycloid_fmu.contact.local_frame import gap_gradient
 from cycloid_fmu.geometry.losses import PARTS
 from cycloid_fmu.supports.balance import Load, assemble, settling
 from cycloid_fmu.supports.joints import (
@@ -156,25 +157,23 @@ def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubb
         speed = flank_speed(problem, local, distance)
         f = sliding_friction(law, rubbing.direction, radius, speed, force)
         loss[FLANK + (TURNING if f.turns else SLIDING)] += abs(f.amplitude * f.speed)
-        nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
-        # Derivatives of the gap by u, v, y; of the sliding of the pin's axis along the flank; and of that of the point.
-        du, dv, dy = -nx, -ny, nx * py - ny * px
-        au, av, ay = ny, -nx, -(nx * px + ny * py)
-        sy = ay + distance
+        along = gap_gradient(local)
+        # Friction acts at the point of contact, which slides with the gear's rotation as well.
+        slide_y = along.slide_y + distance
         curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
         at = FIRST_DISC + 3 * local.disc
-        residual[at] -= f.amplitude * au
-        residual[at + 1] -= f.amplitude * av
-        residual[at + 2] -= f.amplitude * sy
+        residual[at] -= f.amplitude * along.slide_u
+        residual[at + 1] -= f.amplitude * along.slide_v
+        residual[at + 2] -= f.amplitude * slide_y
         for j in range(3):
-            dj = du if j == 0 else (dv if j == 1 else dy)
-            aj = au if j == 0 else (av if j == 1 else ay)
-            pressed = f.slope * (contact_.stiffness * dj - curved * aj)
-            turned = f.amplitude * local.bend * aj
+            gap_j = along.gap_u if j == 0 else (along.gap_v if j == 1 else along.gap_y)
+            slide_j = along.slide_u if j == 0 else (along.slide_v if j == 1 else along.slide_y)
+            pressed = f.slope * (contact_.stiffness * gap_j - curved * slide_j)
+            turned = f.amplitude * local.bend * slide_j
             rigid = f.amplitude if j == 2 else 0.0
-            jacobian[at, at + j] += pressed * au + (turned + rigid) * du
-            jacobian[at + 1, at + j] += pressed * av + (turned + rigid) * dv
-            jacobian[at + 2, at + j] += pressed * sy + turned * dy
+            jacobian[at, at + j] += pressed * along.slide_u + (turned + rigid) * along.gap_u
+            jacobian[at + 1, at + j] += pressed * along.slide_v + (turned + rigid) * along.gap_v
+            jacobian[at + 2, at + j] += pressed * slide_y + turned * along.gap_y
 
 
 @compiled

@@ -8,6 +8,7 @@ import numpy as np
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
+from cycloid_fmu.contact.local_frame import gap_gradient
 from cycloid_fmu.losses.rubbing import (
     ARM,
     CONSTANT,
@@ -129,10 +130,10 @@ def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubb
         radius = problem.pin_radius[local.pin]
         distance = contacts[row].gap + radius
         f = sliding_friction(law, rubbing.direction, radius, flank_speed(problem, local, distance), force)
-        nx, ny, at = local.normal_x, local.normal_y, FIRST_DISC + 3 * local.disc
-        turned = distance - (nx * local.gear_x + ny * local.gear_y)
-        along = ny * row_[at] - nx * row_[at + 1] + turned * row_[at + 2]
-        _by_coefficients(law, f, force, False, along, radius, out[FLANK_LAW])
+        at, along = FIRST_DISC + 3 * local.disc, gap_gradient(local)
+        sliding = along.slide_u * row_[at] + along.slide_v * row_[at + 1]
+        sliding += (along.slide_y + distance) * row_[at + 2]
+        _by_coefficients(law, f, force, False, sliding, radius, out[FLANK_LAW])
 
 
 @compiled

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.equilibrium import load
+from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, orient, reaction
 
@@ -81,28 +82,21 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work) -> Non
         if force <= 0.0:
             continue
         local = contact.local_frame(problem, theta, work.place[0], contacts, row)
-        nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
-        # Derivatives of the gap by u, v, y, and the sliding of the pin's axis along the flank for each.
-        du, dv, dy = -nx, -ny, nx * py - ny * px
-        au, av, ay = ny, -nx, -(nx * px + ny * py)
-        k, bend = contact_.stiffness, local.bend
-        curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
+        along = gap_gradient(local)
+        stiffness = contact_stiffness(contact_, local, along)
         at = FIRST_DISC + 3 * local.disc
-        residual[at] -= force * du
-        residual[at + 1] -= force * dv
-        residual[at + 2] -= force * dy
-        for i in range(3):
-            di = du if i == 0 else (dv if i == 1 else dy)
-            ai = au if i == 0 else (av if i == 1 else ay)
-            for j in range(3):
-                dj = du if j == 0 else (dv if j == 1 else dy)
-                aj = au if j == 0 else (av if j == 1 else ay)
-                jacobian[at + i, at + j] += k * di * dj - force * bend * ai * aj - curved * di * aj
-        jacobian[at, at + 2] -= force * ny
-        jacobian[at + 2, at] -= force * ny
-        jacobian[at + 1, at + 2] += force * nx
-        jacobian[at + 2, at + 1] += force * nx
-        jacobian[at + 2, at + 2] -= force * ay
+        residual[at] -= force * along.gap_u
+        residual[at + 1] -= force * along.gap_v
+        residual[at + 2] -= force * along.gap_y
+        jacobian[at, at] += stiffness.uu
+        jacobian[at, at + 1] += stiffness.uv
+        jacobian[at, at + 2] += stiffness.uy
+        jacobian[at + 1, at] += stiffness.vu
+        jacobian[at + 1, at + 1] += stiffness.vv
+        jacobian[at + 1, at + 2] += stiffness.vy
+        jacobian[at + 2, at] += stiffness.yu
+        jacobian[at + 2, at + 1] += stiffness.yv
+        jacobian[at + 2, at + 2] += stiffness.yy
 
 
 @compiled

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
+from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CIRCLE_GENERATING,
@@ -86,28 +87,26 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work, out: A
             continue
         local = contact.local_frame(problem, theta, work.place[0], contacts, number)
         disc, pin = local.disc, local.pin
-        nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
+        along = gap_gradient(local)
+        stiffness = contact_stiffness(contact_, local, along)
         at = FIRST_DISC + 3 * disc
         lu, lv, ly = row[at], row[at + 1], row[at + 2]
-        turn, slide = nx * py - ny * px, -(nx * px + ny * py)
         # Projection of λ on the gap and on the pin's sliding along the flank.
-        along, across = -nx * lu - ny * lv + turn * ly, ny * lu - nx * lv + slide * ly
-        k, bend = contact_.stiffness, local.bend
-        curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
+        closing = lu * along.gap_u + lv * along.gap_v + ly * along.gap_y
+        sliding = lu * along.slide_u + lv * along.slide_v + ly * along.slide_y
         # Rotating or shifting a flank is rotating or shifting the disc, λ·∂r/∂(u, v, y) of this contact; shifting a pin
         # is shifting the disc back.
-        by_u = -k * nx * along - force * bend * ny * across - curved * ny * along - force * ny * ly
-        by_v = -k * ny * along + force * bend * nx * across + curved * nx * along + force * nx * ly
-        by_y = k * turn * along - force * bend * slide * across - curved * slide * along
-        by_y += -force * ny * lu + force * nx * lv - force * slide * ly
+        by_u = lu * stiffness.uu + lv * stiffness.vu + ly * stiffness.yu
+        by_v = lu * stiffness.uv + lv * stiffness.vv + ly * stiffness.yv
+        by_y = lu * stiffness.uy + lv * stiffness.vy + ly * stiffness.yy
         c, s = math.cos(local.direction), math.sin(local.direction)
         out[radial + pin] += c * by_u + s * by_v
         out[tangential + pin] += -s * by_u + c * by_v
-        out[radius + pin] += k * along
-        out[PIN_GENERATING] -= k * along
+        out[radius + pin] += contact_.stiffness * closing
+        out[PIN_GENERATING] -= contact_.stiffness * closing
         distance = contact_.gap + problem.pin_radius[pin] - problem.generating_radius
         pressed, turned = larger_circle(problem, contact_, distance, local)
-        out[CIRCLE_GENERATING] += pressed * along + force * turned * across
+        out[CIRCLE_GENERATING] += pressed * closing + force * turned * sliding
         out[pitch + disc * teeth + local.tooth] -= by_y
         turning += -e * local.crank_y * by_u + e * local.crank_x * by_v - by_y / teeth
     return turning

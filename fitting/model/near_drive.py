@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.contact import Array, Problem, Rows, compiled, contact_rows, hertz, local_frame, place
 from cycloid_fmu.contact.equilibrium import LINEAR_STEP, touched_after
+from cycloid_fmu.contact.local_frame import gap_gradient
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CENTRE_X,
@@ -135,7 +136,7 @@ def _write_contact(problem: Problem, theta: float, x: float, contacts: Rows, k: 
         *(CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING),
         *(pin, pin + pins, pin + 2 * pins, tooth),
     )
-    crank, turn = nx * local.crank_x + ny * local.crank_y, nx * local.gear_y - ny * local.gear_x
+    crank, turn = nx * local.crank_x + ny * local.crank_y, gap_gradient(local).gap_y
     rates = (
         *(-nx, -ny, -nx * height, -ny * height, -crank, 1.0, -local.facing),
         *(nx * c + ny * s, ny * c - nx * s, -1.0, turn),
