@@ -97,7 +97,7 @@ def _half_width(problem: Problem, contact: np.record, pin: int) -> float:
 
 @compiled
 def write_contact_lines(
-    problem: Problem, lines: ContactLines | None, load: int, angle: int, theta: float, x: float, contacts: Rows
+    problem: Problem, lines: ContactLines | None, load: int, angle: int, crank_angle: float, x: float, contacts: Rows
 ) -> None:
     """Write the contact lines of one solved position and raise the elements' largest pressures."""
     if lines is None:
@@ -115,7 +115,7 @@ def write_contact_lines(
         contact = contacts[row]
         if contact.force <= 0.0:
             continue
-        local = local_frame(problem, theta, x, contacts, row)
+        local = local_frame(problem, crank_angle, x, contacts, row)
         disc, slice_, pin = local.disc, local.slice, local.pin
         c, s = math.cos(local.direction), math.sin(local.direction)
         # The contact lies from the pin's axis against the flank's normal.

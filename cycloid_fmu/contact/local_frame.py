@@ -115,10 +115,10 @@ def levers(
 
 
 @compiled
-def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: int) -> LocalFrame:
+def local_frame(problem: Problem, crank_angle: float, x: float, contacts: Rows, row: int) -> LocalFrame:
     """Local frame of a row that was solved at crank angle θ and deviation x."""
     disc, slice_, pin = disc_slice_pin(problem, row)
-    crank, ring, gear = poses(problem, theta, x, disc)
+    crank, ring, gear = poses(problem, crank_angle, x, disc)
     place = pin * 2.0 * math.pi / (problem.teeth + 1)
     alpha = place + (crank - ring) / problem.teeth + contacts[row].foot
     tooth = math.floor(alpha * problem.teeth / (2.0 * math.pi)) % problem.teeth

@@ -130,9 +130,9 @@ class Drives(NamedTuple):
 
 
 @compiled(inline=True)
-def poses(problem: Problem, theta: float, x: float, disc: int) -> tuple[float, float, float]:
+def poses(problem: Problem, crank_angle: float, x: float, disc: int) -> tuple[float, float, float]:
     """Crank angle of a disc and the rotations of ring and gear, at disc 0's crank angle θ and deviation x, rad."""
     phase = problem.crank_phase[disc]
     if problem.ring:
-        return theta + phase, theta / (problem.teeth + 1) + x, -phase / problem.teeth
-    return theta + phase, 0.0, x + problem.turn[disc] - (theta + phase) / problem.teeth
+        return crank_angle + phase, crank_angle / (problem.teeth + 1) + x, -phase / problem.teeth
+    return crank_angle + phase, 0.0, x + problem.turn[disc] - (crank_angle + phase) / problem.teeth

@@ -90,6 +90,6 @@ def disc_slice_pin(problem: Problem, row: int) -> tuple[int, int, int]:
 
 
 @compiled(inline=True)
-def is_solved_at(contact: np.record, theta: float, x: float) -> bool:
+def is_solved_at(contact: np.record, crank_angle: float, x: float) -> bool:
     """Whether a row was solved at this very crank angle and deviation, not left from elsewhere."""
-    return bool(contact.deviation == x and contact.crank_angle == theta)
+    return bool(contact.deviation == x and contact.crank_angle == crank_angle)

@@ -99,18 +99,18 @@ class Guide(NamedTuple):
 
 
 @compiled
-def guide_rows(problem: Problem, thetas: Array, deviation: Array, rows: NDArray[np.void]) -> None:
+def guide_rows(problem: Problem, crank_angles: Array, deviation: Array, rows: NDArray[np.void]) -> None:
     """Overwrite the rows of a `Guide`, shape (angles, contacts), with the contacts of a solved drive."""
     contacts = contact_rows(problem)
     teeth = problem.teeth
-    for i in range(thetas.size):
-        place(problem, thetas[i], deviation[i], contacts, i == 0, math.inf, math.inf)
+    for i in range(crank_angles.size):
+        place(problem, crank_angles[i], deviation[i], contacts, i == 0, math.inf, math.inf)
         for k in range(rows.shape[1]):
             guide, row = rows[i, k], 2 * k
             if contacts[row + 1].gap < contacts[row].gap:
                 row += 1
             contact = contacts[row]
-            local = local_frame(problem, thetas[i], deviation[i], contacts, row)
+            local = local_frame(problem, crank_angles[i], deviation[i], contacts, row)
             c, s = math.cos(local.direction), math.sin(local.direction)
             nx, ny = local.normal_x, local.normal_y
             guide.gap, guide.arm, guide.arm_rate = contact.gap, contact.arm, contact.arm_rate
@@ -289,7 +289,9 @@ def _first_touch(rows: NDArray[np.void], direction: float, work: Memory) -> None
 
 
 @compiled
-def _place(problem: Problem, drives: Drives, rows: NDArray[np.void], at: float, theta: float, work: Memory) -> None:
+def _place(
+    problem: Problem, drives: Drives, rows: NDArray[np.void], at: float, crank_angle: float, work: Memory
+) -> None:
     """Place the contacts that may touch, of the drives that were sought or moved."""
     pins, slices, teeth = problem.teeth + 1, problem.slice_z.size, problem.teeth
     e = problem.generating_eccentricity
@@ -304,7 +306,7 @@ def _place(problem: Problem, drives: Drives, rows: NDArray[np.void], at: float, 
             size += 1
     group = on_stack(PLACED)
     drive, disc = -1, -1
-    pose, flank = disc_pose(problem, 0.0, theta, 0.0, 0), Flank(0.0, 0.0, 0.0, 0, False)
+    pose, flank = disc_pose(problem, 0.0, crank_angle, 0.0, 0), Flank(0.0, 0.0, 0.0, 0, False)
     for first in range(0, size, LANES):
         filled = min(LANES, size - first)
         for lane in range(filled):
@@ -313,7 +315,7 @@ def _place(problem: Problem, drives: Drives, rows: NDArray[np.void], at: float, 
             pin, slice_ = k % pins, k // pins % slices
             if j != drive or k // (pins * slices) != disc:
                 drive, disc = j, k // (pins * slices)
-                pose = disc_pose(problem, drives.eccentricity[j], theta, work.x[j], disc)
+                pose = disc_pose(problem, drives.eccentricity[j], crank_angle, work.x[j], disc)
                 flank = Flank(drives.circle_radius[j], e, drives.generating_radius[j], teeth, problem.ring)
             axis = pin_axis(
                 pose,
@@ -468,13 +470,13 @@ def _settle(
     drives: Drives,
     rows: NDArray[np.void],
     at: float,
-    theta: float,
+    crank_angle: float,
     torque: float,
     work: Memory,
 ) -> None:
     """Balance the torque."""
     for _ in range(_PLACED):
-        _place(problem, drives, rows, at, theta, work)
+        _place(problem, drives, rows, at, crank_angle, work)
         for j in range(work.drives.size):
             if work.drives[j].state == _MOVED:
                 work.drives[j].state = _SOUGHT
@@ -500,7 +502,7 @@ def sweep_drives(
     drives: Drives,
     work: Memory,
     guide: Guide,
-    thetas: Array,
+    crank_angles: Array,
     torque: float,
     deviation: Array,
     stiffness: Array,
@@ -514,7 +516,7 @@ def sweep_drives(
         The drive beside them, and its contacts.
     drives, work
         The drives, and their memory, which holds the crank angles before.
-    thetas, torque
+    crank_angles, torque
         Crank angles, shape (angles,), rad; N·m, not 0.
     deviation, stiffness, pressure
         Overwritten, shape (drives, angles): rad, N·m/rad, and the largest contact pressure (Pa); NaN where a drive has
@@ -526,7 +528,7 @@ def sweep_drives(
         i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
         _displace(rows, pins, work)
         _begin(rows, at, math.copysign(1.0, torque), work)
-        _settle(problem, drives, rows, at, thetas[i], torque, work)
+        _settle(problem, drives, rows, at, crank_angles[i], torque, work)
         for j in range(count):
             one = work.drives[j]
             if one.state != _FOUND:
@@ -550,7 +552,7 @@ def _reach(
     drives: Drives,
     rows: NDArray[np.void],
     at: float,
-    theta: float,
+    crank_angle: float,
     direction: float,
     work: Memory,
 ) -> None:
@@ -559,7 +561,7 @@ def _reach(
     for j in range(work.drives.size):
         work.x[j], work.drives[j].state = at + direction * work.touch[j], _SOUGHT
     for _ in range(_PLACED):
-        _place(problem, drives, rows, at, theta, work)
+        _place(problem, drives, rows, at, crank_angle, work)
         moved = 0
         for j in range(work.drives.size):
             one = work.drives[j]
@@ -579,7 +581,7 @@ def sweep_play_of_drives(
     drives: Drives,
     work: Memory,
     guide: Guide,
-    thetas: Array,
+    crank_angles: Array,
     low: Array,
     high: Array,
 ) -> None:
@@ -592,10 +594,10 @@ def sweep_play_of_drives(
     for number in range(guide.deviation.size):
         i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
         _displace(rows, pins, work)
-        _reach(problem, drives, rows, at, thetas[i], -1.0, work)
+        _reach(problem, drives, rows, at, crank_angles[i], -1.0, work)
         for j in range(count):
             low[j, i] = work.x[j] if work.drives[j].state == _FOUND else math.nan
-        _reach(problem, drives, rows, at, thetas[i], 1.0, work)
+        _reach(problem, drives, rows, at, crank_angles[i], 1.0, work)
         for j in range(count):
             high[j, i] = work.x[j] if work.drives[j].state == _FOUND else math.nan
             # Without errors and modification the ends are the same but for rounding.

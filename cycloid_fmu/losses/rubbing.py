@@ -143,7 +143,9 @@ def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) ->
 
 
 @compiled
-def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubbing: Rubbing, loss: Array) -> None:
+def _add_flanks(
+    problem: Problem, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, loss: Array
+) -> None:
     """Add the friction of flanks on pins to the balance, and their losses."""
     residual, jacobian, law = work.residual, work.jacobian, rubbing.laws[FLANK_LAW]
     for row in range(contacts.shape[0]):
@@ -151,7 +153,7 @@ def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubb
         force = contact_.force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, theta, work.place[0], contacts, row)
+        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
         radius = problem.pin_radius[local.pin]
         distance = contact_.gap + radius
         speed = flank_speed(problem, local, distance)
@@ -289,7 +291,7 @@ def through_first_stage(rubbing: Rubbing, crank_torque: float) -> float:
 def assemble_rubbing(
     problem: Problem,
     assembly: Assembly,
-    theta: float,
+    crank_angle: float,
     pull: Load,
     contacts: Rows,
     work: Work,
@@ -304,12 +306,12 @@ def assemble_rubbing(
         input's drag, J for each radian of the crank.
     """
     rubbing, slope, loss = more
-    assemble(problem, assembly, theta, pull, contacts, work, None)
+    assemble(problem, assembly, crank_angle, pull, contacts, work, None)
     for part_ in range(loss.size):
         loss[part_] = 0.0
     for i in range(work.residual.size):
         slope.crank_torque[i] = 0.0
-    _add_flanks(problem, theta, contacts, work, rubbing, loss)
+    _add_flanks(problem, crank_angle, contacts, work, rubbing, loss)
     torque = _add_joints(problem, assembly, work, rubbing, slope, loss)
     work.residual[0] -= rubbing.direction * rubbing.drag
     loss[DRAG_OUTPUT] = rubbing.drag / problem.teeth

@@ -53,7 +53,7 @@ class Load(NamedTuple):
 
 
 @compiled
-def _place_discs(problem: Problem, assembly: Assembly, theta: float, contacts: Rows, work: Work) -> None:
+def _place_discs(problem: Problem, assembly: Assembly, crank_angle: float, contacts: Rows, work: Work) -> None:
     """Place the discs according to the unknowns and solve the gaps that may close."""
     q, x = work.place, work.place[0]
     furthest = 0.0
@@ -69,11 +69,11 @@ def _place_discs(problem: Problem, assembly: Assembly, theta: float, contacts: R
     clear = _REACH
     if not work.moved[0] < _REACH - CLEAR:
         clear, work.moved[0] = math.inf, 0.0
-    place(problem, theta, x, contacts, cold, clear, BOUNDED)
+    place(problem, crank_angle, x, contacts, cold, clear, BOUNDED)
 
 
 @compiled
-def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work) -> None:
+def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work) -> None:
     """Add the pins' forces on the discs and the derivatives of these forces."""
     residual, jacobian = work.residual, work.jacobian
     for row in range(contacts.shape[0]):
@@ -81,7 +81,7 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work) -> Non
         force = contact_.force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, theta, work.place[0], contacts, row)
+        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
         along = gap_gradient(local)
         stiffness = contact_stiffness(contact_, local, along)
         at = FIRST_DISC + 3 * local.disc
@@ -100,10 +100,10 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work) -> Non
 
 
 @compiled
-def _add_joints(assembly: Assembly, theta: float, centring: float, work: Work) -> None:
+def _add_joints(assembly: Assembly, crank_angle: float, centring: float, work: Work) -> None:
     """Add the joints' forces on their two bodies and the derivatives of these forces."""
     residual, jacobian, by, at = work.residual, work.jacobian, work.by, work.at
-    orient(assembly, theta, work)
+    orient(assembly, crank_angle, work)
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
         d = displacement(assembly, joint, work)
@@ -133,17 +133,17 @@ def _add_joints(assembly: Assembly, theta: float, centring: float, work: Work) -
 
 @compiled
 def assemble(
-    problem: Problem, assembly: Assembly, theta: float, pull: Load, contacts: Rows, work: Work, more: Any
+    problem: Problem, assembly: Assembly, crank_angle: float, pull: Load, contacts: Rows, work: Work, more: Any
 ) -> None:
     """Write the residual of the balance at `work.place`, and its derivatives; `more` is None."""
-    _place_discs(problem, assembly, theta, contacts, work)
+    _place_discs(problem, assembly, crank_angle, contacts, work)
     load(problem, contacts)
     for i in range(work.residual.size):
         work.residual[i] = 0.0
         for j in range(work.residual.size):
             work.jacobian[i, j] = 0.0
-    _add_mesh(problem, theta, contacts, work)
-    _add_joints(assembly, theta, pull.centring, work)
+    _add_mesh(problem, crank_angle, contacts, work)
+    _add_joints(assembly, crank_angle, pull.centring, work)
     work.residual[0] += pull.spring * (work.place[0] - pull.flange) - pull.torque
     work.jacobian[0, 0] += pull.spring
 
@@ -277,7 +277,7 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
     def balance(
         problem: Problem,
         assembly: Assembly,
-        theta: float,
+        crank_angle: float,
         pull: Load,
         contacts: Rows,
         work: Work,
@@ -290,7 +290,7 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
         as large, with either sign: energies are convex for small rotations. Otherwise a contact that closes within the
         step would be missed, and the next step would overshoot too.
         """
-        assembled(problem, assembly, theta, pull, contacts, work, more)
+        assembled(problem, assembly, crank_angle, pull, contacts, work, more)
         q, short = work.place, 0
         for iteration in range(iterations):
             left = longest_of(problem, assembly, work.residual, -1.0)
@@ -311,7 +311,7 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
             for _ in range(36 if iterations == _LAST_ITERATIONS else 12):
                 for i in range(step.size):
                     q[i] = work.before[i] + share * step[i]
-                assembled(problem, assembly, theta, pull, contacts, work, more)
+                assembled(problem, assembly, crank_angle, pull, contacts, work, more)
                 now = 0.0
                 for i in range(step.size):
                     now += step[i] * work.residual[i]
@@ -335,7 +335,7 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
     def settle(
         problem: Problem,
         assembly: Assembly,
-        theta: float,
+        crank_angle: float,
         pull: Load,
         contacts: Rows,
         work: Work,
@@ -356,7 +356,7 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
             while True:
                 most = _LAST_ITERATIONS if stage == 2 and spring == pull.centring else _ITERATIONS
                 stage_pull = Load(pull.torque, pull.spring, pull.flange, spring)
-                found = balance(problem, assembly, theta, stage_pull, contacts, work, more, most)
+                found = balance(problem, assembly, crank_angle, stage_pull, contacts, work, more, most)
                 total += found if found > 0 else most
                 if spring == pull.centring:
                     break

@@ -63,7 +63,7 @@ def held(drive: Problem, assembly: Assembly, work: Work, by_energy: Array, by_an
 
 @compiled
 def _mesh(
-    drive: Problem, theta: float, x: float, rows: Rows, by_energy: Array, by_angle: Array
+    drive: Problem, crank_angle: float, x: float, rows: Rows, by_energy: Array, by_angle: Array
 ) -> tuple[float, float, float]:
     """Add the mesh; returns its energy, its derivative by θ at fixed unknowns, and the contribution of curvature."""
     energy = turning = bent_by = 0.0
@@ -73,7 +73,7 @@ def _mesh(
         force = contact_.force
         if force <= 0.0:
             continue
-        local = contact.local_frame(drive, theta, x, rows, row)
+        local = contact.local_frame(drive, crank_angle, x, rows, row)
         along = gap_gradient(local)
         stiffness = contact_stiffness(contact_, local, along)
         # Motion of the disc with the crank at fixed unknowns.
@@ -110,14 +110,14 @@ def _joints(assembly: Assembly, centring: float, work: Work, by_angle: Array) ->
 
 
 @compiled
-def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Array) -> int:
+def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out: Array) -> int:
     """Solve the balance at a crank angle from the last solution; return the number of steps, 0 if not found.
 
     Parameters
     ----------
     box
         The drive; its unknowns are in `work.place`.
-    theta, pull
+    crank_angle, pull
         Crank angle, rad, and the load.
     rows, cold
         Contact rows, and whether to start without a neighbouring solution.
@@ -135,12 +135,12 @@ def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Arra
         for i in range(FIRST_DISC + 2, FIRST_DISC + 3 * drive.shift_x.size, 3):
             q[i] += flange - q[0]
         q[0] = flange
-    steps = settle(drive, assembly, theta, pull, rows, work, None, cold)
+    steps = settle(drive, assembly, crank_angle, pull, rows, work, None, cold)
     if steps == 0:
         return 0
     for i in range(n):
         by_energy[i] = by_angle[i] = 0.0
-    of_mesh, mesh_turning, bending = _mesh(drive, theta, q[0], rows, by_energy, by_angle)
+    of_mesh, mesh_turning, bending = _mesh(drive, crank_angle, q[0], rows, by_energy, by_angle)
     of_joints, joints_turning = _joints(assembly, pull.centring, work, by_angle)
     by_theta = mesh_turning + joints_turning
     # Rows of the inverse for the carrier's rotation and for b, without the flange's spring.

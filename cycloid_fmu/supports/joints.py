@@ -167,13 +167,13 @@ class Reaction(NamedTuple):
 
 
 @compiled
-def orient(assembly: Assembly, theta: float, work: Work) -> None:
+def orient(assembly: Assembly, crank_angle: float, work: Work) -> None:
     """Write the direction of each body's x-axis, and that of a disc's ideal eccentric, at θ and `work.place`."""
     for number in range(assembly.bodies.size):
         body, axes = assembly.bodies[number], work.axes[number]
         axes[0], axes[1] = 1.0, 0.0
         if body.rotation >= 0:
-            angle, crank = body.rate * theta + work.place[body.rotation], theta + body.crank_phase
+            angle, crank = body.rate * crank_angle + work.place[body.rotation], crank_angle + body.crank_phase
             axes[0], axes[1], axes[2], axes[3] = math.cos(angle), math.sin(angle), math.cos(crank), math.sin(crank)
 
 

@@ -72,7 +72,7 @@ class Derivatives(NamedTuple):
 
 
 @compiled
-def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work, out: Array) -> float:
+def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, out: Array) -> float:
     """Subtract λ·∂r/∂p for the displacements of pins and flanks; return λ·∂r/∂θ."""
     row, turning = work.step, 0.0
     teeth = problem.teeth
@@ -85,7 +85,7 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work, out: A
         force = contact_.force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, theta, work.place[0], contacts, number)
+        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, number)
         disc, pin = local.disc, local.pin
         along = gap_gradient(local)
         stiffness = contact_stiffness(contact_, local, along)
@@ -158,37 +158,37 @@ def _add_joints(assembly: Assembly, work: Work, by_joint: Array) -> None:
 def sweep_supported_sensitivities(
     problem: Problem,
     assembly: Assembly,
-    thetas: Array,
+    crank_angles: Array,
     torques: Array,
     places: Array,
-    found: Derivatives,
+    results: Derivatives,
     work: Work,
 ) -> bool:
     """Write the derivatives of the deviation at given solutions; return False if one is singular.
 
     Parameters
     ----------
-    thetas, torques, places
+    crank_angles, torques, places
         Crank angles (rad) and the torque at each (N·m), shape (angles,); the solutions, shape (angles, unknowns).
-    found
+    results
         Zeros; overwritten.
     """
     contacts = contact.contact_rows(problem)
-    for i in range(thetas.size):
+    for i in range(crank_angles.size):
         for k in range(work.place.size):
             work.place[k] = places[i, k]
         work.moved[0] = math.inf
-        assemble(problem, assembly, thetas[i], Load(torques[i], 0.0, 0.0, CENTRING), contacts, work, None)
+        assemble(problem, assembly, crank_angles[i], Load(torques[i], 0.0, 0.0, CENTRING), contacts, work, None)
         for k in range(work.step.size):
             work.step[k] = 1.0 if k == 0 else 0.0
         if not solve_transposed(problem, assembly, work, work.step, 0.0):
             return False
-        found.by_torque[i] = work.step[0]  # of λ, which is now in `step`
-        turning = _add_mesh(problem, thetas[i], contacts, work, found.by_displacement[i])
+        results.by_torque[i] = work.step[0]  # of λ, which is now in `step`
+        turning = _add_mesh(problem, crank_angles[i], contacts, work, results.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0
-        _add_joints(assembly, work, found.by_joint[i])
+        _add_joints(assembly, work, results.by_joint[i])
         for k in range(work.residual.size):
             turning += work.step[k] * work.residual[k]
-        found.by_angle[i] = -turning
+        results.by_angle[i] = -turning
     return True
