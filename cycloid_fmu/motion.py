@@ -335,7 +335,7 @@ def _contacts(
 def _press(problem: contact.Problem, rows: contact.Rows) -> None:
     """Write the force of every row, as `contact.equilibrium.load` does within kernels."""
     for row in np.flatnonzero(rows["gap"] + problem.seat_gap < 0.0):
-        _, _, pin = contact.disc_slice_pin(problem, int(row))
+        pin = row // 2 % problem.pin_x.size
         rows["force"][row], _, _ = contact.hertz(
             -float(rows["gap"][row]) - problem.seat_gap,
             float(rows["curvature"][row]),

@@ -8,12 +8,16 @@ tooth 0 begins at +x). A point is a complex number in the comments and a pair (x
 The unknown is x, the output's deviation from the ideal drive: gear angle -θ/z_c + x with the pin ring fixed, or ring
 angle θ/z_p + x with the gear held. Torque is what the environment puts on the output; force times arm balances it.
 
-Each module is one step: the problem (`problem`), a pin's foot on a flank (`foot`), what that gives (`gap`), all pins at
-once (`placement`) with deviations of form (`deviations`), their force (`hertz`), what balances a torque (`equilibrium`)
-or none (`play`), and what follows: `load_sharing`, `energy`, `sensitivity`. `sweeps` go through crank angles.
+Each module is one step, under the headings of that page: the problem (`problem`), where disc, pins and teeth are
+(`pose`), a pin's foot on a flank (`foot`), its gap and moment arm (`gap`), all pins at once (`placement`) with
+deviations of form (`deviations`), the Hertz force (`hertz`), what balances a torque (`equilibrium`) or none (`play`),
+and what follows: `load_sharing`, `energy`, `sensitivity`. `local_frame` has the contact's gradients in the housing.
+`sweeps` go through crank angles. The names and units of what is known of a contact are those of `rows`.
+
+The angle θ of the formulas is `crank_angle`; where a disc's own crank is meant, its phase is added (`poses`).
 """
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.energy import crank_side, elastic_energy, press
 from cycloid_fmu.contact.equilibrium import behind_compliance, equilibrium
 from cycloid_fmu.contact.hertz import half_width, hertz
@@ -54,17 +58,14 @@ __all__ = [
     "equilibrium",
     "half_width",
     "hertz",
-    "inlined",
     "is_solved_at",
     "load_sharing",
     "local_frame",
-    "part",
     "place",
     "play",
     "poses",
     "press",
     "sensitivities",
-    "spliced",
     "sweep",
     "sweep_contacts",
     "sweep_crank_side",

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import Array, inlined, part
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.foot import Tangency, on_tooth, path_curvature, tangency
 from cycloid_fmu.contact.gap import Flank, Offset, contact_at, write_contact
+from cycloid_fmu.contact.pose import conjugate_point, disc_pose, pin_axis
 from cycloid_fmu.contact.problem import Deviations, Problem, poses
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
 
@@ -32,9 +33,9 @@ class Facing(NamedTuple):
     inwards_y: float
 
 
-@part
+@compiled
 def move_to_deviations(
-    problem: Problem, deviations: Deviations | None, theta: float, x: float, contacts: Rows, bounded: float
+    problem: Problem, deviations: Deviations | None, crank_angle: float, x: float, contacts: Rows, bounded: float
 ) -> None:
     """Move the contacts just solved on nominal surfaces to where the surfaces with deviations come closest.
 
@@ -44,35 +45,29 @@ def move_to_deviations(
     if deviations is None:
         return
     teeth = problem.teeth
-    pins = teeth + 1
     pitch = 2.0 * math.pi / teeth
     for row in range(contacts.shape[0]):
         contact = contacts[row]
-        if not is_solved_at(contact, theta, x) or not contact.gap < math.inf:
+        if not is_solved_at(contact, crank_angle, x) or not contact.gap < math.inf:
             continue
         if contact.gap - deviations.largest > bounded:
             contact.gap -= deviations.largest
             continue
         disc, slice_, pin = disc_slice_pin(problem, row)
-        crank, ring, gear = poses(problem, theta, x, disc)
-        conjugate = pin * 2.0 * math.pi / pins + (crank - ring) / teeth
-        alpha = conjugate + contact.foot
+        pose = disc_pose(problem, problem.eccentricity, crank_angle, x, disc)
+        alpha = conjugate_point(pose, teeth, pin) + contact.foot
         tooth = math.floor(alpha / pitch)
         number = int(tooth) % teeth
         base = tooth * pitch
         # The pin's axis, and the direction from it to the pin circle's centre, on tooth 0.
-        ux = problem.eccentricity * math.cos(crank) + problem.centre_x[slice_] + problem.shift_x[disc]
-        uy = problem.eccentricity * math.sin(crank) + problem.centre_y[slice_] + problem.shift_y[disc]
-        cg, sg = math.cos(gear), math.sin(gear)
-        ox, oy = ux * cg + uy * sg, uy * cg - ux * sg
-        turned = ring - gear
-        ct, st = math.cos(turned), math.sin(turned)
-        px = problem.pin_x[pin] * ct - problem.pin_y[pin] * st - ox
-        py = problem.pin_x[pin] * st + problem.pin_y[pin] * ct - oy
-        px, py = on_tooth(px, py, problem.tooth_turn[disc, number])
+        axis = pin_axis(
+            pose, problem.pin_x[pin], problem.pin_y[pin], problem.centre_x[slice_], problem.centre_y[slice_]
+        )
+        px, py = on_tooth(axis.x, axis.y, problem.tooth_turn[disc, number])
         cb, sb = math.cos(base), math.sin(base)
         gx, gy = px * cb + py * sb, py * cb - px * sb
-        towards = pin * 2.0 * math.pi / pins + turned - problem.tooth_turn[disc, number] - base
+        _, ring, gear = poses(problem, crank_angle, x, disc)
+        towards = pin * 2.0 * math.pi / (teeth + 1) + ring - gear - problem.tooth_turn[disc, number] - base
         facing = Facing(disc, slice_, number, pin, gx, gy, -math.cos(towards), -math.sin(towards))
         pin_radius = problem.pin_radius[pin]
         points = deviations.flank_alpha.size
@@ -107,9 +102,9 @@ def move_to_deviations(
             teeth,
             problem.ring,
         )
-        offset = Offset(ox, oy, 0.0, 0.0)
-        found = contact_at(flank, offset, pin_radius + pin_height, contact.foot, place, state)
-        write_contact(contact, found, theta, x)
+        offset = Offset(axis.centre_x, axis.centre_y, 0.0, 0.0)
+        raised_contact = contact_at(flank, offset, pin_radius + pin_height, contact.foot, place, state)
+        write_contact(contact, raised_contact, crank_angle, x)
         # What a raised flank predicts reaches no farther than its next element.
         contact.gap_by_crank = math.nan
         contact.bounded_for = 0.0
@@ -120,7 +115,7 @@ def move_to_deviations(
             contact.curvature += max(added, (_CONFORMAL - 1.0) * hertz_curvature)
 
 
-@inlined
+@compiled
 def _facing_place(
     problem: Problem, deviations: Deviations, facing: Facing, alpha: float, state: Tangency, height: float
 ) -> float:
@@ -135,7 +130,7 @@ def _facing_place(
     return _pin_place(deviations, facing, vx, vy)
 
 
-@inlined
+@compiled
 def added_curvature(deviations: Deviations, facing: Facing, alpha: float, seen: float) -> float:
     """Curvature that the deviations of flank and pin add where they touch, at tooth 0's α and a place on the pin."""
     points = deviations.flank_alpha
@@ -147,7 +142,7 @@ def added_curvature(deviations: Deviations, facing: Facing, alpha: float, seen: 
     return flank + _on_pin(deviations.pin_curvature, facing, seen)
 
 
-@inlined
+@compiled
 def _raised(problem: Problem, deviations: Deviations, facing: Facing, point: int) -> tuple[float, float, float]:
     """Gap at one of the flank's points, nominal and with the deviations, and the place on the pin that faces it."""
     pin_radius = problem.pin_radius[facing.pin]
@@ -160,7 +155,7 @@ def _raised(problem: Problem, deviations: Deviations, facing: Facing, point: int
     return nominal, raised, seen
 
 
-@part
+@compiled
 def _closest_on_piece(
     problem: Problem, deviations: Deviations, facing: Facing, piece: int, seen: tuple[float, float]
 ) -> tuple[float, float, float, float]:
@@ -205,7 +200,7 @@ def _closest_on_piece(
     return best
 
 
-@inlined
+@compiled
 def _flank_distance(problem: Problem, state: Tangency, height: float, rise: float) -> tuple[float, float, float]:
     """Distance of a pin's axis from a raised point of the flank, and its first and second derivative by α.
 
@@ -222,14 +217,14 @@ def _flank_distance(problem: Problem, state: Tangency, height: float, rise: floa
     return distance, -f * shrink - rise * (wx * bx + wy * by) / (speed * distance), -slope * shrink
 
 
-@inlined
+@compiled
 def _pin_place(deviations: Deviations, facing: Facing, vx: float, vy: float) -> float:
     """Place on the pin's surface in the direction v from its axis, in elements from the first one's middle."""
     across, ahead = facing.inwards_x * vy - facing.inwards_y * vx, facing.inwards_x * vx + facing.inwards_y * vy
     return (math.atan2(across, ahead) / math.pi + 0.5) * deviations.pin.shape[2] - 0.5
 
 
-@inlined
+@compiled
 def _on_pin(values: Array, facing: Facing, place: float) -> float:
     """Value between the middles of a pin's elements, at a place of `_pin_place`."""
     low = min(max(math.floor(place), 0), values.shape[2] - 2)

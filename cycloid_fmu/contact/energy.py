@@ -6,7 +6,7 @@ import math
 
 from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.equilibrium import behind_compliance, load, rotational_stiffness
-from cycloid_fmu.contact.local_frame import displaced, local_frame
+from cycloid_fmu.contact.local_frame import crank_motion, displaced, local_frame
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows
@@ -15,7 +15,7 @@ _ROTATION_STEP = 1e-12  # rad: last step of the contacts behind a compliance
 
 
 @compiled
-def crank_side(problem: Problem, theta: float, x: float, contacts: Rows) -> tuple[float, float]:
+def crank_side(problem: Problem, crank_angle: float, x: float, contacts: Rows) -> tuple[float, float]:
     """What the crank feels: its torque, and how its rotation moves the output at constant torque.
 
     With the elastic energy U(θ, φ_b) the environment's torque is ∂U/∂φ_b and the crank's is ∂U/∂θ at fixed φ_b.
@@ -31,9 +31,8 @@ def crank_side(problem: Problem, theta: float, x: float, contacts: Rows) -> tupl
         force = contact.force
         if force <= 0.0:
             continue
-        local = local_frame(problem, theta, x, contacts, row)
-        # The gear's centre moves by e i e^{iθ}, so the pin's axis by the opposite of it.
-        vx, vy = problem.eccentricity * local.crank_y, -problem.eccentricity * local.crank_x
+        local = local_frame(problem, crank_angle, x, contacts, row)
+        vx, vy = crank_motion(problem, local)
         wx, wy = (0.0, 0.0) if problem.ring else (vy, -vx)
         crank_torque -= force * (vx * local.normal_x + vy * local.normal_y)
         coupling += displaced(contact, local, vx, vy, wx, wy)
@@ -42,7 +41,7 @@ def crank_side(problem: Problem, theta: float, x: float, contacts: Rows) -> tupl
 
 
 @compiled
-def elastic_energy(problem: Problem, theta: float, x: float, contacts: Rows) -> tuple[float, float, float]:
+def elastic_energy(problem: Problem, crank_angle: float, x: float, contacts: Rows) -> tuple[float, float, float]:
     """Energy stored in the contacts, with its derivatives, from rows solved at deviation x.
 
     A contact stores U = ½Fδ - ¼κF² for Hertz's law δ = κF(H - ln F) (κ as in `hertz`), and ∂U/∂κ_c = ½F/k ∂F/∂κ_c by
@@ -62,8 +61,8 @@ def elastic_energy(problem: Problem, theta: float, x: float, contacts: Rows) -> 
         force = contact.force
         if force <= 0.0:
             continue
-        local = local_frame(problem, theta, x, contacts, row)
-        vx, vy = problem.eccentricity * local.crank_y, -problem.eccentricity * local.crank_x
+        local = local_frame(problem, crank_angle, x, contacts, row)
+        vx, vy = crank_motion(problem, local)
         normal = vx * local.normal_x + vy * local.normal_y
         tangent = vy * local.normal_x - vx * local.normal_y
         bending = 0.5 * force * contact.force_by_curvature * contact.curvature_rate / contact.stiffness
@@ -75,13 +74,13 @@ def elastic_energy(problem: Problem, theta: float, x: float, contacts: Rows) -> 
 
 @compiled
 def press(
-    problem: Problem, theta: float, flange: float, compliance: float, x: float, contacts: Rows, cold: bool
+    problem: Problem, crank_angle: float, flange: float, compliance: float, x: float, contacts: Rows, cold: bool
 ) -> tuple[float, float, float, float, float]:
     """Solve the contacts with the flange held at a deviation, behind a compliance in series.
 
     Parameters
     ----------
-    problem, theta, x, contacts, cold
+    problem, crank_angle, x, contacts, cold
         As in `equilibrium`.
     flange, compliance
         Deviation of the flange (rad), compliance between it and the contacts (rad/(N·m), 0 where there is none).
@@ -93,17 +92,17 @@ def press(
         and its derivatives by crank and flange (N·m).
     """
     if compliance == 0.0:
-        place(problem, theta, flange, contacts, cold, CLEAR, BOUNDED)
+        place(problem, crank_angle, flange, contacts, cold, CLEAR, BOUNDED)
         _, stiffness = load(problem, contacts)
-        energy, by_angle, by_rotation = elastic_energy(problem, theta, flange, contacts)
+        energy, by_angle, by_rotation = elastic_energy(problem, crank_angle, flange, contacts)
         return flange, stiffness, energy, by_angle, by_rotation
-    x, stiffness = behind_compliance(problem, theta, flange, compliance, x, contacts, cold)
+    x, stiffness = behind_compliance(problem, crank_angle, flange, compliance, x, contacts, cold)
     energy = by_angle = by_rotation = 0.0
     for _ in range(10):
-        place(problem, theta, x, contacts, cold, CLEAR, BOUNDED)
+        place(problem, crank_angle, x, contacts, cold, CLEAR, BOUNDED)
         cold = False
         _, stiffness = load(problem, contacts)
-        energy, by_angle, by_rotation = elastic_energy(problem, theta, x, contacts)
+        energy, by_angle, by_rotation = elastic_energy(problem, crank_angle, x, contacts)
         step = (flange - x - compliance * by_rotation) / (1.0 + compliance * stiffness)
         if abs(step) < _ROTATION_STEP:
             break

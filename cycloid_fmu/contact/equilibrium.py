@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
 from cycloid_fmu.contact.lanes import LANES, on_stack, vectors
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
@@ -17,7 +17,7 @@ LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is ma
 _BY_RATES = 1e-6  # rad: so near the rotation at which contacts were solved, their rates say how they are
 
 
-@inlined
+@compiled(inline=True)
 def rotational_stiffness(contact: np.record) -> float:
     """Change of one contact's torque F L for each radian: of its approach, its arm and its flank's curvature."""
     arm = contact.arm
@@ -25,7 +25,7 @@ def rotational_stiffness(contact: np.record) -> float:
     return float(contact.stiffness * arm * arm + contact.force * contact.arm_rate + curved * arm)
 
 
-@inlined
+@compiled
 def by_rates(circle_radius: float) -> float:
     """How far from where they were placed contacts follow by their rates, rad, on a flank's circle radius (m).
 
@@ -34,7 +34,7 @@ def by_rates(circle_radius: float) -> float:
     return min(_BY_RATES, CLEAR / circle_radius)
 
 
-@inlined
+@compiled(inline=True)
 def load(problem: Problem, contacts: Rows) -> tuple[float, float]:
     """Forces of all rows where they were placed; returns the torque that balances them (N·m), its derivative by x."""
     # The whole problem as an argument would have the references to each of its arrays counted at every call.
@@ -50,7 +50,7 @@ def load(problem: Problem, contacts: Rows) -> tuple[float, float]:
     )
 
 
-@part
+@compiled
 def _press(
     contacts: Rows,
     pin_radius: Array,
@@ -63,28 +63,28 @@ def _press(
 ) -> tuple[float, float]:
     torque = stiffness = 0.0
     touching = touching_count(contacts)
-    one = on_stack(PRESSED)
+    group = on_stack(PRESSED)
     pins = pin_radius.size
     for first in range(0, touching, LANES):
         filled = min(LANES, touching - first)
         for lane in range(vectors(filled)):
             row = int(contacts[min(first + lane, touching - 1)].touching)
             contact = contacts[row]
-            one.approach[lane], one.curvature[lane] = -contact.gap - seat_gap, contact.curvature
-            one.pin_radius[lane], one.force[lane] = pin_radius[row // 2 % pins], contact.force
-        hertz_in_lanes(one, filled, width, compliance_gear, compliance_pin, largest_log_radius, seat_compliance)
+            group.approach[lane], group.curvature[lane] = -contact.gap - seat_gap, contact.curvature
+            group.pin_radius[lane], group.force[lane] = pin_radius[row // 2 % pins], contact.force
+        hertz_in_lanes(group, filled, width, compliance_gear, compliance_pin, largest_log_radius, seat_compliance)
         for lane in range(filled):
             contact = contacts[int(contacts[first + lane].touching)]
-            contact.force, contact.stiffness = one.force[lane], one.stiffness[lane]
-            contact.force_by_curvature = one.by_curvature[lane]
+            contact.force, contact.stiffness = group.force[lane], group.stiffness[lane]
+            contact.force_by_curvature = group.by_curvature[lane]
             if contact.force > 0.0:
                 torque += contact.force * contact.arm
                 stiffness += rotational_stiffness(contact)
     return torque, stiffness
 
 
-@part
-def to_touch(contacts: Rows, theta: float, x: float, direction: float) -> float:
+@compiled
+def to_touch(contacts: Rows, crank_angle: float, x: float, direction: float) -> float:
     """Rotation from x, in `direction` (±1), at which the first flank touches, to second order.
 
     Rows solved elsewhere than at x count with what they predict of it.
@@ -97,13 +97,13 @@ def to_touch(contacts: Rows, theta: float, x: float, direction: float) -> float:
             continue
         since = x - contact.deviation
         gap -= since * (arm + 0.5 * since * rate)
-        if contact.crank_angle != theta:
-            gap += (theta - contact.crank_angle) * contact.gap_by_crank
+        if contact.crank_angle != crank_angle:
+            gap += (crank_angle - contact.crank_angle) * contact.gap_by_crank
         best = min(best, touched_after(gap, direction * (arm + since * rate), rate))
     return best
 
 
-@inlined
+@compiled(inline=True)
 def touched_after(gap: float, arm: float, rate: float) -> float:
     """Rotation in the arm's direction after which one flank touches, to second order; infinite where it does not."""
     inside = arm * arm + 2.0 * rate * gap
@@ -113,7 +113,7 @@ def touched_after(gap: float, arm: float, rate: float) -> float:
 
 @compiled
 def equilibrium(
-    problem: Problem, theta: float, torque: float, x: float, contacts: Rows, cold: bool
+    problem: Problem, crank_angle: float, torque: float, x: float, contacts: Rows, cold: bool
 ) -> tuple[float, float]:
     """Deviation at which the contacts balance a torque (other than zero, where there is play).
 
@@ -121,7 +121,7 @@ def equilibrium(
     ----------
     problem
         The contact problem.
-    theta
+    crank_angle
         Crank angle, rad.
     torque
         Torque of the environment on the output, N·m.
@@ -137,21 +137,21 @@ def equilibrium(
     x, stiffness
         Deviation (rad) and its torsional stiffness (N·m/rad).
     """
-    return _balance(problem, theta, torque, 1.0, 0.0, 0.0, x, contacts, cold)
+    return _balance(problem, crank_angle, torque, 1.0, 0.0, 0.0, x, contacts, cold)
 
 
 @compiled
 def behind_compliance(
-    problem: Problem, theta: float, flange: float, compliance: float, x: float, contacts: Rows, cold: bool
+    problem: Problem, crank_angle: float, flange: float, compliance: float, x: float, contacts: Rows, cold: bool
 ) -> tuple[float, float]:
     """Deviation ξ of the contacts when the flange stands at ξ + c M(ξ); returns ξ and the contacts' stiffness."""
-    return _balance(problem, theta, 0.0, compliance, flange, 1.0, x, contacts, cold)
+    return _balance(problem, crank_angle, 0.0, compliance, flange, 1.0, x, contacts, cold)
 
 
-@spliced
+@compiled
 def _balance(
     problem: Problem,
-    theta: float,
+    crank_angle: float,
     torque: float,
     share: float,
     flange: float,
@@ -165,7 +165,7 @@ def _balance(
     stiffness, near = 0.0, by_rates(problem.circle_radius)
     for _ in range(100):
         if abs(x - placed) > near or problem.deviations is not None:
-            place(problem, theta, x, contacts, cold, CLEAR, BOUNDED)
+            place(problem, crank_angle, x, contacts, cold, CLEAR, BOUNDED)
             cold, placed = False, x
         else:
             _move(problem.teeth, problem.ring, x - last, x, contacts)
@@ -180,7 +180,7 @@ def _balance(
         # A load against the torque is on the wrong flanks, however little is short of a tiny torque.
         if slope <= 0.0 or (hold == 0.0 and balance * torque < 0.0 and abs(step) < LINEAR_STEP):
             direction = math.copysign(1.0, short)
-            step = direction * (max(to_touch(contacts, theta, x, direction), 0.0) + 1e-6)
+            step = direction * (max(to_touch(contacts, crank_angle, x, direction), 0.0) + 1e-6)
         step = min(max(step, -1e-3), 1e-3)
         if abs(step) < LINEAR_STEP:
             _move(problem.teeth, problem.ring, step, x + step, contacts)
@@ -192,7 +192,7 @@ def _balance(
     return x, stiffness
 
 
-@part
+@compiled
 def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None:
     """Move the rows that may touch by a small rotation to x: the gap to second order, the others to first.
 
@@ -207,7 +207,7 @@ def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None
         contact.deviation = x
 
 
-@inlined
+@compiled(inline=True)
 def follow(contact: np.record, step: float) -> None:
     """Force, gap, arm and curvature of a contact after a small rotation, by their rates."""
     if contact.force > 0.0:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cycloid_fmu.contact.compiling import inlined, part
+from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.lanes import sine_cosine
 
 _FOOT_STEP = 1e-11  # m: Newton's last step along the flank; near a root the moment arm errs by a thousand times that
@@ -29,7 +29,7 @@ class Tangency(NamedTuple):
     sine: float
 
 
-@inlined
+@compiled(inline=True)
 def tangency(px: float, py: float, alpha: float, R: float, e: float, teeth: int) -> Tangency:
     """Tangency of the axis (px, py) and T at α."""
     pins = teeth + 1
@@ -43,7 +43,7 @@ def tangency(px: float, py: float, alpha: float, R: float, e: float, teeth: int)
     return Tangency(value, slope, qx, qy, bx, by, dx, dy, ca, sa)
 
 
-@part
+@compiled
 def foot(
     px: float, py: float, start: float, lower: float, upper: float, R: float, e: float, teeth: int
 ) -> tuple[bool, float, Tangency]:
@@ -74,7 +74,7 @@ def foot(
     return True, alpha, state
 
 
-@inlined
+@compiled(inline=True)
 def on_tooth(px: float, py: float, turn: float) -> tuple[float, float]:
     """P in the frame of a tooth turned by a small angle."""
     c = 1.0 - 0.5 * turn * turn
@@ -82,7 +82,7 @@ def on_tooth(px: float, py: float, turn: float) -> tuple[float, float]:
     return px * c + py * s, py * c - px * s
 
 
-@inlined
+@compiled(inline=True)
 def path_curvature(R: float, e: float, teeth: int, bx: float, speed: float) -> float:
     """Curvature of T, > 0 convex: R²(1 + z_p K² - K (z_p + 1) cos z_c α)/|T'|³, with cos from B, 1/m."""
     pins = teeth + 1

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import inlined
+from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.foot import Tangency, path_curvature
 
 
@@ -45,7 +45,7 @@ class Contact(NamedTuple):
     foot_by_crank: float
 
 
-@inlined
+@compiled(inline=True)
 def contact_at(flank: Flank, offset: Offset, pin_radius: float, foot: float, alpha: float, state: Tangency) -> Contact:
     """Gap, moment arm and their rates where the pin is nearest the flank's point α.
 
@@ -90,11 +90,11 @@ def contact_at(flank: Flank, offset: Offset, pin_radius: float, foot: float, alp
     )
 
 
-@inlined
-def write_contact(row: np.record, found: Contact, theta: float, x: float) -> None:
+@compiled(inline=True)
+def write_contact(row: np.record, solved: Contact, crank_angle: float, x: float) -> None:
     """Write a contact that was solved at crank angle θ and deviation x."""
-    row.foot, row.place, row.foot_rate = found.foot, found.place, found.foot_rate
-    row.gap, row.arm, row.arm_rate = found.gap, found.arm, found.arm_rate
-    row.curvature, row.curvature_rate = found.curvature, found.curvature_rate
-    row.gap_by_crank, row.foot_by_crank = found.gap_by_crank, found.foot_by_crank
-    row.crank_angle, row.deviation = theta, x
+    row.foot, row.place, row.foot_rate = solved.foot, solved.place, solved.foot_rate
+    row.gap, row.arm, row.arm_rate = solved.gap, solved.arm, solved.arm_rate
+    row.curvature, row.curvature_rate = solved.curvature, solved.curvature_rate
+    row.gap_by_crank, row.foot_by_crank = solved.gap_by_crank, solved.foot_by_crank
+    row.crank_angle, row.deviation = crank_angle, x

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from cycloid_fmu.contact.compiling import compiled, inlined, part
+from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.lanes import Lanes, lanes_of, logarithm, vectors
 
 _FORCE_STEP = 1e-5  # of the force: Halley's last step; the next one would be a fiftieth of its cube, or less
@@ -103,7 +103,7 @@ class _Law(NamedTuple):
     bending: float  # -∂H/∂(1/ρ_c), m
 
 
-@inlined
+@compiled(inline=True)
 def _law(
     curvature: float,
     pin_radius: float,
@@ -129,13 +129,13 @@ def _law(
     return _Law(kappa, h, bending)
 
 
-@inlined
+@compiled(inline=True)
 def _first_guess(target: float, h: float, series: float) -> float:
     # Of 1 N: a better one takes a logarithm, and mostly there is the force of a neighbouring crank angle.
     return target / (max(h, 2.0) + series)
 
 
-@inlined
+@compiled(inline=True)
 def _following(force: float, target: float, h: float, series: float) -> tuple[float, float]:
     """Halley's next force, and H - ln F with what a spring adds, before it."""
     q = max(h - logarithm(force), 1.5) + series
@@ -146,16 +146,16 @@ def _following(force: float, target: float, h: float, series: float) -> tuple[fl
     return following if following > 0.0 else 0.5 * force, q
 
 
-@inlined
+@compiled(inline=True)
 def _logarithm_of_step(force: float, start: float) -> float:
     """ln(F/F₀) after the last step, whose cube is nothing."""
     share = (force - start) / start
     return share * (1.0 - 0.5 * share)
 
 
-@part
+@compiled
 def hertz_in_lanes(
-    one: Lanes,
+    group: Lanes,
     filled: int,
     width: float,
     compliance_gear: float,
@@ -169,54 +169,54 @@ def hertz_in_lanes(
 
     Parameters
     ----------
-    one
+    group
         `PRESSED`, with each contact's approach, curvature, pin radius and first guess of the force; without an approach
         all three become 0.
     """
     lanes = vectors(filled)
     for lane in range(lanes):
         law = _law(
-            one.curvature[lane], one.pin_radius[lane], width, compliance_gear, compliance_pin, largest_log_radius
+            group.curvature[lane], group.pin_radius[lane], width, compliance_gear, compliance_pin, largest_log_radius
         )
-        one.h[lane], one.bending[lane] = law.h, law.bending
-        target = max(one.approach[lane], 1e-15) / law.kappa
+        group.h[lane], group.bending[lane] = law.h, law.bending
+        target = max(group.approach[lane], 1e-15) / law.kappa
         guess = _first_guess(target, law.h, seat_compliance / law.kappa)
-        one.target[lane], one.guess[lane], one.start[lane] = target, one.force[lane], 0.0
-        one.force[lane] = one.force[lane] if (one.force[lane] > 0.0) & (one.approach[lane] > 0.0) else guess
+        group.target[lane], group.guess[lane], group.start[lane] = target, group.force[lane], 0.0
+        group.force[lane] = group.force[lane] if (group.force[lane] > 0.0) & (group.approach[lane] > 0.0) else guess
     kappa = (compliance_gear + compliance_pin) / (math.pi * width)
     series = seat_compliance / kappa
     for _ in range(30):
         moving = 0
         for lane in range(lanes):
-            start = one.force[lane]
-            force, q = _following(start, one.target[lane], one.h[lane], series)
-            ended = abs(start - one.start[lane]) <= _FORCE_STEP * start
-            one.force[lane], one.q[lane] = start if ended else force, one.q[lane] if ended else q
-            one.start[lane] = one.start[lane] if ended else start
-            moving += 1 if abs(one.force[lane] - one.start[lane]) > _FORCE_STEP * one.force[lane] else 0
+            start = group.force[lane]
+            force, q = _following(start, group.target[lane], group.h[lane], series)
+            ended = abs(start - group.start[lane]) <= _FORCE_STEP * start
+            group.force[lane], group.q[lane] = start if ended else force, group.q[lane] if ended else q
+            group.start[lane] = group.start[lane] if ended else start
+            moving += 1 if abs(group.force[lane] - group.start[lane]) > _FORCE_STEP * group.force[lane] else 0
         if moving == 0:
             break
     bent = 0
     for lane in range(lanes):
-        force, pressed = one.force[lane], one.approach[lane] > 0.0
-        q = one.q[lane] - _logarithm_of_step(force, one.start[lane])
-        one.q[lane] = q
+        force, pressed = group.force[lane], group.approach[lane] > 0.0
+        q = group.q[lane] - _logarithm_of_step(force, group.start[lane])
+        group.q[lane] = q
         bent += 1 if q < 3.0 + series else 0
-        one.force[lane] = force if pressed else 0.0
+        group.force[lane] = force if pressed else 0.0
         softness = 1.0 / (q - 1.0)
-        one.stiffness[lane] = softness / kappa if pressed else 0.0
-        one.by_curvature[lane] = -one.force[lane] * one.bending[lane] * softness
+        group.stiffness[lane] = softness / kappa if pressed else 0.0
+        group.by_curvature[lane] = -group.force[lane] * group.bending[lane] * softness
     if bent > 0:
         for lane in range(lanes):
-            if (one.approach[lane] > 0.0) & (one.q[lane] < 3.0 + series):
-                one.force[lane], one.stiffness[lane], one.by_curvature[lane] = hertz(
-                    one.approach[lane],
-                    one.curvature[lane],
-                    one.pin_radius[lane],
+            if (group.approach[lane] > 0.0) & (group.q[lane] < 3.0 + series):
+                group.force[lane], group.stiffness[lane], group.by_curvature[lane] = hertz(
+                    group.approach[lane],
+                    group.curvature[lane],
+                    group.pin_radius[lane],
                     width,
                     compliance_gear,
                     compliance_pin,
                     largest_log_radius,
-                    one.guess[lane],
+                    group.guess[lane],
                     seat_compliance,
                 )

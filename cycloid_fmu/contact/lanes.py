@@ -16,7 +16,7 @@ import numpy as np
 from numba.core import cgutils, config, types
 from numba.extending import intrinsic
 
-from cycloid_fmu.contact.compiling import inlined
+from cycloid_fmu.contact.compiling import compiled
 
 LANES = 32  # of one group at most
 
@@ -26,12 +26,18 @@ _HALF_PI_HIGH, _HALF_PI_LOW = 1.57079632673412561417, 6.07710050650619224932e-11
 _LN2 = 6.93147180559945286227e-01
 
 
-def lanes_of(*names: str) -> np.dtype[np.void]:
-    """Return a record of `LANES` numbers for each name."""
-    return np.dtype((np.record, [(name, np.float64, (LANES,)) for name in names]))
+def lanes_of(*names: str, numbers: tuple[str, ...] = ()) -> np.dtype[np.void]:
+    """Return a record of `LANES` numbers for each name, and of one integer for each of `numbers`."""
+    of_lanes = [(name, np.float64, (LANES,)) for name in names]
+    return np.dtype((np.record, [*of_lanes, *((name, np.int64) for name in numbers)]))
 
 
-@inlined
+def record_of(*names: str) -> np.dtype[np.void]:
+    """Return a record of one number for each name, whose fields kernels and Python take as attributes."""
+    return np.dtype((np.record, [(name, np.float64) for name in names]))
+
+
+@compiled(inline=True)
 def vectors(filled: int) -> int:
     """Lanes of a group that are computed: whole vectors of four, at least one, so that no loop has a remainder."""
     return max((filled + 3) & -4, 4)
@@ -60,7 +66,7 @@ if not config.DISABLE_JIT:
     on_stack = _on_stack
 
 
-@inlined
+@compiled(inline=True)
 def sine_cosine(angle: float) -> tuple[float, float]:
     """Sine and cosine, to 2e-16 for angles up to 1e5 rad (polynomials of fdlibm, within a quarter turn)."""
     quarters = (angle * (2.0 / math.pi) + _ROUND) - _ROUND
@@ -105,7 +111,7 @@ def sine_cosine(angle: float) -> tuple[float, float]:
     return sign * sine, sign * cosine
 
 
-@inlined
+@compiled(inline=True)
 def logarithm(value: float) -> float:
     """Natural logarithm of a positive number, to 2e-16 of 1 or of itself (polynomial of fdlibm)."""
     bits = np.float64(value).view(np.int64)

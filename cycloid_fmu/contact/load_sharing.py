@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.hertz import half_width
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.problem import Problem
@@ -83,7 +83,7 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
     return count, largest_pressure
 
 
-@inlined
+@compiled
 def _half_width(problem: Problem, contact: np.record, pin: int) -> float:
     return half_width(
         contact.force,
@@ -95,9 +95,9 @@ def _half_width(problem: Problem, contact: np.record, pin: int) -> float:
     )
 
 
-@part
+@compiled
 def write_contact_lines(
-    problem: Problem, lines: ContactLines | None, load: int, angle: int, theta: float, x: float, contacts: Rows
+    problem: Problem, lines: ContactLines | None, load: int, angle: int, crank_angle: float, x: float, contacts: Rows
 ) -> None:
     """Write the contact lines of one solved position and raise the elements' largest pressures."""
     if lines is None:
@@ -115,7 +115,7 @@ def write_contact_lines(
         contact = contacts[row]
         if contact.force <= 0.0:
             continue
-        local = local_frame(problem, theta, x, contacts, row)
+        local = local_frame(problem, crank_angle, x, contacts, row)
         disc, slice_, pin = local.disc, local.slice, local.pin
         c, s = math.cos(local.direction), math.sin(local.direction)
         # The contact lies from the pin's axis against the flank's normal.

@@ -90,7 +90,7 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     angle, row = np.nonzero(table["force"] > 0.0)
     held = table[angle, row]
     pins, teeth = drive.teeth + 1, drive.teeth
-    disc, slice_, pin = contact.disc_slice_pin(drive, row)
+    disc, slice_, pin = np.unravel_index(row // 2, (drive.crank_phase.size, drive.centre_x.size, pins))
     theta, x = crank_angle[angle], deviation[angle]
     crank = theta + drive.crank_phase[disc]
     ring = theta / pins + x if drive.ring else np.zeros(theta.size)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import inlined, part
+from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.foot import path_curvature
 from cycloid_fmu.contact.lanes import sine_cosine
 from cycloid_fmu.contact.problem import Problem, poses
@@ -54,7 +54,7 @@ class FlankFrame(NamedTuple):
     turning: float
 
 
-@inlined
+@compiled(inline=True)
 def flank_frame(
     problem: Problem, alpha: float, angle: float, lever_x: float, lever_y: float, distance: float
 ) -> FlankFrame:
@@ -84,7 +84,7 @@ def flank_frame(
     )
 
 
-@inlined
+@compiled(inline=True)
 def levers(
     problem: Problem,
     pin_x: float,
@@ -114,11 +114,11 @@ def levers(
     return lever_x, lever_y, gear_x, gear_y
 
 
-@part
-def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: int) -> LocalFrame:
+@compiled
+def local_frame(problem: Problem, crank_angle: float, x: float, contacts: Rows, row: int) -> LocalFrame:
     """Local frame of a row that was solved at crank angle θ and deviation x."""
     disc, slice_, pin = disc_slice_pin(problem, row)
-    crank, ring, gear = poses(problem, theta, x, disc)
+    crank, ring, gear = poses(problem, crank_angle, x, disc)
     place = pin * 2.0 * math.pi / (problem.teeth + 1)
     alpha = place + (crank - ring) / problem.teeth + contacts[row].foot
     tooth = math.floor(alpha * problem.teeth / (2.0 * math.pi)) % problem.teeth
@@ -174,7 +174,7 @@ class Carrying(NamedTuple):
     arm: float
 
 
-@inlined
+@compiled(inline=True)
 def displaced(
     contact: np.record | Carrying, local: LocalFrame | FlankFrame, vx: float, vy: float, wx: float, wy: float
 ) -> float:
@@ -189,3 +189,78 @@ def displaced(
     mixed = turned + local.slide * tangent * local.bend
     curved = contact.force_by_curvature * contact.curvature_rate * tangent * local.foot
     return float((curved - contact.stiffness * normal) * contact.arm - contact.force * mixed)
+
+
+@compiled
+def crank_motion(problem: Problem, local: LocalFrame) -> tuple[float, float]:
+    """Motion of the pin's axis relative to the gear for each radian of the crank, m.
+
+    The gear's centre moves by e i e^{iθ}, so the pin's axis by the opposite of it.
+    """
+    return problem.eccentricity * local.crank_y, -problem.eccentricity * local.crank_x
+
+
+class GapGradient(NamedTuple):
+    """Derivatives of a contact's gap, and of the sliding of the pin's axis along the flank, by the gear's position.
+
+    The position is the shift (u, v) of the gear's centre, m, and the gear's rotation y, rad; sliding is positive along
+    ẑ × n, counter-clockwise.
+    """
+
+    gap_u: float  # 1
+    gap_v: float
+    gap_y: float  # m
+    slide_u: float
+    slide_v: float
+    slide_y: float
+
+
+@compiled
+def gap_gradient(local: LocalFrame) -> GapGradient:
+    """Derivatives of a contact's gap and sliding by the position of the gear."""
+    nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
+    return GapGradient(-nx, -ny, nx * py - ny * px, ny, -nx, -(nx * px + ny * py))
+
+
+class ContactStiffness(NamedTuple):
+    """Derivatives of -F ∂g/∂(u, v, y), the forces and moment that hold the gear against one contact, by (u, v, y).
+
+    The first letter is that of the force, the second that of the position; N/m, N and N·m.
+    """
+
+    uu: float
+    uv: float
+    uy: float
+    vu: float
+    vv: float
+    vy: float
+    yu: float
+    yv: float
+    yy: float
+
+
+@compiled
+def contact_stiffness(contact: np.record, local: LocalFrame, at: GapGradient) -> ContactStiffness:
+    """Stiffness of one contact against shift and rotation of the gear.
+
+    The force grows by the approach, turns with the normal as the axis slides over the bent flank, and changes with the
+    flank's curvature at the foot; the rotation turns the lever of the pin's axis as well.
+    """
+    force, k = contact.force, contact.stiffness
+    bent = force * local.bend
+    curved = contact.force_by_curvature * contact.curvature_rate * local.foot
+    # What the gap's derivatives by u, v and y change the force by, N/m and N.
+    fu = k * at.gap_u - curved * at.slide_u
+    fv = k * at.gap_v - curved * at.slide_v
+    fy = k * at.gap_y - curved * at.slide_y
+    return ContactStiffness(
+        fu * at.gap_u - bent * at.slide_u * at.slide_u,
+        fv * at.gap_u - bent * at.slide_u * at.slide_v,
+        fy * at.gap_u - bent * at.slide_u * at.slide_y - force * at.slide_u,
+        fu * at.gap_v - bent * at.slide_v * at.slide_u,
+        fv * at.gap_v - bent * at.slide_v * at.slide_v,
+        fy * at.gap_v - bent * at.slide_v * at.slide_y - force * at.slide_v,
+        fu * at.gap_y - bent * at.slide_y * at.slide_u - force * at.slide_u,
+        fv * at.gap_y - bent * at.slide_y * at.slide_v - force * at.slide_v,
+        fy * at.gap_y - bent * at.slide_y * at.slide_y - force * at.slide_y,
+    )

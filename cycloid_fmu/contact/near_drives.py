@@ -11,7 +11,7 @@ from cycloid_fmu.contact.compiling import Array
 from cycloid_fmu.contact.lanes import LANES
 from cycloid_fmu.contact.problem import Drives, Problem
 from cycloid_fmu.contact.side_by_side import (
-    COLUMNS,
+    GUIDE,
     Guide,
     Memory,
     guide_rows,
@@ -59,13 +59,13 @@ class NearDrives:
 
     def _along(self, sweep_number: int) -> Iterator[Guide]:
         """Yield the guides along a sweep; those that memory has room for are made once."""
-        angles, size = self.loads[sweep_number][1], self._contacts * COLUMNS * 8
+        angles, size = self.loads[sweep_number][1], self._contacts * GUIDE.itemsize
         few = max(_GUIDE // size, 1)
         for first in range(0, angles.size, few):
             guide = self._guides.get((sweep_number, first))
             if guide is None:
                 at, deviation = angles[first : first + few], self._deviation[sweep_number][first : first + few].copy()
-                guide = Guide(first, np.empty((at.size, self._contacts, COLUMNS)), deviation)
+                guide = Guide(first, np.empty((at.size, self._contacts), GUIDE), deviation)
                 guide_rows(self._problem, at, deviation, guide.rows)
                 if sum(kept.rows.nbytes for kept in self._guides.values()) < _KEPT:
                     self._guides[sweep_number, first] = guide

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from cycloid_fmu.contact.compiling import compiled, part
+from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.equilibrium import to_touch
-from cycloid_fmu.contact.local_frame import local_frame
+from cycloid_fmu.contact.local_frame import crank_motion, local_frame
 from cycloid_fmu.contact.placement import CLEAR, place
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows
@@ -15,7 +15,7 @@ TOUCHING = 2e-10  # m: an interference below this counts as touching
 ROTATION_STEP = 1e-12  # rad: last step of the play's ends
 
 
-@part
+@compiled
 def _smallest_gap(contacts: Rows, step: float) -> tuple[float, int]:
     """Smallest gap after a small rotation, to first order, and its row."""
     best, active = math.inf, 0
@@ -27,7 +27,7 @@ def _smallest_gap(contacts: Rows, step: float) -> tuple[float, int]:
 
 
 @compiled
-def play(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool) -> tuple[float, float, float]:
+def play(problem: Problem, crank_angle: float, x: float, contacts: Rows, cold: bool) -> tuple[float, float, float]:
     """Ends of the free rotation with the crank locked, and by how much there is none.
 
     From any free rotation each end is where the first flank touches. Where x is not free, the search begins from the
@@ -35,7 +35,7 @@ def play(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool) -
 
     Parameters
     ----------
-    problem, theta, contacts, cold
+    problem, crank_angle, contacts, cold
         As in `equilibrium`.
     x
         Starting deviation, rad.
@@ -49,7 +49,7 @@ def play(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool) -
     lowest, highest = -math.inf, math.inf
     gap = 0.0
     for _ in range(100):
-        place(problem, theta, x, contacts, cold, math.inf, math.inf)
+        place(problem, crank_angle, x, contacts, cold, math.inf, math.inf)
         cold = False
         gap, active = _smallest_gap(contacts, 0.0)
         if gap > TOUCHING:
@@ -87,36 +87,38 @@ def play(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool) -
         return math.nan, math.nan, -gap
     if gap <= 0.0:
         return x, x, 0.0
-    low = _first_touch(problem, theta, x, contacts, cold, -1.0)
-    return low, _first_touch(problem, theta, x, contacts, cold, 1.0), 0.0
+    low = _first_touch(problem, crank_angle, x, contacts, cold, -1.0)
+    return low, _first_touch(problem, crank_angle, x, contacts, cold, 1.0), 0.0
 
 
-@part
-def end_beside(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, direction: float) -> float:
+@compiled
+def end_from_neighbour(
+    problem: Problem, crank_angle: float, x: float, contacts: Rows, cold: bool, direction: float
+) -> float:
     """End of the free rotation in `direction` (±1) of nominal flanks, from that of a neighbouring crank angle, x.
 
     Pins that were clear there stay clear for certain (docs/theory/contact.md), so that few are solved. Where there is
     no free position both ends are found all the same, the lower above the upper.
     """
-    place(problem, theta, x, contacts, cold, CLEAR, math.inf)
-    return _first_touch(problem, theta, x, contacts, cold, direction)
+    place(problem, crank_angle, x, contacts, cold, CLEAR, math.inf)
+    return _first_touch(problem, crank_angle, x, contacts, cold, direction)
 
 
-@part
-def _first_touch(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, direction: float) -> float:
+@compiled
+def _first_touch(problem: Problem, crank_angle: float, x: float, contacts: Rows, cold: bool, direction: float) -> float:
     # What a flank with deviations predicts reaches no farther than its next element.
     clear = CLEAR if problem.deviations is None else math.inf
     for _ in range(50):
-        step = min(to_touch(contacts, theta, x, direction), 1e-3)
+        step = min(to_touch(contacts, crank_angle, x, direction), 1e-3)
         x += direction * step
         if abs(step) < ROTATION_STEP:
             break
-        place(problem, theta, x, contacts, cold, clear, math.inf)
+        place(problem, crank_angle, x, contacts, cold, clear, math.inf)
     return x
 
 
 @compiled
-def touch_rate(problem: Problem, theta: float, x: float, contacts: Rows, direction: float) -> float:
+def touch_rate(problem: Problem, crank_angle: float, x: float, contacts: Rows, direction: float) -> float:
     """How fast the crank moves an unloaded output that it pushes, dφ_b/dθ (1), NaN without a flank in `direction`.
 
     The flank with the smallest gap among those that stop a rotation in `direction` (±1) stays in contact.
@@ -127,6 +129,6 @@ def touch_rate(problem: Problem, theta: float, x: float, contacts: Rows, directi
             best, touching = contacts[row].gap, row
     if touching < 0:
         return math.nan
-    local = local_frame(problem, theta, x, contacts, touching)
-    rate = problem.eccentricity * (local.crank_y * local.normal_x - local.crank_x * local.normal_y)
-    return rate / contacts[touching].arm
+    local = local_frame(problem, crank_angle, x, contacts, touching)
+    vx, vy = crank_motion(problem, local)
+    return (vx * local.normal_x + vy * local.normal_y) / contacts[touching].arm

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cycloid_fmu.contact.compiling import Array, inlined
+from cycloid_fmu.contact.compiling import Array, compiled
 
 
 class Deviations(NamedTuple):
@@ -129,10 +129,10 @@ class Drives(NamedTuple):
     root_margin: Array
 
 
-@inlined
-def poses(problem: Problem, theta: float, x: float, disc: int) -> tuple[float, float, float]:
+@compiled(inline=True)
+def poses(problem: Problem, crank_angle: float, x: float, disc: int) -> tuple[float, float, float]:
     """Crank angle of a disc and the rotations of ring and gear, at disc 0's crank angle θ and deviation x, rad."""
     phase = problem.crank_phase[disc]
     if problem.ring:
-        return theta + phase, theta / (problem.teeth + 1) + x, -phase / problem.teeth
-    return theta + phase, 0.0, x + problem.turn[disc] - (theta + phase) / problem.teeth
+        return crank_angle + phase, crank_angle / (problem.teeth + 1) + x, -phase / problem.teeth
+    return crank_angle + phase, 0.0, x + problem.turn[disc] - (crank_angle + phase) / problem.teeth

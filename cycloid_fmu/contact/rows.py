@@ -30,12 +30,13 @@ touching           1     in row i the number of the ith row that may touch where
 
 from __future__ import annotations
 
-from typing import TypeVar
+import math
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import allocating, inlined, part
+from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.problem import Problem
 
 _FIELDS = (
@@ -61,20 +62,18 @@ _FIELDS = (
 )
 ROW = np.dtype((np.record, [(name, np.float64) for name in _FIELDS]))  # a record, so that `.gap` works in Python too
 Rows = NDArray[np.void]
-_Index = TypeVar("_Index", int, NDArray[np.int64])
 
 
-@allocating
+@register_jitable  # type: ignore[untyped-decorator]  # not `compiled`, because it makes an array
 def contact_rows(problem: Problem) -> Rows:
     """Return the empty contact rows of a problem, shape (discs x slices x pins x 2,)."""
     contacts = np.zeros(problem.crank_phase.size * problem.centre_x.size * problem.pin_x.size * 2, ROW)
-    contacts["gap"][:] = np.inf
-    contacts["foot"][:] = np.nan
-    contacts["touching"][:] = -1.0
+    for row in range(contacts.size):
+        contacts[row].gap, contacts[row].foot, contacts[row].touching = math.inf, math.nan, -1.0
     return contacts
 
 
-@part
+@compiled
 def touching_count(contacts: Rows) -> int:
     """How many rows may touch: their numbers are in `touching` of the first rows."""
     count = 0
@@ -83,14 +82,14 @@ def touching_count(contacts: Rows) -> int:
     return count
 
 
-@inlined
-def disc_slice_pin(problem: Problem, row: _Index) -> tuple[_Index, _Index, _Index]:
+@compiled(inline=True)
+def disc_slice_pin(problem: Problem, row: int) -> tuple[int, int, int]:
     """Disc, slice and pin of a row."""
     pins, slices = problem.pin_x.size, problem.centre_x.size
     return row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
 
 
-@inlined
-def is_solved_at(contact: np.record, theta: float, x: float) -> bool:
+@compiled(inline=True)
+def is_solved_at(contact: np.record, crank_angle: float, x: float) -> bool:
     """Whether a row was solved at this very crank angle and deviation, not left from elsewhere."""
-    return bool(contact.deviation == x and contact.crank_angle == theta)
+    return bool(contact.deviation == x and contact.crank_angle == crank_angle)

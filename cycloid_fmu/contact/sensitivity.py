@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part, spliced
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.equilibrium import rotational_stiffness
 from cycloid_fmu.contact.lanes import LANES, Lanes, lanes_of, on_stack, sine_cosine, vectors
 from cycloid_fmu.contact.local_frame import Carrying, FlankFrame, LocalFrame, displaced, flank_frame, levers
@@ -17,7 +17,7 @@ from cycloid_fmu.contact.rows import Rows, disc_slice_pin, touching_count
 CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING, BODY_COUNT = range(8)
 
 
-@inlined
+@compiled(inline=True)
 def larger_circle(
     problem: Problem, contact: np.record | Carrying, distance: float, local: LocalFrame | FlankFrame
 ) -> tuple[float, float]:
@@ -38,24 +38,24 @@ def larger_circle(
 
 
 @compiled
-def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out: Array) -> float:
+def sensitivities(problem: Problem, crank_angle: float, x: float, contacts: Rows, out: Array) -> float:
     """Derivatives of the deviation at constant torque by every displacement (implicit function theorem).
 
     As `derivatives`, without that by the crank; returns ∂M/∂x, N·m/rad.
     """
-    stiffness, _ = derivatives(problem, theta, x, contacts, out)
+    stiffness, _ = derivatives(problem, crank_angle, x, contacts, out)
     return stiffness
 
 
-@part
-def derivatives(problem: Problem, theta: float, x: float, contacts: Rows, out: Array) -> tuple[float, float]:
+@compiled
+def derivatives(problem: Problem, crank_angle: float, x: float, contacts: Rows, out: Array) -> tuple[float, float]:
     """Derivatives of the deviation at constant torque by every displacement, and of the output by the crank.
 
     dx/dp = -(∂M/∂p)/(∂M/∂x) (docs/theory/errors.md), with the arms' own change included.
 
     Parameters
     ----------
-    problem, theta, x, contacts
+    problem, crank_angle, x, contacts
         A solved equilibrium.
     out
         Overwritten, shape (7 + 3 pins + discs x teeth,), by what is displaced: the bodies (`errors.kinds.BODIES`);
@@ -73,40 +73,40 @@ def derivatives(problem: Problem, theta: float, x: float, contacts: Rows, out: A
     for column in range(out.size):
         out[column] = 0.0
     stiffness = coupling = 0.0
-    seen, touching, following = on_stack(_SEEN), touching_count(contacts), 0
+    group, touching, following = on_stack(LOADED), touching_count(contacts), 0
     while following < touching:
         filled = 0
         while following < touching and filled < LANES:
             row = int(contacts[following].touching)
             if contacts[row].force > 0.0:
-                _see(problem, theta, x, contacts[row], row, seen, filled)
+                _enter(problem, crank_angle, x, contacts[row], row, group, filled)
                 filled += 1
             following += 1
-        _torques(problem, theta, x, seen, filled)
+        _torques(problem, crank_angle, x, group, filled)
         for lane in range(filled):
-            pin, z = int(seen.pin[lane]), problem.slice_z[int(seen.slice[lane])]
-            stiffness += rotational_stiffness(contacts[int(seen.row[lane])])
-            out[CENTRE_X] += seen.along_x[lane]
-            out[CENTRE_Y] += seen.along_y[lane]
-            out[TILT_X] += seen.along_x[lane] * z
-            out[TILT_Y] += seen.along_y[lane] * z
-            out[CRANK_THROW] += seen.throw[lane]
+            pin, z = int(group.pin[lane]), problem.slice_z[int(group.slice[lane])]
+            stiffness += rotational_stiffness(contacts[int(group.row[lane])])
+            out[CENTRE_X] += group.along_x[lane]
+            out[CENTRE_Y] += group.along_y[lane]
+            out[TILT_X] += group.along_x[lane] * z
+            out[TILT_Y] += group.along_y[lane] * z
+            out[CRANK_THROW] += group.throw[lane]
             # The crank moves the gear's centre across its throw.
-            coupling += problem.eccentricity * seen.across[lane]
-            out[radial + pin] += seen.outwards[lane]
-            out[tangential + pin] += seen.sideways[lane]
-            thicker = seen.stiffness[lane] * seen.arm[lane]
+            coupling += problem.eccentricity * group.across[lane]
+            out[radial + pin] += group.outwards[lane]
+            out[tangential + pin] += group.sideways[lane]
+            thicker = group.stiffness[lane] * group.arm[lane]
             out[radius + pin] += thicker
             out[PIN_GENERATING] -= thicker
-            out[CIRCLE_GENERATING] += seen.circle[lane]
-            out[pitch + int(seen.disc[lane]) * problem.teeth + int(seen.tooth[lane])] += seen.turned[lane]
+            out[CIRCLE_GENERATING] += group.circle[lane]
+            out[pitch + int(group.disc[lane]) * problem.teeth + int(group.tooth[lane])] += group.turned[lane]
     scale = -1.0 / stiffness
     for column in range(out.size):
         out[column] *= scale
     return stiffness, scale * coupling
 
 
-_SEEN = lanes_of(
+LOADED = lanes_of(
     # what is known of contacts that carry, as in `LocalFrame` and contact rows
     "row",
     "disc",
@@ -141,58 +141,62 @@ _SEEN = lanes_of(
 )
 
 
-@inlined
-def _see(problem: Problem, theta: float, x: float, contact: np.record, row: int, seen: Lanes, lane: int) -> None:
+@compiled
+def _enter(
+    problem: Problem, crank_angle: float, x: float, contact: np.record, row: int, group: Lanes, lane: int
+) -> None:
     """Put a contact into a lane."""
     disc, slice_, pin = disc_slice_pin(problem, row)
-    seen.row[lane], seen.disc[lane], seen.slice[lane], seen.pin[lane] = row, disc, slice_, pin
-    seen.foot[lane] = contact.foot
-    seen.crank[lane], _, seen.gear[lane] = poses(problem, theta, x, disc)
-    seen.pin_x[lane], seen.pin_y[lane] = problem.pin_x[pin], problem.pin_y[pin]
-    seen.centre_x[lane] = problem.centre_x[slice_] + problem.shift_x[disc]
-    seen.centre_y[lane] = problem.centre_y[slice_] + problem.shift_y[disc]
-    seen.distance[lane] = contact.gap + problem.pin_radius[pin] - problem.generating_radius
-    seen.force[lane], seen.stiffness[lane], seen.arm[lane] = contact.force, contact.stiffness, contact.arm
-    seen.force_by_curvature[lane], seen.curvature_rate[lane] = contact.force_by_curvature, contact.curvature_rate
+    group.row[lane], group.disc[lane], group.slice[lane], group.pin[lane] = row, disc, slice_, pin
+    group.foot[lane] = contact.foot
+    group.crank[lane], _, group.gear[lane] = poses(problem, crank_angle, x, disc)
+    group.pin_x[lane], group.pin_y[lane] = problem.pin_x[pin], problem.pin_y[pin]
+    group.centre_x[lane] = problem.centre_x[slice_] + problem.shift_x[disc]
+    group.centre_y[lane] = problem.centre_y[slice_] + problem.shift_y[disc]
+    group.distance[lane] = contact.gap + problem.pin_radius[pin] - problem.generating_radius
+    group.force[lane], group.stiffness[lane], group.arm[lane] = contact.force, contact.stiffness, contact.arm
+    group.force_by_curvature[lane], group.curvature_rate[lane] = contact.force_by_curvature, contact.curvature_rate
 
 
-@spliced
-def _torques(problem: Problem, theta: float, x: float, seen: Lanes, filled: int) -> None:
+@compiled
+def _torques(problem: Problem, crank_angle: float, x: float, group: Lanes, filled: int) -> None:
     """Write how the torques of contacts in lanes change."""
-    _, rotation, _ = poses(problem, theta, x, 0)
+    _, rotation, _ = poses(problem, crank_angle, x, 0)
     sr, cr = sine_cosine(rotation)
     ring, teeth = problem.ring, float(problem.teeth)
     for lane in range(vectors(filled)):
-        alpha = seen.pin[lane] * 2.0 * math.pi / (teeth + 1.0) + (seen.crank[lane] - rotation) / teeth + seen.foot[lane]
+        alpha = (
+            group.pin[lane] * 2.0 * math.pi / (teeth + 1.0) + (group.crank[lane] - rotation) / teeth + group.foot[lane]
+        )
         tooth = np.floor(alpha * teeth / (2.0 * math.pi))
-        seen.tooth[lane] = tooth - teeth * np.floor(tooth / teeth)
-        seen.alpha[lane], seen.angle[lane] = alpha, alpha + seen.gear[lane]
+        group.tooth[lane] = tooth - teeth * np.floor(tooth / teeth)
+        group.alpha[lane], group.angle[lane] = alpha, alpha + group.gear[lane]
     for lane in range(filled):
-        seen.angle[lane] += problem.tooth_turn[int(seen.disc[lane]), int(seen.tooth[lane])]
+        group.angle[lane] += problem.tooth_turn[int(group.disc[lane]), int(group.tooth[lane])]
     # The gear's centre moves, so the pin's axis by the opposite; in the housing's frame unless the gear turns.
     turn, sign = (0.0, 1.0) if ring else (1.0, -1.0)
     for lane in range(vectors(filled)):
-        sc, cc = sine_cosine(seen.crank[lane])
+        sc, cc = sine_cosine(group.crank[lane])
         lever_x, lever_y, gear_x, gear_y = levers(
-            problem, seen.pin_x[lane], seen.pin_y[lane], sr, cr, sc, cc, seen.centre_x[lane], seen.centre_y[lane]
+            problem, group.pin_x[lane], group.pin_y[lane], sr, cr, sc, cc, group.centre_x[lane], group.centre_y[lane]
         )
-        local = flank_frame(problem, seen.alpha[lane], seen.angle[lane], lever_x, lever_y, seen.distance[lane])
+        local = flank_frame(problem, group.alpha[lane], group.angle[lane], lever_x, lever_y, group.distance[lane])
         contact = Carrying(
-            seen.force[lane],
-            seen.stiffness[lane],
-            seen.force_by_curvature[lane],
-            seen.curvature_rate[lane],
-            seen.arm[lane],
+            group.force[lane],
+            group.stiffness[lane],
+            group.force_by_curvature[lane],
+            group.curvature_rate[lane],
+            group.arm[lane],
         )
         along_x = displaced(contact, local, -1.0, 0.0, 0.0, turn)
         along_y = displaced(contact, local, 0.0, -1.0, -turn, 0.0)
-        seen.along_x[lane], seen.along_y[lane] = along_x, along_y
-        seen.throw[lane], seen.across[lane] = along_x * cc + along_y * sc, along_y * cc - along_x * sc
+        group.along_x[lane], group.along_y[lane] = along_x, along_y
+        group.throw[lane], group.across[lane] = along_x * cc + along_y * sc, along_y * cc - along_x * sc
         # The pin moves with the ring.
-        s, c = sine_cosine(seen.pin[lane] * 2.0 * math.pi / (teeth + 1.0) + rotation)
-        seen.outwards[lane] = displaced(contact, local, c, s, -sign * s, sign * c)
-        seen.sideways[lane] = displaced(contact, local, -s, c, -sign * c, -sign * s)
-        pressed, turned = larger_circle(problem, contact, seen.distance[lane], local)
-        seen.circle[lane] = pressed * contact.arm - contact.force * turned * local.slide
+        s, c = sine_cosine(group.pin[lane] * 2.0 * math.pi / (teeth + 1.0) + rotation)
+        group.outwards[lane] = displaced(contact, local, c, s, -sign * s, sign * c)
+        group.sideways[lane] = displaced(contact, local, -s, c, -sign * c, -sign * s)
+        pressed, turned = larger_circle(problem, contact, group.distance[lane], local)
+        group.circle[lane] = pressed * contact.arm - contact.force * turned * local.slide
         wx, wy = (lever_x, lever_y) if ring else (-gear_x, -gear_y)
-        seen.turned[lane] = displaced(contact, local, gear_y, -gear_x, wx, wy)
+        group.turned[lane] = displaced(contact, local, gear_y, -gear_x, wx, wy)

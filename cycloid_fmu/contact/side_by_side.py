@@ -14,14 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.equilibrium import LINEAR_STEP, by_rates, follow, rotational_stiffness, touched_after
 from cycloid_fmu.contact.gap import Flank
 from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
-from cycloid_fmu.contact.lanes import LANES, lanes_of, on_stack, vectors
-from cycloid_fmu.contact.local_frame import local_frame
-from cycloid_fmu.contact.placement import SOLVED, around_root, disc_at, enter, faced, feet_in_lanes, place
+from cycloid_fmu.contact.lanes import LANES, lanes_of, on_stack, record_of, vectors
+from cycloid_fmu.contact.local_frame import gap_gradient, local_frame
+from cycloid_fmu.contact.placement import PLACED, enter, enter_flank, feet_in_lanes, place
 from cycloid_fmu.contact.play import ROTATION_STEP
+from cycloid_fmu.contact.pose import conjugate_point, disc_pose, pin_axis
 from cycloid_fmu.contact.problem import Drives, Problem
 from cycloid_fmu.contact.rows import contact_rows
 from cycloid_fmu.contact.sensitivity import (
@@ -36,30 +37,6 @@ from cycloid_fmu.contact.sensitivity import (
 )
 
 Indices = NDArray[np.int64]
-(
-    _GAP,
-    _ARM,
-    _RATE,
-    _RIGID_RATE,
-    _BEND,
-    _RADIAL,
-    _TANGENTIAL,
-    _X,
-    _Y,
-    _HEIGHT,
-    _CRANK,
-    _CRANK_ALONG,
-    _FACING,
-    _LEANING,
-    _TURN,
-    _TURN_ALONG,
-    _SLIDE,
-    _TOOTH,
-    _BEYOND,
-    _FOOT,
-    _FOOT_RATE,
-    COLUMNS,
-) = range(22)
 _BENT = 0.2  # of a contact's curvature radius: what displaces a pin farther along its flank is beyond second order
 _SURE = 2e-7  # m: what is left to a gap for another foot, and for the rotation while contacts are not placed again
 _REACHED = 1e-7  # rad: a play's last step, to second order
@@ -74,6 +51,35 @@ rotation of the drive beside them, by how much less the next tooth's gap may be 
 displaced, and what is thicker."""
 
 
+GUIDE = record_of(
+    # fields of a contact row
+    *("gap", "arm", "arm_rate", "foot", "foot_rate"),
+    # without the bend along the flank, which counts together with what errors displace along it
+    "rigid_arm_rate",
+    # the gap's second derivative along the flank at most, 1/m; infinite where the gap is not smooth
+    "bend",
+    # the gap's derivatives, with those along the flank: by the pin outwards (`radial`; `tangential` along the flank),
+    # by the gear's centre (the normal), by the crank's throw, the generating circle's radius and the tooth's turn
+    *(
+        "radial",
+        "tangential",
+        "normal_x",
+        "normal_y",
+        "crank",
+        "crank_along",
+        "facing",
+        "leaning",
+        "turn",
+        "turn_along",
+    ),
+    # of the output's rotation along the flank, m; distance of the slice from mid-width, m
+    *("slide", "height"),
+    # numbers of the tooth, and of the one across the root that the pin may reach
+    *("tooth", "beyond"),
+)
+"""Every contact of the drive that is solved, with what errors change of it to first order."""
+
+
 class Guide(NamedTuple):
     """Every pin's contact in a solved drive, at some crank angles of a sweep.
 
@@ -82,100 +88,63 @@ class Guide(NamedTuple):
     first
         Number of the first crank angle.
     rows
-        Shape (angles, contacts, columns), of each disc, slice and pin.
+        `GUIDE` records, shape (angles, contacts), of each disc, slice and pin.
     deviation
         Rotation at which they were solved, shape (angles,), rad.
     """
 
     first: int
-    rows: Array
+    rows: NDArray[np.void]
     deviation: Array
 
 
 @compiled
-def guide_rows(problem: Problem, thetas: Array, deviation: Array, rows: Array) -> None:
-    """Overwrite the rows of a `Guide`, shape (angles, contacts, columns), with the contacts of a solved drive."""
+def guide_rows(problem: Problem, crank_angles: Array, deviation: Array, rows: NDArray[np.void]) -> None:
+    """Overwrite the rows of a `Guide`, shape (angles, contacts), with the contacts of a solved drive."""
     contacts = contact_rows(problem)
     teeth = problem.teeth
-    for i in range(thetas.size):
-        place(problem, thetas[i], deviation[i], contacts, i == 0, math.inf, math.inf)
+    for i in range(crank_angles.size):
+        place(problem, crank_angles[i], deviation[i], contacts, i == 0, math.inf, math.inf)
         for k in range(rows.shape[1]):
-            one, row = rows[i, k], 2 * k
+            guide, row = rows[i, k], 2 * k
             if contacts[row + 1].gap < contacts[row].gap:
                 row += 1
             contact = contacts[row]
-            local = local_frame(problem, thetas[i], deviation[i], contacts, row)
+            local = local_frame(problem, crank_angles[i], deviation[i], contacts, row)
             c, s = math.cos(local.direction), math.sin(local.direction)
             nx, ny = local.normal_x, local.normal_y
-            one[_GAP], one[_ARM], one[_RATE] = contact.gap, contact.arm, contact.arm_rate
+            guide.gap, guide.arm, guide.arm_rate = contact.gap, contact.arm, contact.arm_rate
             # Without the bend along the flank, which counts together with what errors displace along it.
-            one[_RIGID_RATE] = contact.arm_rate + local.slide * local.slide * local.bend
+            guide.rigid_arm_rate = contact.arm_rate + local.slide * local.slide * local.bend
             # Where a pin has a foot on both teeth, or on the other one, its gap is not smooth.
             smooth = row == 2 * k and contacts[row + 1].gap == math.inf
-            one[_BEND] = abs(local.bend) + _BEND_MORE / problem.pin_radius[local.pin] if smooth else math.inf
-            one[_RADIAL], one[_TANGENTIAL] = nx * c + ny * s, ny * c - nx * s
-            one[_X], one[_Y], one[_HEIGHT] = nx, ny, problem.slice_z[local.slice]
-            one[_CRANK] = nx * local.crank_x + ny * local.crank_y
-            one[_CRANK_ALONG] = nx * local.crank_y - ny * local.crank_x
-            one[_FACING], one[_LEANING] = local.facing, local.leaning
-            one[_TURN] = nx * local.gear_y - ny * local.gear_x
-            one[_TURN_ALONG], one[_SLIDE] = -(nx * local.gear_x + ny * local.gear_y), local.slide
+            guide.bend = abs(local.bend) + _BEND_MORE / problem.pin_radius[local.pin] if smooth else math.inf
+            guide.radial, guide.tangential = nx * c + ny * s, ny * c - nx * s
+            guide.normal_x, guide.normal_y, guide.height = nx, ny, problem.slice_z[local.slice]
+            guide.crank = nx * local.crank_x + ny * local.crank_y
+            guide.crank_along = nx * local.crank_y - ny * local.crank_x
+            guide.facing, guide.leaning = local.facing, local.leaning
+            by_position = gap_gradient(local)
+            guide.turn, guide.turn_along, guide.slide = by_position.gap_y, by_position.slide_y, local.slide
             along = local.around * teeth / (2.0 * math.pi)
             along -= math.floor(along)
             other = (local.tooth + (1 if along > 0.5 else -1)) % teeth if not 0.2 < along < 0.8 else local.tooth
-            one[_TOOTH], one[_BEYOND] = local.disc * teeth + local.tooth, local.disc * teeth + other
-            one[_FOOT], one[_FOOT_RATE] = contacts[2 * k].foot, contacts[2 * k].foot_rate
+            guide.tooth, guide.beyond = local.disc * teeth + local.tooth, local.disc * teeth + other
+            guide.foot, guide.foot_rate = contacts[2 * k].foot, contacts[2 * k].foot_rate
 
 
 _GAPS = lanes_of("gap")
 
-_DRIVE = np.dtype(
-    (
-        np.record,
-        [
-            (name, np.float64)
-            for name in (
-                # Where contacts were placed, and ends of the bracket, rad; what the forces give:
-                "state",
-                "placed",
-                "low",
-                "high",
-                "torque",
-                "stiffness",
-                "count",
-                # Of the last crank angles: by how much they differ from the drive beside, how far beyond the first
-                # touch the last one was, by how much two first guesses missed it, and how many were solved in a row.
-                "changed",
-                "changed_before",
-                "changed_first",
-                "beyond",
-                "touch_missed",
-                "line_missed",
-                "solved",
-            )
-        ],
-    )
+_DRIVE = record_of(
+    # state; where contacts were placed, and ends of the bracket, rad; what the forces give
+    *("state", "placed", "low", "high", "torque", "stiffness", "count"),
+    # of the last crank angles: by how much they differ from the drive beside, how far beyond the first touch the last
+    # one was, by how much two first guesses missed it, and how many were solved in a row
+    *("changed", "changed_before", "changed_first", "beyond", "touch_missed", "line_missed", "solved"),
 )
-_NEAR = np.dtype(
-    (
-        np.record,
-        [
-            (name, np.float64)
-            for name in (
-                "contact",
-                "gap",
-                "arm",
-                "arm_rate",
-                "foot_rate",
-                "curvature",
-                "curvature_rate",
-                "pin_radius",
-                "force",
-                "stiffness",
-                "force_by_curvature",
-            )
-        ],
-    )
+_NEAR = record_of(
+    *("contact", "gap", "arm", "arm_rate", "foot_rate", "curvature", "curvature_rate", "pin_radius"),
+    *("force", "stiffness", "force_by_curvature"),
 )
 
 
@@ -212,8 +181,8 @@ def memory(contacts: int, errors: Array) -> Memory:
     )
 
 
-@part
-def _displace(rows: Array, pins: int, work: Memory) -> None:
+@compiled
+def _displace(rows: NDArray[np.void], pins: int, work: Memory) -> None:
     """Gaps of drives, and how far errors displace pins along their flanks, at the rotation of the drive beside them."""
     errors = work.errors
     # A larger circle displaces another foot, at most a pitch away, in another direction.
@@ -221,10 +190,10 @@ def _displace(rows: Array, pins: int, work: Memory) -> None:
     radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
     teeth = BODY_COUNT + 3 * pins
     for k in range(rows.shape[0]):
-        one, pin, beside = rows[k], k % pins, work.beside[k]
-        tooth, beyond = teeth + int(one[_TOOTH]), teeth + int(one[_BEYOND])
-        a, b, nx, ny, height = one[_RADIAL], one[_TANGENTIAL], one[_X], one[_Y], one[_HEIGHT]
-        gap, turn, crank, facing = one[_GAP], one[_TURN], one[_CRANK], one[_FACING]
+        guide, pin, beside = rows[k], k % pins, work.beside[k]
+        tooth, beyond = teeth + int(guide.tooth), teeth + int(guide.beyond)
+        a, b, nx, ny, height = guide.radial, guide.tangential, guide.normal_x, guide.normal_y, guide.height
+        gap, turn, crank, facing = guide.gap, guide.turn, guide.crank, guide.facing
         # In two loops, because the compiler gives up where it must compare too many arrays.
         for j in range(vectors(work.drives.size)):
             beside.gap[j] = (
@@ -242,7 +211,7 @@ def _displace(rows: Array, pins: int, work: Memory) -> None:
                 - nx * (errors[CENTRE_X, j] + height * errors[TILT_X, j])
                 - ny * (errors[CENTRE_Y, j] + height * errors[TILT_Y, j])
             )
-        turn_along, crank_along, leaning = one[_TURN_ALONG], one[_CRANK_ALONG], one[_LEANING]
+        turn_along, crank_along, leaning = guide.turn_along, guide.crank_along, guide.leaning
         for j in range(vectors(work.drives.size)):
             turned, further = errors[tooth, j], errors[beyond, j] - errors[tooth, j]
             beside.thicker[j] = errors[radius + pin, j] - errors[PIN_GENERATING, j]
@@ -258,12 +227,12 @@ def _displace(rows: Array, pins: int, work: Memory) -> None:
             )
 
 
-@inlined
-def _least_gaps(one: Array, beside: np.record, at: float, work: Memory) -> int:
+@compiled
+def _least_gaps(guide: np.record, beside: np.record, at: float, work: Memory) -> int:
     """Gaps that a contact has at least where the drives are; returns how many of them are not above `_SURE`."""
     gaps, near = work.gaps[0], 0
-    bend, known = one[_BEND], one[_GAP]
-    arm, rate, slide = one[_ARM], one[_RIGID_RATE], one[_SLIDE]
+    bend, known = guide.bend, guide.gap
+    arm, rate, slide = guide.arm, guide.rigid_arm_rate, guide.slide
     for j in range(vectors(work.drives.size)):
         x = work.x[j] - at
         gap, thicker = beside.gap[j] + beside.beyond[j] - x * (arm + 0.5 * x * rate), beside.thicker[j]
@@ -278,8 +247,8 @@ def _least_gaps(one: Array, beside: np.record, at: float, work: Memory) -> int:
     return near
 
 
-@part
-def _list(rows: Array, at: float, work: Memory) -> None:
+@compiled
+def _list(rows: NDArray[np.void], at: float, work: Memory) -> None:
     """List contacts that may touch, beside a drive that is solved at `at`, of drives sought or moved."""
     gaps, drives, sought = work.gaps[0], work.drives, work.listed_drive
     size = 0
@@ -302,14 +271,14 @@ def _list(rows: Array, at: float, work: Memory) -> None:
             drives[j].count += 1.0
 
 
-@part
-def _first_touch(rows: Array, direction: float, work: Memory) -> None:
+@compiled
+def _first_touch(rows: NDArray[np.void], direction: float, work: Memory) -> None:
     """Rotation of each drive from the one beside it at which its first flank touches, to first order."""
     touch = work.touch
     for j in range(touch.size):
         touch[j] = math.inf
     for k in range(rows.shape[0]):
-        arm, rate, beside = rows[k, _ARM] * direction, rows[k, _RATE], work.beside[k]
+        arm, rate, beside = rows[k].arm * direction, rows[k].arm_rate, work.beside[k]
         if arm <= 0.0:
             continue
         for j in range(vectors(work.drives.size)):
@@ -319,8 +288,10 @@ def _first_touch(rows: Array, direction: float, work: Memory) -> None:
             touch[j] = min(touch[j], root if inside > 0.0 else math.inf)
 
 
-@part
-def _place(problem: Problem, drives: Drives, rows: Array, at: float, theta: float, work: Memory) -> None:
+@compiled
+def _place(
+    problem: Problem, drives: Drives, rows: NDArray[np.void], at: float, crank_angle: float, work: Memory
+) -> None:
     """Place the contacts that may touch, of the drives that were sought or moved."""
     pins, slices, teeth = problem.teeth + 1, problem.slice_z.size, problem.teeth
     e = problem.generating_eccentricity
@@ -333,10 +304,9 @@ def _place(problem: Problem, drives: Drives, rows: Array, at: float, theta: floa
         for n in range(int(work.drives[j].count)):
             listed_drive[size], listed[size] = j, n
             size += 1
-    one = on_stack(SOLVED)
+    group = on_stack(PLACED)
     drive, disc = -1, -1
-    pose, flank = disc_at(problem, 0.0, theta, 0.0, 0), Flank(0.0, 0.0, 0.0, 0, False)
-    root_radius = root_margin = 0.0
+    pose, flank = disc_pose(problem, 0.0, crank_angle, 0.0, 0), Flank(0.0, 0.0, 0.0, 0, False)
     for first in range(0, size, LANES):
         filled = min(LANES, size - first)
         for lane in range(filled):
@@ -345,34 +315,32 @@ def _place(problem: Problem, drives: Drives, rows: Array, at: float, theta: floa
             pin, slice_ = k % pins, k // pins % slices
             if j != drive or k // (pins * slices) != disc:
                 drive, disc = j, k // (pins * slices)
-                pose = disc_at(problem, drives.eccentricity[j], theta, work.x[j], disc)
+                pose = disc_pose(problem, drives.eccentricity[j], crank_angle, work.x[j], disc)
                 flank = Flank(drives.circle_radius[j], e, drives.generating_radius[j], teeth, problem.ring)
-                root_radius, root_margin = around_root(flank, drives.root_margin[j])
-            conjugate = pin * 2.0 * math.pi / pins + pose.shift
-            number, along, tooth, beyond = faced(pose, teeth, pin)
-            x, y = drives.pin_x[j, pin], drives.pin_y[j, pin]
-            px, py = x * pose.turned_cosine - y * pose.turned_sine, x * pose.turned_sine + y * pose.turned_cosine
-            centre_x, centre_y = drives.centre_x[j, slice_], drives.centre_y[j, slice_]
-            one.start[lane] = conjugate + rows[k, _FOOT] + rows[k, _FOOT_RATE] * (work.x[j] - at)
-            enter(one, lane, pose, px, py, centre_x, centre_y, conjugate, number, along)
-            one.pin_radius[lane] = drives.pin_radius[j, pin]
-            one.turn[lane] = drives.tooth_turn[j, disc, tooth]
-            one.turn_beyond[lane] = drives.tooth_turn[j, disc, beyond]
-            one.circle_radius[lane], one.generating_radius[lane] = flank.circle_radius, flank.radius
-            one.root_phase[lane] = drives.root_phase[j]
-            one.root_radius[lane], one.root_margin[lane] = root_radius, root_margin
-        feet_in_lanes(one, filled, e, teeth, problem.ring)
+            axis = pin_axis(
+                pose,
+                drives.pin_x[j, pin],
+                drives.pin_y[j, pin],
+                drives.centre_x[j, slice_],
+                drives.centre_y[j, slice_],
+            )
+            group.start[lane] = conjugate_point(pose, teeth, pin) + rows[k].foot + rows[k].foot_rate * (work.x[j] - at)
+            enter(group, pose, axis, drives.tooth_turn[j, disc], teeth, pin)
+            group.pin_radius[lane] = drives.pin_radius[j, pin]
+            enter_flank(group, lane, flank, drives.root_phase[j], drives.root_margin[j])
+        feet_in_lanes(group, e, teeth, problem.ring)
+        group.filled = 0
         for lane in range(filled):
             j, n = listed_drive[first + lane], listed[first + lane]
-            if one.alone[lane] > 0.0:
+            if group.alone[lane] > 0.0:
                 work.drives[j].state = _ALONE
             near = work.near[j, n]
-            near.gap, near.arm, near.arm_rate = one.gap[lane], one.arm[lane], one.arm_rate[lane]
-            near.curvature, near.curvature_rate = one.curvature[lane], one.curvature_rate[lane]
-            near.foot_rate, near.pin_radius = one.foot_rate[lane], one.pin_radius[lane]
+            near.gap, near.arm, near.arm_rate = group.gap[lane], group.arm[lane], group.arm_rate[lane]
+            near.curvature, near.curvature_rate = group.curvature[lane], group.curvature_rate[lane]
+            near.foot_rate, near.pin_radius = group.foot_rate[lane], group.pin_radius[lane]
 
 
-@part
+@compiled
 def _press(
     work: Memory, width: float, compliance_gear: float, compliance_pin: float, largest_log_radius: float
 ) -> None:
@@ -389,29 +357,29 @@ def _press(
                 size += 1
             else:
                 work.near[j, n].force = 0.0
-    one = on_stack(PRESSED)
+    group = on_stack(PRESSED)
     for first in range(0, size, LANES):
         filled = min(LANES, size - first)
         for lane in range(vectors(filled)):
-            at = min(first + lane, size - 1)
-            j, n = listed_drive[at], listed[at]
+            last = min(first + lane, size - 1)
+            j, n = listed_drive[last], listed[last]
             near = work.near[j, n]
-            one.approach[lane], one.curvature[lane] = -near.gap, near.curvature
-            one.pin_radius[lane], one.force[lane] = near.pin_radius, near.force
-        hertz_in_lanes(one, filled, width, compliance_gear, compliance_pin, largest_log_radius, 0.0)
+            group.approach[lane], group.curvature[lane] = -near.gap, near.curvature
+            group.pin_radius[lane], group.force[lane] = near.pin_radius, near.force
+        hertz_in_lanes(group, filled, width, compliance_gear, compliance_pin, largest_log_radius, 0.0)
         for lane in range(filled):
             j, n = listed_drive[first + lane], listed[first + lane]
             near = work.near[j, n]
             near.force, near.stiffness, near.force_by_curvature = (
-                one.force[lane],
-                one.stiffness[lane],
-                one.by_curvature[lane],
+                group.force[lane],
+                group.stiffness[lane],
+                group.by_curvature[lane],
             )
             work.drives[j].torque += near.force * near.arm
             work.drives[j].stiffness += rotational_stiffness(near)
 
 
-@inlined
+@compiled
 def _touch(work: Memory, j: int, direction: float) -> float:
     """Rotation in `direction` at which the first near contact touches, to second order; infinite without one."""
     best = math.inf
@@ -421,7 +389,7 @@ def _touch(work: Memory, j: int, direction: float) -> float:
     return best
 
 
-@inlined
+@compiled
 def _move(work: Memory, j: int, step: float) -> None:
     """Move a drive and its near contacts, as an equilibrium does."""
     for n in range(int(work.drives[j].count)):
@@ -429,7 +397,7 @@ def _move(work: Memory, j: int, step: float) -> None:
     work.x[j] += step
 
 
-@part
+@compiled
 def _balance(work: Memory, torque: float, near: float) -> int:
     """One of Newton's steps of the drives that are sought; returns how many are still sought.
 
@@ -466,8 +434,8 @@ def _balance(work: Memory, torque: float, near: float) -> int:
     return sought
 
 
-@part
-def _begin(rows: Array, at: float, direction: float, work: Memory) -> None:
+@compiled
+def _begin(rows: NDArray[np.void], at: float, direction: float, work: Memory) -> None:
     """Deviations to begin from: the first touch, moved by as much as at the last crank angle, or the parabola.
 
     The parabola goes through what errors changed at the last three crank angles. A drive takes what was nearer at the
@@ -488,7 +456,7 @@ def _begin(rows: Array, at: float, direction: float, work: Memory) -> None:
         one.low, one.high = -math.inf, math.inf
 
 
-@inlined
+@compiled
 def _end(one: np.record, x: float, at: float) -> None:
     one.solved += 1.0
     one.beyond = x - one.beyond
@@ -496,19 +464,19 @@ def _end(one: np.record, x: float, at: float) -> None:
     one.changed_first, one.changed_before, one.changed = one.changed_before, one.changed, x - at
 
 
-@part
+@compiled
 def _settle(
     problem: Problem,
     drives: Drives,
-    rows: Array,
+    rows: NDArray[np.void],
     at: float,
-    theta: float,
+    crank_angle: float,
     torque: float,
     work: Memory,
 ) -> None:
     """Balance the torque."""
     for _ in range(_PLACED):
-        _place(problem, drives, rows, at, theta, work)
+        _place(problem, drives, rows, at, crank_angle, work)
         for j in range(work.drives.size):
             if work.drives[j].state == _MOVED:
                 work.drives[j].state = _SOUGHT
@@ -534,7 +502,7 @@ def sweep_drives(
     drives: Drives,
     work: Memory,
     guide: Guide,
-    thetas: Array,
+    crank_angles: Array,
     torque: float,
     deviation: Array,
     stiffness: Array,
@@ -548,7 +516,7 @@ def sweep_drives(
         The drive beside them, and its contacts.
     drives, work
         The drives, and their memory, which holds the crank angles before.
-    thetas, torque
+    crank_angles, torque
         Crank angles, shape (angles,), rad; N·m, not 0.
     deviation, stiffness, pressure
         Overwritten, shape (drives, angles): rad, N·m/rad, and the largest contact pressure (Pa); NaN where a drive has
@@ -560,7 +528,7 @@ def sweep_drives(
         i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
         _displace(rows, pins, work)
         _begin(rows, at, math.copysign(1.0, torque), work)
-        _settle(problem, drives, rows, at, thetas[i], torque, work)
+        _settle(problem, drives, rows, at, crank_angles[i], torque, work)
         for j in range(count):
             one = work.drives[j]
             if one.state != _FOUND:
@@ -578,13 +546,13 @@ def sweep_drives(
             _end(one, work.x[j], at)
 
 
-@part
+@compiled
 def _reach(
     problem: Problem,
     drives: Drives,
-    rows: Array,
+    rows: NDArray[np.void],
     at: float,
-    theta: float,
+    crank_angle: float,
     direction: float,
     work: Memory,
 ) -> None:
@@ -593,7 +561,7 @@ def _reach(
     for j in range(work.drives.size):
         work.x[j], work.drives[j].state = at + direction * work.touch[j], _SOUGHT
     for _ in range(_PLACED):
-        _place(problem, drives, rows, at, theta, work)
+        _place(problem, drives, rows, at, crank_angle, work)
         moved = 0
         for j in range(work.drives.size):
             one = work.drives[j]
@@ -613,7 +581,7 @@ def sweep_play_of_drives(
     drives: Drives,
     work: Memory,
     guide: Guide,
-    thetas: Array,
+    crank_angles: Array,
     low: Array,
     high: Array,
 ) -> None:
@@ -626,10 +594,10 @@ def sweep_play_of_drives(
     for number in range(guide.deviation.size):
         i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
         _displace(rows, pins, work)
-        _reach(problem, drives, rows, at, thetas[i], -1.0, work)
+        _reach(problem, drives, rows, at, crank_angles[i], -1.0, work)
         for j in range(count):
             low[j, i] = work.x[j] if work.drives[j].state == _FOUND else math.nan
-        _reach(problem, drives, rows, at, thetas[i], 1.0, work)
+        _reach(problem, drives, rows, at, crank_angles[i], 1.0, work)
         for j in range(count):
             high[j, i] = work.x[j] if work.drives[j].state == _FOUND else math.nan
             # Without errors and modification the ends are the same but for rounding.

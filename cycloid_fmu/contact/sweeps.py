@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled, inlined, spliced
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.energy import crank_side
 from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffness
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
-from cycloid_fmu.contact.play import ROTATION_STEP, end_beside, play
+from cycloid_fmu.contact.play import ROTATION_STEP, end_from_neighbour, play
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, contact_rows
 from cycloid_fmu.contact.sensitivity import derivatives
@@ -44,7 +44,7 @@ class LoadedSweep(NamedTuple):
 @compiled
 def sweep(
     problem: Problem,
-    thetas: Array,
+    crank_angles: Array,
     torques: Array,
     first: int,
     last: int,
@@ -52,58 +52,60 @@ def sweep(
     low: Array,
     high: Array,
     gap: Array,
-    found: LoadedSweep,
+    loaded: LoadedSweep,
     lines: ContactLines | None,
 ) -> None:
     """Solve crank angles `first` to `last`, each from its neighbours' solutions, which may be at the same angle.
 
     Parameters
     ----------
-    thetas, torques
+    crank_angles, torques
         Crank angles (rad), shape (angles,); torques (N·m), shape (torques, angles), at 0 the deviation is the middle of
         the play.
     with_play, low, high, gap
         Whether to solve the play, and what it is written to, as in `sweep_play`.
-    found, lines
+    loaded, lines
         Zeros, overwritten from `first` to `last`; the elements' pressures are raised. Without lines the kernels
         know of none.
     """
     if with_play:
-        _solve_play(problem, thetas, first, last, low, high, gap)
+        _solve_play(problem, crank_angles, first, last, low, high, gap, contact_rows(problem), contact_rows(problem))
     for k in range(torques.shape[0]):
         contacts = contact_rows(problem)
-        deviation, stiffness = found.deviation[k], found.stiffness[k]
+        deviation, stiffness = loaded.deviation[k], loaded.stiffness[k]
         x = 0.0
         for i in range(first, last):
             cold, torque = i == first, torques[k, i]
             if torque == 0.0:
-                start, end, _ = play(problem, thetas[i], x, contacts, cold)
+                start, end, _ = play(problem, crank_angles[i], x, contacts, cold)
                 cold = False
                 if not math.isnan(start):
                     x = 0.5 * (start + end)
                     # What nothing presses stays as it was handed over: 0.
-                    deviation[i], stiffness[i], found.max_contact_pressure[k, i] = x, 0.0, 0.0
+                    deviation[i], stiffness[i], loaded.max_contact_pressure[k, i] = x, 0.0, 0.0
                     continue
-            x = _ahead(thetas, deviation, first, i)
-            if i > first and thetas[i] == thetas[i - 1] and stiffness[i - 1] > 0.0:
+            x = _ahead(crank_angles, deviation, first, i)
+            if i > first and crank_angles[i] == crank_angles[i - 1] and stiffness[i - 1] > 0.0:
                 # 1.4 times as fast where the torque alone changes.
                 x += min(max((torque - torques[k, i - 1]) / stiffness[i - 1], -_FARTHEST), _FARTHEST)
-            x, stiffness[i] = equilibrium(problem, thetas[i], torque, x, contacts, cold)
+            x, stiffness[i] = equilibrium(problem, crank_angles[i], torque, x, contacts, cold)
             deviation[i] = x
-            count, pressure = load_sharing(problem, contacts, found.pin_force[k, i], found.pin_pressure[k, i])
-            found.contact_count[k, i], found.max_contact_pressure[k, i] = count, pressure
-            write_contact_lines(problem, lines, k, i, thetas[i], x, contacts)
+            count, pressure = load_sharing(problem, contacts, loaded.pin_force[k, i], loaded.pin_pressure[k, i])
+            loaded.contact_count[k, i], loaded.max_contact_pressure[k, i] = count, pressure
+            write_contact_lines(problem, lines, k, i, crank_angles[i], x, contacts)
 
 
-@inlined
-def _ahead(thetas: Array, deviation: Array, first: int, i: int) -> float:
+@compiled
+def _ahead(crank_angles: Array, deviation: Array, first: int, i: int) -> float:
     """Deviation to start a crank angle from: on the parabola through the last three, where these are as near."""
     x = float(deviation[i - 1]) if i > first else 0.0
-    if i > first + 1 and abs(thetas[i] - thetas[i - 1]) < 1.5 * abs(thetas[i - 1] - thetas[i - 2]):
-        step, last = thetas[i] - thetas[i - 1], thetas[i - 1] - thetas[i - 2]
+    if i > first + 1 and abs(crank_angles[i] - crank_angles[i - 1]) < 1.5 * abs(
+        crank_angles[i - 1] - crank_angles[i - 2]
+    ):
+        step, last = crank_angles[i] - crank_angles[i - 1], crank_angles[i - 1] - crank_angles[i - 2]
         slope = (x - deviation[i - 2]) / last
         x += slope * step
-        before = thetas[i - 2] - thetas[i - 3] if i > first + 2 else 0.0
+        before = crank_angles[i - 2] - crank_angles[i - 3] if i > first + 2 else 0.0
         # Where the crank turned back, two of the three angles may be the same.
         if last * before > 0.0 and abs(last) < 1.5 * abs(before):
             x += step * (step + last) * (slope - (deviation[i - 2] - deviation[i - 3]) / before) / (last + before)
@@ -111,29 +113,41 @@ def _ahead(thetas: Array, deviation: Array, first: int, i: int) -> float:
 
 
 @compiled
-def sweep_play(problem: Problem, thetas: Array, first: int, last: int, low: Array, high: Array, gap: Array) -> None:
+def sweep_play(
+    problem: Problem, crank_angles: Array, first: int, last: int, low: Array, high: Array, gap: Array
+) -> None:
     """Solve the play at crank angles `first` to `last`; each angle starts from its neighbour's solution.
 
     Parameters
     ----------
-    thetas
+    crank_angles
         Crank angles, shape (angles,), rad.
     low, high, gap
         Overwritten from `first` to `last`, shape (angles,): ends of the play (rad) and interference (m), as `play`.
     """
-    _solve_play(problem, thetas, first, last, low, high, gap)
+    _solve_play(problem, crank_angles, first, last, low, high, gap, contact_rows(problem), contact_rows(problem))
 
 
-@spliced
-def _solve_play(problem: Problem, thetas: Array, first: int, last: int, low: Array, high: Array, gap: Array) -> None:
-    contacts, at_low, at_high = contact_rows(problem), contact_rows(problem), contact_rows(problem)
+@compiled
+def _solve_play(
+    problem: Problem,
+    crank_angles: Array,
+    first: int,
+    last: int,
+    low: Array,
+    high: Array,
+    gap: Array,
+    at_low: Rows,
+    at_high: Rows,
+) -> None:
+    """Solve the play as `sweep_play`; rows at both ends are memory."""
     followed = False
     for i in range(first, last):
         cold = i == first or math.isnan(low[i - 1])
         x = 0.0 if cold else 0.5 * (low[i - 1] + high[i - 1])
         if problem.deviations is None and not cold:
-            low[i] = end_beside(problem, thetas[i], low[i - 1], at_low, not followed, -1.0)
-            high[i] = end_beside(problem, thetas[i], high[i - 1], at_high, not followed, 1.0)
+            low[i] = end_from_neighbour(problem, crank_angles[i], low[i - 1], at_low, not followed, -1.0)
+            high[i] = end_from_neighbour(problem, crank_angles[i], high[i - 1], at_high, not followed, 1.0)
             # Without errors and modification the ends are the same but for rounding.
             followed = low[i] < high[i] + 2.0 * ROTATION_STEP
             if followed:
@@ -142,43 +156,43 @@ def _solve_play(problem: Problem, thetas: Array, first: int, last: int, low: Arr
                 gap[i] = 0.0
                 continue
             cold = True
-        low[i], high[i], gap[i] = play(problem, thetas[i], x, contacts, cold)
+        low[i], high[i], gap[i] = play(problem, crank_angles[i], x, at_low, cold)
 
 
 @compiled
-def sweep_contacts(problem: Problem, thetas: Array, torque: float, deviation: Array, table: Rows) -> None:
+def sweep_contacts(problem: Problem, crank_angles: Array, torque: float, deviation: Array, table: Rows) -> None:
     """Solve crank angles at one torque and keep every contact row.
 
     Parameters
     ----------
-    thetas, torque
+    crank_angles, torque
         Crank angles (rad), shape (angles,); torque (N·m), not 0.
     deviation, table
         Overwritten: x (rad), shape (angles,); `contact_rows` of each angle, shape (angles, rows).
     """
     contacts = contact_rows(problem)
-    for i in range(thetas.size):
-        x, _ = equilibrium(problem, thetas[i], torque, _ahead(thetas, deviation, 0, i), contacts, i == 0)
+    for i in range(crank_angles.size):
+        x, _ = equilibrium(problem, crank_angles[i], torque, _ahead(crank_angles, deviation, 0, i), contacts, i == 0)
         deviation[i] = x
         table[i] = contacts
 
 
 @compiled
 def sweep_crank_side(
-    problem: Problem, thetas: Array, deviation: Array, crank_torque: Array, output_rate: Array
+    problem: Problem, crank_angles: Array, deviation: Array, crank_torque: Array, output_rate: Array
 ) -> None:
     """Write what `crank_side` returns at solved deviations (rad), shapes (angles,); 0 and NaN where nothing touches."""
     contacts = contact_rows(problem)
-    for i in range(thetas.size):
-        place(problem, thetas[i], deviation[i], contacts, i == 0, CLEAR, BOUNDED)
+    for i in range(crank_angles.size):
+        place(problem, crank_angles[i], deviation[i], contacts, i == 0, CLEAR, BOUNDED)
         load(problem, contacts)
-        crank_torque[i], output_rate[i] = crank_side(problem, thetas[i], deviation[i], contacts)
+        crank_torque[i], output_rate[i] = crank_side(problem, crank_angles[i], deviation[i], contacts)
 
 
 @compiled
 def sweep_sensitivities(
     problem: Problem,
-    thetas: Array,
+    crank_angles: Array,
     torque: Array,
     deviation: Array,
     each: Array,
@@ -189,23 +203,23 @@ def sweep_sensitivities(
 
     Parameters
     ----------
-    thetas, torque
+    crank_angles, torque
         Crank angles (rad) and the torque at each (N·m, not 0), shape (angles,).
     deviation, each, by_angle, by_torque
         Overwritten: x (rad), shape (angles,); rows of `sensitivities`, shape (angles, displacements); the output
         angle's derivatives by crank angle (1) and torque (rad/(N·m)), shape (angles,).
     """
     contacts = contact_rows(problem)
-    for i in range(thetas.size):
-        x, _ = equilibrium(problem, thetas[i], torque[i], _ahead(thetas, deviation, 0, i), contacts, i == 0)
+    for i in range(crank_angles.size):
+        x, _ = equilibrium(problem, crank_angles[i], torque[i], _ahead(crank_angles, deviation, 0, i), contacts, i == 0)
         deviation[i] = x
-        stiffness, by_angle[i] = derivatives(problem, thetas[i], x, contacts, each[i])
+        stiffness, by_angle[i] = derivatives(problem, crank_angles[i], x, contacts, each[i])
         by_torque[i] = 1.0 / stiffness
 
 
 @compiled
 def sweep_flank_sensitivities(
-    problem: Problem, thetas: Array, deviation: Array, places: Array, waves: Array, out: Array
+    problem: Problem, crank_angles: Array, deviation: Array, places: Array, waves: Array, out: Array
 ) -> None:
     """Derivatives of solved deviations at constant torque by normal deviations that all teeth share.
 
@@ -215,7 +229,7 @@ def sweep_flank_sensitivities(
 
     Parameters
     ----------
-    thetas, deviation
+    crank_angles, deviation
         Crank angles and the solved deviations there, shape (angles,), rad.
     places, waves
         Profile parameters from one root to the next, shape (points,), rad, and deviations there, > 0 material added,
@@ -225,8 +239,8 @@ def sweep_flank_sensitivities(
     """
     contacts = contact_rows(problem)
     pitch = 2.0 * math.pi / problem.teeth
-    for i in range(thetas.size):
-        place(problem, thetas[i], deviation[i], contacts, i == 0, math.inf, BOUNDED)
+    for i in range(crank_angles.size):
+        place(problem, crank_angles[i], deviation[i], contacts, i == 0, math.inf, BOUNDED)
         load(problem, contacts)
         stiffness = 0.0
         for wave in range(waves.shape[0]):
@@ -240,7 +254,7 @@ def sweep_flank_sensitivities(
             after = min(max(int(np.searchsorted(places, along)), 1), places.size - 1)
             width = places[after] - places[after - 1]
             share = (along - places[after - 1]) / width
-            local = local_frame(problem, thetas[i], deviation[i], contacts, row)
+            local = local_frame(problem, crank_angles[i], deviation[i], contacts, row)
             stretch = 1.0 / (local.speed * local.foot)
             # Second derivative of the axis' distance from the flank along it.
             bend = local.speed / local.foot * (1.0 - problem.generating_radius * local.bend * stretch)

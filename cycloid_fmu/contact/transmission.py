@@ -354,8 +354,11 @@ def check_falling(drive: contact.Problem, crank_angle: Array, torque: Array, fal
     edge.InputError
         As `check_balance`.
     """
+    doubtful = np.flatnonzero(falling & (torque != 0.0))
+    if doubtful.size == 0:
+        return
     rows = contact.contact_rows(drive)
-    for i in np.flatnonzero(falling & (torque != 0.0)):
+    for i in doubtful:
         contact.equilibrium(drive, crank_angle[i], torque[i], 0.0, rows, True)
         check_balance(torque[i], carried(rows))
 

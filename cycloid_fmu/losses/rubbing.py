@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, part, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
+from cycloid_fmu.contact.local_frame import gap_gradient
 from cycloid_fmu.geometry.losses import PARTS
 from cycloid_fmu.supports.balance import Load, assemble, settling
 from cycloid_fmu.supports.joints import (
@@ -99,12 +100,12 @@ class Acting(NamedTuple):
     turns: bool  # whether the pin turns in its seat, instead of sliding on the flank
 
 
-@part
+@compiled
 def _coefficient(kinetic: float, static: float, decay: float, speed: float) -> float:
     return kinetic + (static - kinetic) * math.exp(-decay * speed * speed)
 
 
-@part
+@compiled
 def sliding_friction(law: np.record, direction: float, radius: float, speed: float, force: float) -> Acting:
     """Friction of a contact with a pin or roller of a radius, m, which turns where that takes less."""
     ratio, turns = _coefficient(law.kinetic, law.static, law.decay, speed), False
@@ -117,14 +118,14 @@ def sliding_friction(law: np.record, direction: float, radius: float, speed: flo
     return Acting(sign * ratio * force, sign * ratio, speed, sign, turns)
 
 
-@part
+@compiled
 def bearing_friction(law: np.record, direction: float, speed: float, force: float) -> Acting:
     """Friction moment of a bearing."""
     sign = math.copysign(1.0, direction * speed)
     return Acting(sign * (law.constant + law.arm * force), sign * law.arm, speed, sign, False)
 
 
-@part
+@compiled
 def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) -> float:
     """Sliding of a flank on its pin along ẑ × n for each radian of the crank, m.
 
@@ -141,8 +142,10 @@ def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) ->
     return float(-(lever_x * local.normal_x + lever_y * local.normal_y - distance) / problem.teeth)
 
 
-@spliced
-def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubbing: Rubbing, loss: Array) -> None:
+@compiled
+def _add_flanks(
+    problem: Problem, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, loss: Array
+) -> None:
     """Add the friction of flanks on pins to the balance, and their losses."""
     residual, jacobian, law = work.residual, work.jacobian, rubbing.laws[FLANK_LAW]
     for row in range(contacts.shape[0]):
@@ -150,34 +153,32 @@ def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubb
         force = contact_.force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, theta, work.place[0], contacts, row)
+        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
         radius = problem.pin_radius[local.pin]
         distance = contact_.gap + radius
         speed = flank_speed(problem, local, distance)
         f = sliding_friction(law, rubbing.direction, radius, speed, force)
         loss[FLANK + (TURNING if f.turns else SLIDING)] += abs(f.amplitude * f.speed)
-        nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
-        # Derivatives of the gap by u, v, y; of the sliding of the pin's axis along the flank; and of that of the point.
-        du, dv, dy = -nx, -ny, nx * py - ny * px
-        au, av, ay = ny, -nx, -(nx * px + ny * py)
-        sy = ay + distance
+        along = gap_gradient(local)
+        # Friction acts at the point of contact, which slides with the gear's rotation as well.
+        slide_y = along.slide_y + distance
         curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
         at = FIRST_DISC + 3 * local.disc
-        residual[at] -= f.amplitude * au
-        residual[at + 1] -= f.amplitude * av
-        residual[at + 2] -= f.amplitude * sy
+        residual[at] -= f.amplitude * along.slide_u
+        residual[at + 1] -= f.amplitude * along.slide_v
+        residual[at + 2] -= f.amplitude * slide_y
         for j in range(3):
-            dj = du if j == 0 else (dv if j == 1 else dy)
-            aj = au if j == 0 else (av if j == 1 else ay)
-            pressed = f.slope * (contact_.stiffness * dj - curved * aj)
-            turned = f.amplitude * local.bend * aj
+            gap_j = along.gap_u if j == 0 else (along.gap_v if j == 1 else along.gap_y)
+            slide_j = along.slide_u if j == 0 else (along.slide_v if j == 1 else along.slide_y)
+            pressed = f.slope * (contact_.stiffness * gap_j - curved * slide_j)
+            turned = f.amplitude * local.bend * slide_j
             rigid = f.amplitude if j == 2 else 0.0
-            jacobian[at, at + j] += pressed * au + (turned + rigid) * du
-            jacobian[at + 1, at + j] += pressed * av + (turned + rigid) * dv
-            jacobian[at + 2, at + j] += pressed * sy + turned * dy
+            jacobian[at, at + j] += pressed * along.slide_u + (turned + rigid) * along.gap_u
+            jacobian[at + 1, at + j] += pressed * along.slide_v + (turned + rigid) * along.gap_v
+            jacobian[at + 2, at + j] += pressed * slide_y + turned * along.gap_y
 
 
-@part
+@compiled
 def joint_speed(problem: Problem, assembly: Assembly, joint: np.record, d: Displacement, work: Work) -> float:
     """Speed of a joint's friction for each radian of the crank: sliding of a roller in its hole, m; rotation, rad."""
     if joint.reach > 0.0:
@@ -187,7 +188,7 @@ def joint_speed(problem: Problem, assembly: Assembly, joint: np.record, d: Displ
     return float(assembly.bodies[int(joint.outer)].rate - assembly.bodies[int(joint.inner)].rate)
 
 
-@part
+@compiled
 def joint_friction(rubbing: Rubbing, joint: np.record, speed: float, force: float) -> Acting:
     """Friction of an output roller, or the moment of a bearing, at its speed and normal force."""
     law = rubbing.laws[int(joint.law)]
@@ -196,7 +197,7 @@ def joint_friction(rubbing: Rubbing, joint: np.record, speed: float, force: floa
     return bearing_friction(law, rubbing.direction, speed, force)
 
 
-@part
+@compiled
 def write_sliding(
     assembly: Assembly, joint: np.record, radius: float, d: Displacement, work: Work, unknowns: int, out: Array
 ) -> None:
@@ -211,7 +212,7 @@ def write_sliding(
             out[i] += radius
 
 
-@part
+@compiled
 def _add_roller(
     assembly: Assembly, joint: np.record, d: Displacement, stiffness: float, f: Acting, work: Work, sliding: Array
 ) -> None:
@@ -232,7 +233,7 @@ def _add_roller(
             work.jacobian[at[i], at[j]] += change
 
 
-@part
+@compiled
 def _add_moment(
     assembly: Assembly, joint: np.record, d: Displacement, stiffness: float, f: Acting, work: Work, unknowns: int
 ) -> None:
@@ -246,7 +247,7 @@ def _add_moment(
                 work.jacobian[body, work.at[j]] += sign * f.slope * stiffness * closing
 
 
-@spliced
+@compiled
 def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbing, slope: Slope, loss: Array) -> float:
     """Add the friction of joints to the balance, and their losses; return the crank's torque, and write its slope."""
     torque = 0.0
@@ -280,17 +281,17 @@ def _add_joints(problem: Problem, assembly: Assembly, work: Work, rubbing: Rubbi
     return torque
 
 
-@part
+@compiled
 def through_first_stage(rubbing: Rubbing, crank_torque: float) -> float:
     """Factor of the sun's torque by the first stage's loss: 1/(1 - ζ) where the sun drives the cranks, else 1 - ζ."""
     return 1.0 / (1.0 - rubbing.loss) if rubbing.direction * crank_torque > 0.0 else 1.0 - rubbing.loss
 
 
-@part
+@compiled
 def assemble_rubbing(
     problem: Problem,
     assembly: Assembly,
-    theta: float,
+    crank_angle: float,
     pull: Load,
     contacts: Rows,
     work: Work,
@@ -305,12 +306,12 @@ def assemble_rubbing(
         input's drag, J for each radian of the crank.
     """
     rubbing, slope, loss = more
-    assemble(problem, assembly, theta, pull, contacts, work, None)
+    assemble(problem, assembly, crank_angle, pull, contacts, work, None)
     for part_ in range(loss.size):
         loss[part_] = 0.0
     for i in range(work.residual.size):
         slope.crank_torque[i] = 0.0
-    _add_flanks(problem, theta, contacts, work, rubbing, loss)
+    _add_flanks(problem, crank_angle, contacts, work, rubbing, loss)
     torque = _add_joints(problem, assembly, work, rubbing, slope, loss)
     work.residual[0] -= rubbing.direction * rubbing.drag
     loss[DRAG_OUTPUT] = rubbing.drag / problem.teeth

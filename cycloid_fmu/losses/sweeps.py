@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
+from cycloid_fmu.contact.local_frame import gap_gradient
 from cycloid_fmu.losses.rubbing import (
     ARM,
     CONSTANT,
@@ -43,10 +44,10 @@ def slope_of(unknowns: int) -> Slope:
 def sweep_rubbing(
     problem: Problem,
     assembly: Assembly,
-    thetas: Array,
+    crank_angles: Array,
     torques: Array,
     rubbing: Rubbing,
-    found: Found,
+    results: Found,
     loss: Array,
     work: Work,
     slope: Slope,
@@ -56,48 +57,50 @@ def sweep_rubbing(
 
     Parameters
     ----------
-    thetas, torques
+    crank_angles, torques
         Crank angles, rad, and the torque at each, N·m, shape (angles,).
-    found, loss
+    results, loss
         Overwritten; without a balance `steps` are 0. `loss` has shape (angles, parts), J for each radian of the crank.
     near
-        Whether `found.place` holds solutions at nearly the same torques, which are the start instead.
+        Whether `results.place` holds solutions at nearly the same torques, which are the start instead.
     """
     contacts = contact.contact_rows(problem)
     q = work.place
-    for i in range(thetas.size):
-        theta = thetas[i]
-        step = abs(theta - thetas[i - 1]) if i > 0 else math.inf
-        solved = i > 0 and found.steps[i - 1] > 0
+    for i in range(crank_angles.size):
+        crank_angle = crank_angles[i]
+        step = abs(crank_angle - crank_angles[i - 1]) if i > 0 else math.inf
+        solved = i > 0 and results.steps[i - 1] > 0
         if near:
             for k in range(q.size):
-                q[k] = found.place[i, k]
+                q[k] = results.place[i, k]
             work.moved[0] = math.inf
-        elif i > 1 and solved and step < 1.5 * abs(thetas[i - 1] - thetas[i - 2]) < NEIGHBOUR:
-            share = (theta - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
+        elif i > 1 and solved and step < 1.5 * abs(crank_angles[i - 1] - crank_angles[i - 2]) < NEIGHBOUR:
+            share = (crank_angle - crank_angles[i - 1]) / (crank_angles[i - 1] - crank_angles[i - 2])
             for k in range(q.size):
-                q[k] += share * (q[k] - found.place[i - 2, k])
+                q[k] += share * (q[k] - results.place[i - 2, k])
         cold = not near and not (solved and step < NEIGHBOUR)
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
-        found.steps[i] = settle_rubbing(problem, assembly, theta, pull, contacts, work, (rubbing, slope, loss[i]), cold)
-        if found.steps[i] == 0:
+        results.steps[i] = settle_rubbing(
+            problem, assembly, crank_angle, pull, contacts, work, (rubbing, slope, loss[i]), cold
+        )
+        if results.steps[i] == 0:
             work.moved[0] = math.inf
             continue
         for k in range(q.size):
-            found.place[i, k] = q[k]
-        found.crank_torque[i] = assemble_rubbing(
-            problem, assembly, theta, pull, contacts, work, (rubbing, slope, loss[i])
+            results.place[i, k] = q[k]
+        results.crank_torque[i] = assemble_rubbing(
+            problem, assembly, crank_angle, pull, contacts, work, (rubbing, slope, loss[i])
         )
-        found.stiffness[i] = torsional_stiffness(problem, assembly, work)
+        results.stiffness[i] = torsional_stiffness(problem, assembly, work)
         for number in range(assembly.joints.size):
             joint = assembly.joints[number]
             d = displacement(assembly, joint, work)
-            found.force[i, number] = reaction(assembly, joint, d, 0.0).force
-        count, pressure = contact.load_sharing(problem, contacts, found.pin_force[i], found.pin_pressure[i])
-        found.contact_count[i], found.max_contact_pressure[i] = count, pressure
+            results.force[i, number] = reaction(assembly, joint, d, 0.0).force
+        count, pressure = contact.load_sharing(problem, contacts, results.pin_force[i], results.pin_pressure[i])
+        results.contact_count[i], results.max_contact_pressure[i] = count, pressure
 
 
-@part
+@compiled
 def _by_coefficients(
     law: np.record, f: Acting, force: float, rolls: bool, along: float, radius: float, out: Array
 ) -> None:
@@ -117,25 +120,25 @@ def _by_coefficients(
         out[STATIC] += sign * force * rest
 
 
-@spliced
-def _add_flanks(problem: Problem, theta: float, contacts: Rows, work: Work, rubbing: Rubbing, out: Array) -> None:
+@compiled
+def _add_flanks(problem: Problem, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, out: Array) -> None:
     """Subtract λ·∂r/∂p of the flanks, λ in `work.step`."""
     law, row_ = rubbing.laws[FLANK_LAW], work.step
     for row in range(contacts.shape[0]):
         force = contacts[row].force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, theta, work.place[0], contacts, row)
+        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
         radius = problem.pin_radius[local.pin]
         distance = contacts[row].gap + radius
         f = sliding_friction(law, rubbing.direction, radius, flank_speed(problem, local, distance), force)
-        nx, ny, at = local.normal_x, local.normal_y, FIRST_DISC + 3 * local.disc
-        turned = distance - (nx * local.gear_x + ny * local.gear_y)
-        along = ny * row_[at] - nx * row_[at + 1] + turned * row_[at + 2]
-        _by_coefficients(law, f, force, False, along, radius, out[FLANK_LAW])
+        at, along = FIRST_DISC + 3 * local.disc, gap_gradient(local)
+        sliding = along.slide_u * row_[at] + along.slide_v * row_[at + 1]
+        sliding += (along.slide_y + distance) * row_[at + 2]
+        _by_coefficients(law, f, force, False, sliding, radius, out[FLANK_LAW])
 
 
-@spliced
+@compiled
 def _add_joints(
     problem: Problem,
     assembly: Assembly,
@@ -171,7 +174,7 @@ def _add_joints(
 def sweep_rubbing_sensitivities(
     problem: Problem,
     assembly: Assembly,
-    thetas: Array,
+    crank_angles: Array,
     torques: Array,
     places: Array,
     rubbing: Rubbing,
@@ -185,7 +188,7 @@ def sweep_rubbing_sensitivities(
 
     Parameters
     ----------
-    thetas, torques, places
+    crank_angles, torques, places
         Crank angles (rad) and the torque at each (N·m), shape (angles,); the solutions, shape (angles, unknowns).
     by_coefficient
         Zeros; overwritten with the derivatives by the `COEFFICIENTS` of each law, shape (angles, laws, coefficients).
@@ -194,18 +197,18 @@ def sweep_rubbing_sensitivities(
     """
     contacts = contact.contact_rows(problem)
     n = work.place.size
-    for i in range(thetas.size):
+    for i in range(crank_angles.size):
         for k in range(n):
             work.place[k] = places[i, k]
         work.moved[0] = math.inf
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
-        torque = assemble_rubbing(problem, assembly, thetas[i], pull, contacts, work, (rubbing, slope, loss))
+        torque = assemble_rubbing(problem, assembly, crank_angles[i], pull, contacts, work, (rubbing, slope, loss))
         # λ (∂r/∂q) = ∂τ/∂q.
         for k in range(n):
             work.step[k] = slope.crank_torque[k]
         if not solve_transposed(problem, assembly, work, work.step, 0.0):
             return False
-        _add_flanks(problem, thetas[i], contacts, work, rubbing, by_coefficient[i])
+        _add_flanks(problem, crank_angles[i], contacts, work, rubbing, by_coefficient[i])
         factor = through_first_stage(rubbing, torque)
         direct = 1.0 - work.step[0] * (1.0 + rubbing.sun_share * factor if rubbing.sun_share > 0.0 else 0.0)
         _add_joints(problem, assembly, work, rubbing, direct, slope.sliding, by_coefficient[i])

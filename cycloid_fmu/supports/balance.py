@@ -13,8 +13,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, part, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.equilibrium import load
+from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, orient, reaction
 
@@ -51,8 +52,8 @@ class Load(NamedTuple):
     centring: float
 
 
-@spliced
-def _place_discs(problem: Problem, assembly: Assembly, theta: float, contacts: Rows, work: Work) -> None:
+@compiled
+def _place_discs(problem: Problem, assembly: Assembly, crank_angle: float, contacts: Rows, work: Work) -> None:
     """Place the discs according to the unknowns and solve the gaps that may close."""
     q, x = work.place, work.place[0]
     furthest = 0.0
@@ -68,11 +69,11 @@ def _place_discs(problem: Problem, assembly: Assembly, theta: float, contacts: R
     clear = _REACH
     if not work.moved[0] < _REACH - CLEAR:
         clear, work.moved[0] = math.inf, 0.0
-    place(problem, theta, x, contacts, cold, clear, BOUNDED)
+    place(problem, crank_angle, x, contacts, cold, clear, BOUNDED)
 
 
-@spliced
-def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work) -> None:
+@compiled
+def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work) -> None:
     """Add the pins' forces on the discs and the derivatives of these forces."""
     residual, jacobian = work.residual, work.jacobian
     for row in range(contacts.shape[0]):
@@ -80,36 +81,29 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work) -> Non
         force = contact_.force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, theta, work.place[0], contacts, row)
-        nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
-        # Derivatives of the gap by u, v, y, and the sliding of the pin's axis along the flank for each.
-        du, dv, dy = -nx, -ny, nx * py - ny * px
-        au, av, ay = ny, -nx, -(nx * px + ny * py)
-        k, bend = contact_.stiffness, local.bend
-        curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
+        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
+        along = gap_gradient(local)
+        stiffness = contact_stiffness(contact_, local, along)
         at = FIRST_DISC + 3 * local.disc
-        residual[at] -= force * du
-        residual[at + 1] -= force * dv
-        residual[at + 2] -= force * dy
-        for i in range(3):
-            di = du if i == 0 else (dv if i == 1 else dy)
-            ai = au if i == 0 else (av if i == 1 else ay)
-            for j in range(3):
-                dj = du if j == 0 else (dv if j == 1 else dy)
-                aj = au if j == 0 else (av if j == 1 else ay)
-                jacobian[at + i, at + j] += k * di * dj - force * bend * ai * aj - curved * di * aj
-        jacobian[at, at + 2] -= force * ny
-        jacobian[at + 2, at] -= force * ny
-        jacobian[at + 1, at + 2] += force * nx
-        jacobian[at + 2, at + 1] += force * nx
-        jacobian[at + 2, at + 2] -= force * ay
+        residual[at] -= force * along.gap_u
+        residual[at + 1] -= force * along.gap_v
+        residual[at + 2] -= force * along.gap_y
+        jacobian[at, at] += stiffness.uu
+        jacobian[at, at + 1] += stiffness.uv
+        jacobian[at, at + 2] += stiffness.uy
+        jacobian[at + 1, at] += stiffness.vu
+        jacobian[at + 1, at + 1] += stiffness.vv
+        jacobian[at + 1, at + 2] += stiffness.vy
+        jacobian[at + 2, at] += stiffness.yu
+        jacobian[at + 2, at + 1] += stiffness.yv
+        jacobian[at + 2, at + 2] += stiffness.yy
 
 
-@spliced
-def _add_joints(assembly: Assembly, theta: float, centring: float, work: Work) -> None:
+@compiled
+def _add_joints(assembly: Assembly, crank_angle: float, centring: float, work: Work) -> None:
     """Add the joints' forces on their two bodies and the derivatives of these forces."""
     residual, jacobian, by, at = work.residual, work.jacobian, work.by, work.at
-    orient(assembly, theta, work)
+    orient(assembly, crank_angle, work)
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
         d = displacement(assembly, joint, work)
@@ -137,24 +131,24 @@ def _add_joints(assembly: Assembly, theta: float, centring: float, work: Work) -
             jacobian[turn, turn] += force * (nx * d.inner_x + ny * d.inner_y)
 
 
-@part
+@compiled
 def assemble(
-    problem: Problem, assembly: Assembly, theta: float, pull: Load, contacts: Rows, work: Work, more: Any
+    problem: Problem, assembly: Assembly, crank_angle: float, pull: Load, contacts: Rows, work: Work, more: Any
 ) -> None:
     """Write the residual of the balance at `work.place`, and its derivatives; `more` is None."""
-    _place_discs(problem, assembly, theta, contacts, work)
+    _place_discs(problem, assembly, crank_angle, contacts, work)
     load(problem, contacts)
     for i in range(work.residual.size):
         work.residual[i] = 0.0
         for j in range(work.residual.size):
             work.jacobian[i, j] = 0.0
-    _add_mesh(problem, theta, contacts, work)
-    _add_joints(assembly, theta, pull.centring, work)
+    _add_mesh(problem, crank_angle, contacts, work)
+    _add_joints(assembly, crank_angle, pull.centring, work)
     work.residual[0] += pull.spring * (work.place[0] - pull.flange) - pull.torque
     work.jacobian[0, 0] += pull.spring
 
 
-@part
+@compiled
 def solve_linear(matrix: Array, right: Array) -> bool:
     """Solve matrix · x = right in place by pivoted elimination, x in `right`; return False if singular."""
     n = right.size
@@ -183,7 +177,7 @@ def solve_linear(matrix: Array, right: Array) -> bool:
     return True
 
 
-@part
+@compiled
 def longest_of(problem: Problem, assembly: Assembly, step: Array, power: float) -> float:
     """Longest displacement of a step, m (power 1), or largest force of a residual, N (-1)."""
     scale = assembly.rotation_scale**power
@@ -193,13 +187,13 @@ def longest_of(problem: Problem, assembly: Assembly, step: Array, power: float) 
     return longest
 
 
-@part
+@compiled
 def _is_rotation(problem: Problem, i: int) -> bool:
     last = FIRST_DISC + 3 * problem.shift_x.size
     return i == 0 or (FIRST_DISC <= i < last and (i - FIRST_DISC) % 3 == 2)
 
 
-@part
+@compiled
 def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
     """Write the derivatives with springs (N/m) on rotations and, above `HELD`, on all unknowns."""
     for i in range(work.step.size):
@@ -211,7 +205,7 @@ def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
             work.matrix[i, i] += held
 
 
-@part
+@compiled
 def solve_transposed(problem: Problem, assembly: Assembly, work: Work, right: Array, held: float) -> bool:
     """Solve with the transposed derivatives of the balance, `held` as in `hold`; return False if singular."""
     hold(problem, assembly, work, held)
@@ -221,7 +215,7 @@ def solve_transposed(problem: Problem, assembly: Assembly, work: Work, right: Ar
     return solve_linear(work.matrix, right)
 
 
-@spliced
+@compiled
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
     """Torsional stiffness dT/dx = 1/(H⁻¹)_xx at the balance, N·m/rad; NaN if the carrier is free."""
     hold(problem, assembly, work, HELD)
@@ -230,7 +224,7 @@ def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> flo
     return 1.0 / work.step[0] if solve_linear(work.matrix, work.step) else math.nan
 
 
-@part
+@compiled
 def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
     """Write Newton's step, limited if it is no descent or too long; return the fraction to take, 0 for none."""
     step, matrix, n = work.step, work.matrix, work.step.size
@@ -250,7 +244,7 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
     return 0.0
 
 
-@part
+@compiled
 def _between(work: Work, share: float, now: float, low: float, high: float) -> float:
     """Return the fraction of a step at which the work should vanish: by Newton's method, or between the known ends.
 
@@ -279,11 +273,11 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
         Kernel such as `assemble`: it writes the residual and its derivatives, and may add forces that store no energy.
     """
 
-    @part
+    @compiled
     def balance(
         problem: Problem,
         assembly: Assembly,
-        theta: float,
+        crank_angle: float,
         pull: Load,
         contacts: Rows,
         work: Work,
@@ -296,7 +290,7 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
         as large, with either sign: energies are convex for small rotations. Otherwise a contact that closes within the
         step would be missed, and the next step would overshoot too.
         """
-        assembled(problem, assembly, theta, pull, contacts, work, more)
+        assembled(problem, assembly, crank_angle, pull, contacts, work, more)
         q, short = work.place, 0
         for iteration in range(iterations):
             left = longest_of(problem, assembly, work.residual, -1.0)
@@ -317,7 +311,7 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
             for _ in range(36 if iterations == _LAST_ITERATIONS else 12):
                 for i in range(step.size):
                     q[i] = work.before[i] + share * step[i]
-                assembled(problem, assembly, theta, pull, contacts, work, more)
+                assembled(problem, assembly, crank_angle, pull, contacts, work, more)
                 now = 0.0
                 for i in range(step.size):
                     now += step[i] * work.residual[i]
@@ -337,11 +331,11 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
                     return iteration + 1
         return 0
 
-    @part
+    @compiled
     def settle(
         problem: Problem,
         assembly: Assembly,
-        theta: float,
+        crank_angle: float,
         pull: Load,
         contacts: Rows,
         work: Work,
@@ -362,7 +356,7 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
             while True:
                 most = _LAST_ITERATIONS if stage == 2 and spring == pull.centring else _ITERATIONS
                 stage_pull = Load(pull.torque, pull.spring, pull.flange, spring)
-                found = balance(problem, assembly, theta, stage_pull, contacts, work, more, most)
+                found = balance(problem, assembly, crank_angle, stage_pull, contacts, work, more, most)
                 total += found if found > 0 else most
                 if spring == pull.centring:
                     break

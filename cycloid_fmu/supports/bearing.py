@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact import part
+from cycloid_fmu.contact import compiled
 
 Array = NDArray[np.float64]
 RIGID = 1e15  # N/m: in place of a rigid bearing; it turns a drive by some 1e-4″
@@ -100,7 +100,7 @@ def _roller_factor(exponent: float, along: float) -> Array:
     return np.array(series.coef, dtype=np.float64)
 
 
-@part
+@compiled
 def _chebyshev(coefficients: Array, s: float) -> tuple[float, float]:
     """Value and derivative of a Chebyshev series on 0 to 1 (Clenshaw)."""
     y = 2.0 * s - 1.0
@@ -110,7 +110,7 @@ def _chebyshev(coefficients: Array, s: float) -> tuple[float, float]:
     return coefficients[0] + y * b1 - b2, 2.0 * (b1 + y * d1 - d2)
 
 
-@part
+@compiled
 def push(law: Law | np.record, r: float) -> tuple[float, float]:
     """Force (N) and stiffness dF/dr (N/m) of a bearing displaced by r ≥ 0 (m)."""
     beyond = r - law.half_clearance
@@ -130,7 +130,7 @@ def push(law: Law | np.record, r: float) -> tuple[float, float]:
     return root * r * whole, root * (10.0 / 9.0 * whole - s * by_share)
 
 
-@part
+@compiled
 def stored(law: Law | np.record, r: float) -> float:
     """Energy of a bearing displaced by r, ∫ F dr, J."""
     beyond = r - law.half_clearance
@@ -143,7 +143,7 @@ def stored(law: Law | np.record, r: float) -> float:
     return float(law.stiffness / (_EXPONENT + 1.0) * r ** (19.0 / 9.0) * (1.0 - s) ** (47.0 / 18.0) * value)
 
 
-@part
+@compiled
 def by_clearance(law: Law | np.record, r: float) -> float:
     """Derivative of a bearing's force by its diametral clearance, N/m."""
     if r <= law.half_clearance:

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.load_sharing import load_sharing
+from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
 from cycloid_fmu.supports.balance import HELD, Load, settle, solve_transposed
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
@@ -55,41 +56,39 @@ def held(drive: Problem, assembly: Assembly, work: Work) -> Held:
     return Held(drive, assembly, work, np.zeros(work.place.size), np.zeros(work.place.size))
 
 
-@spliced
+@compiled
 def _mesh(
-    drive: Problem, theta: float, x: float, rows: Rows, by_energy: Array, by_angle: Array
+    drive: Problem, crank_angle: float, x: float, rows: Rows, by_energy: Array, by_angle: Array
 ) -> tuple[float, float, float]:
     """Add the mesh; returns its energy, its derivative by θ at fixed unknowns, and the contribution of curvature."""
-    e, energy, turning, bent_by = drive.eccentricity, 0.0, 0.0, 0.0
+    energy = turning = bent_by = 0.0
     kappa = (drive.compliance_gear + drive.compliance_pin) / (math.pi * drive.slice_width)
     for row in range(rows.shape[0]):
-        one = rows[row]
-        force = one.force
+        contact_ = rows[row]
+        force = contact_.force
         if force <= 0.0:
             continue
-        local = contact.local_frame(drive, theta, x, rows, row)
-        nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
-        turn, slide = nx * py - ny * px, -(nx * px + ny * py)
-        wu, wv, wy = -e * local.crank_y, e * local.crank_x, -1.0 / drive.teeth
-        k, bend = one.stiffness, local.bend
-        curved = one.force_by_curvature * one.curvature_rate * local.foot
-        gap, slid = -nx * wu - ny * wv + turn * wy, ny * wu - nx * wv + slide * wy
-        energy += -0.5 * force * (one.gap + drive.seat_gap) - 0.25 * kappa * force * force
-        turning -= force * gap
-        bending = 0.5 * force * curved / k
-        pressed, bent = k * gap - curved * slid, force * bend * slid
-        bent_by += bending * slid
+        local = contact.local_frame(drive, crank_angle, x, rows, row)
+        along = gap_gradient(local)
+        stiffness = contact_stiffness(contact_, local, along)
+        # Motion of the disc with the crank at fixed unknowns.
+        u, v, y = -drive.eccentricity * local.crank_y, drive.eccentricity * local.crank_x, -1.0 / drive.teeth
+        energy += -0.5 * force * (contact_.gap + drive.seat_gap) - 0.25 * kappa * force * force
+        turning -= force * (along.gap_u * u + along.gap_v * v + along.gap_y * y)
+        curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
+        bending = 0.5 * force * curved / contact_.stiffness
+        bent_by += bending * (along.slide_u * u + along.slide_v * v + along.slide_y * y)
         at = FIRST_DISC + 3 * local.disc
-        by_energy[at] += bending * ny
-        by_energy[at + 1] -= bending * nx
-        by_energy[at + 2] += bending * slide
-        by_angle[at] += -pressed * nx - bent * ny - force * ny * wy
-        by_angle[at + 1] += -pressed * ny + bent * nx + force * nx * wy
-        by_angle[at + 2] += pressed * turn - bent * slide + force * (-ny * wu + nx * wv - slide * wy)
+        by_energy[at] += bending * along.slide_u
+        by_energy[at + 1] += bending * along.slide_v
+        by_energy[at + 2] += bending * along.slide_y
+        by_angle[at] += stiffness.uu * u + stiffness.uv * v + stiffness.uy * y
+        by_angle[at + 1] += stiffness.vu * u + stiffness.vv * v + stiffness.vy * y
+        by_angle[at + 2] += stiffness.yu * u + stiffness.yv * v + stiffness.yy * y
     return energy, turning, bent_by
 
 
-@spliced
+@compiled
 def _joints(assembly: Assembly, centring: float, work: Work, by_angle: Array) -> tuple[float, float]:
     """Add the joints at the solved place; returns their energy and its derivative by θ at fixed unknowns."""
     stored = turning = 0.0
@@ -106,14 +105,14 @@ def _joints(assembly: Assembly, centring: float, work: Work, by_angle: Array) ->
 
 
 @compiled
-def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Array) -> int:
+def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out: Array) -> int:
     """Solve the balance at a crank angle from the last solution; return the number of steps, 0 if not found.
 
     Parameters
     ----------
     box
         The drive; its unknowns are in `work.place`.
-    theta, pull
+    crank_angle, pull
         Crank angle, rad, and the load.
     rows, cold
         Contact rows, and whether to start without a neighbouring solution.
@@ -131,12 +130,12 @@ def stand(box: Held, theta: float, pull: Load, rows: Rows, cold: bool, out: Arra
         for i in range(FIRST_DISC + 2, FIRST_DISC + 3 * drive.shift_x.size, 3):
             q[i] += flange - q[0]
         q[0] = flange
-    steps = settle(drive, assembly, theta, pull, rows, work, None, cold)
+    steps = settle(drive, assembly, crank_angle, pull, rows, work, None, cold)
     if steps == 0:
         return 0
     for i in range(n):
         by_energy[i] = by_angle[i] = 0.0
-    of_mesh, mesh_turning, bending = _mesh(drive, theta, q[0], rows, by_energy, by_angle)
+    of_mesh, mesh_turning, bending = _mesh(drive, crank_angle, q[0], rows, by_energy, by_angle)
     of_joints, joints_turning = _joints(assembly, pull.centring, work, by_angle)
     by_theta = mesh_turning + joints_turning
     # Rows of the inverse for the carrier's rotation and for b, without the flange's spring.

@@ -41,7 +41,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact import Array, part
+from cycloid_fmu.contact import Array, compiled
 from cycloid_fmu.supports.bearing import push, stored
 
 HOUSING, CARRIER, FIRST_DISC_BODY = range(3)  # bodies: after the discs come the cranks
@@ -166,18 +166,18 @@ class Reaction(NamedTuple):
     across: float  # stiffness at a right angle to the displacement, N/m
 
 
-@part
-def orient(assembly: Assembly, theta: float, work: Work) -> None:
+@compiled
+def orient(assembly: Assembly, crank_angle: float, work: Work) -> None:
     """Write the direction of each body's x-axis, and that of a disc's ideal eccentric, at θ and `work.place`."""
     for number in range(assembly.bodies.size):
         body, axes = assembly.bodies[number], work.axes[number]
         axes[0], axes[1] = 1.0, 0.0
         if body.rotation >= 0:
-            angle, crank = body.rate * theta + work.place[body.rotation], theta + body.crank_phase
+            angle, crank = body.rate * crank_angle + work.place[body.rotation], crank_angle + body.crank_phase
             axes[0], axes[1], axes[2], axes[3] = math.cos(angle), math.sin(angle), math.cos(crank), math.sin(crank)
 
 
-@part
+@compiled
 def displacement(assembly: Assembly, joint: np.record, work: Work) -> Displacement:
     """Displacement of a joint after `orient`, computed from small terms, without cancellation."""
     q, px, py = work.place, joint.place_x, joint.place_y
@@ -215,7 +215,7 @@ def displacement(assembly: Assembly, joint: np.record, work: Work) -> Displaceme
     return Displacement(nx, ny, length, excess, outer_x, outer_y, inner_x, inner_y)
 
 
-@part
+@compiled
 def _by_shift(work: Work, column: int, unknown: int, sign: float) -> int:
     """Set the derivatives by two unknowns that shift a displacement directly; return the next column."""
     work.at[column], work.at[column + 1] = unknown, unknown + 1
@@ -224,7 +224,7 @@ def _by_shift(work: Work, column: int, unknown: int, sign: float) -> int:
     return column + 2
 
 
-@part
+@compiled
 def derivatives(assembly: Assembly, joint: np.record, d: Displacement, work: Work) -> int:
     """Write the unknowns that move a joint and the derivatives of d by them into `work`; return their number."""
     outer, inner = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.inner)]
@@ -245,7 +245,7 @@ def derivatives(assembly: Assembly, joint: np.record, d: Displacement, work: Wor
     return count
 
 
-@part
+@compiled
 def reaction(assembly: Assembly, joint: np.record, d: Displacement, centring: float) -> Reaction:
     """Force of a joint, for bearings with that of a centring spring, N/m."""
     force, stiffness = push(assembly.laws[joint.law], d.excess - joint.play)
@@ -254,21 +254,21 @@ def reaction(assembly: Assembly, joint: np.record, d: Displacement, centring: fl
     return Reaction(force, stiffness, force / d.length if d.length > 0.0 else stiffness)
 
 
-@part
+@compiled
 def stored_energy(assembly: Assembly, joint: np.record, d: Displacement, centring: float) -> float:
     """Energy of a joint, ∫ F dr with the force of `reaction`, J."""
     spring = 0.5 * centring * d.length * d.length if joint.reach == 0.0 else 0.0
     return stored(assembly.laws[joint.law], d.excess - joint.play) + spring
 
 
-@part
+@compiled
 def change(d: Displacement, acting: Reaction, vx: float, vy: float) -> tuple[float, float]:
     """Change of the force that draws the outer body to the inner one if the displacement changes by v."""
     normal = (acting.stiffness - acting.across) * (d.normal_x * vx + d.normal_y * vy)
     return normal * d.normal_x + acting.across * vx, normal * d.normal_y + acting.across * vy
 
 
-@part
+@compiled
 def eccentric(joint: np.record, work: Work) -> tuple[float, float]:
     """Position of a joint's eccentric from its crank's axis, after `orient`, m."""
     axes = work.axes[int(joint.outer)]
@@ -276,7 +276,7 @@ def eccentric(joint: np.record, work: Work) -> tuple[float, float]:
     return along * axes[2] - across * axes[3], along * axes[3] + across * axes[2]
 
 
-@part
+@compiled
 def add_turning(
     assembly: Assembly, joint: np.record, d: Displacement, acting: Reaction, work: Work, unknowns: int, by_angle: Array
 ) -> float:

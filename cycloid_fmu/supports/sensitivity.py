@@ -10,7 +10,8 @@ import math
 from typing import NamedTuple
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
+from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CIRCLE_GENERATING,
@@ -70,8 +71,8 @@ class Derivatives(NamedTuple):
     by_torque: Array
 
 
-@spliced
-def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work, out: Array) -> float:
+@compiled
+def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, out: Array) -> float:
     """Subtract λ·∂r/∂p for the displacements of pins and flanks; return λ·∂r/∂θ."""
     row, turning = work.step, 0.0
     teeth = problem.teeth
@@ -84,43 +85,41 @@ def _add_mesh(problem: Problem, theta: float, contacts: Rows, work: Work, out: A
         force = contact_.force
         if force <= 0.0:
             continue
-        local = contact.local_frame(problem, theta, work.place[0], contacts, number)
+        local = contact.local_frame(problem, crank_angle, work.place[0], contacts, number)
         disc, pin = local.disc, local.pin
-        nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
+        along = gap_gradient(local)
+        stiffness = contact_stiffness(contact_, local, along)
         at = FIRST_DISC + 3 * disc
         lu, lv, ly = row[at], row[at + 1], row[at + 2]
-        turn, slide = nx * py - ny * px, -(nx * px + ny * py)
         # Projection of λ on the gap and on the pin's sliding along the flank.
-        along, across = -nx * lu - ny * lv + turn * ly, ny * lu - nx * lv + slide * ly
-        k, bend = contact_.stiffness, local.bend
-        curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
+        closing = lu * along.gap_u + lv * along.gap_v + ly * along.gap_y
+        sliding = lu * along.slide_u + lv * along.slide_v + ly * along.slide_y
         # Rotating or shifting a flank is rotating or shifting the disc, λ·∂r/∂(u, v, y) of this contact; shifting a pin
         # is shifting the disc back.
-        by_u = -k * nx * along - force * bend * ny * across - curved * ny * along - force * ny * ly
-        by_v = -k * ny * along + force * bend * nx * across + curved * nx * along + force * nx * ly
-        by_y = k * turn * along - force * bend * slide * across - curved * slide * along
-        by_y += -force * ny * lu + force * nx * lv - force * slide * ly
+        by_u = lu * stiffness.uu + lv * stiffness.vu + ly * stiffness.yu
+        by_v = lu * stiffness.uv + lv * stiffness.vv + ly * stiffness.yv
+        by_y = lu * stiffness.uy + lv * stiffness.vy + ly * stiffness.yy
         c, s = math.cos(local.direction), math.sin(local.direction)
         out[radial + pin] += c * by_u + s * by_v
         out[tangential + pin] += -s * by_u + c * by_v
-        out[radius + pin] += k * along
-        out[PIN_GENERATING] -= k * along
+        out[radius + pin] += contact_.stiffness * closing
+        out[PIN_GENERATING] -= contact_.stiffness * closing
         distance = contact_.gap + problem.pin_radius[pin] - problem.generating_radius
         pressed, turned = larger_circle(problem, contact_, distance, local)
-        out[CIRCLE_GENERATING] += pressed * along + force * turned * across
+        out[CIRCLE_GENERATING] += pressed * closing + force * turned * sliding
         out[pitch + disc * teeth + local.tooth] -= by_y
         turning += -e * local.crank_y * by_u + e * local.crank_x * by_v - by_y / teeth
     return turning
 
 
-@part
+@compiled
 def _by_place(d: Displacement, acting: Reaction, ux: float, uy: float, lx: float, ly: float, turn: float) -> float:
     """λ·∂r for a motion of the outer body's place along u; `turn` is λ for its rotation."""
     gx, gy = change(d, acting, ux, uy)
     return gx * lx + gy * ly + acting.force * (d.normal_y * ux - d.normal_x * uy) * turn
 
 
-@spliced
+@compiled
 def _add_joints(assembly: Assembly, work: Work, by_joint: Array) -> None:
     """Subtract λ·∂r/∂p for the parameters of each joint, and add ∂r/∂θ to `work.residual`."""
     row, at, by = work.step, work.at, work.by
@@ -159,37 +158,37 @@ def _add_joints(assembly: Assembly, work: Work, by_joint: Array) -> None:
 def sweep_supported_sensitivities(
     problem: Problem,
     assembly: Assembly,
-    thetas: Array,
+    crank_angles: Array,
     torques: Array,
     places: Array,
-    found: Derivatives,
+    results: Derivatives,
     work: Work,
 ) -> bool:
     """Write the derivatives of the deviation at given solutions; return False if one is singular.
 
     Parameters
     ----------
-    thetas, torques, places
+    crank_angles, torques, places
         Crank angles (rad) and the torque at each (N·m), shape (angles,); the solutions, shape (angles, unknowns).
-    found
+    results
         Zeros; overwritten.
     """
     contacts = contact.contact_rows(problem)
-    for i in range(thetas.size):
+    for i in range(crank_angles.size):
         for k in range(work.place.size):
             work.place[k] = places[i, k]
         work.moved[0] = math.inf
-        assemble(problem, assembly, thetas[i], Load(torques[i], 0.0, 0.0, CENTRING), contacts, work, None)
+        assemble(problem, assembly, crank_angles[i], Load(torques[i], 0.0, 0.0, CENTRING), contacts, work, None)
         for k in range(work.step.size):
             work.step[k] = 1.0 if k == 0 else 0.0
         if not solve_transposed(problem, assembly, work, work.step, 0.0):
             return False
-        found.by_torque[i] = work.step[0]  # of λ, which is now in `step`
-        turning = _add_mesh(problem, thetas[i], contacts, work, found.by_displacement[i])
+        results.by_torque[i] = work.step[0]  # of λ, which is now in `step`
+        turning = _add_mesh(problem, crank_angles[i], contacts, work, results.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0
-        _add_joints(assembly, work, found.by_joint[i])
+        _add_joints(assembly, work, results.by_joint[i])
         for k in range(work.residual.size):
             turning += work.step[k] * work.residual[k]
-        found.by_angle[i] = -turning
+        results.by_angle[i] = -turning
     return True

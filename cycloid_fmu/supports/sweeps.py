@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, compiled, spliced
+from cycloid_fmu.contact import Array, Problem, compiled
 from cycloid_fmu.contact.load_sharing import write_contact_lines
 from cycloid_fmu.supports.balance import NEIGHBOUR, Load, settle, torsional_stiffness
 from cycloid_fmu.supports.bearing import CENTRING
@@ -30,7 +30,7 @@ class Found(NamedTuple):
     force: Array
 
 
-@spliced
+@compiled
 def _forces(assembly: Assembly, work: Work, force: Array) -> float:
     """Write the force of every joint (N) at the solved place; return the crank torque (N·m)."""
     crank_torque = 0.0
@@ -47,41 +47,43 @@ def _forces(assembly: Assembly, work: Work, force: Array) -> float:
 def sweep_supported(
     problem: Problem,
     assembly: Assembly,
-    thetas: Array,
+    crank_angles: Array,
     torques: Array,
-    found: Found,
+    results: Found,
     work: Work,
     lines: contact.ContactLines,
 ) -> None:
     """Solve crank angles, each at its torque and starting from its neighbour, and write contact lines on request."""
     contacts = contact.contact_rows(problem)
     q = work.place
-    for i in range(thetas.size):
-        theta = thetas[i]
-        step = abs(theta - thetas[i - 1]) if i > 0 else math.inf
-        if i > 1 and step < 1.5 * abs(thetas[i - 1] - thetas[i - 2]) < NEIGHBOUR:
-            share = (theta - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
+    for i in range(crank_angles.size):
+        crank_angle = crank_angles[i]
+        step = abs(crank_angle - crank_angles[i - 1]) if i > 0 else math.inf
+        if i > 1 and step < 1.5 * abs(crank_angles[i - 1] - crank_angles[i - 2]) < NEIGHBOUR:
+            share = (crank_angle - crank_angles[i - 1]) / (crank_angles[i - 1] - crank_angles[i - 2])
             for k in range(q.size):
-                q[k] += share * (q[k] - found.place[i - 2, k])
+                q[k] += share * (q[k] - results.place[i - 2, k])
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
-        found.steps[i] = settle(problem, assembly, theta, pull, contacts, work, None, not step < NEIGHBOUR)
+        results.steps[i] = settle(problem, assembly, crank_angle, pull, contacts, work, None, not step < NEIGHBOUR)
         for k in range(q.size):
-            found.place[i, k] = q[k]
-        found.stiffness[i] = torsional_stiffness(problem, assembly, work)
-        found.crank_torque[i] = _forces(assembly, work, found.force[i])
-        count, pressure = contact.load_sharing(problem, contacts, found.pin_force[i], found.pin_pressure[i])
-        found.contact_count[i], found.max_contact_pressure[i] = count, pressure
+            results.place[i, k] = q[k]
+        results.stiffness[i] = torsional_stiffness(problem, assembly, work)
+        results.crank_torque[i] = _forces(assembly, work, results.force[i])
+        count, pressure = contact.load_sharing(problem, contacts, results.pin_force[i], results.pin_pressure[i])
+        results.contact_count[i], results.max_contact_pressure[i] = count, pressure
         if lines.slice_force.size > 0:
-            write_contact_lines(problem, lines, 0, i, theta, q[0], contacts)
+            write_contact_lines(problem, lines, 0, i, crank_angle, q[0], contacts)
 
 
 @compiled
-def sweep_interference(problem: Problem, thetas: Array, place: Array, pressed: Array, interference: Array) -> None:
+def sweep_interference(
+    problem: Problem, crank_angles: Array, place: Array, pressed: Array, interference: Array
+) -> None:
     """Write how far flanks and pins overlap that no rotation of the output frees, at solved positions of the bodies.
 
     Parameters
     ----------
-    thetas, place
+    crank_angles, place
         Crank angles, shape (angles,), rad; the unknowns without a torque, shape (angles, unknowns).
     pressed
         Largest pin force there, shape (angles,), N: where it is 0, nothing overlaps.
@@ -89,13 +91,13 @@ def sweep_interference(problem: Problem, thetas: Array, place: Array, pressed: A
         Zeros, overwritten, shape (angles,), m.
     """
     contacts = contact.contact_rows(problem)
-    for i in range(thetas.size):
+    for i in range(crank_angles.size):
         if pressed[i] > 0.0:
             x = place[i, 0]
             for disc in range(problem.shift_x.size):
                 at = FIRST_DISC + 3 * disc
                 problem.shift_x[disc], problem.shift_y[disc] = place[i, at], place[i, at + 1]
                 problem.turn[disc] = place[i, at + 2] - x
-            _, _, overlap = contact.play(problem, thetas[i], x, contacts, True)
+            _, _, overlap = contact.play(problem, crank_angles[i], x, contacts, True)
             # A pin first takes up the clearance of its seat.
             interference[i] = max(overlap - problem.seat_gap, 0.0)

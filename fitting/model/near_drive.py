@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.analysis import solve
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, contact_rows, hertz, local_frame, part, place
+from cycloid_fmu.contact import Array, Problem, Rows, compiled, contact_rows, hertz, local_frame, place
 from cycloid_fmu.contact.equilibrium import LINEAR_STEP, touched_after
+from cycloid_fmu.contact.local_frame import gap_gradient
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CENTRE_X,
@@ -121,7 +122,7 @@ def _contacts_of(problem: Problem, thetas: Array, deviation: Array, found: NDArr
             _write_contact(problem, thetas[i], deviation[i], contacts, k, found[i, k])
 
 
-@part
+@compiled
 def _write_contact(problem: Problem, theta: float, x: float, contacts: Rows, k: int, one: np.record) -> None:
     row = 2 * k + 1 if contacts[2 * k + 1].gap < contacts[2 * k].gap else 2 * k
     contact, local = contacts[row], local_frame(problem, theta, x, contacts, row)
@@ -135,7 +136,7 @@ def _write_contact(problem: Problem, theta: float, x: float, contacts: Rows, k: 
         *(CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING),
         *(pin, pin + pins, pin + 2 * pins, tooth),
     )
-    crank, turn = nx * local.crank_x + ny * local.crank_y, nx * local.gear_y - ny * local.gear_x
+    crank, turn = nx * local.crank_x + ny * local.crank_y, gap_gradient(local).gap_y
     rates = (
         *(-nx, -ny, -nx * height, -ny * height, -crank, 1.0, -local.facing),
         *(nx * c + ny * s, ny * c - nx * s, -1.0, turn),
@@ -144,7 +145,7 @@ def _write_contact(problem: Problem, theta: float, x: float, contacts: Rows, k: 
         one.column[at], one.rate[at] = columns[at], rates[at]
 
 
-@part
+@compiled
 def _load(problem: Problem, contacts: NDArray[np.void], moved: float, pressed: NDArray[np.void]) -> tuple[float, float]:
     """Press the contacts of a drive rotated by `moved` from the solved one; return torque and stiffness."""
     torque = stiffness = 0.0
@@ -170,7 +171,7 @@ def _load(problem: Problem, contacts: NDArray[np.void], moved: float, pressed: N
     return torque, stiffness
 
 
-@part
+@compiled
 def _to_touch(contacts: NDArray[np.void], moved: float, pressed: NDArray[np.void], direction: float) -> float:
     best = math.inf
     for k in range(contacts.size):
@@ -179,7 +180,7 @@ def _to_touch(contacts: NDArray[np.void], moved: float, pressed: NDArray[np.void
     return best
 
 
-@part
+@compiled
 def _balance(
     problem: Problem, contacts: NDArray[np.void], torque: float, moved: float, pressed: NDArray[np.void]
 ) -> tuple[float, float]:

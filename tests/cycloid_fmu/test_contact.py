@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from cycloid_fmu import contact, edge
 from cycloid_fmu.analysis import error_sensitivity, notes, sensitivity, solve
 from cycloid_fmu.analysis.validity import tilt_error
-from cycloid_fmu.contact import compiling
+from cycloid_fmu.contact import compiling, internals
 from cycloid_fmu.contact.deviations import Facing, added_curvature
 from cycloid_fmu.contact.transmission import rigid_problem
 from cycloid_fmu.drive import Drive, read_drive
@@ -547,7 +547,10 @@ def test_two_discs_cancel_an_order_one_pin_error():
     assert amplitude(2) < 0.1
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+NOT_KEPT = bool(numba.config.DISABLE_JIT) or compiling.internals is None
+
+
+@pytest.mark.skipif(NOT_KEPT, reason="nothing is compiled")
 def test_views_of_angles_and_torques_do_not_compile_the_kernels_again():
     """A step between values or a read-only array is another type to the compiler: it took seconds, of every user."""
     pair = read_pair(CASES / "errors-39-40.toml")
@@ -557,7 +560,7 @@ def test_views_of_angles_and_torques_do_not_compile_the_kernels_again():
         solve(DriveValue(pair, surface), torques, angles)
         error_sensitivity(DriveValue(pair, surface), torque, angles, ["offset"])
         kernels = (contact.sweep, contact.sweep_sensitivities)
-        return [list(kernel.dispatcher.signatures) for kernel in kernels]
+        return [list(kernel.dispatcher().signatures) for kernel in kernels]
 
     before = compiled(angles, torques, 50.0)
     fixed = np.full(2, 50.0)
@@ -565,7 +568,7 @@ def test_views_of_angles_and_torques_do_not_compile_the_kernels_again():
     assert compiled(angles[::2], torques[::-1], fixed) == before
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+@pytest.mark.skipif(NOT_KEPT, reason="nothing is compiled")
 def test_compiled_code_is_kept_until_a_file_of_the_room_changes(monkeypatch, tmp_path):
     """A kernel includes the functions that it calls in other files: without a check, changed ones give old numbers."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
@@ -576,21 +579,54 @@ def test_compiled_code_is_kept_until_a_file_of_the_room_changes(monkeypatch, tmp
     def loaded():
         kernel = contact.compiled(twice)
         assert kernel(3.0) == 6.0
-        return sum(kernel.dispatcher.stats.cache_hits.values())
+        return sum(kernel.dispatcher().stats.cache_hits.values())
 
     assert [loaded(), loaded()] == [0, 1]
-    monkeypatch.setattr(compiling, "_SOURCES", (*compiling._SOURCES, (1, "changed.py")))
+    monkeypatch.setattr(internals, "_SOURCES", (*internals._SOURCES, (1, "changed.py")))
     assert [loaded(), loaded()] == [0, 1]
+
+
+@pytest.mark.slow(120)
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+def test_numba_s_own_way_gives_the_same_numbers():
+    """Where the private names of `internals` are missing, kernels are compiled by the public ones alone."""
+    code = f"""
+import sys
+import numpy as np
+from cycloid_fmu.analysis import sensitivity, solve
+from cycloid_fmu.contact import compiling
+from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
+print(compiling.internals is None, file=sys.stderr)
+numbers = []
+for path in ({str(CASES / "errors-39-40.toml")!r}, {str(CASES.parent / "supports-cases" / "rollers.toml")!r}):
+    pair = read_pair(path)
+    drive, angles = DriveValue(pair, surface_of_pair(pair)), np.linspace(0.0, 1.0, 5)
+    result = solve(drive, 90.0, angles, with_play=pair.supports is None)
+    by_errors = sensitivity(drive, 90.0, angles).by_displacement
+    numbers += [result.transmission_error, result.max_contact_pressure, by_errors]
+print(*[value.hex() for array in numbers for value in array.ravel().tolist()])
+"""
+    shown = []
+    for plain in ("0", "1"):
+        settings = {**os.environ, "CYCLOID_PLAIN_NUMBA": plain}
+        run = subprocess.run([sys.executable, "-c", code], env=settings, check=True, capture_output=True, text=True)
+        assert run.stderr.split()[-1] == str(plain == "1")
+        shown.append([float.fromhex(word) for word in run.stdout.split()])
+    assert len(shown[0]) > 1000
+    scale = max(map(abs, shown[0]))
+    assert shown[1] == pytest.approx(shown[0], rel=1e-9, abs=1e-12 * scale)
 
 
 @pytest.mark.slow(4)
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+@pytest.mark.skipif(NOT_KEPT, reason="nothing is compiled")
 def test_processes_that_begin_together_compile_a_kernel_once(tmp_path):
     """The first does it, the others wait for it and take it from its file."""
     lines = (
         "from cycloid_fmu.contact.hertz import hertz",
         "hertz(1e-6, 100.0, 3e-3, 0.01, 4e-12, 4e-12, 0.1)",
-        "print(len(hertz.dispatcher.stats.cache_misses))",
+        "print(len(hertz.dispatcher().stats.cache_misses))",
     )
     settings = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     running = [
@@ -601,7 +637,7 @@ def test_processes_that_begin_together_compile_a_kernel_once(tmp_path):
 
 
 @pytest.mark.slow(4)
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+@pytest.mark.skipif(NOT_KEPT, reason="nothing is compiled")
 def test_a_process_killed_while_it_compiles_holds_up_no_other(tmp_path):
     settings = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     call = "from cycloid_fmu.contact.hertz import hertz; hertz(1e-6, 100.0, 3e-3, 0.01, 4e-12, 4e-12, 0.1)"
@@ -610,12 +646,12 @@ def test_a_process_killed_while_it_compiles_holds_up_no_other(tmp_path):
             assert killed.poll() is None
         killed.kill()
     assert not list(tmp_path.rglob("*.nbc"))
-    subprocess.run([sys.executable, "-c", call], env=settings, check=True, timeout=compiling._LONGEST_TURN / 2)
+    subprocess.run([sys.executable, "-c", call], env=settings, check=True, timeout=internals._LONGEST_TURN / 2)
     assert list(tmp_path.rglob("*.nbc"))
 
 
 @pytest.mark.slow(3)
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT) or not hasattr(os, "fork"), reason="nothing is compiled, or no fork")
+@pytest.mark.skipif(NOT_KEPT or not hasattr(os, "fork"), reason="nothing is compiled, or no fork")
 def test_a_forked_process_compiles_as_well(tmp_path):
     code = """
 import os

@@ -194,9 +194,9 @@ def test_guides_in_parts(monkeypatch):
         return *exact.loaded(0, made), *exact.play(1, made)
 
     whole = solved()
-    monkeypatch.setattr(near_drives, "_GUIDE", 7 * 40 * side_by_side.COLUMNS * 8)
+    monkeypatch.setattr(near_drives, "_GUIDE", 7 * 40 * side_by_side.GUIDE.itemsize)
     parts = solved()
-    monkeypatch.setattr(near_drives, "_KEPT", 3 * 7 * 40 * side_by_side.COLUMNS * 8)
+    monkeypatch.setattr(near_drives, "_KEPT", 3 * 7 * 40 * side_by_side.GUIDE.itemsize)
     for one, part, again in zip(whole, parts, solved(), strict=True):
         assert part == pytest.approx(one, rel=1e-9, abs=1e-14, nan_ok=True)
         assert np.array_equal(again, part, equal_nan=True)
