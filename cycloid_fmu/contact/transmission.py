@@ -6,7 +6,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,14 +24,11 @@ from cycloid_fmu.surfaces.structured import (
     profile_wave,
 )
 
-if TYPE_CHECKING:
-    pass
-
 Array = NDArray[np.float64]
 FORMAT = "cycloid-analysis/1"
 PROFILE_ELEMENTS = 800  # of a tooth, as in the error-surface paper, where a surface does not say
 ANGLE_ELEMENTS = 400  # of half a pin
-_UNBALANCED = 0.2  # of the torque: where a worn flank's curvature jumps, so do forces, and 5 % were seen to stay
+UNBALANCED = 0.2  # of the torque: where a worn flank's curvature jumps, so do forces, and 5 % were seen to stay
 PART = 360  # crank angles that are solved in a row, each from its neighbour
 
 
@@ -315,7 +312,7 @@ def carried(contacts: contact.Rows) -> Array:
 
 def balances(torque: ArrayLike, balance: ArrayLike) -> NDArray[np.bool_]:
     """Whether what contacts carry is the torque, both N·m, shapes that broadcast: else the search ended without it."""
-    return np.asarray(np.abs(np.subtract(balance, torque)) <= _UNBALANCED * np.abs(torque))
+    return np.asarray(np.abs(np.subtract(balance, torque)) <= UNBALANCED * np.abs(torque))
 
 
 def check_balance(torque: ArrayLike, balance: ArrayLike) -> None:

@@ -9,12 +9,11 @@ from __future__ import annotations
 import ctypes
 import functools
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import carray, cfunc, njit, typeof, types
+from numba import carray, cfunc, typeof, types
 from numba.core import cgutils
 from numba.experimental import structref
 from numba.extending import intrinsic
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.load_sharing import load_sharing
-from cycloid_fmu.contact.transmission import rigid_problem
+from cycloid_fmu.contact.transmission import UNBALANCED, rigid_problem
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.constants import (
     LARGEST_LOAD,
@@ -41,11 +40,8 @@ from cycloid_fmu.supports.bearing import CENTRING
 from cycloid_fmu.supports.joints import work_of
 from cycloid_fmu.supports.transmission import assembly_of, play_loads, problem_of
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 _Memory = tuple[NDArray[Any], ...]
 _SOLVED, _UNBALANCED, _UNSOLVED = range(3)  # `enum contacts_status` in C
-_UNBALANCED_SHARE = 0.2  # of the torque: where a worn flank's curvature jumps, so do forces, and 5 % were seen to stay
-
 _STIFFEST = 1e12  # N·m/rad: in place of a flange without compliance; it turns by some 1e-5″
 _PRESSED_CENTRING = 1e4  # N/m: with two prescribed flanges the discs cross their clearances at every reversal
 _BALANCED = 1e-6  # N: smaller residuals are within rounding
@@ -59,38 +55,39 @@ _X, _COLD, _PLAY_COLD = range(3)
 _LOW, _HIGH, _SIDE, _SHARE_OF, _TANGENT = 1, 2, 3, 4, 5
 
 
-def _inner(function: _Function) -> _Function:
-    """Compile a function that callbacks alone call."""
-    return cast(_Function, njit(error_model="numpy", no_cpython_wrapper=True)(function))
+class _Mesh(NamedTuple):
+    """Gear and pins on rigid bearings, and the memory of their solver."""
+
+    drive: Problem
+    rows: Rows
+    play_rows: Rows
+    numbers: Array
+    pin_force: Array
+    pin_pressure: Array
 
 
+class _OnBearings(NamedTuple):
+    """A drive on its bearings, and the memory of its solver: of the last solution, and of those at both play's ends."""
+
+    stands: tuple[Any, ...]
+    rows: tuple[Rows, ...]
+    results: tuple[Array, ...]
+    numbers: Array
+    pin_force: Array
+    pin_pressure: Array
+
+
+@structref.register
 class _BoxType(types.StructRef):  # type: ignore[misc]
     def preprocess_fields(self, fields: Any) -> Any:
         return tuple((name, types.unliteral(kind)) for name, kind in fields)
 
 
-@structref.register
-class _MeshType(_BoxType):
-    pass
+class _Box(structref.StructRefProxy):  # type: ignore[misc]
+    """Contacts as one address, which C passes on to the callback."""
 
 
-@structref.register
-class _OnBearingsType(_BoxType):
-    pass
-
-
-class _Mesh(structref.StructRefProxy):  # type: ignore[misc]
-    """Gear and pins on rigid bearings."""
-
-
-class _OnBearings(structref.StructRefProxy):  # type: ignore[misc]
-    """A drive on its bearings: its last solution, and those at both ends of the play."""
-
-
-structref.define_proxy(_Mesh, _MeshType, ["drive", "rows", "play_rows", "numbers", "pin_force", "pin_pressure"])
-structref.define_proxy(
-    _OnBearings, _OnBearingsType, ["stands", "rows", "results", "numbers", "pin_force", "pin_pressure"]
-)
+structref.define_proxy(_Box, _BoxType, ["contacts"])
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -120,23 +117,16 @@ def _box_at(context: Any, address: Any, kind: Any) -> Any:
 
 
 @compiled
+def _boxed(contacts: Any) -> _Box:
+    return _Box(contacts)
+
+
+@compiled
 def _address_of(box: Any) -> int:
     return int(_address(box))
 
 
 @compiled
-def _mesh(drive: Problem, rows: Rows, play_rows: Rows, numbers: Array, pin_force: Array, pin_pressure: Array) -> _Mesh:
-    return _Mesh(drive, rows, play_rows, numbers, pin_force, pin_pressure)
-
-
-@compiled
-def _on_bearings(
-    stands: Any, rows: Any, results: Any, numbers: Array, pin_force: Array, pin_pressure: Array
-) -> _OnBearings:
-    return _OnBearings(stands, rows, results, numbers, pin_force, pin_pressure)
-
-
-@_inner
 def _carried(rows: Rows) -> float:
     torque = 0.0
     for row in range(rows.shape[0]):
@@ -145,13 +135,13 @@ def _carried(rows: Rows) -> float:
 
 
 # Long as each operation is a few lines.
-@_inner
-def _solve_mesh(box: _Mesh, operation: int, theta: float, a: float, b: float, result: Array) -> int:
+@compiled
+def _solve_mesh(mesh: _Mesh, operation: int, crank_angle: float, a: float, b: float, result: Array) -> int:
     """Solve gear and pins.
 
     Parameters
     ----------
-    operation, theta
+    operation, crank_angle
         One of the `SOLVE_` constants, and the crank angle, rad.
     a, b
         touch: an end of the play (rad) and its side (±1); load: the torque, N·m; hold and press: a deviation (rad) and
@@ -161,22 +151,22 @@ def _solve_mesh(box: _Mesh, operation: int, theta: float, a: float, b: float, re
         and for press energy (J) and its derivatives by θ and φ_b (N·m). turn: the crank's torque (N·m) and dφ_b/dθ.
         share: pins in contact, and the largest pressure (Pa).
     """
-    drive, rows, numbers = box.drive, box.rows, box.numbers
+    drive, rows, numbers = mesh.drive, mesh.rows, mesh.numbers
     x, cold = numbers[_X], numbers[_COLD] != 0.0
     if operation == SOLVE_LOAD:
         numbers[_COLD] = 0.0
-        x, stiffness = contact.equilibrium(drive, theta, a, x, rows, cold)
+        x, stiffness = contact.equilibrium(drive, crank_angle, a, x, rows, cold)
         result[0], result[1], result[2] = x, stiffness, a
         falling = a != 0.0 and not stiffness > 0.0  # as with worn flanks, or if nothing can balance the torque
-        if not math.isfinite(x) or (falling and not abs(_carried(rows) - a) <= _UNBALANCED_SHARE * abs(a)):
+        if not math.isfinite(x) or (falling and not abs(_carried(rows) - a) <= UNBALANCED * abs(a)):
             numbers[_COLD] = 1.0
             return _UNBALANCED
         numbers[_X] = x
     elif operation == SOLVE_TURN:
-        result[0], result[1] = contact.crank_side(drive, theta, x, rows)
+        result[0], result[1] = contact.crank_side(drive, crank_angle, x, rows)
     elif operation == SOLVE_PRESS:
         numbers[_COLD] = 0.0
-        x, stiffness, stored, by_angle, by_rotation = contact.press(drive, theta, a, b, x, rows, cold)
+        x, stiffness, stored, by_angle, by_rotation = contact.press(drive, crank_angle, a, b, x, rows, cold)
         result[0], result[1], result[2] = x, stiffness, by_rotation
         result[3], result[4], result[5] = stored, by_angle, by_rotation
         if not math.isfinite(by_rotation):
@@ -185,121 +175,127 @@ def _solve_mesh(box: _Mesh, operation: int, theta: float, a: float, b: float, re
         numbers[_X] = x
     elif operation == SOLVE_HOLD:
         numbers[_COLD] = 0.0
-        x, stiffness = contact.behind_compliance(drive, theta, a, b, x, rows, cold)
+        x, stiffness = contact.behind_compliance(drive, crank_angle, a, b, x, rows, cold)
         result[0], result[1], result[2] = x, stiffness, _carried(rows)
         numbers[_X] = x
     elif operation == SOLVE_PLAY:
-        low, high, interference = contact.play(drive, theta, x, box.play_rows, numbers[_PLAY_COLD] != 0.0)
+        low, high, interference = contact.play(drive, crank_angle, x, mesh.play_rows, numbers[_PLAY_COLD] != 0.0)
         numbers[_PLAY_COLD] = 0.0
         if interference > 0.0:
             numbers[_PLAY_COLD] = 1.0
-            low, _ = contact.equilibrium(drive, theta, 0.0, x, box.play_rows, True)
+            low, _ = contact.equilibrium(drive, crank_angle, 0.0, x, mesh.play_rows, True)
             high = low
         result[0], result[1] = low, high
         return _SOLVED if math.isfinite(low) else _UNSOLVED
     elif operation == SOLVE_TOUCH:
-        contact.place(drive, theta, a, box.play_rows, numbers[_PLAY_COLD] != 0.0, math.inf, math.inf)
-        result[0] = contact.touch_rate(drive, theta, a, box.play_rows, b)
+        contact.place(drive, crank_angle, a, mesh.play_rows, numbers[_PLAY_COLD] != 0.0, math.inf, math.inf)
+        result[0] = contact.touch_rate(drive, crank_angle, a, mesh.play_rows, b)
     else:
-        count, result[1] = load_sharing(drive, rows, box.pin_force, box.pin_pressure)
+        count, result[1] = load_sharing(drive, rows, mesh.pin_force, mesh.pin_pressure)
         result[0] = count
     return _SOLVED
 
 
-@_inner
-def _stand(box: _OnBearings, i: int, theta: float, load: Load) -> bool:
+@compiled
+def _stand(floating: _OnBearings, i: int, crank_angle: float, load: Load) -> bool:
     """Solve one of the positions; return whether there is a solution."""
-    numbers = box.numbers
-    cold = not abs(theta - numbers[i]) < _NEAR
-    numbers[i] = theta
-    if energy.stand(box.stands[i], theta, load, box.rows[i], cold, box.results[i]) == 0:
+    numbers = floating.numbers
+    cold = not abs(crank_angle - numbers[i]) < _NEAR
+    numbers[i] = crank_angle
+    if energy.stand(floating.stands[i], crank_angle, load, floating.rows[i], cold, floating.results[i]) == 0:
         numbers[i] = math.nan
-    return bool(numbers[i] == theta)
+    return bool(numbers[i] == crank_angle)
 
 
-@_inner
-def _end(box: _OnBearings, theta: float, side: float) -> tuple[float, float]:
+@compiled
+def _end(floating: _OnBearings, crank_angle: float, side: float) -> tuple[float, float]:
     """End of the play on a side (±1), rad, NaN without a solution, and the stiffness there, N·m/rad."""
     i = _HIGH if side > 0.0 else _LOW
-    torque = side * box.numbers[_TANGENT]
-    if box.numbers[i] != theta and not _stand(box, i, theta, Load(torque, 0.0, 0.0, CENTRING)):
+    torque = side * floating.numbers[_TANGENT]
+    if floating.numbers[i] != crank_angle and not _stand(floating, i, crank_angle, Load(torque, 0.0, 0.0, CENTRING)):
         return math.nan, math.nan
-    results = box.results[i]
+    results = floating.results[i]
     return results[energy.X] - torque / results[energy.STIFFNESS], results[energy.STIFFNESS]
 
 
-@_inner
-def _ends(box: _OnBearings, theta: float) -> tuple[float, float]:
+@compiled
+def _ends(floating: _OnBearings, crank_angle: float) -> tuple[float, float]:
     """Both ends of the play, rad; the middle twice where there is none."""
-    low, high = _end(box, theta, -1.0)[0], _end(box, theta, 1.0)[0]
+    low, high = _end(floating, crank_angle, -1.0)[0], _end(floating, crank_angle, 1.0)[0]
     middle = 0.5 * (low + high)
     return (low, high) if low < high else (middle, middle)
 
 
-@_inner
-def _touch_rate(box: _OnBearings, theta: float, side: float) -> float:
+@compiled
+def _touch_rate(floating: _OnBearings, crank_angle: float, side: float) -> float:
     """dφ_b/dθ at the end of the play on a side."""
-    before = _end(box, theta - _CRANK_STEP, side)[0]
-    after = _end(box, theta + _CRANK_STEP, side)[0]
-    return float((after - before) / (2.0 * _CRANK_STEP) - 1.0 / box.stands[0].drive.teeth)
+    before = _end(floating, crank_angle - _CRANK_STEP, side)[0]
+    after = _end(floating, crank_angle + _CRANK_STEP, side)[0]
+    return float((after - before) / (2.0 * _CRANK_STEP) - 1.0 / floating.stands[0].drive.teeth)
 
 
-@_inner
-def _tangent(box: _OnBearings, theta: float, torque: float, side: float, result: Array) -> int:
-    low, high = _ends(box, theta)
-    _, stiffness = _end(box, theta, side)
-    box.numbers[_SIDE], box.numbers[_SHARE_OF] = side, abs(torque) / box.numbers[_TANGENT]
+@compiled
+def _tangent(floating: _OnBearings, crank_angle: float, torque: float, side: float, result: Array) -> int:
+    low, high = _ends(floating, crank_angle)
+    _, stiffness = _end(floating, crank_angle, side)
+    floating.numbers[_SIDE], floating.numbers[_SHARE_OF] = side, abs(torque) / floating.numbers[_TANGENT]
     result[0], result[1], result[2] = (high if side > 0.0 else low) + torque / stiffness, stiffness, torque
     return _SOLVED if math.isfinite(result[0]) else _UNBALANCED
 
 
-@_inner
-def _solve_pressed(box: _OnBearings, theta: float, flange: float, series: float, centring: float, result: Array) -> int:
-    box.numbers[_SIDE], box.numbers[_SHARE_OF] = 0.0, 1.0
+@compiled
+def _solve_pressed(
+    floating: _OnBearings, crank_angle: float, flange: float, series: float, centring: float, result: Array
+) -> int:
+    floating.numbers[_SIDE], floating.numbers[_SHARE_OF] = 0.0, 1.0
     spring = min(1.0 / series, _STIFFEST) if series > 0.0 else _STIFFEST
-    if not _stand(box, 0, theta, Load(0.0, spring, flange, centring)):
+    if not _stand(floating, 0, crank_angle, Load(0.0, spring, flange, centring)):
         return _UNSOLVED
-    results = box.results[0]
+    results = floating.results[0]
     result[0], result[1], result[2] = results[energy.X], results[energy.STIFFNESS], results[energy.TORQUE]
     return _SOLVED
 
 
 # Long as each operation is a few lines.
-@_inner
-def _solve_on_bearings(box: _OnBearings, operation: int, theta: float, a: float, b: float, result: Array) -> int:
+@compiled
+def _solve_on_bearings(
+    floating: _OnBearings, operation: int, crank_angle: float, a: float, b: float, result: Array
+) -> int:
     """Solve a drive on its bearings; parameters and results are those of `_solve_mesh`.
 
     Below the share `PLAY_LOAD` of the rated torque, the output follows the tangent at that share, so that the play
     remains at zero torque (`supports.transmission.play_loads`). Pressing solves every torque; inside the play, torques
     are smaller than that.
     """
-    numbers = box.numbers
+    numbers = floating.numbers
     least = numbers[_TANGENT]
     if operation == SOLVE_LOAD:
         numbers[_SIDE], numbers[_SHARE_OF] = 0.0, 1.0
         if abs(a) < least:
-            return _tangent(box, theta, a, math.copysign(1.0, a), result)
-        if not _stand(box, 0, theta, Load(a, 0.0, 0.0, CENTRING)):
+            return _tangent(floating, crank_angle, a, math.copysign(1.0, a), result)
+        if not _stand(floating, 0, crank_angle, Load(a, 0.0, 0.0, CENTRING)):
             return _UNBALANCED
-        result[0], result[1], result[2] = box.results[0][energy.X], box.results[0][energy.STIFFNESS], a
+        result[0], result[1], result[2] = floating.results[0][energy.X], floating.results[0][energy.STIFFNESS], a
     elif operation == SOLVE_TURN:
         side, share = numbers[_SIDE], numbers[_SHARE_OF]
-        results = box.results[0] if side == 0.0 else (box.results[_HIGH] if side > 0.0 else box.results[_LOW])
+        results = (
+            floating.results[0] if side == 0.0 else (floating.results[_HIGH] if side > 0.0 else floating.results[_LOW])
+        )
         rate, torque = results[energy.RATE], share * results[energy.TORQUE]
         if side == 0.0:
             result[0], result[1] = results[energy.CRANK_TORQUE], rate
         else:
-            end = _touch_rate(box, theta, side)
+            end = _touch_rate(floating, crank_angle, side)
             bent = share * (rate - end)
             result[0], result[1] = -torque * (end + 0.5 * bent), end + bent
     elif operation == SOLVE_PRESS:
-        status = _solve_pressed(box, theta, a, b, _PRESSED_CENTRING, result)
-        results = box.results[0]
+        status = _solve_pressed(floating, crank_angle, a, b, _PRESSED_CENTRING, result)
+        results = floating.results[0]
         result[2], result[3] = results[energy.BY_FLANGE], results[energy.ENERGY]
         result[4], result[5] = results[energy.BY_ANGLE], results[energy.BY_FLANGE]
         return status
     elif operation == SOLVE_HOLD:
-        low, high = _ends(box, theta)
+        low, high = _ends(floating, crank_angle)
         if not math.isfinite(low):
             return _UNBALANCED
         side = 1.0 if a > 0.5 * (low + high) else -1.0
@@ -307,27 +303,29 @@ def _solve_on_bearings(box: _OnBearings, operation: int, theta: float, a: float,
             numbers[_SIDE], numbers[_SHARE_OF] = side, 0.0
             result[0], result[1], result[2] = a, 0.0, 0.0
             return _SOLVED
-        torque = (a - (high if side > 0.0 else low)) / (1.0 / _end(box, theta, side)[1] + b)
+        torque = (a - (high if side > 0.0 else low)) / (1.0 / _end(floating, crank_angle, side)[1] + b)
         if abs(torque) < least:
-            return _tangent(box, theta, torque, side, result)
-        return _solve_pressed(box, theta, a, b, CENTRING, result)
+            return _tangent(floating, crank_angle, torque, side, result)
+        return _solve_pressed(floating, crank_angle, a, b, CENTRING, result)
     elif operation == SOLVE_PLAY:
-        result[0], result[1] = _ends(box, theta)
+        result[0], result[1] = _ends(floating, crank_angle)
         return _SOLVED if math.isfinite(result[0]) else _UNBALANCED
     elif operation == SOLVE_TOUCH:
-        result[0] = _touch_rate(box, theta, b)
+        result[0] = _touch_rate(floating, crank_angle, b)
     else:
         side, share = numbers[_SIDE], numbers[_SHARE_OF]
         i = 0
         if side != 0.0:
             i = _HIGH if side > 0.0 else _LOW
-            _end(box, theta, side)
-        count, pressure = load_sharing(box.stands[i].drive, box.rows[i], box.pin_force, box.pin_pressure)
+            _end(floating, crank_angle, side)
+        count, pressure = load_sharing(
+            floating.stands[i].drive, floating.rows[i], floating.pin_force, floating.pin_pressure
+        )
         # Along the tangent, forces are proportional to the torque and pressures to its square root.
-        for disc in range(box.pin_force.shape[0]):
-            for pin in range(box.pin_force.shape[1]):
-                box.pin_force[disc, pin] *= share
-                box.pin_pressure[disc, pin] *= math.sqrt(share)
+        for disc in range(floating.pin_force.shape[0]):
+            for pin in range(floating.pin_force.shape[1]):
+                floating.pin_force[disc, pin] *= share
+                floating.pin_pressure[disc, pin] *= math.sqrt(share)
         result[0], result[1] = count, pressure * math.sqrt(share)
     return _SOLVED
 
@@ -344,21 +342,21 @@ _KINDS: dict[str, Any] = {}  # types of boxes by their names
 
 
 @functools.cache
-def _callback(box: Any) -> Any:
+def _callback(box: Any, on_bearings: bool) -> Any:
     """Return the C function of a type of box; what numba compiles is kept on disk until the kernels' sources change."""
     # numba distinguishes what it keeps by the values that a function encloses, which must be the same in each process.
     kind, sources = str(box), _SOURCES
     _KINDS[kind] = box
 
-    def mesh(address: int, operation: int, theta: float, a: float, b: float, result: Any) -> int:
+    def solve_mesh(address: int, operation: int, crank_angle: float, a: float, b: float, result: Any) -> int:
         sources  # noqa: B018
-        return _solve_mesh(_box_at(address, kind), operation, theta, a, b, carray(result, (6,)))
+        return _solve_mesh(_box_at(address, kind).contacts, operation, crank_angle, a, b, carray(result, (6,)))
 
-    def on_bearings(address: int, operation: int, theta: float, a: float, b: float, result: Any) -> int:
+    def solve_on_bearings(address: int, operation: int, crank_angle: float, a: float, b: float, result: Any) -> int:
         sources  # noqa: B018
-        return _solve_on_bearings(_box_at(address, kind), operation, theta, a, b, carray(result, (6,)))
+        return _solve_on_bearings(_box_at(address, kind).contacts, operation, crank_angle, a, b, carray(result, (6,)))
 
-    function = mesh if isinstance(box, _MeshType) else on_bearings
+    function = solve_on_bearings if on_bearings else solve_mesh
     return cfunc(_SIGNATURE, cache=True, error_model="numpy")(function)
 
 
@@ -406,8 +404,11 @@ def exact_contacts(drive: DriveValue) -> ExactContacts:
     """
     pair = drive.pair
     shared = np.zeros((pair.discs, pair.pins)), np.zeros((pair.discs, pair.pins))
-    box, loaded, play, tangent = (_of_mesh if pair.supports is None else _of_bearings)(drive, shared)
-    contacts = ExactContacts(_callback(typeof(box)), box, (*loaded, *shared), play, shared, tangent, 0.0, _FREE_ENERGY)
+    floats = pair.supports is not None
+    solved, loaded, play, tangent = (_of_bearings if floats else _of_mesh)(drive, shared)
+    box = _boxed(solved)
+    callback = _callback(typeof(box), floats)
+    contacts = ExactContacts(callback, box, (*loaded, *shared), play, shared, tangent, 0.0, _FREE_ENERGY)
     initial = [array.copy() for array in loaded]
     largest, result = LARGEST_LOAD * (pair.rated_torque or UNRATED_LOAD), (ctypes.c_double * 6)()
     contacts.callback.ctypes(contacts.address, SOLVE_LOAD, 0.0, largest, 0.0, result)
@@ -419,7 +420,7 @@ def exact_contacts(drive: DriveValue) -> ExactContacts:
 def _of_mesh(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _Memory, _Memory, float]:
     problem = rigid_problem(drive, drive.slices)
     rows, play_rows, numbers = contact.contact_rows(problem), contact.contact_rows(problem), np.array([0.0, 1.0, 1.0])
-    return _mesh(problem, rows, play_rows, numbers, *shared), (rows, numbers), (play_rows,), 0.0
+    return _Mesh(problem, rows, play_rows, numbers, *shared), (rows, numbers), (play_rows,), 0.0
 
 
 def _of_bearings(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _Memory, _Memory, float]:
@@ -436,5 +437,5 @@ def _of_bearings(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _
         memory.append((rows, results, work.place, work.pose, work.moved))
     numbers = np.array([math.nan, math.nan, math.nan, 0.0, 1.0, tangent])
     held, rows_of, results_of = (tuple(parts) for parts in zip(*stands, strict=True))
-    box = _on_bearings(held, rows_of, results_of, numbers, *shared)
-    return box, (*memory[0], numbers), (*memory[_LOW], *memory[_HIGH]), tangent
+    floating = _OnBearings(held, rows_of, results_of, numbers, *shared)
+    return floating, (*memory[0], numbers), (*memory[_LOW], *memory[_HIGH]), tangent
