@@ -33,7 +33,8 @@ from cycloid_fmu.fmu.run import described, read_motion, units_of
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.studies.checkpoint import Checkpoint
 from drivers.can.bus import open_bus
-from drivers.encoder import BusConfig, EncoderSetupError, PortConfig
+from drivers.encoder import EncoderSetupError
+from drivers.lines import BusConfig, PortConfig
 from drivers.recorder.bench import read_bench
 from drivers.recorder.sequence import read_sequence
 from drivers.recording_format import Channel, Header, RecordingWriter

@@ -20,8 +20,9 @@ import numpy as np
 from cycloid_fmu import edge
 from drivers.can.bus import SYNC_ID, frame_key, open_bus
 from drivers.counts import Pace, wraps
-from drivers.encoder import BusConfig, EncoderConnectionError, EncoderSetupError
+from drivers.encoder import EncoderConnectionError, EncoderSetupError
 from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, drained, reason
+from drivers.lines import BusConfig
 from drivers.recording_format import CLOCK_JUMP, Event, FloatArray, IntArray
 
 with edge.needs_extra("bench"):

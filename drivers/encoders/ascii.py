@@ -22,7 +22,8 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers.counts import Pace, counted, counts_to_value, judge_sequence, missing_by_pace, unwrap
-from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderTimeout, PortConfig, channel_of
+from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderTimeout, channel_of
+from drivers.lines import PortConfig
 from drivers.recording_format import GAP, OUT_OF_ORDER, RESET, ROLLOVER, Samples
 from drivers.serial.polled import SerialEncoder
 from drivers.serial.port import Exchange, PortHub, ask

@@ -21,7 +21,6 @@ from drivers.can.hub import CanHub
 from drivers.counts import counts_to_value, extract_bits, unwrap
 from drivers.encoder import (
     AngleConfig,
-    BusConfig,
     EncoderProtocolError,
     EncoderTimeout,
     ListeningTime,
@@ -29,6 +28,7 @@ from drivers.encoder import (
     channel_of,
     device_counts,
 )
+from drivers.lines import BusConfig
 from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
 
 with edge.needs_extra("bench"):
@@ -118,7 +118,7 @@ class CanopenEncoder(CanEncoder):
         if config.eds is not None:
             path = wiring.folder / config.eds
             dictionary = _read_eds(path, config.node)
-        return cls(name, config, wiring.bus(config.bus, name), dictionary)
+        return cls(name, config, wiring.line(BusConfig, config.bus, name), dictionary)
 
     @property
     def _where(self) -> str:

@@ -17,7 +17,8 @@ import platformdirs
 
 from cycloid_fmu import edge
 from drivers.can.bus import SYNC_ID, open_bus
-from drivers.encoder import BusConfig, EncoderSetupError, PortConfig, Wiring
+from drivers.encoder import EncoderSetupError, Wiring
+from drivers.lines import BusConfig
 
 WAIT_SECONDS = 5.0  # for a killed run to bring its drive to rest
 LISTEN_SECONDS = 0.25
@@ -27,7 +28,7 @@ _FEWEST = 3  # positions needed
 
 
 class Claims:
-    """The buses and ports reserved by a recording or run on this machine; a context manager that releases them.
+    """The lines reserved by a recording or run on this machine; a context manager that releases them.
 
     A claim is a file lock, which the system releases when the last process that holds it ends.
     """
@@ -51,7 +52,7 @@ class Claims:
         return tuple(file.fileno() for file, _ in self._files.values())
 
     def claim(self, wiring: Wiring) -> None:
-        """Claim all buses and ports of a wiring, except virtual buses, which belong to one process.
+        """Claim all lines of a wiring, except those that belong to one process.
 
         Where no folder for locks can be written, an `edge.InputWarning` says that nothing is reserved.
 
@@ -60,11 +61,10 @@ class Claims:
         EncoderSetupError
             If another one still holds one of them after `WAIT_SECONDS`.
         """
-        lines: list[BusConfig | PortConfig] = [*wiring.buses.values(), *wiring.ports.values()]
-        for line in lines:
-            if isinstance(line, BusConfig) and line.interface == "virtual":
+        for line in itertools.chain.from_iterable(named.values() for named in wiring.lines.values()):
+            if line.is_private:
                 continue
-            what = f"{'CAN bus' if isinstance(line, BusConfig) else 'serial port'} {line.place}"
+            what = f"{line.noun} {line.place}"
             if what not in self._files:
                 folder = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "in-use"
                 try:
@@ -131,7 +131,8 @@ def check_at_rest(wiring: Wiring, nodes: dict[str, set[int]]) -> None:
     EncoderSetupError
         If a node's position moves, or another device sends SYNC although the recorder is to send it.
     """
-    for name, config in wiring.buses.items():
+    for name, config in wiring.lines.get(BusConfig.kind, {}).items():
+        assert isinstance(config, BusConfig)
         identifiers = {base + node: node for node in nodes.get(name, ()) for base in (0x180, 0x280, 0x380, 0x480)}
         positions: dict[int, list[int]] = {}
         synced = False

@@ -12,14 +12,9 @@ from typing import Any, NamedTuple
 
 import serial
 
-from drivers.encoder import (
-    EncoderConnectionError,
-    EncoderSetupError,
-    PortConfig,
-    steady_time,
-)
+from drivers.encoder import EncoderConnectionError, EncoderSetupError, steady_time
 from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, reason
-from drivers.lines import no_terminal
+from drivers.lines import PortConfig, no_terminal
 
 ANSWER_SECONDS = 0.1  # far above the encoders' microseconds, for USB adapters and busy machines
 

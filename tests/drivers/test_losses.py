@@ -22,9 +22,9 @@ from drivers.can.frames import FrameReader
 from drivers.can.hub import BEHIND_GAP, hubs
 from drivers.can.socketcan import CountingSocketcanBus
 from drivers.counts import Pace, UnseenTurns, judge_sequence, missing_by_pace, unwrap
-from drivers.encoder import BusConfig, PortConfig
 from drivers.encoders.amt21 import Amt21Config, Amt21Encoder, check_bits
 from drivers.encoders.ascii import AsciiConfig, AsciiCounter
+from drivers.lines import BusConfig, PortConfig
 from drivers.recorder.bench import open_encoders
 from drivers.recording_format import read_recording
 from drivers.serial import port as serial_port
