@@ -98,14 +98,14 @@ class Wiring:
     folder: Path
     source: str
 
-    def line(self, kind: type[Line], name: str, channel: str) -> Line:
-        """Return the line of this kind and name; an `edge.InputError` names the channel if there is none."""
+    def line(self, kind: type[Line], name: str, table: str) -> Line:
+        """Return the line of this kind and name; an `edge.InputError` names the table that asks if there is none."""
         named = self.lines.get(kind.kind, {})
         line = named.get(name)
         if not isinstance(line, kind):
             there = ", ".join(edge.shown(k) for k in named) or "none"
             raise edge.InputError(
-                f"{self.source}: [channel.{channel}] {kind.kind} = {edge.shown(name)}: there is no {kind.kind} of this "
+                f"{self.source}: {table} {kind.kind} = {edge.shown(name)}: there is no {kind.kind} of this "
                 f"name; the file has {there}."
             )
         return line
@@ -194,9 +194,6 @@ class Encoder(abc.ABC):
     @abc.abstractmethod
     def events(self) -> list[Event]:
         """Return the events since the last call, `time` in seconds since 1970, and clear them."""
-
-    def rest(self) -> None:  # noqa: B027
-        """Stop the transmission of a device that a killed process had started, without opening it."""
 
     def drain(self) -> None:  # noqa: B027
         """Read all data waiting on the bus or port, so that the next `read` returns it; sampling continues."""
@@ -300,44 +297,45 @@ class ListeningTime:
         return self.seconds
 
 
-def registered() -> importlib.metadata.EntryPoints:
-    """Return the entry points of the group `cycloid.encoders` of all installed packages, whose files are read."""
-    return importlib.metadata.entry_points(group=ENTRY_POINTS)
+def registered(group: str = ENTRY_POINTS) -> importlib.metadata.EntryPoints:
+    """Return the entry points of a group of all installed packages, whose files are read."""
+    return importlib.metadata.entry_points(group=group)
 
 
 def protocols() -> dict[str, importlib.metadata.EntryPoint]:
-    """Return the registered protocols by name."""
+    """Return the registered protocols of encoders by name."""
     return {e.name: e for e in registered()}
 
 
-def encoder_class(
-    protocol: object, channel: str, source: str, installed: importlib.metadata.EntryPoints
-) -> type[Encoder]:
-    """Return the encoder class of a protocol, from this package or another installed one.
+PlugIn = TypeVar("PlugIn")
+
+
+def plug_in(
+    protocol: object, table: str, source: str, installed: importlib.metadata.EntryPoints, base: type[PlugIn]
+) -> type[PlugIn]:
+    """Return the class of a protocol, from this package or another installed one.
 
     Parameters
     ----------
-    protocol, channel, source
-        Protocol that a channel states in a bench file, and the names of both.
+    protocol, table, source
+        Protocol that a table of a bench file states, such as "[channel.torque]", and the names of both.
     installed
         What is `registered`.
+    base
+        Class from which it must derive: `Encoder`, or `recorder.actuator.Actuator`.
 
     Raises
     ------
     edge.InputError
-        If no installed package provides the protocol, two do, or its class does not load; names channel and file.
+        If no installed package provides the protocol, two do, or its class does not load; names table and file.
     """
     known = {e.name: e for e in installed}
+    names = ", ".join(sorted(known)) or "none"
     if protocol is None:
-        raise edge.InputError(
-            f"{source}: [channel.{channel}] protocol is missing; installed are {', '.join(sorted(known))}."
-        )
+        raise edge.InputError(f"{source}: {table} protocol is missing; installed are {names}.")
+    where = f"{source}: {table} protocol = {edge.shown(protocol)}"
     if not isinstance(protocol, str) or protocol not in known:
-        raise edge.InputError(
-            f'{source}: [channel.{channel}] protocol = "{protocol}": no such protocol is installed; '
-            f"installed are {', '.join(sorted(known)) or 'none'}."
-        )
-    where = f'{source}: [channel.{channel}] protocol = "{protocol}"'
+        raise edge.InputError(f"{where}: no such protocol is installed; installed are {names}.")
     owners = {e.dist.name for e in installed.select(name=protocol) if e.dist}
     if len(owners) > 1:
         raise edge.InputError(f"{where}: the packages {' and '.join(sorted(owners))} both provide it; uninstall one.")
@@ -349,8 +347,9 @@ def encoder_class(
     except Exception as problem:  # a plug-in's module may raise anything
         said = str(problem).rstrip(".") or type(problem).__name__
         raise edge.InputError(f"{where}: the package {owner} that provides it does not load: {said}.") from problem
-    if not (isinstance(loaded, type) and issubclass(loaded, Encoder) and hasattr(loaded, "configuration")):
+    if not (isinstance(loaded, type) and issubclass(loaded, base) and hasattr(loaded, "configuration")):
         raise edge.InputError(
-            f"{where}: the package {owner} must provide a subclass of Encoder with a configuration, not {loaded!r}."
+            f"{where}: the package {owner} must provide a subclass of {base.__name__} with a configuration, "
+            f"not {loaded!r}."
         )
     return loaded

@@ -169,7 +169,7 @@ class HubEncoder(Encoder, Generic[Hub]):
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Wiring) -> Self:
         """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
-        line = wiring.line(cls.line, getattr(config, cls.line.kind), name)
+        line = wiring.line(cls.line, getattr(config, cls.line.kind), f"[channel.{name}]")
         try:
             return cls(name, config, line)
         except edge.InputError as problem:

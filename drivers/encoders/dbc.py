@@ -103,7 +103,7 @@ class DbcSensor(CanEncoder):
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Wiring) -> DbcSensor:
         """Return the sensor of a `[channel.name]`; see `Encoder.from_config`."""
-        return cls(name, config, wiring.line(BusConfig, config.bus, name), wiring.folder, wiring.source)
+        return cls(name, config, wiring.line(BusConfig, config.bus, f"[channel.{name}]"), wiring.folder, wiring.source)
 
     def set_up(self, hub: CanHub) -> None:
         """See `HubEncoder.set_up`."""

@@ -13,8 +13,10 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
-from drivers.encoder import ChannelConfig, Encoder, Wiring, encoder_class, registered
+from drivers.encoder import ChannelConfig, Encoder, Wiring, plug_in, registered
 from drivers.lines import BusConfig, LineConfig, PortConfig
+from drivers.recorder.actuator import ENTRY_POINTS as ACTUATORS
+from drivers.recorder.actuator import Actuator, ActuatorConfig
 
 BENCH_FORMAT = "cycloid-bench/1"
 
@@ -34,6 +36,7 @@ class _BenchFile(edge.Config):
     pair: str = ""
     largest_deviation: Annotated[edge.Angle, pydantic.Field(gt=0)] | None = None
     conditions: Conditions = Conditions()
+    actuator: dict[str, Any] | None = None
     channel: dict[str, dict[str, Any]]
 
     @pydantic.field_validator("ratio")
@@ -59,15 +62,15 @@ def bench_file(lines: Iterable[type[LineConfig]] = (BusConfig, PortConfig)) -> t
     return pydantic.create_model("BenchFile", __base__=_BenchFile, **tables)
 
 
-def _line_kinds(classes: Mapping[str, type[Encoder]], source: str) -> dict[str, type[LineConfig]]:
-    """Return the lines of this package and of the encoders, by kind, given the encoders' classes by channel."""
+def _line_kinds(users: Mapping[str, type[LineConfig] | None], source: str) -> dict[str, type[LineConfig]]:
+    """Return the lines of this package and of plug-ins by kind, given the line of each table that uses one."""
     kinds: dict[str, type[LineConfig]] = {c.kind: c for c in (BusConfig, PortConfig)}
-    for name, cls in classes.items():
-        if cls.line is None:
+    for table, line in users.items():
+        if line is None:
             continue
-        if cls.line.kind in _BenchFile.model_fields or kinds.setdefault(cls.line.kind, cls.line) is not cls.line:
+        if line.kind in _BenchFile.model_fields or kinds.setdefault(line.kind, line) is not line:
             raise edge.InputError(
-                f"{source}: [channel.{name}]: its package's table [{cls.line.kind}.NAME] is another one's in this file."
+                f"{source}: {table}: its package's table [{line.kind}.NAME] is another one's in this file."
             )
     return kinds
 
@@ -89,6 +92,8 @@ class Bench:
         Class and configuration of each channel's encoder, by the channel's name.
     wiring
         Buses, ports and other lines.
+    actuator
+        Class and configuration of what drives the bench; None: nothing that the package knows of.
 
     Examples
     --------
@@ -104,6 +109,7 @@ class Bench:
     conditions: Mapping[str, float | str]
     channels: Mapping[str, tuple[type[Encoder], ChannelConfig]]
     wiring: Wiring
+    actuator: tuple[type[Actuator], ActuatorConfig] | None = None
 
     def encoders(self) -> list[Encoder]:
         """Return new encoders for all channels, not yet opened."""
@@ -136,12 +142,20 @@ def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> 
     """
     source = str(path)
     table = edge.toml_table(edge.read_text(path, BENCH_FORMAT), BENCH_FORMAT, source)
-    classes, given = {}, table.get("channel")
+    classes: dict[str, type[Encoder]] = {}
+    given = table.get("channel")
     installed = registered()
     for name, channel in given.items() if isinstance(given, dict) else ():
         if isinstance(channel, dict):
-            classes[name] = encoder_class(channel.get("protocol"), name, source, installed)
-    kinds = _line_kinds(classes, source)
+            table_name = f"[channel.{name}]"
+            classes[name] = plug_in(channel.get("protocol"), table_name, source, installed, Encoder)  # type: ignore[type-abstract]
+    drives, driving = table.get("actuator"), None
+    if isinstance(drives, dict):
+        driving = plug_in(drives.get("protocol"), "[actuator]", source, registered(ACTUATORS), Actuator)  # type: ignore[type-abstract]
+    users = {f"[channel.{name}]": cls.line for name, cls in classes.items()}
+    if driving is not None:
+        users["[actuator]"] = driving.line
+    kinds = _line_kinds(users, source)
     file = edge.validated(bench_file(kinds.values()), table, source)
     lines: dict[str, dict[str, LineConfig]] = {kind: getattr(file, kind) for kind in kinds}
     for kind, named in lines.items():
@@ -153,11 +167,16 @@ def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> 
         for name, cls in classes.items()
     }
     wiring = Wiring(lines, Path(path).parent, source)
+    actuator = None
+    if driving is not None and isinstance(drives, dict):
+        actuator = driving, edge.validated(driving.configuration, drives, f"{source}: [actuator]")
     conditions = file.conditions.model_dump(exclude_none=True)
     if file.largest_deviation is not None:
         conditions[rf.LARGEST_DEVIATION_KEY] = file.largest_deviation
-    bench = Bench(file.ratio, file.pair, conditions, channels, wiring)
+    bench = Bench(file.ratio, file.pair, conditions, channels, wiring, actuator)
     bench.encoders()
+    if actuator is not None:
+        actuator[0].from_config(actuator[1], wiring)
     return bench
 
 

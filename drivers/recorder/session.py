@@ -130,7 +130,7 @@ class RecordingInterrupted(KeyboardInterrupt):
 
 
 @contextlib.contextmanager
-def _interrupts() -> Iterator[list[str]]:
+def interrupts() -> Iterator[list[str]]:
     """Yield a list for the name of the first SIGINT, SIGTERM or SIGHUP, which is caught so that all data are written.
 
     The next signal takes effect at once, except SIGHUP: a closed terminal sends several.
@@ -367,7 +367,7 @@ def record_encoders(
     writer = RecordingWriter(path, header)
     session = _Session(encoders, writer, path, ratio, rf.limits_of(header), epoch)
     try:
-        with _interrupts() as interrupted:
+        with interrupts() as interrupted:
             ended = _run(session, interrupted, duration, samples, idle, stop, progress)
             session.take_all()
             session.finish()
