@@ -28,6 +28,7 @@ from drivers.recorder.bench import Bench, open_encoders, read_bench
 from drivers.recorder.clock import ClockEstimate
 from drivers.recorder.supervision import Supervised
 from drivers.recording_format import MARKS, Event, Header, RecordingWriter, Samples, check_new
+from drivers.recording_format.joining import LARGE, join_batches
 
 _WAIT = 0.05
 _CLOCK_SECONDS = 10.0  # between two estimates of a device's clock in the file
@@ -378,6 +379,8 @@ def record_encoders(
             writer.close()
         except OSError as problem:
             raise session.full(problem) from problem
+    if sum(writer.counts.values()) < LARGE * writer.batches:
+        join_batches(path)
     done = session.recorded(ended)
     if interrupted:
         raise RecordingInterrupted(done)
