@@ -82,7 +82,7 @@ class AngleConfig(ChannelConfig):
     zero
         Angle that the encoder, with its direction, shows at the zero of the shaft, rad; it is subtracted.
     largest_speed
-        Largest speed of the shaft, rad/s; faster steps are marked implausible. Absent: unknown.
+        Largest speed of the shaft, rad/s; faster steps are implausible. Absent: unknown.
     """
 
     counts_per_turn: Annotated[int, pydantic.Field(gt=0)] | None = None

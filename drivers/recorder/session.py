@@ -165,7 +165,6 @@ class _Session:
         writer: RecordingWriter,
         path: str | os.PathLike[str],
         ratio: float | None,
-        limits: rf.Limits,
         epoch: float,
     ) -> None:
         self.encoders = [Supervised(e) for e in encoders]
@@ -175,9 +174,6 @@ class _Session:
         self._clock_said = dict.fromkeys(self._clocks, 0.0)
         self._clock_jumps = {name: rf.ClockJumps() for name in self._clocks}
         self._restarts = dict.fromkeys(self._clocks, 0)
-        channels = [e.channel for e in encoders]
-        self._roles = {c.name: c.role for c in channels if c.role in rf.ANGLES and c.unit == "rad"}
-        self._plausibility = rf.Plausibility(ratio, limits)
         self._input: Samples | None = None
         self._zero: float | None = None
         self._rates = (time.monotonic(), dict.fromkeys(self.live.channels, 0))
@@ -187,7 +183,7 @@ class _Session:
         """Write the new samples of all channels, waiting up to `timeout` s; return whether there were any."""
         # Wait for the first channel only: samples of the others arrive meanwhile.
         blocks = [self._read(e, 0.0 if i else timeout) for i, e in enumerate(self.encoders)]
-        for encoder, block, events in self._judged(blocks):
+        for encoder, block, events in blocks:
             if block is not None or events:
                 self.write(block or Samples.checked(encoder.channel.name, [], []), events)
             if block is not None:
@@ -205,22 +201,6 @@ class _Session:
             block = dataclasses.replace(block, time_host=block.time_host - self.epoch)
             events += self._clock(block)
         return encoder, block, events
-
-    def _judged(
-        self, blocks: Sequence[tuple[Supervised, Samples | None, list[Event]]]
-    ) -> Iterator[tuple[Supervised, Samples | None, list[Event]]]:
-        """Yield the blocks with implausible samples marked, and the findings added to the events."""
-        angles = {self._roles[b.channel]: b for _, b, _ in blocks if b is not None and b.channel in self._roles}
-        marks, found = self._plausibility.add(angles) if angles else ({}, [])
-        for encoder, block, events in blocks:
-            role = self._roles.get(encoder.channel.name)
-            if block is not None and role in marks and marks[role].any():
-                block = dataclasses.replace(block, status=block.status | marks[role] * np.uint8(rf.IMPLAUSIBLE))
-            name = encoder.channel.name
-            mine = [one for one in found if one.roles[0] == role]
-            more = f" ({len(mine) - 1} more faults in {_WAIT:g} s)" if len(mine) > 1 else ""
-            said = [Event(one.time, name, f"implausible: {one.text}{more}") for one in mine[:1]]
-            yield encoder, block, [*events, *said]
 
     def _events(self, encoder: Supervised) -> list[Event]:
         return [dataclasses.replace(e, time=e.time - self.epoch) for e in encoder.events()]
@@ -366,7 +346,7 @@ def record_encoders(
     start = datetime.datetime.fromtimestamp(epoch, datetime.UTC).isoformat()
     header = Header(tuple(e.channel for e in encoders), conditions or {}, ratio, pair, start)
     writer = RecordingWriter(path, header)
-    session = _Session(encoders, writer, path, ratio, rf.limits_of(header), epoch)
+    session = _Session(encoders, writer, path, ratio, epoch)
     try:
         with interrupts() as interrupted:
             ended = _run(session, interrupted, duration, samples, idle, stop, progress)

@@ -121,7 +121,7 @@ class Samples:
         SI value: angles in rad, unwrapped; torques in N*m.
     status
         Bits: 1 gap before, 2 checksum error (here or before), 4 reset, 8 duplicate (this sample, or one left out before
-        it), 16 out of order, 32 rollover, 128 implausible.
+        it), 16 out of order, 32 rollover; in early recordings 128 implausible.
     """
 
     channel: str
