@@ -128,7 +128,7 @@ def test_the_wheel_alone_runs_the_three_commands(published, python, tmp_path):
 
     curves = run("cycloid-fit", "curve", BENCH / "30Nm-forward.csv", "--pair", BENCH / "pair.toml", "--json")
     assert json.loads(curves)
-    assert run("cycloid-bench", "list").startswith("protocols: amt21, ascii, canopen, dbc, modbus\n")
+    assert run("cycloid-bench", "list").startswith("protocols: amt21, ascii, canopen, dbc, modbus, odrive, simplefoc\n")
 
 
 @pytest.fixture
@@ -228,6 +228,7 @@ TAKES = {
     "bench": [
         ({"bench.toml": CAN + 'protocol = "canopen"\nnode = 1\n'}, "canopen", RECORD),
         ({"bench.toml": CAN + 'protocol = "dbc"\nfile = "a"\nmessage = "m"\nsignal = "s"\n'}, "canopen", RECORD),
+        ({"bench.toml": CAN + 'protocol = "odrive"\nnode = 1\n'}, "canopen", RECORD),
         ({"bench.toml": LINE + 'protocol = "modbus"\nregister = 0\n'}, "pymodbus", RECORD),
         ({}, "canopen", SIMULATE),
         ({}, "pymodbus", (*SIMULATE, "--serial", "modbus")),
