@@ -23,7 +23,7 @@ def list_connections() -> Connections:
     --------
     >>> import drivers
     >>> drivers.list_connections().protocols
-    ('amt21', 'ascii', 'canopen', 'dbc', 'modbus', 'odrive', 'simplefoc')
+    ('amt21', 'ascii', 'canopen', 'dbc', 'modbus', 'moteus', 'odrive', 'simplefoc')
     """
     import can
     from serial.tools import list_ports

@@ -305,4 +305,4 @@ def test_permission_denied_is_reported_in_one_sentence(monkeypatch):
 def test_list_names_the_protocols(command):
     done = command("cycloid-bench", "list")
     assert done.returncode == 0, done.stderr
-    assert "protocols: amt21, ascii, canopen, dbc, modbus, odrive, simplefoc" in done.stdout
+    assert "protocols: amt21, ascii, canopen, dbc, modbus, moteus, odrive, simplefoc" in done.stdout

@@ -1,4 +1,4 @@
-"""ODrive and SimpleFOC against simulators that send the bytes of their public documentation."""
+"""ODrive, moteus and SimpleFOC against simulators that send the bytes of their public documentation."""
 
 import contextlib
 import math
@@ -16,6 +16,7 @@ import pytest
 import drivers
 from cycloid_fmu import edge
 from drivers.recorder.bench import read_bench
+from drivers.recording_format import GAP
 
 NODE, TURNS, SPEED, CURRENT = 3, 40.0, 7.5, -2.25
 
@@ -95,6 +96,82 @@ def test_an_odrive_s_position_speed_and_torques_are_those_it_sends(tmp_path, odr
     assert {c.name: c.unit for c in recording.header.channels}["motor_speed"] == "rad/s"
     assert "node 3: torque of the output, current x 80 mN*m/A" in recording.header.channels[4].identity
     assert not any(s.status.any() for s in samples.values())
+
+
+@contextlib.contextmanager
+def moteus(bus_name, node, odd=()):
+    """A controller that replies to reads of float32 registers from 0x001 on, as the multiplex protocol states it."""
+    registers = {1: TURNS, 2: SPEED, 3: 0.125 * CURRENT, 4: CURRENT}
+    queries, done = [], threading.Event()
+
+    def run():
+        while not done.is_set():
+            asked = bus.recv(0.05)
+            if asked is None or asked.arbitration_id != 0x8000 | node or not asked.is_fd:
+                continue
+            command, count, first = asked.data  # 0x1c: read float32, the count follows
+            assert command == 0x1C
+            queries.append(time.monotonic())
+            values = [registers[first + i] + (len(queries) / 1024 if first + i == 1 else 0.0) for i in range(count)]
+            data = bytes([0x2C, count, first]) + struct.pack(f"<{count}f", *values) + b"\x50"
+            if 100 <= len(queries) < 150:
+                continue  # its cable is loose
+            if len(queries) in odd:
+                data = b"\x31" + data[1:]  # an error of a read
+            bus.send(can.Message(arbitration_id=node << 8, is_extended_id=node > 7, is_fd=True, data=data))
+
+    with can.Bus(interface="virtual", channel=bus_name, fd=True) as bus:
+        thread = threading.Thread(target=run)
+        thread.start()
+        try:
+            yield queries
+        finally:
+            done.set()
+            thread.join()
+
+
+@pytest.mark.parametrize("node", [1, 11])
+def test_a_moteus_is_queried_once_for_all_its_channels(tmp_path, bus_name, node):
+    def keys(**more):
+        return odrive_keys(protocol="moteus", node=node, **more)
+
+    path = wiring(
+        tmp_path / "BENCH.toml",
+        f'[bus.can0]\ninterface = "virtual"\nchannel = "{bus_name}"\nfd = true\n',
+        input_angle=keys(quantity="position", side="motor", ratio=-39),  # set up to state the output
+        output_angle=keys(quantity="position", side="output"),
+        motor_torque=keys(quantity="torque", side="motor", ratio=-39),
+        torque=keys(quantity="torque", side="output", torque_constant="0.2 N*m/A"),
+    )
+    with moteus(bus_name, node, odd={60}) as queries:
+        begun = time.monotonic()
+        done = drivers.record(path, tmp_path / "run.arrows", samples=200, duration=30.0)
+        rate = len(queries) / (time.monotonic() - begun)
+    assert done.ended == "samples"
+    assert rate < 250, "one query every 5 ms, whatever the number of channels"
+    recording = drivers.read_recording(done.path)
+    turning, driven = recording.samples["input_angle"], recording.samples["output_angle"]
+    common, i, j = np.intersect1d(turning.time_host, driven.time_host, return_indices=True)
+    assert len(common) > 190
+    np.testing.assert_allclose(turning.value[i], -39 * driven.value[j], rtol=1e-12)
+    steps = np.diff(driven.value) / (2 * math.pi) * 1024
+    assert sorted(set(np.rint(steps))) == [1, 2, 51], "the reply with an error is left out"
+    (again,) = np.flatnonzero(driven.status)
+    assert driven.status[again] == GAP
+    assert round(steps[again - 1]) == 51
+    assert any("no reply for 0." in event.text for event in recording.events)
+    assert recording.samples["motor_torque"].value == pytest.approx(0.125 * CURRENT / -39)
+    assert recording.samples["torque"].value == pytest.approx(0.2 * CURRENT)
+    assert any("1 replies left out" in event.text for event in recording.events)
+
+
+def test_a_moteus_that_is_silent_or_on_a_classical_bus_is_one_sentence(tmp_path, bus_name):
+    bus = f'[bus.can0]\ninterface = "virtual"\nchannel = "{bus_name}"\n'
+    keys = odrive_keys(protocol="moteus", quantity="position", side="motor")
+    with pytest.raises(edge.InputError, match="a moteus speaks CAN FD; write fd = true"):
+        read_bench(wiring(tmp_path / "BENCH.toml", bus, input_angle=keys))
+    with pytest.raises(drivers.EncoderError, match=r"moteus 3 on the CAN bus virtual .* does not answer"):
+        drivers.record(wiring(tmp_path / "BENCH.toml", bus + "fd = true\n", input_angle=keys), tmp_path / "a.arrows")
 
 
 @pytest.mark.parametrize(
