@@ -15,7 +15,7 @@ from soak import peak, soak
 from drivers.can.bus import open_bus
 from drivers.can.frames import FrameReader
 from drivers.can.hub import BLOCK_FRAMES, CanHub
-from drivers.encoder import BusConfig
+from drivers.lines import BusConfig
 from drivers.recorder.bench import open_encoders
 
 PAIRS = int(os.environ.get("CYCLOID_PAIRS", "41"))

@@ -38,7 +38,7 @@ FILES = (
     ("Friction", friction_file.FORMAT, friction_file._FrictionFile, "friction.toml"),
     ("Wear law", wear_law.FORMAT, wear_law._WearFile, "wear.toml"),
     ("History of a drive", history.FORMAT, history.History, None),
-    ("Bench wiring", bench.BENCH_FORMAT, bench._BenchFile, None),
+    ("Bench wiring", bench.BENCH_FORMAT, bench.bench_file(), None),
     ("Guided sequence", sequence.FORMAT, sequence.SequenceFile, None),
     ("Scripted faults", faults.FORMAT, faults._FaultFile, None),
     ("Mapping of a bench file", mapping.FORMAT, mapping.FileMapping, None),
@@ -263,7 +263,7 @@ def write(path: Path) -> None:
     lines = [INTRODUCTION]
     for title, written, model, example in FILES:
         lines += _section(title, written, model, example)
-        if model is bench._BenchFile:
+        if written == bench.BENCH_FORMAT:
             for name, entry in protocols().items():
                 protocol = entry.load()
                 said = _told(protocol.configuration.model_json_schema(schema_generator=_Schema))

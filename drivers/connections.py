@@ -23,7 +23,7 @@ def list_connections() -> Connections:
     --------
     >>> import drivers
     >>> drivers.list_connections().protocols
-    ('ads', 'amt21', 'ascii', 'canopen', 'dbc', 'modbus')
+    ('amt21', 'ascii', 'canopen', 'dbc', 'modbus', 'moteus', 'odrive', 'simplefoc')
     """
     import can
     from serial.tools import list_ports

@@ -15,12 +15,13 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
+from drivers.lines import LineConfig
 from drivers.recording_format import Channel, Event, Samples
 
 ENTRY_POINTS = "cycloid.encoders"
 
 
-Line = TypeVar("Line")
+Line = TypeVar("Line", bound=LineConfig)
 _LONGEST_STEP = 0.1  # s: twice the time that a recorder waits for a sample
 _EPOCH = time.time() - time.monotonic()
 
@@ -53,87 +54,6 @@ class EncoderSetupError(EncoderConnectionError, edge.InputError):
     """The wiring cannot work: no such bus or port, no permission, a node in use, contradictory counts per turn."""
 
 
-class BusConfig(edge.Config):
-    """A CAN bus, opened by python-can.
-
-    Attributes
-    ----------
-    interface
-        Interface name of python-can: "socketcan", "slcan", "pcan", "kvaser", "vector", "gs_usb", "virtual",
-        "udp_multicast" and others; "loopback" is the interface of the simulated bench.
-    channel
-        Channel of the interface, such as "can0".
-    bitrate
-        Bit rate, bit/s; None: the interface's default.
-    fd, data_bitrate
-        Whether the bus is CAN FD, and the bit rate of its data phase, bit/s.
-    sync_period
-        Interval of the SYNC frames that the recorder sends, s; None: it sends none.
-    """
-
-    interface: str
-    channel: str
-    bitrate: Annotated[int, pydantic.Field(gt=0)] | None = None
-    fd: bool = False
-    data_bitrate: Annotated[int, pydantic.Field(gt=0)] | None = None
-    sync_period: Annotated[edge.Seconds, pydantic.Field(gt=0)] | None = None
-
-    @property
-    def place(self) -> str:
-        """Interface and channel, which identify the bus, for messages."""
-        return f'{self.interface} "{self.channel}"'
-
-
-class PortConfig(edge.Config):
-    """A serial port with 8 data bits, opened by pyserial.
-
-    Attributes
-    ----------
-    url
-        A device such as "/dev/ttyUSB0", or a URL such as "socket://host:5000".
-    baud_rate
-        Bit rate, bit/s.
-    parity
-        "N" none, "E" even, "O" odd.
-    stop_bits
-        Number of stop bits.
-    """
-
-    url: str
-    baud_rate: Annotated[int, pydantic.Field(gt=0)] = 2_000_000
-    parity: Literal["N", "E", "O"] = "N"
-    stop_bits: Literal[1, 2] = 1
-
-    @property
-    def place(self) -> str:
-        """The URL in quotes, which identifies the port, for messages."""
-        return f'"{self.url}"'
-
-
-class PlcConfig(edge.Config):
-    """A Beckhoff PLC with a ring buffer of samples, read over ADS.
-
-    Attributes
-    ----------
-    net_id, port
-        AMS address: the PLC's net id, such as "5.12.82.20.1.1", and the port of its runtime.
-    host
-        IP address or host name of the PLC; absent: the first four numbers of the net id.
-    ring
-        Name of the variable that holds the ring buffer, such as "Recorder.Ring".
-    """
-
-    net_id: Annotated[str, pydantic.Field(pattern=r"^\d{1,3}(\.\d{1,3}){5}$")]
-    port: Annotated[int, pydantic.Field(ge=1, le=65535)] = 851
-    host: Annotated[str, pydantic.Field(pattern=r"^[A-Za-z0-9.:-]+$")] | None = None
-    ring: Annotated[str, pydantic.Field(pattern=r"^[\w.\[\]]+$")]
-
-    @property
-    def place(self) -> str:
-        """Net id, port and ring, which identify the PLC's ring, for messages."""
-        return f'{self.net_id}:{self.port} "{self.ring}"'
-
-
 class ChannelConfig(edge.Config):
     """Keys of every channel of a `BENCH.toml`; each protocol adds its own.
 
@@ -162,7 +82,7 @@ class AngleConfig(ChannelConfig):
     zero
         Angle that the encoder, with its direction, shows at the zero of the shaft, rad; it is subtracted.
     largest_speed
-        Largest speed of the shaft, rad/s; faster steps are marked implausible. Absent: unknown.
+        Largest speed of the shaft, rad/s; faster steps are implausible. Absent: unknown.
     """
 
     counts_per_turn: Annotated[int, pydantic.Field(gt=0)] | None = None
@@ -172,40 +92,38 @@ class AngleConfig(ChannelConfig):
 
 @dataclasses.dataclass(frozen=True)
 class Wiring:
-    """Buses, ports and PLCs of a `BENCH.toml` by name, the base folder of file names in it, and the file's own name."""
+    """Lines of a `BENCH.toml` by kind and name, the base folder of file names in it, and the file's own name."""
 
-    buses: Mapping[str, BusConfig]
-    ports: Mapping[str, PortConfig]
+    lines: Mapping[str, Mapping[str, LineConfig]]
     folder: Path
     source: str
-    plcs: Mapping[str, PlcConfig] = dataclasses.field(default_factory=dict)
 
-    def bus(self, name: str, channel: str) -> BusConfig:
-        """Return the bus of this name; an `edge.InputError` names the channel if there is none."""
-        return self._named(self.buses, name, "bus", channel)
-
-    def port(self, name: str, channel: str) -> PortConfig:
-        """Return the port of this name; an `edge.InputError` names the channel if there is none."""
-        return self._named(self.ports, name, "port", channel)
-
-    def plc(self, name: str, channel: str) -> PlcConfig:
-        """Return the PLC of this name; an `edge.InputError` names the channel if there is none."""
-        return self._named(self.plcs, name, "plc", channel)
-
-    def _named(self, table: Mapping[str, Line], name: str, kind: str, channel: str) -> Line:
-        if name not in table:
-            there = ", ".join(edge.shown(k) for k in table) or "none"
+    def line(self, kind: type[Line], name: str, table: str) -> Line:
+        """Return the line of this kind and name; an `edge.InputError` names the table that asks if there is none."""
+        named = self.lines.get(kind.kind, {})
+        line = named.get(name)
+        if not isinstance(line, kind):
+            there = ", ".join(edge.shown(k) for k in named) or "none"
             raise edge.InputError(
-                f"{self.source}: [channel.{channel}] {kind} = {edge.shown(name)}: there is no {kind} of this name; "
-                f"the file has {there}."
+                f"{self.source}: {table} {kind.kind} = {edge.shown(name)}: there is no {kind.kind} of this "
+                f"name; the file has {there}."
             )
-        return table[name]
+        return line
 
 
 class Encoder(abc.ABC):
     """A sensor that yields time-stamped samples in blocks; a context manager that opens and closes it.
 
     `start` is called once all channels of a bench are open, so that none misses samples triggered by the first one.
+
+    Attributes
+    ----------
+    configuration
+        The keys of its `[channel.X]`.
+    line
+        The table of the line that its channels share, see `LineConfig`; None: there is none.
+    channel
+        The channel's description, from `__enter__` on.
 
     Examples
     --------
@@ -217,6 +135,7 @@ class Encoder(abc.ABC):
     """
 
     configuration: ClassVar[type[ChannelConfig]]
+    line: ClassVar[type[LineConfig] | None] = None
     channel: Channel
 
     @classmethod
@@ -227,7 +146,7 @@ class Encoder(abc.ABC):
         Raises
         ------
         edge.InputError
-            If it names a bus, port or file that does not exist.
+            If it names a line or file that does not exist.
         """
 
     @abc.abstractmethod
@@ -275,9 +194,6 @@ class Encoder(abc.ABC):
     @abc.abstractmethod
     def events(self) -> list[Event]:
         """Return the events since the last call, `time` in seconds since 1970, and clear them."""
-
-    def rest(self) -> None:  # noqa: B027
-        """Stop the transmission of a device that a killed process had started, without opening it."""
 
     def drain(self) -> None:  # noqa: B027
         """Read all data waiting on the bus or port, so that the next `read` returns it; sampling continues."""
@@ -381,44 +297,45 @@ class ListeningTime:
         return self.seconds
 
 
-def registered() -> importlib.metadata.EntryPoints:
-    """Return the entry points of the group `cycloid.encoders` of all installed packages, whose files are read."""
-    return importlib.metadata.entry_points(group=ENTRY_POINTS)
+def registered(group: str = ENTRY_POINTS) -> importlib.metadata.EntryPoints:
+    """Return the entry points of a group of all installed packages, whose files are read."""
+    return importlib.metadata.entry_points(group=group)
 
 
 def protocols() -> dict[str, importlib.metadata.EntryPoint]:
-    """Return the registered protocols by name."""
+    """Return the registered protocols of encoders by name."""
     return {e.name: e for e in registered()}
 
 
-def encoder_class(
-    protocol: object, channel: str, source: str, installed: importlib.metadata.EntryPoints
-) -> type[Encoder]:
-    """Return the encoder class of a protocol, from this package or another installed one.
+PlugIn = TypeVar("PlugIn")
+
+
+def plug_in(
+    protocol: object, table: str, source: str, installed: importlib.metadata.EntryPoints, base: type[PlugIn]
+) -> type[PlugIn]:
+    """Return the class of a protocol, from this package or another installed one.
 
     Parameters
     ----------
-    protocol, channel, source
-        Protocol that a channel states in a bench file, and the names of both.
+    protocol, table, source
+        Protocol that a table of a bench file states, such as "[channel.torque]", and the names of both.
     installed
         What is `registered`.
+    base
+        Class from which it must derive: `Encoder`, or `recorder.actuator.Actuator`.
 
     Raises
     ------
     edge.InputError
-        If no installed package provides the protocol, two do, or its class does not load; names channel and file.
+        If no installed package provides the protocol, two do, or its class does not load; names table and file.
     """
     known = {e.name: e for e in installed}
+    names = ", ".join(sorted(known)) or "none"
     if protocol is None:
-        raise edge.InputError(
-            f"{source}: [channel.{channel}] protocol is missing; installed are {', '.join(sorted(known))}."
-        )
+        raise edge.InputError(f"{source}: {table} protocol is missing; installed are {names}.")
+    where = f"{source}: {table} protocol = {edge.shown(protocol)}"
     if not isinstance(protocol, str) or protocol not in known:
-        raise edge.InputError(
-            f'{source}: [channel.{channel}] protocol = "{protocol}": no such protocol is installed; '
-            f"installed are {', '.join(sorted(known)) or 'none'}."
-        )
-    where = f'{source}: [channel.{channel}] protocol = "{protocol}"'
+        raise edge.InputError(f"{where}: no such protocol is installed; installed are {names}.")
     owners = {e.dist.name for e in installed.select(name=protocol) if e.dist}
     if len(owners) > 1:
         raise edge.InputError(f"{where}: the packages {' and '.join(sorted(owners))} both provide it; uninstall one.")
@@ -430,8 +347,9 @@ def encoder_class(
     except Exception as problem:  # a plug-in's module may raise anything
         said = str(problem).rstrip(".") or type(problem).__name__
         raise edge.InputError(f"{where}: the package {owner} that provides it does not load: {said}.") from problem
-    if not (isinstance(loaded, type) and issubclass(loaded, Encoder) and hasattr(loaded, "configuration")):
+    if not (isinstance(loaded, type) and issubclass(loaded, base) and hasattr(loaded, "configuration")):
         raise edge.InputError(
-            f"{where}: the package {owner} must provide a subclass of Encoder with a configuration, not {loaded!r}."
+            f"{where}: the package {owner} must provide a subclass of {base.__name__} with a configuration, "
+            f"not {loaded!r}."
         )
     return loaded

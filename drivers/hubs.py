@@ -1,4 +1,4 @@
-"""Common base of the threads that read CAN buses, serial ports and PLCs."""
+"""Common base of the threads that read CAN buses, serial ports and other lines."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import collections
 import errno
 import threading
 from collections.abc import Callable
-from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from cycloid_fmu import edge
-from drivers.encoder import BusConfig, Encoder, EncoderError, PlcConfig, PortConfig, Wiring
+from drivers.encoder import Encoder, EncoderError, Wiring
+from drivers.lines import LineConfig
 from drivers.recording_format import Event
 
 BLOCK_SECONDS = 0.05  # length of a block, and so the most that a kill loses besides the batch being written
@@ -148,27 +149,27 @@ class HubEncoder(Encoder, Generic[Hub]):
     config
         The channel's table in the `BENCH.toml`.
     line
-        The bus, port or PLC.
+        The table of its line.
 
     Attributes
     ----------
     shared
         The hubs of all such encoders.
     line
-        Key of the channel's table that names its bus, port or PLC.
+        Class of the line's table; the channel's table names the line by the key `line.kind`.
     """
 
     shared: SharedHubs[Any]
-    line: ClassVar[Literal["bus", "port", "plc"]]
+    line: ClassVar[type[LineConfig]]
 
-    def __init__(self, name: str, config: Any, line: BusConfig | PortConfig | PlcConfig) -> None:
+    def __init__(self, name: str, config: Any, line: LineConfig) -> None:
         self.name, self.config, self._line = name, config, line
         self.hub: Hub | None = None
 
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Wiring) -> Self:
         """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
-        line = getattr(wiring, cls.line)(getattr(config, cls.line), name)
+        line = wiring.line(cls.line, getattr(config, cls.line.kind), f"[channel.{name}]")
         try:
             return cls(name, config, line)
         except edge.InputError as problem:

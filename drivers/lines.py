@@ -1,16 +1,16 @@
-"""Connections that a bench file may open: buses, serial devices and TCP sockets; others only if allowed."""
+"""Lines that connect encoders to this machine: their tables in a bench file, and which of them it may open."""
 
 from __future__ import annotations
 
+import abc
 import os
 import re
-from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Collection
+from typing import Annotated, ClassVar, Literal
+
+import pydantic
 
 from cycloid_fmu import edge
-
-if TYPE_CHECKING:
-    from drivers.encoder import BusConfig, PortConfig
 
 # Interfaces of python-can whose channel can only name a piece of hardware or a multicast group.
 BUSES = frozenset(
@@ -44,47 +44,136 @@ _TERMINAL = re.compile(r"/dev/(pts/\d+|rfcomm\d+|(gsm)?tty[A-Za-z]\w*|gsmtty\d+|
 _PORTS = "a bench file may name a serial device, such as COM3 or /dev/ttyUSB0, or socket://HOST:PORT"
 
 
-def check_lines(
-    buses: Mapping[str, BusConfig], ports: Mapping[str, PortConfig], allow: Collection[str], source: str
-) -> None:
-    """Refuse connections that a bench file may not open.
+class LineConfig(edge.Config, abc.ABC):
+    """A line shared by channels, such as a bus: a table `[kind.NAME]`, which channels name by the key `kind`.
 
-    pyserial opens URLs with plug-ins, of which "spy" writes a file and "alt" loads a class; python-can has plug-ins
-    too.
-
-    Parameters
+    Attributes
     ----------
-    buses, ports
-        Buses and ports of the file, by name.
-    allow
-        Additional URL schemes and python-can interfaces that may be opened, such as "rfc2217".
-    source
-        The file's name.
+    kind
+        Name of the table and of the channels' key, such as "bus".
+    noun
+        What the line is, for messages, such as "CAN bus".
 
-    Raises
-    ------
-    edge.InputError
-        If one may not be opened; names file, table and value.
+    Examples
+    --------
+    >>> from drivers.lines import PortConfig
+    >>> port = PortConfig(url="/dev/ttyUSB0")
+    >>> port.kind, port.noun, port.place
+    ('port', 'serial port', '"/dev/ttyUSB0"')
     """
-    for name, port in ports.items():
-        if not _may_open(port.url, allow):
-            raise edge.InputError(
-                f"{source}: [port.{name}] url = {edge.shown(port.url)}: {_PORTS}{_asked(_scheme(port.url))}."
+
+    kind: ClassVar[str]
+    noun: ClassVar[str]
+
+    @property
+    @abc.abstractmethod
+    def place(self) -> str:
+        """What identifies the line on this machine, for messages; lines with the same place are the same line."""
+
+    @property
+    def is_private(self) -> bool:
+        """Whether the line belongs to one process, so that recordings of others cannot disturb it."""
+        return False
+
+    def refusal(self, allow: Collection[str]) -> str:
+        """Return why a bench file may not open this line, as "key = value: reason"; "" if it may.
+
+        Parameters
+        ----------
+        allow
+            Kinds of connections that the user allows in addition, such as "rfc2217".
+        """
+        return ""
+
+
+class BusConfig(LineConfig):
+    """A CAN bus, opened by python-can.
+
+    Attributes
+    ----------
+    interface
+        Interface name of python-can: "socketcan", "slcan", "pcan", "kvaser", "vector", "gs_usb", "virtual",
+        "udp_multicast" and others; "loopback" is the interface of the simulated bench.
+    channel
+        Channel of the interface, such as "can0".
+    bitrate
+        Bit rate, bit/s; None: the interface's default.
+    fd, data_bitrate
+        Whether the bus is CAN FD, and the bit rate of its data phase, bit/s.
+    sync_period
+        Interval of the SYNC frames that the recorder sends, s; None: it sends none.
+    """
+
+    kind = "bus"
+    noun = "CAN bus"
+
+    interface: str
+    channel: str
+    bitrate: Annotated[int, pydantic.Field(gt=0)] | None = None
+    fd: bool = False
+    data_bitrate: Annotated[int, pydantic.Field(gt=0)] | None = None
+    sync_period: Annotated[edge.Seconds, pydantic.Field(gt=0)] | None = None
+
+    @property
+    def place(self) -> str:
+        """Interface and channel, which identify the bus, for messages."""
+        return f'{self.interface} "{self.channel}"'
+
+    @property
+    def is_private(self) -> bool:
+        """See `LineConfig.is_private`."""
+        return self.interface == "virtual"
+
+    def refusal(self, allow: Collection[str]) -> str:
+        """See `LineConfig.refusal`: python-can loads plug-ins, and some of its interfaces open any URL of pyserial."""
+        if self.interface in BUSES or self.interface in allow:
+            return ""
+        if self.interface not in SERIAL_BUSES:
+            return (
+                f"interface = {edge.shown(self.interface)}: a bench file may name one of "
+                f"{', '.join(sorted(BUSES | SERIAL_BUSES))}{_permission(self.interface)}"
             )
-    for name, bus in buses.items():
-        if bus.interface in BUSES or bus.interface in allow:
-            continue
-        where = f"{source}: [bus.{name}]"
-        if bus.interface not in SERIAL_BUSES:
-            raise edge.InputError(
-                f"{where} interface = {edge.shown(bus.interface)}: a bench file may name one of "
-                f"{', '.join(sorted(BUSES | SERIAL_BUSES))}{_asked(bus.interface)}."
+        if "://" in self.channel or not _DEVICE.fullmatch(device_of(self.channel)):
+            return (
+                f"channel = {edge.shown(self.channel)}: the channel of {self.interface} must be a serial device, "
+                f"such as COM3 or /dev/ttyUSB0{_permission(self.interface)}"
             )
-        if "://" in bus.channel or not _DEVICE.fullmatch(device_of(bus.channel)):
-            raise edge.InputError(
-                f"{where} channel = {edge.shown(bus.channel)}: the channel of {bus.interface} must be a serial device, "
-                f"such as COM3 or /dev/ttyUSB0{_asked(bus.interface)}."
-            )
+        return ""
+
+
+class PortConfig(LineConfig):
+    """A serial port with 8 data bits, opened by pyserial.
+
+    Attributes
+    ----------
+    url
+        A device such as "/dev/ttyUSB0", or a URL such as "socket://host:5000".
+    baud_rate
+        Bit rate, bit/s.
+    parity
+        "N" none, "E" even, "O" odd.
+    stop_bits
+        Number of stop bits.
+    """
+
+    kind = "port"
+    noun = "serial port"
+
+    url: str
+    baud_rate: Annotated[int, pydantic.Field(gt=0)] = 2_000_000
+    parity: Literal["N", "E", "O"] = "N"
+    stop_bits: Literal[1, 2] = 1
+
+    @property
+    def place(self) -> str:
+        """The URL in quotes, which identifies the port, for messages."""
+        return f'"{self.url}"'
+
+    def refusal(self, allow: Collection[str]) -> str:
+        """See `LineConfig.refusal`: pyserial's URL "spy" writes a file and "alt" loads a class."""
+        if _may_open(self.url, allow):
+            return ""
+        return f"url = {edge.shown(self.url)}: {_PORTS}{_permission(_scheme(self.url))}"
 
 
 def _scheme(url: str) -> str:
@@ -97,7 +186,7 @@ def _may_open(url: str, allow: Collection[str]) -> bool:
     return bool(_DEVICE.fullmatch(url))
 
 
-def _asked(kind: str) -> str:
+def _permission(kind: str) -> str:
     return f'; if you trust the file, allow "{kind}" when recording' if re.fullmatch(r"\w+", kind) else ""
 
 

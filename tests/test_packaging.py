@@ -128,7 +128,8 @@ def test_the_wheel_alone_runs_the_three_commands(published, python, tmp_path):
 
     curves = run("cycloid-fit", "curve", BENCH / "30Nm-forward.csv", "--pair", BENCH / "pair.toml", "--json")
     assert json.loads(curves)
-    assert run("cycloid-bench", "list").startswith("protocols: ads, amt21, ascii, canopen, dbc, modbus\n")
+    listed = run("cycloid-bench", "list").splitlines()[0]
+    assert listed == "protocols: amt21, ascii, canopen, dbc, modbus, moteus, odrive, simplefoc"
 
 
 @pytest.fixture
@@ -219,9 +220,6 @@ def test_front_doors_and_help_pages_need_no_extra(core, tmp_path):
 
 LINE = '[port.tty]\nurl = "/dev/null"\n[channel.input_angle]\nport = "tty"\ncounts_per_turn = 4096\n'
 CAN = '[bus.can0]\ninterface = "virtual"\nchannel = "core"\n[channel.input_angle]\nbus = "can0"\n'
-PLC = (
-    '[plc.plc1]\nnet_id = "127.0.0.1.1.1"\nring = "Ring"\n[channel.input_angle]\nplc = "plc1"\ncounts_per_turn = 4096\n'
-)
 DRIVE, TOLERANCES = EXAMPLES / "drive-39-40.toml", EXAMPLES / "tolerances.toml"
 RECORD = ("cycloid-bench", "record", "bench.toml", "-o", "run.arrows")
 SIMULATE = ("cycloid-bench", "simulate", "--ratio", "-39", "--torque", "20 N*m")
@@ -243,10 +241,10 @@ except cy.InputError as refused:
 """
 # Uses of an extra: the input files, the missing package, and the command.
 TAKES = {
-    "ads": [({"bench.toml": PLC + 'protocol = "ads"\ncolumn = 1\n'}, "pyads", RECORD)],
     "bench": [
         ({"bench.toml": CAN + 'protocol = "canopen"\nnode = 1\n'}, "canopen", RECORD),
         ({"bench.toml": CAN + 'protocol = "dbc"\nfile = "a"\nmessage = "m"\nsignal = "s"\n'}, "canopen", RECORD),
+        ({"bench.toml": CAN + 'protocol = "odrive"\nnode = 1\n'}, "canopen", RECORD),
         ({"bench.toml": LINE + 'protocol = "modbus"\nregister = 0\n'}, "pymodbus", RECORD),
         ({}, "canopen", SIMULATE),
         ({}, "pymodbus", (*SIMULATE, "--serial", "modbus")),

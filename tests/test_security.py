@@ -33,7 +33,8 @@ from cycloid_fmu.fmu.run import described, read_motion, units_of
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.studies.checkpoint import Checkpoint
 from drivers.can.bus import open_bus
-from drivers.encoder import BusConfig, EncoderSetupError, PortConfig
+from drivers.encoder import EncoderSetupError
+from drivers.lines import BusConfig, PortConfig
 from drivers.recorder.bench import read_bench
 from drivers.recorder.sequence import read_sequence
 from drivers.recording_format import Channel, Header, RecordingWriter
@@ -336,11 +337,19 @@ def test_the_command_line_allows_what_its_user_names(tmp_path, command):
 
 
 @tries("Test sequence (`SEQUENCE.toml`)")
-def test_a_sequence_that_is_read_runs_nothing(tmp_path):
-    text = 'format = "cycloid-sequence/1"\nbench = "BENCH.toml"\nloads = ["20 N*m"]\nspeeds = ["60 rpm"]\n'
+def test_a_sequence_starts_no_program(tmp_path):
+    bench_with(tmp_path, '[bus.b]\ninterface = "virtual"\nchannel = "a"', NODE)
+    wiring = next(tmp_path.iterdir())
+    text = f'format = "cycloid-sequence/1"\nbench = "{wiring.name}"\nloads = ["20 N*m"]\nspeeds = ["60 rpm"]\n'
     (tmp_path / "s.toml").write_text(f'{text}[drive]\nrun = "touch acted"\n')
-    assert len(read_sequence(tmp_path / "s.toml").steps) == 2
-    assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]
+    with pytest.raises(edge.InputError, match="drive is not a known key"):
+        read_sequence(tmp_path / "s.toml")
+    wiring.write_text(wiring.read_text() + '[actuator]\nprotocol = "subprocess:run"\n')
+    (tmp_path / "s.toml").write_text(text)
+    with pytest.raises(edge.InputError, match=r"\[actuator\] protocol = .*: no such protocol is installed"):
+        read_sequence(tmp_path / "s.toml")
+    source = "".join(p.read_text(encoding="utf-8") for p in Path(drivers.__file__).parent.rglob("*.py"))
+    assert not re.search(r"subprocess|os\.(system|exec|spawn)|Popen|shlex", source)
 
 
 # --- measurement files --------------------------------------------------------------------------------------------

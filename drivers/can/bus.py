@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import can
 
-from drivers.encoder import BusConfig, EncoderSetupError
+from drivers.encoder import EncoderSetupError
 from drivers.hubs import reason
-from drivers.lines import SERIAL_BUSES, device_of, no_terminal
+from drivers.lines import SERIAL_BUSES, BusConfig, device_of, no_terminal
 
 SYNC_ID = 0x80
 _CLOCKS = {

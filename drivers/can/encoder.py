@@ -6,8 +6,8 @@ from typing import Any
 
 from drivers.can.frames import FrameReader
 from drivers.can.hub import CanHub, hubs
-from drivers.encoder import BusConfig
 from drivers.hubs import HubEncoder
+from drivers.lines import BusConfig
 from drivers.recording_format import Event
 
 
@@ -15,7 +15,7 @@ class CanEncoder(HubEncoder[CanHub]):
     """A sensor on a CAN bus; `set_up` must create the `reader`; see `HubEncoder`."""
 
     shared = hubs
-    line = "bus"
+    line = BusConfig
     reader: FrameReader
 
     def __init__(self, name: str, config: Any, bus: BusConfig) -> None:

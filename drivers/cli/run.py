@@ -22,7 +22,7 @@ def run(
     ],
     allow: Allowed = None,
 ) -> None:
-    """Run a test sequence: prompt for or drive each step, check it, and write one recording for each step.
+    """Run a test sequence: prompt for each step, wait, or drive it; check it, and write one recording for each step.
 
     Example: [cyan]cycloid-bench run sequence.toml[/]
 
@@ -30,10 +30,9 @@ def run(
     resumed. A recording that falls short is kept under another name, and you are asked whether to repeat the step.
     """
     from drivers.recorder.sequence import read_sequence
-    from drivers.recorder.watchdog import watched
 
     made = read_sequence(sequence, allow=allow or ())
-    driven, numbers = made.file.drive is not None, itertools.count(1)
+    numbers = itertools.count(1)
 
     def note(step: Step, path: Path | None) -> None:
         line.pause()
@@ -46,15 +45,9 @@ def run(
     def again(step: Step, trial: Path, short: list[str]) -> bool:
         line.pause()
         typer.echo(f"{trial}: not reached: {'; '.join(short)}.", err=True)
-        return not driven and typer.confirm("Repeat this step?", default=True, err=True)
+        return made.is_prompted and typer.confirm("Repeat this step?", default=True, err=True)
 
     with recording(), LiveLine() as line:
         done = drivers.run_sequence(made, note=note, ready=ready, again=again, progress=line)
-    if done.report_command is not None:
-        typer.echo(" ".join(done.report_command))
-        with watched(done.report_command, quiet=False) as process:
-            status = process.wait()
-        if status:
-            raise typer.Exit(edge.FAILED)
     if done.shortfalls:
         raise typer.Exit(edge.FAILED)

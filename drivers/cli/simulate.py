@@ -47,9 +47,6 @@ def simulate(
     serial: Annotated[
         Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
     ] = None,
-    plc: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="A Beckhoff PLC at this address, such as 127.0.0.1.")
-    ] = None,
     faults: Annotated[
         Path | None, typer.Option(metavar="FAULTS.toml", help="Faults to simulate, with their times.")
     ] = None,
@@ -63,7 +60,7 @@ def simulate(
     and in a second terminal [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/].
     The virtual bus cannot be reached from other processes: with [cyan]--bus virtual[/] add [cyan]-o run.arrows[/].
     """
-    if interface == "virtual" and output is None and serial is None and plc is None:
+    if interface == "virtual" and output is None and serial is None:
         raise edge.ArgumentError(
             "interface", "other processes cannot reach this bus; add -o RUN.arrows or use loopback", interface
         )
@@ -73,7 +70,7 @@ def simulate(
         ratio=ratio,
         turns=turns,
         motion=drivers.SimulatedMotion(samples_per_turn, direction, speed, noise, seed=seed, hysteresis=hysteresis),
-        connection=drivers.SimulatedConnection(interface, channel, serial=serial, plc=plc, speed_factor=speed_factor),
+        connection=drivers.SimulatedConnection(interface, channel, serial=serial, speed_factor=speed_factor),
         faults=faults,
     )
     with recording(), bench:

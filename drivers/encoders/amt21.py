@@ -16,7 +16,8 @@ import numpy.typing as npt
 import pydantic
 
 from drivers.counts import UnseenTurns, counts_to_value, unwrap
-from drivers.encoder import AngleConfig, PortConfig, channel_of, device_counts
+from drivers.encoder import AngleConfig, channel_of, device_counts
+from drivers.lines import PortConfig
 from drivers.recording_format import GAP, RESET, ROLLOVER, FloatArray, IntArray, Samples
 from drivers.serial.polled import PolledEncoder
 from drivers.serial.port import MIDDLE, PortHub, ask

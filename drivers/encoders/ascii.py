@@ -14,7 +14,7 @@ import operator
 import re
 import time
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,8 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers.counts import Pace, counted, counts_to_value, judge_sequence, missing_by_pace, unwrap
-from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderTimeout, PortConfig, channel_of
+from drivers.encoder import AngleConfig, ChannelConfig, EncoderProtocolError, EncoderTimeout, channel_of
+from drivers.lines import PortConfig
 from drivers.recording_format import GAP, OUT_OF_ORDER, RESET, ROLLOVER, Samples
 from drivers.serial.polled import SerialEncoder
 from drivers.serial.port import Exchange, PortHub, ask
@@ -127,7 +128,7 @@ class AsciiCounter(SerialEncoder):
         If an angle has no counts per turn, or the unit is unknown.
     """
 
-    configuration = AsciiConfig
+    configuration: ClassVar[type[ChannelConfig]] = AsciiConfig
 
     def __init__(self, name: str, config: AsciiConfig, port: PortConfig) -> None:
         super().__init__(name, config, port)

@@ -9,19 +9,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import can
 import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
-from drivers.can.bus import SYNC_ID, frame_key, open_bus, time_source
+from drivers.can.bus import SYNC_ID, frame_key, time_source
 from drivers.can.encoder import CanEncoder
 from drivers.can.frames import FrameReader
 from drivers.can.hub import CanHub
 from drivers.counts import counts_to_value, extract_bits, unwrap
 from drivers.encoder import (
     AngleConfig,
-    BusConfig,
     EncoderProtocolError,
     EncoderTimeout,
     ListeningTime,
@@ -29,6 +27,7 @@ from drivers.encoder import (
     channel_of,
     device_counts,
 )
+from drivers.lines import BusConfig
 from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
 
 with edge.needs_extra("bench"):
@@ -118,7 +117,7 @@ class CanopenEncoder(CanEncoder):
         if config.eds is not None:
             path = wiring.folder / config.eds
             dictionary = _read_eds(path, config.node)
-        return cls(name, config, wiring.bus(config.bus, name), dictionary)
+        return cls(name, config, wiring.line(BusConfig, config.bus, f"[channel.{name}]"), dictionary)
 
     @property
     def _where(self) -> str:
@@ -281,11 +280,6 @@ class CanopenEncoder(CanEncoder):
             hub.leave_node(self.config.node, self.config.quantity)
         self._node, self._started, self._listening = None, False, False
         super().leave(hub)
-
-    def rest(self) -> None:
-        """Set the node back to pre-operational; see `Encoder.rest`."""
-        with open_bus(self.bus) as bus:
-            bus.send(can.Message(arbitration_id=0, data=[0x80, self.config.node], is_extended_id=False))
 
     def read(self, timeout: float) -> Samples | None:
         """Return the new positions or speeds; see `Encoder.read`."""

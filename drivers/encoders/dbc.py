@@ -17,7 +17,8 @@ from drivers.can.encoder import CanEncoder
 from drivers.can.frames import FrameReader, Judged
 from drivers.can.hub import CanHub
 from drivers.counts import Pace, counted, extract_bits, judge_sequence
-from drivers.encoder import BusConfig, ChannelConfig, Wiring, channel_of
+from drivers.encoder import ChannelConfig, Wiring, channel_of
+from drivers.lines import BusConfig
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, FloatArray, IntArray, Samples
 
 with edge.needs_extra("bench"):
@@ -102,7 +103,7 @@ class DbcSensor(CanEncoder):
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Wiring) -> DbcSensor:
         """Return the sensor of a `[channel.name]`; see `Encoder.from_config`."""
-        return cls(name, config, wiring.bus(config.bus, name), wiring.folder, wiring.source)
+        return cls(name, config, wiring.line(BusConfig, config.bus, f"[channel.{name}]"), wiring.folder, wiring.source)
 
     def set_up(self, hub: CanHub) -> None:
         """See `HubEncoder.set_up`."""

@@ -10,7 +10,8 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers.counts import UnseenTurns, counts_to_value, extract_bits, unwrap
-from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderSetupError, PortConfig, channel_of
+from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderSetupError, channel_of
+from drivers.lines import PortConfig
 from drivers.recording_format import ROLLOVER, FloatArray, IntArray, Samples
 from drivers.serial.polled import PolledEncoder
 from drivers.serial.port import MIDDLE, PortHub, ask

@@ -18,13 +18,25 @@ import numpy as np
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge.page_server import PageHandler, PageServer, is_loopback
-from drivers.recording_format import MARKS, FloatArray, RecordingReader, Samples
+from drivers.recording_format import (
+    ANGLES,
+    IMPLAUSIBLE,
+    MARKS,
+    Event,
+    FloatArray,
+    Plausibility,
+    RecordingReader,
+    Samples,
+    joined,
+    limits_of,
+)
 
 REFRESH_SECONDS = 0.2
 WINDOW = 1 << 17  # newest samples of each channel that are evaluated
 _POINTS = 1000  # points drawn
 _TURNS = 16  # most crank turns of the spectrum
 _ORDERS = 100
+_PATIENCE = 1 << 16  # samples of one angle that wait for the other to be judged with it
 _STREAM_SECONDS = 600.0  # length of a stream of data; a browser then reconnects by itself
 
 
@@ -74,6 +86,10 @@ class Watcher:
         self._counts = dict.fromkeys(self._held, 0)
         self._marks = {name: dict.fromkeys(MARKS, 0) for name in self._held}
         self._events: collections.deque[dict[str, Any]] = collections.deque(maxlen=20)
+        header = self.reader.header
+        self._roles = {c.name: c.role for c in header.channels if c.role in ANGLES and c.unit == "rad"}
+        self._judge = Plausibility(header.ratio, limits_of(header))
+        self._unjudged: dict[str, list[Samples]] = {name: [] for name in self._roles}
         self._rates: collections.deque[tuple[float, dict[str, int]]] = collections.deque(maxlen=10)
 
     def refresh(self) -> dict[str, Any]:
@@ -84,7 +100,13 @@ class Watcher:
             if len(samples):
                 fresh[samples.channel].append(samples)
                 for mark, bit in MARKS.items():
-                    self._marks[samples.channel][mark] += int(np.count_nonzero(samples.status & bit))
+                    if bit != IMPLAUSIBLE or samples.channel not in self._roles:
+                        self._marks[samples.channel][mark] += int(np.count_nonzero(samples.status & bit))
+                if samples.channel in self._roles:
+                    self._unjudged[samples.channel].append(samples)
+                    if all(self._unjudged.values()) or sum(map(len, self._unjudged[samples.channel])) > _PATIENCE:
+                        self._find_implausible()
+        self._find_implausible()
         for name, blocks in fresh.items():
             if blocks:
                 before = self._held[name]
@@ -114,6 +136,20 @@ class Watcher:
             "events": list(self._events),
             **self._errors(),
         }
+
+    def _find_implausible(self) -> None:
+        """Judge the waiting samples as the evaluation does; early recordings have marks of their own."""
+        blocks = {self._roles[name]: joined(name, waiting) for name, waiting in self._unjudged.items() if waiting}
+        if not blocks:
+            return
+        marks, findings = self._judge.add(blocks)
+        names = {role: name for name, role in self._roles.items()}
+        for role, samples in blocks.items():
+            marked = marks[role] | (samples.status & IMPLAUSIBLE != 0)
+            self._marks[names[role]]["implausible"] += int(np.count_nonzero(marked))
+        events = [Event(f.time, names[f.roles[0]], f"implausible: {f.text}") for f in findings]
+        self._events += [dataclasses.asdict(event) for event in events]
+        self._unjudged = {name: [] for name in self._roles}
 
     def _errors(self) -> dict[str, Any]:
         """Return the TE over the crank angle and its spectrum."""

@@ -1,11 +1,11 @@
-"""The `BENCH.toml`: channels, and their buses, ports and PLCs."""
+"""The `BENCH.toml`: channels, and the buses, ports and other lines that they share."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import os
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,17 +13,10 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
-from drivers.encoder import (
-    BusConfig,
-    ChannelConfig,
-    Encoder,
-    PlcConfig,
-    PortConfig,
-    Wiring,
-    encoder_class,
-    registered,
-)
-from drivers.lines import check_lines
+from drivers.encoder import ChannelConfig, Encoder, Wiring, plug_in, registered
+from drivers.lines import BusConfig, LineConfig, PortConfig
+from drivers.recorder.actuator import ENTRY_POINTS as ACTUATORS
+from drivers.recorder.actuator import Actuator, ActuatorConfig
 
 BENCH_FORMAT = "cycloid-bench/1"
 
@@ -43,9 +36,7 @@ class _BenchFile(edge.Config):
     pair: str = ""
     largest_deviation: Annotated[edge.Angle, pydantic.Field(gt=0)] | None = None
     conditions: Conditions = Conditions()
-    bus: dict[str, BusConfig] = pydantic.Field(default_factory=dict)
-    port: dict[str, PortConfig] = pydantic.Field(default_factory=dict)
-    plc: dict[str, PlcConfig] = pydantic.Field(default_factory=dict)
+    actuator: dict[str, Any] | None = None
     channel: dict[str, dict[str, Any]]
 
     @pydantic.field_validator("ratio")
@@ -65,6 +56,25 @@ class _BenchFile(edge.Config):
         return value
 
 
+def bench_file(lines: Iterable[type[LineConfig]] = (BusConfig, PortConfig)) -> type[_BenchFile]:
+    """Return the class of a `BENCH.toml` with tables of these lines."""
+    tables: dict[str, Any] = {c.kind: (dict[str, c], pydantic.Field(default_factory=dict)) for c in lines}  # type: ignore[valid-type]
+    return pydantic.create_model("BenchFile", __base__=_BenchFile, **tables)
+
+
+def _line_kinds(users: Mapping[str, type[LineConfig] | None], source: str) -> dict[str, type[LineConfig]]:
+    """Return the lines of this package and of plug-ins by kind, given the line of each table that uses one."""
+    kinds: dict[str, type[LineConfig]] = {c.kind: c for c in (BusConfig, PortConfig)}
+    for table, line in users.items():
+        if line is None:
+            continue
+        if line.kind in _BenchFile.model_fields or kinds.setdefault(line.kind, line) is not line:
+            raise edge.InputError(
+                f"{source}: {table}: its package's table [{line.kind}.NAME] is another one's in this file."
+            )
+    return kinds
+
+
 @dataclasses.dataclass(frozen=True)
 class Bench:
     """The wiring of a bench.
@@ -81,7 +91,9 @@ class Bench:
     channels
         Class and configuration of each channel's encoder, by the channel's name.
     wiring
-        Buses, ports and PLCs.
+        Buses, ports and other lines.
+    actuator
+        Class and configuration of what drives the bench; None: nothing that the package knows of.
 
     Examples
     --------
@@ -97,6 +109,7 @@ class Bench:
     conditions: Mapping[str, float | str]
     channels: Mapping[str, tuple[type[Encoder], ChannelConfig]]
     wiring: Wiring
+    actuator: tuple[type[Actuator], ActuatorConfig] | None = None
 
     def encoders(self) -> list[Encoder]:
         """Return new encoders for all channels, not yet opened."""
@@ -129,18 +142,41 @@ def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> 
     """
     source = str(path)
     table = edge.toml_table(edge.read_text(path, BENCH_FORMAT), BENCH_FORMAT, source)
-    file = edge.validated(_BenchFile, table, source)
-    check_lines(file.bus, file.port, allow, source)
-    channels, installed = {}, registered()
-    for name, given in file.channel.items():
-        cls = encoder_class(given.get("protocol"), name, source, installed)
-        channels[name] = (cls, edge.validated(cls.configuration, given, f"{source}: [channel.{name}]"))
-    wiring = Wiring(file.bus, file.port, Path(path).parent, source, file.plc)
+    classes: dict[str, type[Encoder]] = {}
+    given = table.get("channel")
+    installed = registered()
+    for name, channel in given.items() if isinstance(given, dict) else ():
+        if isinstance(channel, dict):
+            table_name = f"[channel.{name}]"
+            classes[name] = plug_in(channel.get("protocol"), table_name, source, installed, Encoder)  # type: ignore[type-abstract]
+    drives, driving = table.get("actuator"), None
+    if isinstance(drives, dict):
+        driving = plug_in(drives.get("protocol"), "[actuator]", source, registered(ACTUATORS), Actuator)  # type: ignore[type-abstract]
+    users = {f"[channel.{name}]": cls.line for name, cls in classes.items()}
+    if driving is not None:
+        users["[actuator]"] = driving.line
+    kinds = _line_kinds(users, source)
+    file = edge.validated(bench_file(kinds.values()), table, source)
+    lines: dict[str, dict[str, LineConfig]] = {kind: getattr(file, kind) for kind in kinds}
+    for kind, named in lines.items():
+        for name, line in named.items():
+            if refusal := line.refusal(allow):
+                raise edge.InputError(f"{source}: [{kind}.{name}] {refusal}.")
+    channels = {
+        name: (cls, edge.validated(cls.configuration, file.channel[name], f"{source}: [channel.{name}]"))
+        for name, cls in classes.items()
+    }
+    wiring = Wiring(lines, Path(path).parent, source)
+    actuator = None
+    if driving is not None and isinstance(drives, dict):
+        actuator = driving, edge.validated(driving.configuration, drives, f"{source}: [actuator]")
     conditions = file.conditions.model_dump(exclude_none=True)
     if file.largest_deviation is not None:
         conditions[rf.LARGEST_DEVIATION_KEY] = file.largest_deviation
-    bench = Bench(file.ratio, file.pair, conditions, channels, wiring)
+    bench = Bench(file.ratio, file.pair, conditions, channels, wiring, actuator)
     bench.encoders()
+    if actuator is not None:
+        actuator[0].from_config(actuator[1], wiring)
     return bench
 
 

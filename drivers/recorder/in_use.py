@@ -1,4 +1,4 @@
-"""Detection of a bench in use: locks between the recordings and runs on one machine, and listening on the buses."""
+"""Detection of a bench in use: locks between the recordings and runs on one machine."""
 
 from __future__ import annotations
 
@@ -16,20 +16,15 @@ from typing import IO, Self
 import platformdirs
 
 from cycloid_fmu import edge
-from drivers.can.bus import SYNC_ID, open_bus
-from drivers.encoder import BusConfig, EncoderSetupError, PortConfig, Wiring
+from drivers.encoder import EncoderSetupError, Wiring
 
-WAIT_SECONDS = 5.0  # for a killed run to bring its drive to rest
-LISTEN_SECONDS = 0.25
-_MOVED = 16  # counts: more than the noise of an encoder at rest, fewer than at 1 rpm
-_STRAIGHT = 0.9  # least ratio of net to total motion: noise goes back and forth
-_FEWEST = 3  # positions needed
+WAIT_SECONDS = 5.0  # for a recording that is ending
 
 
 class Claims:
-    """The buses and ports reserved by a recording or run on this machine; a context manager that releases them.
+    """The lines reserved by a recording or run on this machine; a context manager that releases them.
 
-    A claim is a file lock, which the system releases when the last process that holds it ends.
+    A claim is a file lock, which the system releases when the process ends.
     """
 
     def __init__(self) -> None:
@@ -45,13 +40,8 @@ class Claims:
             file.close()
         self._files.clear()
 
-    @property
-    def descriptors(self) -> tuple[int, ...]:
-        """File descriptors of the locks; a child process that inherits them holds the claim too."""
-        return tuple(file.fileno() for file, _ in self._files.values())
-
     def claim(self, wiring: Wiring) -> None:
-        """Claim all buses and ports of a wiring, except virtual buses, which belong to one process.
+        """Claim all lines of a wiring, except those that belong to one process.
 
         Where no folder for locks can be written, an `edge.InputWarning` says that nothing is reserved.
 
@@ -60,11 +50,10 @@ class Claims:
         EncoderSetupError
             If another one still holds one of them after `WAIT_SECONDS`.
         """
-        lines: list[BusConfig | PortConfig] = [*wiring.buses.values(), *wiring.ports.values()]
-        for line in lines:
-            if isinstance(line, BusConfig) and line.interface == "virtual":
+        for line in itertools.chain.from_iterable(named.values() for named in wiring.lines.values()):
+            if line.is_private:
                 continue
-            what = f"{'CAN bus' if isinstance(line, BusConfig) else 'serial port'} {line.place}"
+            what = f"{line.noun} {line.place}"
             if what not in self._files:
                 folder = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "in-use"
                 try:
@@ -114,52 +103,3 @@ def _lock(file: IO[str]) -> bool:
     except OSError:
         return False
     return True
-
-
-def check_at_rest(wiring: Wiring, nodes: dict[str, set[int]]) -> None:
-    """Listen for another master on the CAN buses of a wiring before anything is started.
-
-    Parameters
-    ----------
-    wiring
-        The buses.
-    nodes
-        Numbers of the CANopen nodes on each bus, by the bus's name.
-
-    Raises
-    ------
-    EncoderSetupError
-        If a node's position moves, or another device sends SYNC although the recorder is to send it.
-    """
-    for name, config in wiring.buses.items():
-        identifiers = {base + node: node for node in nodes.get(name, ()) for base in (0x180, 0x280, 0x380, 0x480)}
-        positions: dict[int, list[int]] = {}
-        synced = False
-        with open_bus(config) as bus:
-            end = time.monotonic() + LISTEN_SECONDS
-            while (left := end - time.monotonic()) > 0.0:
-                message = bus.recv(left)
-                if message is None or message.is_extended_id or message.is_error_frame or message.is_remote_frame:
-                    continue
-                synced |= message.arbitration_id == SYNC_ID
-                if message.arbitration_id in identifiers and len(message.data) >= 4:
-                    node = identifiers[message.arbitration_id]
-                    positions.setdefault(node, []).append(int.from_bytes(message.data[:4], "little"))
-        moving = [node for node, shown in positions.items() if _moves(shown)]
-        if moving:
-            raise EncoderSetupError(
-                f"The CAN bus {config.place} is in use: node {moving[0]} moves before the command of this step was "
-                "started; stop the program that drives the bench, such as the command of a killed run, and run again."
-            )
-        if synced and config.sync_period is not None:
-            raise EncoderSetupError(
-                f"The CAN bus {config.place} is in use: another device sends SYNC, which the recorder is to send by "
-                "sync_period; stop the other device, or remove sync_period."
-            )
-
-
-def _moves(positions: list[int]) -> bool:
-    """Whether 32-bit positions, which roll over, move in one direction."""
-    steps = [(b - a + (1 << 31)) % (1 << 32) - (1 << 31) for a, b in itertools.pairwise(positions)]
-    way = abs(sum(steps))
-    return len(positions) >= _FEWEST and way > _MOVED and way >= _STRAIGHT * sum(map(abs, steps))

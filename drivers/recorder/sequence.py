@@ -7,32 +7,28 @@ import dataclasses
 import itertools
 import math
 import os
-import shlex
-import shutil
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
-from drivers.encoder import EncoderError, EncoderTimeout
+from drivers.recorder.actuator import Actuator
 from drivers.recorder.bench import Bench, open_encoders, read_bench
-from drivers.recorder.in_use import Claims, check_at_rest
-from drivers.recorder.session import ChannelState, Live, record_encoders
-from drivers.recorder.watchdog import watched
+from drivers.recorder.in_use import Claims
+from drivers.recorder.session import ChannelState, Live, interrupts, record_encoders
 from drivers.recording_format import Samples, read_recording
 
 FORMAT = "cycloid-sequence/1"
 _STANDS = math.radians(0.5)  # largest motion of a locked input
 _NEAR_ZERO = 0.02  # of the loop's torque: counts as zero
 _AT_PEAK = 0.98  # of the loop's torque: counts as its peak
-_RETRY_SECONDS = 0.2
+_WAIT_STEP = 0.05  # s: after which a signal is noticed
+_IDLE_SECONDS = 3.0  # of silence that end a step which nobody watches
 
 Direction: TypeAlias = Literal["forward", "backward"]
 
@@ -40,13 +36,6 @@ Direction: TypeAlias = Literal["forward", "backward"]
 class _Hysteresis(edge.Config):
     torque: edge.Torque
     loops: Annotated[int, pydantic.Field(ge=1)] = 1
-
-
-class _Drive(edge.Config):
-    run: str
-    hysteresis: str | None = None
-    stop: str | None = None
-    start_time: Annotated[edge.Seconds, pydantic.Field(gt=0)] = 30.0
 
 
 class SequenceFile(edge.Config):
@@ -65,12 +54,9 @@ class SequenceFile(edge.Config):
         Largest deviations of the mean torque, N*m, and of the mean speed, rad/s, from those of the step.
     hysteresis
         Loops with the input locked: peak torque, N*m, and number of loops.
-    drive
-        Commands that drive the bench, with `{torque}`, `{speed}`, `{direction}` and `{turns}` filled in; without them
-        the sequence prompts. `stop` brings the drive to rest: it runs after a command that does not end with status 0,
-        even if the sequence itself is killed. `start_time` is the time to wait for the encoders, s.
-    pair, report
-        Pair file and report file for `cycloid-fit report`; absent: no report.
+    wait
+        Time to wait before the recording of each step, s: instead of a prompt where the bench runs by itself, and after
+        its `[actuator]` has set torque and speed.
     """
 
     bench: str
@@ -81,9 +67,7 @@ class SequenceFile(edge.Config):
     load_tolerance: Annotated[edge.Torque, pydantic.Field(gt=0)] = 1.0
     speed_tolerance: Annotated[edge.Speed, pydantic.Field(gt=0)] = 1.0
     hysteresis: _Hysteresis | None = None
-    drive: _Drive | None = None
-    pair: str | None = None
-    report: str | None = None
+    wait: Annotated[edge.Seconds, pydantic.Field(ge=0)] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,14 +115,17 @@ class Step:
 
 @dataclasses.dataclass(frozen=True)
 class BenchSequence:
-    """A sequence to run: file content, bench, steps, folder, file name, and additionally allowed connections."""
+    """A sequence to run: file content, bench, steps and folder."""
 
     file: SequenceFile
     bench: Bench
     steps: tuple[Step, ...]
     folder: Path
-    source: str
-    allow: tuple[str, ...] = ()
+
+    @property
+    def is_prompted(self) -> bool:
+        """Whether the operator starts each step."""
+        return self.bench.actuator is None and self.file.wait is None
 
 
 def read_sequence(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> BenchSequence:
@@ -159,23 +146,18 @@ def read_sequence(path: str | os.PathLike[str], *, allow: Collection[str] = ()) 
     source = str(path)
     folder = Path(path).parent
     file = edge.validated(SequenceFile, edge.toml_table(edge.read_text(path, FORMAT), FORMAT, source), source)
-    if file.drive is None or (folder / file.bench).exists():
-        bench = read_bench(folder / file.bench, allow=allow)
-    else:  # a simulated bench writes its wiring when it is started
-        bench = Bench(None, "", {}, {}, None)  # type: ignore[arg-type]
+    bench = read_bench(folder / file.bench, allow=allow)
     if bool(file.loads) != bool(file.speeds):
         raise edge.InputError(f"{source}: loads and speeds belong together; write both or neither.")
     if not file.loads and file.hysteresis is None:
         raise edge.InputError(f"{source}: there is no step; write loads and speeds, or [hysteresis].")
-    if file.hysteresis is not None and file.drive is not None and file.drive.hysteresis is None:
-        raise edge.InputError(f"{source}: [drive] hysteresis is missing: the command that drives the loop.")
-    if file.loads and bench.channels and bench.ratio is None:
+    if file.loads and bench.ratio is None:
         raise edge.InputError(
             f"{folder / file.bench}: ratio is missing: its sign gives the sign of the brake's torque."
         )
     steps = _steps(file, bench.ratio or -1.0)
     _check_range(bench, file, source)
-    return BenchSequence(file, bench, steps, folder, source, tuple(allow))
+    return BenchSequence(file, bench, steps, folder)
 
 
 def _steps(file: SequenceFile, ratio: float) -> tuple[Step, ...]:
@@ -196,7 +178,7 @@ def _check_range(bench: Bench, file: SequenceFile, source: str) -> None:
     wanted = [("loads", sign * load) for load in file.loads for sign in (1, -1)]
     if file.hysteresis is not None:
         wanted += [("[hysteresis] torque", sign * file.hysteresis.torque) for sign in (1, -1)]
-    for encoder in bench.encoders() if bench.channels else []:
+    for encoder in bench.encoders():
         if getattr(encoder, "name", None) != "torque" or encoder.measuring_range is None:
             continue
         low, high = encoder.measuring_range
@@ -284,50 +266,8 @@ class _End:
                 self._peaks += 1
 
 
-@contextlib.contextmanager
-def _driven(sequence: BenchSequence, step: Step, claims: Claims) -> Iterator[subprocess.Popen[bytes] | None]:
-    """Start the command that drives a step, if there is one and the bench is at rest."""
-    drive = sequence.file.drive
-    if drive is None:
-        yield None
-        return
-    text = drive.hysteresis if step.is_hysteresis else drive.run
-    filled = (text or "").format(
-        torque=f"{step.torque:.9g} N*m",
-        speed=f"{step.speed:.9g} rad/s",
-        direction=step.direction,
-        turns=f"{step.turns:g}",
-    )
-    wiring = sequence.folder / sequence.file.bench
-    if wiring.exists():
-        bench = read_bench(wiring, allow=sequence.allow)
-        claims.claim(bench.wiring)
-        check_at_rest(bench.wiring, _nodes(bench))
-    command, stop = shlex.split(filled), None if drive.stop is None else shlex.split(drive.stop)
-    beside = watched(
-        command, folder=sequence.folder, stop=stop, wiring=wiring, allow=sequence.allow, held=claims.descriptors
-    )
-    with contextlib.ExitStack() as stack:
-        try:
-            process = stack.enter_context(beside)
-        except OSError as problem:
-            raise edge.InputError(f"{sequence.source}: [drive] {filled}: {problem.strerror}.") from None
-        yield process
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(5.0)
-
-
-def _nodes(bench: Bench) -> dict[str, set[int]]:
-    """Return the numbers of the CANopen nodes on each bus, by its name."""
-    found: dict[str, set[int]] = {}
-    for _, config in bench.channels.values():
-        if config.protocol == "canopen":
-            found.setdefault(config.bus, set()).add(config.node)  # type: ignore[attr-defined]
-    return found
-
-
 def _run_step(
-    sequence: BenchSequence, step: Step, path: Path, claims: Claims, progress: Callable[[Live], None]
+    sequence: BenchSequence, step: Step, path: Path, actuator: Actuator | None, progress: Callable[[Live], None]
 ) -> list[str]:
     """Make one step's recording and return its shortfalls.
 
@@ -336,50 +276,41 @@ def _run_step(
     edge.InputError, EncoderError, RecordingError
         As `recorder.record` does.
     """
-    end = _End(step)
+    end, bench = _End(step), sequence.bench
+    cycling = actuator is not None and step.is_hysteresis
 
     def look(live: Live) -> None:
+        nonlocal cycling
+        if cycling and actuator is not None:
+            actuator.cycle(step)
+            cycling = False
         end(live)
         progress(live)
 
-    with _driven(sequence, step, claims) as process:
-        bench, encoders, stack = _opened(sequence, process)
-        with stack:
-            claims.claim(bench.wiring)
-            record_encoders(
-                encoders,
-                path,
-                ratio=bench.ratio,
-                pair=bench.pair,
-                conditions={**bench.conditions, **step.conditions},
-                progress=look,
-                stop=lambda: end.reached,
-                idle=None if process is None else 3.0,
-            )
+    with interrupts() as interrupted, contextlib.ExitStack() as stack:
+        if actuator is not None:
+            stack.callback(actuator.stop)
+            actuator.set(step)
+        deadline = time.monotonic() + (sequence.file.wait or 0.0)
+        while not interrupted and (rest := deadline - time.monotonic()) > 0.0:
+            time.sleep(min(rest, _WAIT_STEP))
+        if interrupted:
+            raise KeyboardInterrupt
+        record_encoders(
+            stack.enter_context(open_encoders(bench)),
+            path,
+            ratio=bench.ratio,
+            pair=bench.pair,
+            conditions={**bench.conditions, **step.conditions},
+            progress=look,
+            stop=lambda: end.reached,
+            idle=None if sequence.is_prompted else _IDLE_SECONDS,
+        )
     recording = read_recording(path)
     samples = {c.role: recording.samples[c.name] for c in recording.header.channels}
     said = shortfalls(step, samples, sequence.file)
     gaps = sum(int(np.count_nonzero(s.status & rf.GAP)) for s in recording.samples.values())
     return said + ([f"{gaps} samples follow a gap"] if gaps else [])
-
-
-def _opened(sequence: BenchSequence, process: Any) -> tuple[Bench, list[Any], contextlib.ExitStack]:
-    """Open the encoders, waiting for those of a bench that is starting."""
-    start = sequence.file.drive.start_time if sequence.file.drive is not None else 0.0
-    deadline = time.monotonic() + start
-    wiring = sequence.folder / sequence.file.bench
-    while True:
-        stack = contextlib.ExitStack()
-        try:
-            bench = read_bench(wiring, allow=sequence.allow)
-            return bench, stack.enter_context(open_encoders(bench)), stack
-        except (EncoderTimeout, edge.InputError) as problem:
-            stack.close()
-            if time.monotonic() > deadline:
-                raise
-            if process is not None and process.poll() is not None:
-                raise EncoderError(f"The command that drives the bench ended early: {problem}") from problem
-            time.sleep(_RETRY_SECONDS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -392,13 +323,10 @@ class SequenceResult:
         One file for each completed step, in the sequence's order.
     shortfalls
         Shortfalls of the last trial of each incomplete step, by the step's name.
-    report_command
-        The `cycloid-fit report` command for these recordings; None if the sequence has no report.
     """
 
     recordings: tuple[Path, ...]
     shortfalls: Mapping[str, Sequence[str]]
-    report_command: tuple[str, ...] | None
 
 
 def run_sequence(
@@ -421,7 +349,8 @@ def run_sequence(
     note
         Called with each step and None at its start, and with its recording at its end.
     ready
-        Called before each trial of a step without a drive command; must return when the bench is running.
+        Called before each trial where the bench file has no `[actuator]` and the sequence no `wait`; must return when
+        the bench is running.
     again
         Called with a step, the trial's recording and its shortfalls; returns whether to repeat the step. Default: no.
     progress
@@ -430,7 +359,7 @@ def run_sequence(
     Raises
     ------
     edge.InputError, EncoderError, RecordingError, KeyboardInterrupt
-        As `record` does, and if another run or master uses the bench; earlier recordings are kept.
+        As `record` does; earlier recordings are kept.
 
     Examples
     --------
@@ -440,15 +369,18 @@ def run_sequence(
     cycloid_fmu.edge.problems.InputError: sequence.toml: No such file or directory.
     """
     made = sequence if isinstance(sequence, BenchSequence) else read_sequence(sequence)
-    with Claims() as claims:
-        if made.bench.channels:
-            claims.claim(made.bench.wiring)
-        return _run_steps(made, claims, note, ready, again, progress)
+    with Claims() as claims, contextlib.ExitStack() as stack:
+        claims.claim(made.bench.wiring)
+        actuator = None
+        if made.bench.actuator is not None:
+            cls, config = made.bench.actuator
+            actuator = stack.enter_context(cls.from_config(config, made.bench.wiring))
+        return _run_steps(made, actuator, note, ready, again, progress)
 
 
 def _run_steps(
     made: BenchSequence,
-    claims: Claims,
+    actuator: Actuator | None,
     note: Callable[[Step, Path | None], None] | None,
     ready: Callable[[Step], None] | None,
     again: Callable[[Step, Path, list[str]], bool] | None,
@@ -461,11 +393,11 @@ def _run_steps(
         if note is not None:
             note(step, None)
         while not edge.writable(path).exists():
-            if made.file.drive is None and ready is not None:
+            if made.is_prompted and ready is not None:
                 ready(step)
             trials = (made.folder / f"{step.name}.trial-{number}.arrows" for number in itertools.count(1))
             trial = next(t for t in trials if not edge.writable(t).exists())
-            short = _run_step(made, step, trial, claims, progress or (lambda _: None))
+            short = _run_step(made, step, trial, actuator, progress or (lambda _: None))
             if not short:
                 trial.rename(edge.writable(path))
             elif again is None or not again(step, trial, short):
@@ -475,14 +407,4 @@ def _run_steps(
             recordings.append(path)
             if note is not None:
                 note(step, path)
-    return SequenceResult(tuple(recordings), missed, _report_command(made, recordings))
-
-
-def _report_command(sequence: BenchSequence, recordings: Sequence[Path]) -> tuple[str, ...] | None:
-    """Return the report command, from the folder of this Python so that no environment need be active."""
-    file = sequence.file
-    if file.report is None or not recordings:
-        return None
-    pair = ["--pair", str(sequence.folder / file.pair)] if file.pair is not None else []
-    beside = shutil.which("cycloid-fit", path=str(Path(sys.executable).parent)) or "cycloid-fit"
-    return (beside, "report", *map(str, recordings), *pair, "-o", str(sequence.folder / file.report))
+    return SequenceResult(tuple(recordings), missed)

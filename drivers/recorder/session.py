@@ -28,6 +28,7 @@ from drivers.recorder.bench import Bench, open_encoders, read_bench
 from drivers.recorder.clock import ClockEstimate
 from drivers.recorder.supervision import Supervised
 from drivers.recording_format import MARKS, Event, Header, RecordingWriter, Samples, check_new
+from drivers.recording_format.joining import LARGE, join_batches
 
 _WAIT = 0.05
 _CLOCK_SECONDS = 10.0  # between two estimates of a device's clock in the file
@@ -130,7 +131,7 @@ class RecordingInterrupted(KeyboardInterrupt):
 
 
 @contextlib.contextmanager
-def _interrupts() -> Iterator[list[str]]:
+def interrupts() -> Iterator[list[str]]:
     """Yield a list for the name of the first SIGINT, SIGTERM or SIGHUP, which is caught so that all data are written.
 
     The next signal takes effect at once, except SIGHUP: a closed terminal sends several.
@@ -164,7 +165,6 @@ class _Session:
         writer: RecordingWriter,
         path: str | os.PathLike[str],
         ratio: float | None,
-        limits: rf.Limits,
         epoch: float,
     ) -> None:
         self.encoders = [Supervised(e) for e in encoders]
@@ -174,9 +174,6 @@ class _Session:
         self._clock_said = dict.fromkeys(self._clocks, 0.0)
         self._clock_jumps = {name: rf.ClockJumps() for name in self._clocks}
         self._restarts = dict.fromkeys(self._clocks, 0)
-        channels = [e.channel for e in encoders]
-        self._roles = {c.name: c.role for c in channels if c.role in rf.ANGLES and c.unit == "rad"}
-        self._plausibility = rf.Plausibility(ratio, limits)
         self._input: Samples | None = None
         self._zero: float | None = None
         self._rates = (time.monotonic(), dict.fromkeys(self.live.channels, 0))
@@ -186,7 +183,7 @@ class _Session:
         """Write the new samples of all channels, waiting up to `timeout` s; return whether there were any."""
         # Wait for the first channel only: samples of the others arrive meanwhile.
         blocks = [self._read(e, 0.0 if i else timeout) for i, e in enumerate(self.encoders)]
-        for encoder, block, events in self._judged(blocks):
+        for encoder, block, events in blocks:
             if block is not None or events:
                 self.write(block or Samples.checked(encoder.channel.name, [], []), events)
             if block is not None:
@@ -204,22 +201,6 @@ class _Session:
             block = dataclasses.replace(block, time_host=block.time_host - self.epoch)
             events += self._clock(block)
         return encoder, block, events
-
-    def _judged(
-        self, blocks: Sequence[tuple[Supervised, Samples | None, list[Event]]]
-    ) -> Iterator[tuple[Supervised, Samples | None, list[Event]]]:
-        """Yield the blocks with implausible samples marked, and the findings added to the events."""
-        angles = {self._roles[b.channel]: b for _, b, _ in blocks if b is not None and b.channel in self._roles}
-        marks, found = self._plausibility.add(angles) if angles else ({}, [])
-        for encoder, block, events in blocks:
-            role = self._roles.get(encoder.channel.name)
-            if block is not None and role in marks and marks[role].any():
-                block = dataclasses.replace(block, status=block.status | marks[role] * np.uint8(rf.IMPLAUSIBLE))
-            name = encoder.channel.name
-            mine = [one for one in found if one.roles[0] == role]
-            more = f" ({len(mine) - 1} more faults in {_WAIT:g} s)" if len(mine) > 1 else ""
-            said = [Event(one.time, name, f"implausible: {one.text}{more}") for one in mine[:1]]
-            yield encoder, block, [*events, *said]
 
     def _events(self, encoder: Supervised) -> list[Event]:
         return [dataclasses.replace(e, time=e.time - self.epoch) for e in encoder.events()]
@@ -365,9 +346,9 @@ def record_encoders(
     start = datetime.datetime.fromtimestamp(epoch, datetime.UTC).isoformat()
     header = Header(tuple(e.channel for e in encoders), conditions or {}, ratio, pair, start)
     writer = RecordingWriter(path, header)
-    session = _Session(encoders, writer, path, ratio, rf.limits_of(header), epoch)
+    session = _Session(encoders, writer, path, ratio, epoch)
     try:
-        with _interrupts() as interrupted:
+        with interrupts() as interrupted:
             ended = _run(session, interrupted, duration, samples, idle, stop, progress)
             session.take_all()
             session.finish()
@@ -378,6 +359,8 @@ def record_encoders(
             writer.close()
         except OSError as problem:
             raise session.full(problem) from problem
+    if sum(writer.counts.values()) < LARGE * writer.batches:
+        join_batches(path)
     done = session.recorded(ended)
     if interrupted:
         raise RecordingInterrupted(done)

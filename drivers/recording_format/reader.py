@@ -14,7 +14,7 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers.recording_format.clocks import Alignment, Clock, clocks_of
-from drivers.recording_format.decoding import Batch, Layouts, decoded
+from drivers.recording_format.decoding import Batch, decoded
 from drivers.recording_format.schema import (
     COLUMNS,
     FORMAT,
@@ -134,7 +134,7 @@ class RecordingReader:
         self._path = edge.existing(path)
         if self._path.stat().st_size == 0:
             raise edge.InputError(f"{self.source}: the file is empty; it was cut before the header of a recording.")
-        self._file = pa.OSFile(self.source, "rb")
+        self._file = self._path.open("rb")
         try:
             message = pa.ipc.read_message(self._file)
             if message.type != "schema":  # Arrow does not check this, and would end the process
@@ -156,7 +156,6 @@ class RecordingReader:
         self._lost: set[str] = set()
         self._names = [c.name for c in self.header.channels]
         self._preamble = _preamble(expected, self._names)
-        self._layouts = Layouts(self._names)
 
     def __enter__(self) -> Self:
         return self
@@ -166,7 +165,7 @@ class RecordingReader:
     ) -> None:
         self._file.close()
 
-    def batches(self, *, growing: bool = False, together: bool = False) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
+    def batches(self, *, growing: bool = False) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
         """Yield samples and events of every batch not yet yielded.
 
         Parameters
@@ -174,28 +173,15 @@ class RecordingReader:
         growing
             Whether a recorder may still be writing the file: its end is then no problem, and a later call continues
             there.
-        together
-            Whether to join the batches of a channel in a few megabytes of the file, as far as they are intact: two
-            hours of four channels at 4 kHz, in batches of 50 ms, are then read in a fifth of the processor time.
         """
         while True:
-            if together:
-                piece = self._bytes(self._offset, _PIECE_BYTES)
-                alike, number, size = self._layouts.joined(piece, self._next_sequence)
-                self._number += number
-                self.complete += number
-                self._next_sequence += number
-                if number:
-                    self._offset = self._good_end = self._offset + size
-                    yield from ((self._marked(samples), ()) for samples in alike)
-                    continue
-            batches, ends = self._sound(together=together)
-            for one, end in zip(decoded(batches, self._names), ends, strict=True):
+            batches, ends = self._piece()
+            for batch, end in zip(decoded(batches, self._names), ends, strict=True):
                 self._offset = end
-                if (taken := self._judged(one)) is not None:
+                if (taken := self._judged(batch)) is not None:
                     yield taken
-            # Reading many together stops at the end, at damage and at the end of a piece: continue one by one.
-            size = self._path.stat().st_size
+            # Pieces stop at the end, at damage and at a batch that is not all in the piece: continue with this one.
+            size = self.size
             if self._bytes(self._offset, 8) == END_OF_STREAM:
                 return
             found = self._message(self._offset, size)
@@ -215,9 +201,7 @@ class RecordingReader:
                     return
                 continue
             data, self._offset = found
-            if data is None:
-                continue
-            if (taken := self._judged(self._decoded(data))) is not None:
+            if data is not None and (taken := self._judged(self._decoded(data))) is not None:
                 yield taken
 
     def _judged(
@@ -253,34 +237,25 @@ class RecordingReader:
         self._number += 1
         self._next_sequence += 1
 
-    def _sound(self, *, together: bool) -> tuple[list[Batch], list[int]]:
-        """Return the next batches that one piece of the file holds, and the byte at which each ends.
-
-        With `together` they end before a batch with a known layout.
-        """
+    def _piece(self) -> tuple[list[Batch], list[int]]:
+        """Return the next batches that one piece of the file holds, and the byte at which each ends."""
         begin = self._offset - len(self._preamble)
-        piece = self._preamble + self._bytes(self._offset, _PIECE_BYTES)
-        source = pa.BufferReader(piece)
+        source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
         batches: list[Batch] = []
         ends: list[int] = []
         with pa.ipc.open_stream(source) as reader:
             reader.read_next_batch()
-            at = len(self._preamble)
-            while not (together and self._layouts.known(piece, at)):
+            while True:
                 try:
                     batches.append(reader.read_next_batch_with_custom_metadata())
                 except (StopIteration, ValueError, OSError, EOFError, pa.ArrowException):
-                    break
-                if together:
-                    self._layouts.learn(piece, at, source.tell(), batches[-1])
-                at = source.tell()
-                ends.append(begin + at)
-        return batches, ends
+                    return batches, ends
+                ends.append(begin + source.tell())
 
     @property
     def size(self) -> int:
         """Size of the file, bytes."""
-        return int(self._path.stat().st_size)
+        return os.fstat(self._file.fileno()).st_size  # of this file, even where another has taken its name
 
     @property
     def position(self) -> int:
@@ -289,7 +264,7 @@ class RecordingReader:
 
     def _bytes(self, offset: int, count: int) -> bytes:
         self._file.seek(offset)
-        return bytes(self._file.read(count))
+        return self._file.read(count)
 
     def _message(self, offset: int, size: int) -> tuple[bytes | None, int] | None:
         """Return the bytes and end of the message here; bytes None if it is no batch; None if there is no message."""
@@ -367,7 +342,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     with RecordingReader(path) as reader:
         blocks: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
         events: list[Event] = []
-        for samples, said in reader.batches(together=True):
+        for samples, said in reader.batches():
             events.extend(said)
             if len(samples):
                 blocks[samples.channel].append(samples)
@@ -391,7 +366,7 @@ def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict
     events: list[Event] = []
     with RecordingReader(path) as reader:
         devices = {c.name: _clock_device(c.time_source) for c in reader.header.channels}
-        for samples, said in reader.batches(together=True):
+        for samples, said in reader.batches():
             events.extend(said)
             if len(samples) and samples.channel in channels:
                 first.setdefault(samples.channel, samples)

@@ -11,6 +11,7 @@ import numpy as np
 
 from cycloid_fmu import edge
 from drivers.recording_format.export import Progress, batches
+from drivers.recording_format.joining import joined_batches
 from drivers.recording_format.reader import RecordingReader
 from drivers.recording_format.schema import (
     GAP,
@@ -52,6 +53,8 @@ def repair(
 ) -> Repaired:
     """Read the intact content of a truncated or damaged recording, and optionally write it to a new file.
 
+    The new file has the samples of each channel in large batches, see `joining`.
+
     Parameters
     ----------
     recording
@@ -90,7 +93,7 @@ def repair(
             temporary = stack.enter_context(edge.written_whole(output))
             writer = stack.enter_context(RecordingWriter(temporary, header))
         count = 0
-        for samples, events in batches(reader, progress or (lambda _: None)):
+        for samples, events in joined_batches(batches(reader, progress or (lambda _: None))):
             count += len(events)
             if len(samples):
                 channel = channels[samples.channel]

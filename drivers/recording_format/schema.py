@@ -2,8 +2,9 @@
 
 This module needs no bus library: recorders write this format and evaluations read it.
 
-A file is a schema, record batches and an end mark. Every batch holds samples of one channel as received, in the
-columns `channel` (dictionary of the channels' names), `time_host`, `time_device`, `counts`, `value` and `status`.
+A file is a schema, record batches and an end mark. Every batch holds samples of one channel in the order of their
+arrival: of 50 ms while it is recorded, in a closed file of several thousand samples (`joining`). The columns are
+`channel` (dictionary of the channels' names), `time_host`, `time_device`, `counts`, `value` and `status`.
 The schema's metadata, UTF-8 text, are `format`, `channels` (a JSON list of objects, the fields of `Channel`),
 `conditions` (a JSON object, SI numbers and text), `ratio` (JSON number or null), `pair`, `start` (ISO 8601, UTC) and
 `header_crc32`, the CRC-32 of the preceding keys, each followed by its text, in this order; early recordings lack it.
@@ -20,7 +21,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -120,7 +121,7 @@ class Samples:
         SI value: angles in rad, unwrapped; torques in N*m.
     status
         Bits: 1 gap before, 2 checksum error (here or before), 4 reset, 8 duplicate (this sample, or one left out before
-        it), 16 out of order, 32 rollover, 128 implausible.
+        it), 16 out of order, 32 rollover; in early recordings 128 implausible.
     """
 
     channel: str
@@ -195,16 +196,10 @@ COLUMN_DTYPES: Mapping[str, str] = {name: kind for name, (_, kind, _) in COLUMNS
 
 def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
     """Return the CRC-32 of a batch as eight hexadecimal digits; the module's docstring defines the bytes."""
-    arrays = ((getattr(samples, name), kind) for name, kind in _BYTES_OF)
-    parts = [np.ascontiguousarray(array, kind).data for array, kind in arrays if array is not None]
-    return bytes_checksum(sequence, events, samples.channel, parts)
-
-
-def bytes_checksum(sequence: int, events: str, channel: str, parts: Iterable[memoryview]) -> str:
-    """Return `batch_checksum` from the bytes of a batch's columns that are not null."""
-    crc = zlib.crc32(f"{sequence}{events}{channel}".encode())
-    for part in parts:
-        crc = zlib.crc32(part, crc)
+    crc = zlib.crc32(f"{sequence}{events}{samples.channel}".encode())
+    for name, kind in _BYTES_OF:
+        if (array := getattr(samples, name)) is not None:
+            crc = zlib.crc32(np.ascontiguousarray(array, kind).data, crc)
     return f"{crc:08x}"
 
 

@@ -74,8 +74,8 @@ class RecordingWriter:
 
     Attributes
     ----------
-    counts
-        Number of samples of each channel in the file.
+    counts, batches
+        Number of samples of each channel in the file, and of batches.
 
     Raises
     ------
@@ -89,7 +89,7 @@ class RecordingWriter:
         self._names = [c.name for c in header.channels]
         self.counts = dict.fromkeys(self._names, 0)
         self._schema = recording_schema(header)
-        self._sequence = 0
+        self.batches = 0
         self._whole = True
         try:
             self._descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
@@ -128,9 +128,9 @@ class RecordingWriter:
         """
         said = json.dumps([dataclasses.asdict(e) for e in events])
         metadata = {
-            "sequence": str(self._sequence),
+            "sequence": str(self.batches),
             "events": said,
-            "crc32": batch_checksum(self._sequence, said, samples),
+            "crc32": batch_checksum(self.batches, said, samples),
         }
         batch = record_batch(samples, self._schema, self._names)
         self._whole = False
@@ -142,7 +142,7 @@ class RecordingWriter:
             raise
         self._whole = True
         self._end = os.lseek(self._descriptor, 0, os.SEEK_CUR)
-        self._sequence += 1
+        self.batches += 1
         self.counts[samples.channel] += len(samples)
         if time.monotonic() - self._flushed >= FLUSH_SECONDS:
             os.fsync(self._descriptor)

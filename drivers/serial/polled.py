@@ -11,13 +11,9 @@ import numpy.typing as npt
 import serial
 
 from drivers.counts import UnseenTurns, counted
-from drivers.encoder import (
-    EncoderConnectionError,
-    EncoderProtocolError,
-    EncoderTimeout,
-    PortConfig,
-)
+from drivers.encoder import EncoderConnectionError, EncoderProtocolError, EncoderTimeout
 from drivers.hubs import BlockQueue, HubEncoder, drained, reason
+from drivers.lines import PortConfig
 from drivers.recording_format import CHECKSUM, GAP, RESET, Event, FloatArray, IntArray, Samples
 from drivers.serial.port import Exchange, PortHub, ports
 
@@ -26,7 +22,7 @@ class SerialEncoder(HubEncoder[PortHub]):
     """Common base of all encoders on serial ports: a repeated request and its answers."""
 
     shared = ports
-    line = "port"
+    line = PortConfig
     where: str
     asked = True  # False: the device sends without request
 

@@ -12,14 +12,9 @@ from typing import Any, NamedTuple
 
 import serial
 
-from drivers.encoder import (
-    EncoderConnectionError,
-    EncoderSetupError,
-    PortConfig,
-    steady_time,
-)
+from drivers.encoder import EncoderConnectionError, EncoderSetupError, steady_time
 from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, reason
-from drivers.lines import no_terminal
+from drivers.lines import PortConfig, no_terminal
 
 ANSWER_SECONDS = 0.1  # far above the encoders' microseconds, for USB adapters and busy machines
 
@@ -207,7 +202,11 @@ class PortHub:
                 begun = time.monotonic()
                 newest: list[Exchange] = []
                 while queues and time.monotonic() < begun + BLOCK_SECONDS and not self._is_drained():
+                    heard: Exchange | None = None  # without request: for all channels that listen
                     for answers, (question, asked) in queues.items():
+                        if heard is not None and not asked:
+                            blocks[answers].append(heard._replace(note=notes.pop(answers, "")))
+                            continue
                         with self._lock:
                             if asked:
                                 self._put_back(newest)
@@ -220,10 +219,12 @@ class PortHub:
                         if stood:
                             said = f"no reading for {stood:.3f} s: the recorder was delayed"
                             notes.update(dict.fromkeys(queues, said))
+                        heard = heard if asked else done
                         block = blocks[answers]
                         block.append(done._replace(note=notes.pop(answers, "")))
                         if not asked and len(done.answer) >= _BUFFER_FULL:  # the loss is after the buffered bytes
-                            notes[answers] = "the port's buffer was full: bytes may be lost"
+                            said = "the port's buffer was full: bytes may be lost"
+                            notes.update({a: said for a, (_, theirs) in queues.items() if not theirs})
                         newest = block if asked else []
                 if newest:
                     with self._lock:

@@ -16,8 +16,8 @@ import numpy as np
 from cycloid_fmu import edge
 from drivers.can.bus import SYNC_ID, open_bus
 from drivers.can.hub import SYNC_COUNTER_MAX
-from drivers.encoder import BusConfig
 from drivers.encoders.canopen import COUNTS_PER_TURN, HEARTBEAT_TIME, POSITION, TURNS
+from drivers.lines import BusConfig
 from drivers.recording_format import FloatArray
 from drivers.simulated.bench import SimulatedBench
 from drivers.simulated.faults import NODE_FAULTS, Fault, Frame, faulty_frames

@@ -33,7 +33,6 @@ Kind: TypeAlias = Literal[
 ]
 _FRAME_FAULTS = ("drop", "duplicate", "swap", "short", "garbage")
 NODE_FAULTS = ("emergency", "reboot", "silence", "bus_off")
-ADS_FAULTS = ("pull", "reset", "corrupt")
 SERIAL_FAULTS = ("mute", "half", "corrupt", "garbage", "wrong_baud", "pull")
 
 
@@ -49,10 +48,9 @@ class Fault:
         (virtual bus), "reset" the counter restarts at 0. Of a node: "emergency" sends an EMCY, "reboot" restarts,
         "silence" sends neither frames nor heartbeat. Of the bus: "bus_off". On a serial line: "mute" no answer, "half"
         half an answer, "corrupt" a flipped bit, "garbage" random bytes, "wrong_baud" an answer received at three
-        quarters of the baud rate, "pull" cable unplugged. Of a PLC: "pull", "reset" its program restarts, "corrupt" a
-        sample is read half written.
+        quarters of the baud rate, "pull" cable unplugged.
     sample
-        First sample (CAN, PLC), or first request or line (serial), counted from 0.
+        First sample (CAN), or first request or line (serial), counted from 0.
     count
         Duration in samples, requests or lines.
     target

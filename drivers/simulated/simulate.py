@@ -12,7 +12,6 @@ from typing import Any, Literal
 from cycloid_fmu import edge
 from drivers.arguments import in_si
 from drivers.simulated import motion as measured
-from drivers.simulated.ads_bench import SimulatedAdsBench
 from drivers.simulated.bench import SimulatedBench
 from drivers.simulated.faults import Fault, read_faults
 from drivers.simulated.serial_bench import SERIAL_BENCHES
@@ -67,7 +66,7 @@ class SimulatedMotion:
 
 @dataclasses.dataclass(frozen=True)
 class SimulatedConnection:
-    """How a recorder reaches a simulated bench: by a CAN bus, a serial line or a PLC.
+    """How a recorder reaches a simulated bench: by a CAN bus or a serial line.
 
     Attributes
     ----------
@@ -77,14 +76,11 @@ class SimulatedConnection:
         `bench`.
     serial
         Encoders on a pseudo-terminal instead of CAN; "modbus" needs the extra `bench`.
-    plc
-        A Beckhoff PLC at this address of this machine, such as "127.0.0.1", instead of CAN; recording it needs the
-        extra `ads`.
     clock_drift
-        Relative drift of the clock of the ASCII counter, the virtual or loopback bus or the PLC against the host's,
+        Relative drift of the clock of the ASCII counter, or of the virtual or loopback bus, against the host's,
         such as 50e-6, > 0: fast.
     speed_factor
-        Speed relative to real time; None: as fast as a CAN bus permits, 1 on a serial line and for a PLC.
+        Speed relative to real time; None: as fast as a CAN bus permits, 1 on a serial line.
 
     Raises
     ------
@@ -102,7 +98,6 @@ class SimulatedConnection:
     channel: str | None = None
     trigger: Literal["controller", "sync", "timer"] = "controller"
     serial: Literal["amt21", "modbus", "ascii"] | None = None
-    plc: str | None = None
     clock_drift: float = 0.0
     speed_factor: float | None = None
 
@@ -111,22 +106,14 @@ class SimulatedConnection:
             raise edge.ArgumentError("speed_factor", "the factor must be above zero", self.speed_factor)
         if self.serial is not None and self.serial not in SERIAL_BENCHES:
             raise edge.ArgumentError("serial", f"it must be one of {', '.join(SERIAL_BENCHES)}", self.serial)
-        if self.plc is not None and self.serial is not None:
-            raise edge.ArgumentError(
-                "plc", "the encoders are either on a serial line or behind a PLC; remove one", self.plc
-            )
         on_bus = self.serial is None and self.interface in ("virtual", "loopback")
-        if self.clock_drift and not (self.plc or self.serial == "ascii" or on_bus):
-            problem = 'only a PLC, serial "ascii" and the buses "virtual" and "loopback" have a clock'
+        if self.clock_drift and not (self.serial == "ascii" or on_bus):
+            problem = 'only serial "ascii" and the buses "virtual" and "loopback" have a clock'
             raise edge.ArgumentError("clock_drift", problem, self.clock_drift)
 
     def bench(self, motion: measured.Motion, faults: Sequence[Fault]) -> SimulatedBench:
         """Return a bench that sends a motion in this way."""
         pace = self.speed_factor or 1.0
-        if self.plc is not None:
-            return SimulatedAdsBench(
-                motion, host=self.plc, speed_factor=pace, clock_drift=self.clock_drift, faults=faults
-            )
         if self.serial is not None:
             options: dict[str, Any] = {"clock_drift": self.clock_drift} if self.serial == "ascii" else {}
             return SERIAL_BENCHES[self.serial](motion, speed_factor=pace, faults=faults, **options)
@@ -177,7 +164,7 @@ def simulate_bench(
     motion
         Speed, direction and sampling of the crank, and noise.
     connection
-        CAN bus, serial line or PLC, or the name of a CAN interface such as "virtual".
+        CAN bus or serial line, or the name of a CAN interface such as "virtual".
     faults
         File with a script of faults, `cycloid-faults/1`.
 

@@ -39,11 +39,11 @@ class RecorderFile(BenchFile):
             return Piece(alignments[name].time(samples), {name: samples.value}, samples.status)
 
         with RecordingReader(self.source) as reader:
-            for samples, _ in reader.batches(together=True):
+            for samples, _ in reader.batches():
                 if samples.channel in waiting and len(samples):
                     silent.discard(samples.channel)
                     waiting[samples.channel].append(samples)
-                    # Near damage, batches are read one by one, 50 ms each.
+                    # A recording that was not closed has batches of 50 ms.
                     gathered[samples.channel] += len(samples)
                     if gathered[samples.channel] >= _GATHERED:
                         yield piece(samples.channel)

@@ -16,7 +16,7 @@ import pytest
 
 from cycloid_fmu import edge
 from drivers.can.bus import open_bus
-from drivers.encoder import BusConfig
+from drivers.lines import BusConfig
 from drivers.recorder.bench import read_bench
 from drivers.recording_format import read_recording
 from drivers.simulated.can_bench import SimulatedCanBench
@@ -290,7 +290,8 @@ def test_an_impossible_bench_is_refused_and_records_nothing(tmp_path, wiring, bu
 
 
 def test_permission_denied_is_reported_in_one_sentence(monkeypatch):
-    from drivers.encoder import EncoderSetupError, PortConfig
+    from drivers.encoder import EncoderSetupError
+    from drivers.lines import PortConfig
     from drivers.serial import port as serial_port
 
     def refuse(*_, **__):
@@ -304,4 +305,4 @@ def test_permission_denied_is_reported_in_one_sentence(monkeypatch):
 def test_list_names_the_protocols(command):
     done = command("cycloid-bench", "list")
     assert done.returncode == 0, done.stderr
-    assert "protocols: ads, amt21, ascii, canopen, dbc, modbus" in done.stdout
+    assert "protocols: amt21, ascii, canopen, dbc, modbus, moteus, odrive, simplefoc" in done.stdout

@@ -17,7 +17,8 @@ from cycloid_fmu import edge
 from drivers import recording_format as rf
 from drivers.can.bus import open_bus
 from drivers.can.hub import hubs
-from drivers.encoder import BusConfig, EncoderConnectionError, EncoderSetupError
+from drivers.encoder import EncoderConnectionError, EncoderSetupError
+from drivers.lines import BusConfig
 from drivers.recorder.bench import open_encoders, read_bench
 from drivers.recorder.session import record
 from drivers.recorder.supervision import Supervised

@@ -11,7 +11,8 @@ import pytest
 
 from drivers import recording_format as rf
 from drivers.can.bus import open_bus
-from drivers.encoder import BusConfig, EncoderConnectionError, EncoderProtocolError, EncoderSetupError, EncoderTimeout
+from drivers.encoder import EncoderConnectionError, EncoderProtocolError, EncoderSetupError, EncoderTimeout
+from drivers.lines import BusConfig
 from drivers.recorder.bench import open_encoders, read_bench
 from drivers.recorder.session import record, record_encoders
 from drivers.recording_format import read_recording

@@ -63,7 +63,6 @@ def test_errors_name_the_argument(arguments, said):
     ("arguments", "said"),
     [
         ({"serial": "morse"}, 'serial = "morse": it must be one of amt21'),
-        ({"serial": "amt21", "plc": "127.0.0.1"}, 'plc = "127.0.0.1": the encoders are either'),
         ({"serial": "amt21", "clock_drift": 1e-4}, "clock_drift = 0.0001: only"),
         ({"interface": "socketcan", "clock_drift": 1e-4}, "clock_drift = 0.0001: only"),
         ({"speed_factor": 0.0}, "speed_factor = 0.0: the factor"),

@@ -22,9 +22,9 @@ from drivers.can.frames import FrameReader
 from drivers.can.hub import BEHIND_GAP, hubs
 from drivers.can.socketcan import CountingSocketcanBus
 from drivers.counts import Pace, UnseenTurns, judge_sequence, missing_by_pace, unwrap
-from drivers.encoder import BusConfig, PortConfig
 from drivers.encoders.amt21 import Amt21Config, Amt21Encoder, check_bits
 from drivers.encoders.ascii import AsciiConfig, AsciiCounter
+from drivers.lines import BusConfig, PortConfig
 from drivers.recorder.bench import open_encoders
 from drivers.recording_format import read_recording
 from drivers.serial import port as serial_port
@@ -205,7 +205,7 @@ def test_socketcan_frames_are_read_with_the_drops_before_them(monkeypatch):
     with receiver, sender:
         for data in kinds:
             sender.sendto(data, receiver.getsockname())
-        came = [bus._recv_internal(1.0)[0] for _ in kinds]
+        came = [bus.recv(1.0) for _ in kinds]
         assert [(m.arbitration_id, m.is_extended_id, m.is_fd, m.is_error_frame, bytes(m.data)) for m in came] == [
             (0x181, False, False, False, b"\1\2\3\4"),
             (0x18DA0102, True, False, False, b"abcdefgh"),
@@ -217,13 +217,13 @@ def test_socketcan_frames_are_read_with_the_drops_before_them(monkeypatch):
         for number in range(100):
             sender.sendto(struct.pack("=IB3x8s", number, 0, b""), receiver.getsockname())
         held = []
-        while (message := bus._recv_internal(0.0)[0]) is not None:
+        while (message := bus.recv(0.0)) is not None:
             held.append(message.arbitration_id)
         lost = bus.drops.since()
         assert lost == 100 - len(held) > 0
         assert bus.drops.total == 0, "no frame has come behind the gap"
         sender.sendto(kinds[0], receiver.getsockname())
-        assert bus._recv_internal(1.0)[0].arbitration_id == 0x181
+        assert bus.recv(1.0).arbitration_id == 0x181
         assert (bus.drops.total, bus.drops.since()) == (lost, 0)
         bus._is_shutdown = True
 

@@ -9,11 +9,11 @@ import pytest
 from cycloid_fmu import edge
 from drivers.can.frames import FrameReader
 from drivers.can.hub import Frames
-from drivers.encoder import PortConfig
 from drivers.encoders.amt21 import Amt21Config, Amt21Encoder, check_bits
 from drivers.encoders.ascii import AsciiConfig, AsciiCounter
 from drivers.encoders.modbus import ModbusConfig, ModbusEncoder
 from drivers.hubs import BlockQueue
+from drivers.lines import PortConfig
 from drivers.recording_format import read_recording
 from drivers.serial.port import Exchange
 from tests.drivers.test_recording_format import NAMES, block, write

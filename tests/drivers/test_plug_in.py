@@ -3,16 +3,20 @@
 import importlib
 import inspect
 import pkgutil
+import re
+import socket
 import sys
 from importlib import metadata
 
 import pytest
+from common import EXAMPLES
 
 import drivers
 import drivers.encoders
 from cycloid_fmu import edge
 from drivers.encoder import ENTRY_POINTS, Encoder, protocols
 from drivers.recorder.bench import read_bench
+from drivers.recording_format import GAP
 
 ENCODER = '''
 from drivers.encoder import AngleConfig, Encoder, channel_of, steady_time
@@ -93,7 +97,7 @@ def test_the_package_s_own_protocols_are_registered_the_same_way():
         classes = [c for c in vars(loaded).values() if inspect.isclass(c) and c.__module__ == loaded.__name__]
         speak = [c for c in classes if issubclass(c, Encoder) and not inspect.isabstract(c)]
         assert any(f"{loaded.__name__}:{c.__name__}" in own for c in speak), module.name
-    assert {protocols()[n].value for n in ("canopen", "ads")} <= own
+    assert {protocols()[n].value for n in ("canopen", "modbus")} <= own
 
 
 @pytest.mark.parametrize(
@@ -133,3 +137,66 @@ def test_a_protocol_name_in_use_is_refused(tmp_path, installed):
     both = "the packages cycloid-fmu and second_modbus both provide it; uninstall one"
     with pytest.raises(edge.InputError, match=both):
         read_bench(bench(tmp_path, "modbus"))
+
+
+@pytest.fixture
+def guide(installed):
+    """The plug-in of the page on writing one, installed; returns its bench file for a free port."""
+    page = (EXAMPLES.parent / "docs" / "development" / "add_an_encoder.md").read_text(encoding="utf-8")
+    files = dict(re.findall(r":caption: (\S+)\n(.*?)```", page, re.S))
+    installed("udp_encoder", "lab_udp", "udp_encoder:UdpEncoder", files["udp_encoder.py"])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    return files["bench.toml"].replace("47123", str(port)), port
+
+
+def test_a_plug_in_s_channels_share_its_own_line_and_count_what_is_lost(tmp_path, guide):
+    (tmp_path / "BENCH.toml").write_text(guide[0])
+    numbers = [n for n in range(1, 201) if n % 40 and not 101 <= n <= 103]
+    sent = []
+
+    def send(live):
+        """Send the readings one by one once the recording runs."""
+        if len(sent) < len(numbers):
+            number = numbers[len(sent)]
+            sent.append(number)
+            sender.sendto(f"{number};{number / 100};{3 * number};{-number}".encode(), ("127.0.0.1", guide[1]))
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        path = tmp_path / "run.arrows"
+        done = drivers.record(tmp_path / "BENCH.toml", path, samples=len(numbers), duration=30.0, progress=send)
+    assert done.ended == "samples"
+    assert dict(done.lost) == {"input_angle": 7, "output_angle": 7}  # 40, 80, 120, 160 and three in a row
+    recording = drivers.read_recording(path)
+    turning, driven = recording.samples["input_angle"], recording.samples["output_angle"]
+    assert (turning.time_host == driven.time_host).all()
+    assert (turning.counts.tolist(), driven.counts.tolist()) == ([3 * n for n in numbers], [-n for n in numbers])
+    marked = [n for n, status in zip(numbers, turning.status, strict=True) if status & GAP]
+    assert marked == [41, 81, 104, 121, 161]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("port = ", "prt = ", r"\[udp.rig\] prt is not a known key"),
+        ('udp = "rig"', 'udp = "other"', r'udp = "other": there is no udp of this name; the file has "rig"'),
+        ("[udp.rig]", "[tcp.rig]", "tcp is not a known key"),
+        ('protocol = "lab_udp"', 'protocol = "ascii"', "udp is not a known key"),
+    ],
+)
+def test_a_plug_in_s_table_is_checked_as_the_others_are(tmp_path, guide, old, new, said):
+    (tmp_path / "BENCH.toml").write_text(guide[0].replace(old, new))
+    with pytest.raises(edge.InputError, match=said):
+        read_bench(tmp_path / "BENCH.toml")
+
+
+def test_a_table_that_another_package_has_is_refused(tmp_path, installed, guide):
+    line = (
+        "from drivers.lines import LineConfig\nclass Other(LineConfig):\n    kind = 'udp'\n    noun = 'x'\n"
+        "    place = property(lambda self: 'x')\nCounter.line = Other\n"
+    )
+    installed("other_rig", "other", "other_rig:Counter", ENCODER + line)
+    (tmp_path / "BENCH.toml").write_text(guide[0] + '[channel.torque]\nprotocol = "other"\n')
+    with pytest.raises(edge.InputError, match=r"\[channel.torque\]: its package's table \[udp.NAME\] is another"):
+        read_bench(tmp_path / "BENCH.toml")

@@ -1,7 +1,10 @@
 """The recording format: round trips, and truncation or a kill loses no complete batch."""
 
 import dataclasses
+import itertools
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,7 +27,7 @@ from drivers.recording_format import (
     RecordingReader,
     RecordingWriter,
     Samples,
-    joined,
+    joining,
     read_recording,
     schema,
 )
@@ -132,59 +135,155 @@ def test_a_flipped_bit_loses_only_its_batch_and_is_reported(tmp_path):
     assert "batch 1 was left out: its CRC-32 is wrong" in recording.problems[0]
 
 
+EARLY = Path(__file__).parents[1] / "data" / "first-version" / "batches-of-50-ms.arrows"
+
+
+def plainly(path):
+    """Samples by channel and events of a file, read by Arrow alone, whose checksums and numbers are right."""
+    columns, events = {}, []
+    with pa.ipc.open_stream(Path(path).read_bytes()) as reader:
+        for number in range(1 << 20):
+            try:
+                batch, metadata = reader.read_next_batch_with_custom_metadata()
+            except StopIteration:
+                return {
+                    name: {c: list(itertools.chain(*v)) for c, v in parts.items()} for name, parts in columns.items()
+                }, events
+            assert metadata[b"sequence"] == b"%d" % number
+            events += json.loads(metadata[b"events"])
+            said = batch.to_pydict()
+            name = next(iter(said["channel"]), None)
+            packed = metadata[b"sequence"] + metadata[b"events"] + (name or "").encode()
+            for column, kind in schema.COLUMN_DTYPES.items():
+                packed += b"" if None in said[column] else np.array(said[column], kind).tobytes()
+            assert name is None or metadata[b"crc32"].decode() == f"{zlib.crc32(packed):08x}"
+            for column in schema.COLUMN_DTYPES if name is not None else ():
+                columns.setdefault(name, {}).setdefault(column, []).append(said[column])
+    raise AssertionError("too many batches")
+
+
+def batches_in(path):
+    with pa.ipc.open_stream(Path(path).read_bytes()) as reader:
+        return sum(1 for _ in reader)
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     sizes=st.lists(st.tuples(st.sampled_from(NAMES), st.integers(0, 4), st.booleans()), max_size=12),
-    alike=st.booleans(),
     events=st.booleans(),
-    flips=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 7)), max_size=2),
+    limit=st.sampled_from([1, 5, 1 << 15]),
 )
-def test_batches_decoded_together_equal_those_decoded_singly(tmp_path_factory, sizes, alike, events, flips):
+def test_joined_batches_have_the_same_samples_and_events(tmp_path_factory, sizes, events, limit):
     path = tmp_path_factory.mktemp("r") / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
         for number, (name, rows, counted) in enumerate(sizes):
-            samples = block(name, 10 * number, rows + alike)
-            if not (counted or alike):
+            samples = block(name, 10 * number, rows)
+            if not counted:
                 samples = dataclasses.replace(samples, counts=None)
             writer.write(samples, [Event(float(number), name, "said")] * (events and number % 2))
-    begin, data = len(write(path.with_name("empty.arrows"), []).read_bytes()) - 8, bytearray(path.read_bytes())
-    for share, bit in flips:
-        data[begin + int(share * (len(data) - begin - 1))] ^= 1 << bit
-    path.write_bytes(data)
-    found = []
-    for together in (False, True):
-        with RecordingReader(path) as reader:
-            taken = list(reader.batches(together=together))
-        whole = [joined(name, [s for s, _ in taken if s.channel == name], fill=True) for name in NAMES]
-        columns = [[None if c is None else c.tolist() for c in list(vars(one).values())[1:]] for one in whole]
-        found.append((str(columns), [e for _, said in taken for e in said], reader.problems, reader.complete))
-    assert found[0] == found[1]
+    before = plainly(path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(joining, "JOINED_SAMPLES", limit)
+        assert joining.join_batches(path)
+    assert plainly(path) == before
+    with RecordingReader(path) as reader:
+        list(reader.batches())
+        assert reader.problems == []
 
 
-def test_a_flipped_bit_in_a_batch_like_earlier_ones_is_handled_as_in_one_that_is_decoded_singly(tmp_path):
-    all_batches = [dataclasses.replace(block(NAMES[i % 2], 10 * i, 3), time_device=None) for i in range(8)]
-    begin, end = (len(write(tmp_path / f"{n}.arrows", all_batches[:n]).read_bytes()) - 8 for n in (4, 5))
-    data = write(tmp_path / "all.arrows", all_batches).read_bytes()
-    path = tmp_path / "flipped.arrows"
-    for place in range(begin, end, 17):
-        flipped = bytearray(data)
-        flipped[place] ^= 1 << place % 8
-        path.write_bytes(flipped)
-        found = []
-        for together in (False, True):
-            with RecordingReader(path) as reader:
-                taken = [samples for samples, _ in reader.batches(together=together) if len(samples)]
-            times = {n: [t for s in taken if s.channel == n for t in s.time_host.tolist()] for n in NAMES}
-            marks = {n: [b for s in taken if s.channel == n for b in s.status.tolist()] for n in NAMES}
-            found.append((times, marks, reader.problems, reader.complete))
-        assert found[0] == found[1], place
+@pytest.mark.parametrize("damage", ["a bit", "the end", "the last batch"])
+def test_a_recording_that_is_not_whole_is_not_joined(tmp_path, damage):
+    path = write(tmp_path / "run.arrows", [block("torque", 10 * i, 10) for i in range(20)])
+    data = bytearray(path.read_bytes())
+    if damage == "a bit":
+        data[data.index(np.float64(105.0).tobytes())] ^= 1
+    path.write_bytes(data[: len(data) - {"a bit": 0, "the end": 8, "the last batch": 100}[damage]])
+    before = path.read_bytes()
+    assert not joining.join_batches(path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["run.arrows"]
+
+
+def test_an_interruption_of_joining_at_any_write_leaves_the_recording(tmp_path, monkeypatch):
+    path = write(tmp_path / "run.arrows", [block(NAMES[i % 3], 10 * i, 10) for i in range(60)])
+    before, whole = path.read_bytes(), plainly(path)
+    monkeypatch.setattr(joining, "JOINED_SAMPLES", 100)
+    plain_write, done, stopped = os.write, [], 0
+    for stop in range(100):
+
+        def until(descriptor, data, stop=stop):
+            done.append(len(data))
+            if len(done) > stop:
+                plain_write(descriptor, data[: len(data) // 2])
+                raise KeyboardInterrupt
+            return plain_write(descriptor, data)
+
+        done.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "write", until)
+            try:
+                assert joining.join_batches(path)
+            except KeyboardInterrupt:
+                stopped += 1
+                assert path.read_bytes() == before
+                continue
+        break
+    assert stopped > 10
+    assert plainly(path) == whole
+    assert batches_in(path) < 60
+
+
+@pytest.mark.slow(20)
+def test_a_kill_while_batches_are_joined_loses_nothing(tmp_path):
+    path = write(tmp_path / "run.arrows", [block(NAMES[i % 3], 10 * i, 10) for i in range(6000)])
+    whole = plainly(path)
+    code = "import sys; from drivers.recording_format.joining import join_batches; print('', flush=True); "
+    killed = 0
+    for wait in np.linspace(0.0, 1.0, 24):
+        with subprocess.Popen(
+            [sys.executable, "-c", f"{code} join_batches(sys.argv[1])", path], stdout=subprocess.PIPE
+        ) as joiner:
+            joiner.stdout.readline()
+            time.sleep(wait)
+            joiner.kill()
+            killed += joiner.wait() != 0
+        assert plainly(path) == whole
+    assert killed
+    assert joining.join_batches(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["run.arrows"], "what killed ones left is removed"
+
+
+def test_a_watcher_reads_on_in_the_file_that_was_replaced(tmp_path):
+    path = write(tmp_path / "run.arrows", [block("torque", 10 * i, 10) for i in range(20)])
+    with RecordingReader(path) as reader:
+        first, _ = next(taken := reader.batches(growing=True))
+        assert joining.join_batches(path)
+        assert len(first) + sum(len(samples) for samples, _ in taken) == 200
+        assert reader.problems == []
+
+
+def test_a_recording_of_the_first_version_reads_as_arrow_alone_reads_it(tmp_path):
+    columns, events = plainly(EARLY)
+    shutil.copy(EARLY, tmp_path / "run.arrows")
+    assert batches_in(tmp_path / "run.arrows") > 30
+    assert joining.join_batches(tmp_path / "run.arrows")
+    assert batches_in(tmp_path / "run.arrows") <= 3
+    for path in (EARLY, tmp_path / "run.arrows"):
+        recording = read_recording(path)
+        assert recording.problems == ()
+        assert [dataclasses.asdict(event) for event in recording.events] == events
+        for name, samples in recording.samples.items():
+            for column, values in columns[name].items():
+                array = getattr(samples, column)
+                assert (array is None and set(values) == {None}) or array.tolist() == values
+        assert recording.clock("input_angle") is not None
 
 
 def test_a_missing_batch_is_reported(tmp_path):
     path = tmp_path / "run.arrows"
     with RecordingWriter(path, HEADER) as writer:
         writer.write(block("torque", 0, 2))
-        writer._sequence += 1
+        writer.batches += 1
         writer.write(block("torque", 9, 2))
     recording = read_recording(path)
     assert recording.problems == (f"{path}: batch 1 has sequence number 2, not 1.",)

@@ -1,22 +1,29 @@
-"""A test sequence from its file to its recordings, driven by a simulated bench in its own process."""
+"""A test sequence from its file to its recordings: prompted, waited for, and driven by a plug-in."""
 
 import contextlib
-import itertools
+import importlib.metadata
 import math
 import os
-import sys
+import pty
+import re
+import signal
+import threading
+import time
+import tty
+from typing import ClassVar
 
 import numpy as np
 import pytest
+from common import EXAMPLES
 
 from cycloid_fmu import edge
-from drivers.recorder.sequence import read_sequence, shortfalls
+from drivers.lines import BusConfig
+from drivers.recorder import bench
+from drivers.recorder.actuator import ENTRY_POINTS, Actuator, ActuatorConfig
+from drivers.recorder.sequence import read_sequence, run_sequence, shortfalls
 from drivers.recording_format import read_recording
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_hysteresis, simulate_motion
-from tests.drivers.test_bench_cli import ENVIRONMENT, needs_multicast
-
-numbers = itertools.count(10)
 
 SEQUENCE = """format = "cycloid-sequence/1"
 bench = "BENCH.toml"
@@ -29,16 +36,57 @@ speed_tolerance = "30 rpm"
 """
 
 
-def drive(group):
-    cycloid_bench = f"'{sys.executable}' -m drivers.cli"
-    common = f"--ratio -39 --channel {group} --speed-factor 1 --speed '300 rpm'"
-    return f"""
-[hysteresis]
-torque = "100 N*m"
-[drive]
-run = "{cycloid_bench} simulate {common} --torque '{{torque}}' --turns 4 --direction {{direction}}"
-hysteresis = "{cycloid_bench} simulate {common} --torque '{{torque}}' --turns {{turns}} --hysteresis"
-"""
+class MotorConfig(ActuatorConfig):
+    """Turns of the simulated bench after the step's own."""
+
+    bus: str
+    more: float = 1.0
+
+
+class Motor(Actuator):
+    """Switches on a simulated bench that makes the motion of each step, and notes what it was asked for."""
+
+    configuration, line = MotorConfig, BusConfig
+    noted: ClassVar[list[str]] = []
+
+    def __init__(self, config, line):
+        self.config, self.channel, self.benches = config, line.channel, contextlib.ExitStack()
+
+    @classmethod
+    def from_config(cls, config, wiring):
+        return cls(config, wiring.line(BusConfig, config.bus, "[actuator]"))
+
+    def __enter__(self):
+        self.noted.append("open")
+        return self
+
+    def set(self, step):
+        self.noted.append(step.name)
+        options = {"hysteresis": True, "samples_per_turn": 4000} if step.is_hysteresis else {"speed": step.speed}
+        turns = int(step.turns + (0 if step.is_hysteresis else self.config.more))
+        made = moved(torque=step.torque, turns=turns, direction=step.direction, **options)
+        self.benches.enter_context(SimulatedCanBench(made, channel=self.channel, speed_factor=1.0))
+
+    def cycle(self, step):
+        self.noted.append("cycle")
+
+    def stop(self):
+        self.benches.close()
+        self.noted.append("stop")
+
+    def close(self):
+        self.noted.append("close")
+
+
+@pytest.fixture
+def motor(monkeypatch, wiring):
+    """The bench file with an `[actuator]`, whose plug-in is registered."""
+    point = importlib.metadata.EntryPoint("motor", f"{__name__}:Motor", ENTRY_POINTS)
+    points = importlib.metadata.EntryPoints([*importlib.metadata.entry_points(group="cycloid.encoders"), point])
+    monkeypatch.setattr(bench, "registered", lambda group="cycloid.encoders": points.select(group=group))
+    monkeypatch.setattr(Motor, "noted", [])
+    wiring.write_text(wiring.read_text() + '[actuator]\nprotocol = "motor"\nbus = "can0"\n')
+    return wiring
 
 
 @pytest.fixture
@@ -47,25 +95,89 @@ def wiring(tmp_path, bus_name):
     return SimulatedCanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39)
 
 
-@needs_multicast
-def test_a_driven_sequence_records_every_step(command, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
-    group = f"239.75.{os.getpid() % 250}.{next(numbers)}"
+def test_a_driven_sequence_records_every_step_and_stops_the_bench_after_each(command, tmp_path, motor):
     path = tmp_path / "sequence.toml"
-    path.write_text(SEQUENCE + drive(group))
+    path.write_text(SEQUENCE + '[hysteresis]\ntorque = "100 N*m"\n')
     done = command("cycloid-bench", "run", path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("recorded") == 3
+    assert "Press Enter" not in done.stderr
+    steps = ["300rpm-20Nm-forward", "300rpm-20Nm-backward", "hysteresis-100Nm"]
+    first, second, loop = ([name, "stop"] for name in steps)
+    assert Motor.noted == ["open", *first, *second, loop[0], "cycle", "stop", "stop", "close"]
     for direction, sign in (("forward", 1), ("backward", -1)):
         recording = read_recording(tmp_path / f"300rpm-20Nm-{direction}.arrows")
         assert recording.header.conditions["direction"] == direction
         angle, torque = recording.samples["input_angle"].value, recording.samples["torque"].value
         assert sign * (angle[-1] - angle[0]) >= 6 * math.pi
         np.testing.assert_allclose(torque, sign * 20.0, atol=1e-3)
-    loop = read_recording(tmp_path / "hysteresis-100Nm.arrows").samples
-    assert np.ptp(loop["input_angle"].value) == 0
-    assert loop["torque"].value.max() == pytest.approx(100, rel=0.02)
-    assert loop["torque"].value.min() == pytest.approx(-100, rel=0.02)
+    looped = read_recording(tmp_path / "hysteresis-100Nm.arrows").samples
+    assert np.ptp(looped["input_angle"].value) == 0
+    assert looped["torque"].value.max() == pytest.approx(100, rel=0.02)
+    assert looped["torque"].value.min() == pytest.approx(-100, rel=0.02)
+
+
+@pytest.mark.parametrize("at", ["wait", "recording", "set"])
+def test_the_bench_is_stopped_at_every_end_of_a_run(tmp_path, motor, monkeypatch, at):
+    motor.write_text(motor.read_text() + "more = 300.0\n")
+    path = tmp_path / "sequence.toml"
+    path.write_text(SEQUENCE.replace("turns = 3", "turns = 200") + f'wait = "{60 if at == "wait" else 0} s"\n')
+    seen = []
+
+    def interrupt(live=None):
+        if not seen:
+            seen.append(threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM)))
+            seen[0].start()
+
+    if at == "wait":
+        interrupt()
+    elif at == "set":
+        monkeypatch.setattr(Motor, "set", lambda self, step: 1 / 0)
+    with pytest.raises(ZeroDivisionError if at == "set" else KeyboardInterrupt):
+        run_sequence(path, progress=interrupt if at == "recording" else None)
+    assert Motor.noted[-3:] == ["stop", "stop", "close"]
+    assert [p.name for p in tmp_path.glob("*.arrows")] == ["300rpm-20Nm-forward.trial-1.arrows"] * (at == "recording")
+
+
+def test_a_bench_that_runs_by_itself_is_waited_for(command, tmp_path, wiring, bus_name):
+    one_way = SEQUENCE.replace('"forward", "backward"', '"forward"')
+    (tmp_path / "sequence.toml").write_text(one_way + 'wait = "0.5 s"\n')
+    with SimulatedCanBench(moved(torque=20.0, turns=4), channel=bus_name, speed_factor=8.0):
+        begun = time.monotonic()
+        run = command("cycloid-bench", "run", "sequence.toml")
+        assert time.monotonic() - begun > 0.5
+    assert run.returncode == 0, run.stderr
+    assert "Press Enter" not in run.stderr
+
+
+def test_the_documented_actuator_sends_each_step_s_torque_and_speed(tmp_path, monkeypatch):
+    text = (EXAMPLES.parent / "docs" / "encoder.md").read_text(encoding="utf-8")
+    code = re.search(r"<!-- actuator -->\n```python\n(.*?)```", text, re.S)[1]
+    (tmp_path / "brake.py").write_text(code)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    point = importlib.metadata.EntryPoint("brake", "brake:Brake", ENTRY_POINTS)
+    amt21 = importlib.metadata.entry_points(group="cycloid.encoders").select(name="amt21")
+    points = importlib.metadata.EntryPoints([*amt21, point])
+    monkeypatch.setattr(bench, "registered", lambda group="cycloid.encoders": points.select(group=group))
+    controller, line = pty.openpty()
+    tty.setraw(line)
+    (tmp_path / "BENCH.toml").write_text(
+        f'format = "cycloid-bench/1"\nratio = 39.0\n[port.p]\nurl = "{os.ttyname(line)}"\n'
+        '[channel.input_angle]\nprotocol = "amt21"\nport = "p"\n[actuator]\nprotocol = "brake"\nport = "p"\n'
+    )
+    (tmp_path / "sequence.toml").write_text(SEQUENCE + '[hysteresis]\ntorque = "100 N*m"\n')
+    sequence = read_sequence(tmp_path / "sequence.toml")
+    cls, config = sequence.bench.actuator
+    with cls.from_config(config, sequence.bench.wiring) as brake:
+        for step in sequence.steps:
+            brake.set(step)
+        brake.cycle(sequence.steps[-1])
+    sent = os.read(controller, 4096).decode().split("\n")
+    # A brake opposes the motion: with a positive ratio the output turns as the crank does.
+    turning = ["S31.4159 T-20.000", "S-31.4159 T20.000", "S0.0000 T0.000"]
+    assert sent == ["S0.0000 T0.000", *turning, "L100.000 N1", "S0.0000 T0.000", ""]
+    os.close(controller)
+    os.close(line)
 
 
 class Person:
@@ -90,14 +202,10 @@ def moved(**options):
 
 
 @pytest.mark.slow(7)
-def test_a_prompted_sequence_repeats_a_step_that_fell_short_and_writes_the_report(command, tmp_path, wiring, bus_name):
-    """First with a wrong brake torque, then all steps, then the real `cycloid-fit report`. No prompt remains."""
-    from common import EXAMPLES
-
-    (tmp_path / "drive.toml").write_text((EXAMPLES / "drive-39-40.toml").read_text())
-    handed = 'pair = "drive.toml"\nreport = "report.html"\n'
+def test_a_prompted_sequence_repeats_a_step_that_fell_short(command, tmp_path, wiring, bus_name):
+    """First with a wrong brake torque, then all steps. No prompt remains."""
     (tmp_path / "sequence.toml").write_text(
-        SEQUENCE.replace("turns = 3", "turns = 40") + handed + '[hysteresis]\ntorque = "100 N*m"\n'
+        SEQUENCE.replace("turns = 3", "turns = 40") + '[hysteresis]\ntorque = "100 N*m"\n'
     )
     person = Person(
         bus_name,
@@ -119,9 +227,6 @@ def test_a_prompted_sequence_repeats_a_step_that_fell_short_and_writes_the_repor
     kept = {p.name for p in tmp_path.glob("*.arrows")}
     steps = {"300rpm-20Nm-forward.arrows", "300rpm-20Nm-backward.arrows", "hysteresis-100Nm.arrows"}
     assert kept == steps | {"300rpm-20Nm-forward.trial-1.arrows"}
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert all(name in page for name in ("Angular transmission error", "Lost motion", *steps))
-    assert "trial-1" not in page
 
 
 def test_an_abandoned_step_is_kept_and_reported_and_recorded_steps_are_skipped(command, tmp_path, wiring, bus_name):

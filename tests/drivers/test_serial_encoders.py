@@ -23,10 +23,11 @@ from serial.rfc2217 import PortManager
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
-from drivers.encoder import EncoderProtocolError, EncoderSetupError, EncoderTimeout, PortConfig
+from drivers.encoder import EncoderProtocolError, EncoderSetupError, EncoderTimeout
 from drivers.encoders.amt21 import Amt21Config, Amt21Encoder
 from drivers.encoders.ascii import AsciiConfig, AsciiCounter, line_pattern
 from drivers.encoders.modbus import ModbusConfig, ModbusEncoder
+from drivers.lines import PortConfig
 from drivers.recorder.bench import open_encoders, read_bench
 from drivers.recorder.session import record
 from drivers.recording_format import read_recording
