@@ -60,7 +60,7 @@ def test_an_angle_recorded_within_one_turn_is_continuous(tmp_path_factory, turns
         (["0,0,0,1", "1,nan,0,1"], HEADER, "input_angle is not a finite number in sample 1"),
         (["0,0,0,1", "1,1,0,x"], HEADER, 'line 3: torque is "x"'),
         (["0,0,0,1", "1,1,0"], HEADER, "line 3: it has 3 cells, the table 4"),
-        (['0,0,0,"1,5"', '1,1,0,"1,5"'], HEADER, 'line 2: torque is "1,5"'),
+        (['0,0,0,"1,234"', '1,1,0,"1,234"'], HEADER, 'line 2: torque is "1,234"'),
         (["0,0,0", "1,1,1"], "time [s],input_angle [rad],output_angle [rad]", 'no column "torque [N*m]"'),
         (["0,0,0,1"], "time [s],input_angle,output_angle [rad],torque [N*m]", '"input_angle" has no unit'),
         (["0,0,0,1"], "time [s],input_angle [mm],output_angle [rad],torque [N*m]", "input_angle: the unit"),
