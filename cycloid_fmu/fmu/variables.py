@@ -15,10 +15,12 @@ from typing import Literal
 import numpy as np
 
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.edge import Config
 from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of, wave_of
 from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, REFERENCE_TEMPERATURE, SUGGESTED_STEP
 from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.friction_file import LIMITS, Friction
+from cycloid_fmu.geometry.losses import Lubricant
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
 
@@ -28,6 +30,8 @@ INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
 LossRow = tuple[float, float, float, float, float]  # of Modelica's `LossyGear.lossTable`
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
 FRICTIONLESS = Friction()
+ADDED: dict[str, type[Config]] = {"lubricant": Lubricant}
+"""Values of an `Interface` that the resources of an FMU contain only if they are stated."""
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
 # Attributes of the models for variables with a different name.
 ATTRIBUTES = {
@@ -69,6 +73,7 @@ UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
     "W": ({"kg": 1, "m": 2, "s": -3}, {}),
     "J": ({"kg": 1, "m": 2, "s": -2}, {}),
     "m": ({"m": 1}, {"um": 1e6, "mm": 1e3}),
+    "m2/s": ({"m": 2, "s": -1}, {"mm2/s": 1e6}),
     "K": ({"K": 1}, {}),
     "1/K": ({"K": -1}, {"%/K": 100.0}),
     "s": ({"s": 1}, {"ms": 1e3, "h": 1.0 / 3600.0}),
@@ -110,6 +115,8 @@ class Interface:
         Stiffness of the modelled drive, N·m/rad, computed during the build (`fmu.chain.own_stiffness`).
     input_friction, output_friction
         Friction at `flange_a`, where it adds to the losses, and at `flange_b` (`friction_file.Friction`).
+    lubricant
+        With it the losses are those of the table at |w| times its viscosity over that at its own temperature.
 
     Examples
     --------
@@ -132,6 +139,7 @@ class Interface:
     support_flange: bool = False
     input_friction: Friction = FRICTIONLESS
     output_friction: Friction = FRICTIONLESS
+    lubricant: Lubricant | None = None
 
     @property
     def laws(self) -> tuple[Law, Law]:
@@ -141,6 +149,11 @@ class Interface:
     @property
     def warms(self) -> bool:
         """Whether friction depends on temperature, which is then an input of the FMU."""
+        return self.lubricant is not None or self.scaled
+
+    @property
+    def scaled(self) -> bool:
+        """Whether a temperature coefficient is stated."""
         return any(law.temperature_coefficient != 0.0 for law in self.laws)
 
     @property
@@ -540,7 +553,7 @@ def _friction(interface: Interface) -> list[Variable]:
     found = []
     for flange, law in zip(FLANGES, interface.laws, strict=True):
         for name, text in texts.items():
-            if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.warms):
+            if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.scaled):
                 continue
             unit, least, most, nominal = LIMITS[name]
             found.append(
@@ -557,20 +570,37 @@ def _friction(interface: Interface) -> list[Variable]:
                     getattr(law, name),
                 )
             )
+    lubricant = interface.lubricant
+    if lubricant is not None:
+        found += _lubricant(lubricant)
     if interface.warms:
         found.append(
             Variable(
                 "temperature",
-                "temperature of the sliding parts",
+                "temperature of the sliding parts" if lubricant is None else "temperature of the oil",
                 "input",
                 unit="K",
                 least=173.15,
                 most=573.15,
                 nominal=300.0,
-                start=REFERENCE_TEMPERATURE,
+                start=REFERENCE_TEMPERATURE if lubricant is None else lubricant.temperature,
             )
         )
     return found
+
+
+def _lubricant(lubricant: Lubricant) -> list[Variable]:
+    """Parameters of the viscosity over the temperature, which multiplies the speed in the loss table."""
+    viscosity, kelvin = ("m2/s", "mm2/s", 4e-7, 1.0, 1e-4), ("K", None, 173.15, 573.15, 300.0)
+    rows = (
+        ("viscosity_40", "kinematic viscosity at 40 degC", viscosity, lubricant.viscosity_40),
+        ("viscosity_100", "kinematic viscosity at 100 degC, below that at 40 degC", viscosity, lubricant.viscosity_100),
+        ("temperature", "temperature at which loss_table is stated", kelvin, lubricant.temperature),
+    )
+    return [
+        Variable(f"lubricant.{name}", f"lubricant: {text}", "parameter", "fixed", *limits, start)
+        for name, text, limits, start in rows
+    ]
 
 
 def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
@@ -695,7 +725,7 @@ def variables(
         found += _arrays(drive, shape)
     errors = tuple(v.name for v in found if v.causality == "parameter" and v.baked)
     shaping = (*errors, "series_compliance", "backlash_on")
-    rubbing = tuple(v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction")))
+    rubbing = tuple(v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction", "lubricant")))
     lossy = (*shaping, *rubbing, "friction_torque")
     if interface.kind == "compliant":
         lossy = (*lossy, "mesh_damping")

@@ -163,6 +163,9 @@ double *drive_stored(struct state *s, const struct variable *variable) {
     case OUTPUT_SPEED: return &s->output_speed;
     case TORQUE: return &s->torque;
     case TEMPERATURE: return &s->temperature;
+    case LUBRICANT_VISCOSITY_40: return &s->viscosity_40;
+    case LUBRICANT_VISCOSITY_100: return &s->viscosity_100;
+    case LUBRICANT_TEMPERATURE: return &s->lubricant_temperature;
     case SERIES_COMPLIANCE: return &s->series_compliance;
     case BACKLASH_ON: return &s->backlash_on;
     case MESH_DAMPING: return &s->mesh_damping;

@@ -33,6 +33,7 @@ struct state {
     /* Model Exchange: output angle, crank angle and strains at the end of the kinematic interface's last step. */
     double held, held_crank, held_strain[2][FRICTION_ELEMENTS];
     double event_mode; /* whether the instance is in it */
+    double viscosity_40, viscosity_100, lubricant_temperature; /* of the loss table; 0 without a lubricant */
     struct friction friction[2];
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
@@ -105,6 +106,7 @@ double drive_stiffness(struct drive *drive);           /* at the flange, the com
 
 int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]);
 int losses_take(const struct drive *drive); /* whether they take anything */
+double losses_thinning(const struct drive *drive); /* factor of the speed at the present temperature */
 double losses_torque(const struct drive *drive, double speed, double asked);
 
 void friction_settle(struct drive *drive);
