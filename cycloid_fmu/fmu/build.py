@@ -119,6 +119,8 @@ def checked_interface(interface: InterfaceKind | Interface, drive: DriveValue) -
             raise ArgumentError(name, f"it must be finite and not below zero ({unit})", getattr(interface, name))
     if interface.crank_inertia > 0.0 and interface.output_inertia == 0.0:
         raise ArgumentError("crank_inertia", "needs an output_inertia as well")
+    if interface.thermal is not None and interface.thermal.capacity is None:
+        raise ArgumentError("thermal", "needs a capacity")
     try:
         check_losses(interface.losses)
     except ValueError as problem:
@@ -138,7 +140,15 @@ def completed(interface: InterfaceKind | Interface, drive: DriveValue) -> Interf
     if drive.pair.supports is not None:
         play_loads(drive.pair)  # raises without a rated torque
     lossy, _ = with_model_losses(checked, drive)
-    return with_damping(with_chain(lossy, drive), drive)
+    return with_damping(with_chain(_with_heat(lossy, drive), drive), drive)
+
+
+def _with_heat(interface: Interface, drive: DriveValue) -> Interface:
+    """Return an interface with a heat port where the drive's losses and its heat capacity are stated."""
+    thermal = drive.pair.thermal
+    if interface.thermal is not None or drive.pair.losses is None or thermal is None or thermal.capacity is None:
+        return interface
+    return dataclasses.replace(interface, thermal=thermal)
 
 
 def with_damping(interface: Interface, drive: DriveValue) -> Interface:

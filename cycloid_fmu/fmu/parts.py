@@ -20,6 +20,7 @@ from cycloid_fmu.geometry.profile import flank_points
 
 _FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
 _SUPPORT = "Modelica.Mechanics.Rotational.Interfaces.Support"
+_HEAT_PORT = "Modelica.Thermal.HeatTransfer.Interfaces.HeatPort_a"
 DRIVE = "documentation/drive.toml"  # pair file of the FMU's drive
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>Cycloid drive</title>
@@ -82,6 +83,18 @@ def terminals(interface: Interface) -> bytes:
                 flange,
                 "TerminalMemberVariable",
                 variableName=f"{end}.{member}",
+                memberName=member,
+                variableKind=kind,
+            )
+    if interface.thermal is not None:
+        port = SubElement(
+            node, "Terminal", name="heat_port", matchingRule="plug", terminalKind=_HEAT_PORT, description="oil"
+        )
+        for member, kind in (("T", "signal"), ("Q_flow", "inflow")):
+            SubElement(
+                port,
+                "TerminalMemberVariable",
+                variableName=f"heat_port.{member}",
                 memberName=member,
                 variableKind=kind,
             )
