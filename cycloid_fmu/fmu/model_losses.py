@@ -78,8 +78,10 @@ class ModelLosses:
 
 def states_friction(interface: Interface) -> bool:
     """Return whether losses or friction are stated for an interface; then they are not computed from `[losses]`."""
-    return interface.losses != LOSSLESS or FRICTIONLESS != interface.input_friction or (
-        FRICTIONLESS != interface.output_friction
+    return (
+        interface.losses != LOSSLESS
+        or FRICTIONLESS != interface.input_friction
+        or (FRICTIONLESS != interface.output_friction)
     )
 
 
@@ -97,9 +99,7 @@ def with_model_losses(interface: Interface, drive: DriveValue) -> tuple[Interfac
         return interface, None
     found = model_losses(drive)
     names = ("input_friction", "output_friction", "lubricant")
-    return dataclasses.replace(
-        interface, losses=found.rows, **{name: getattr(found, name) for name in names}
-    ), found
+    return dataclasses.replace(interface, losses=found.rows, **{name: getattr(found, name) for name in names}), found
 
 
 def model_losses(drive: DriveValue) -> ModelLosses:

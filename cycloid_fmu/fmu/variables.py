@@ -605,7 +605,9 @@ def _friction(interface: Interface) -> list[Variable]:
 def _heat_port(thermal: Thermal) -> list[Variable]:
     """Variables of the heat capacity: a heat port as Modelica's, and what the surroundings take."""
 
-    def kelvin(name: str, text: str, causality: Literal["input", "output", "parameter"], start: float | None) -> Variable:
+    def kelvin(
+        name: str, text: str, causality: Literal["input", "output", "parameter"], start: float | None
+    ) -> Variable:
         fixed: Literal["fixed", "continuous"] = "fixed" if causality == "parameter" else "continuous"
         return Variable(name, text, causality, fixed, "K", None, COLDEST, HOTTEST, 300.0, start)
 
@@ -781,7 +783,9 @@ def variables(
     errors = tuple(v.name for v in found if v.causality == "parameter" and v.baked)
     begins = () if interface.thermal is None else ("temperature_start",)
     shaping = (*errors, "series_compliance", "backlash_on", *begins)
-    rubbing = tuple(v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction", "lubricant")))
+    rubbing = tuple(
+        v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction", "lubricant"))
+    )
     lossy = (*shaping, *rubbing, "friction_torque")
     if interface.kind == "compliant":
         lossy = (*lossy, "mesh_damping")
