@@ -71,18 +71,15 @@ class ModelLosses:
         return (
             f"losses from [losses], {len(self.rows)} rows of the loss table; flange_a.tau differs from the losses "
             f"solved in the balance by at most {100.0 * self.mean_deviation:.2g} % of the load's torque there "
-            f"(mean over the crank angles; {100.0 * self.angle_deviation:.2g} % at single ones), {self.loads[0]:.4g} to "
-            f"{self.loads[1]:.4g} N·m, up to {LARGEST_SPEED * 30.0 / math.pi:.4g} rpm{warm}"
+            f"(mean over the crank angles; {100.0 * self.angle_deviation:.2g} % at single ones), {self.loads[0]:.4g} "
+            f"to {self.loads[1]:.4g} N·m, up to {LARGEST_SPEED * 30.0 / math.pi:.4g} rpm{warm}"
         )
 
 
 def states_friction(interface: Interface) -> bool:
     """Return whether losses or friction are stated for an interface; then they are not computed from `[losses]`."""
-    return (
-        interface.losses != LOSSLESS
-        or FRICTIONLESS != interface.input_friction
-        or (FRICTIONLESS != interface.output_friction)
-    )
+    frictions = (interface.input_friction, interface.output_friction)
+    return interface.losses != LOSSLESS or any(friction != FRICTIONLESS for friction in frictions)
 
 
 def with_model_losses(interface: Interface, drive: DriveValue) -> tuple[Interface, ModelLosses | None]:
@@ -172,13 +169,13 @@ class _Model:
         rubbed = solve(drive, loads, self.angles, direction, speed / abs(self.rate), near=self.places.get(at))
         if np.isfinite(rubbed.place).all():
             self.places[at] = rubbed.place
-        torque = direction * math.copysign(1.0, self.rate) * rubbed.input_torque
+        torque: Array = direction * math.copysign(1.0, self.rate) * rubbed.input_torque
         if np.isnan(torque).any():
             load = loads[np.isnan(torque).any(axis=1)][0]
             mode = "drives" if load * direction > 0.0 else "is back-driven by"
             raise edge.InputError(
                 f"[losses]: the drive jams where it {mode} {abs(load):.4g} N*m at {speed * 30.0 / math.pi:.4g} rpm, "
-                "which a loss table can't state; reduce the friction, or state --losses."
+                "which a loss table can't state; state --losses, or leave [losses] out."
             )
         return torque
 
@@ -193,7 +190,7 @@ class _Model:
         if lost_back >= 1.0:
             raise edge.InputError(
                 f"[losses]: the drive locks itself: at {speed * 30.0 / math.pi:.4g} rpm the output can't turn flange_a "
-                "with any load, which a loss table can't state; reduce the friction, or state --losses."
+                "with any load, which a loss table can't state; state --losses, or leave [losses] out."
             )
         efficiency = 1.0 - lost_back
         return speed, 1.0 / (1.0 + lost), efficiency, friction / (1.0 + lost), friction_back / efficiency

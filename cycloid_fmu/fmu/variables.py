@@ -648,16 +648,25 @@ def _heat_port(thermal: Thermal) -> list[Variable]:
 
 def _lubricant(lubricant: Lubricant) -> list[Variable]:
     """Parameters of the viscosity over the temperature, which multiplies the speed in the loss table."""
-    viscosity, kelvin = ("m2/s", "mm2/s", 4e-7, 1.0, 1e-4), ("K", None, COLDEST, HOTTEST, 300.0)
-    rows = (
-        ("viscosity_40", "kinematic viscosity at 40 degC", viscosity, lubricant.viscosity_40),
-        ("viscosity_100", "kinematic viscosity at 100 degC, below that at 40 degC", viscosity, lubricant.viscosity_100),
-        ("temperature", "temperature at which loss_table is stated", kelvin, lubricant.temperature),
+
+    def viscosity(celsius: int, start: float) -> Variable:
+        text = f"lubricant: kinematic viscosity at {celsius} degC"
+        name = f"lubricant.viscosity_{celsius}"
+        return Variable(name, text, "parameter", "fixed", "m2/s", "mm2/s", 4e-7, 1.0, 1e-4, start)
+
+    stated = Variable(
+        "lubricant.temperature",
+        "lubricant: temperature at which loss_table is stated",
+        "parameter",
+        "fixed",
+        "K",
+        None,
+        COLDEST,
+        HOTTEST,
+        300.0,
+        lubricant.temperature,
     )
-    return [
-        Variable(f"lubricant.{name}", f"lubricant: {text}", "parameter", "fixed", *limits, start)
-        for name, text, limits, start in rows
-    ]
+    return [viscosity(40, lubricant.viscosity_40), viscosity(100, lubricant.viscosity_100), stated]
 
 
 def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:

@@ -8,11 +8,11 @@ import zipfile
 import fmpy
 import numpy as np
 import pytest
+from clockworks import Drive
 from common import EXAMPLES
 from typer.testing import CliRunner
 
 import cycloid_fmu as cy
-from clockworks import Drive
 from cycloid_fmu import edge
 from cycloid_fmu.cli import app
 from cycloid_fmu.fmu.build import completed
@@ -96,7 +96,7 @@ def test_inside_inertias_the_losses_are_the_same(built):
 
 
 def test_the_fmu_warms_up_as_the_drive_does(drive, built):
-    """In steps of ten seconds; the steady temperature follows from the same losses at the temperature that they make."""
+    """In steps of ten seconds; power and viscosity follow each other to the steady temperature."""
     heat = drive.heat(RATED, FAST, angles=40, workers=1)
     rise = heat.oil - heat.thermal.ambient
     interface, _, _ = built
@@ -241,7 +241,7 @@ def test_without_losses_an_fmu_has_none(drive):
 
 def test_a_drive_that_locks_itself_or_jams_is_refused_in_a_sentence():
     locking = cy.read_drive(EXAMPLES.parent / "tests" / "data" / "losses-cases" / "printed-self-locking.toml")
-    with pytest.raises(edge.InputError, match="the drive locks itself: .* which a loss table can't state"):
+    with pytest.raises(edge.InputError, match=r"the drive locks itself: .* which a loss table can't state"):
         model_losses(locking)
     losses = locking.pair.losses
     stuck = locking.pair.replace(losses=losses.replace(flank=losses.flank.replace(friction_coefficient=0.9)))
