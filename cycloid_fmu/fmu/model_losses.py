@@ -52,6 +52,8 @@ class ModelLosses:
         The same at single crank angles.
     loads, temperatures
         Smallest and largest of those compared, N·m on the output and K.
+    from_table
+        Names of `friction_values.VALUES` whose geometric mean was taken.
     """
 
     rows: tuple[LossRow, ...]
@@ -62,15 +64,17 @@ class ModelLosses:
     angle_deviation: float
     loads: tuple[float, float]
     temperatures: tuple[float, float]
+    from_table: tuple[str, ...] = ()
 
     @property
     def summary(self) -> str:
         """What was computed, and how well it agrees, without a full stop."""
         low, high = (kelvin - 273.15 for kelvin in self.temperatures)
+        means = f" with the geometric means of {', '.join(map(repr, self.from_table))}" if self.from_table else ""
         warm = "" if low == high else f", {low:.4g} to {high:.4g} °C"
         return (
-            f"losses from [losses], {len(self.rows)} rows of the loss table; flange_a.tau differs from the losses "
-            f"solved in the balance by at most {100.0 * self.mean_deviation:.2g} % of the load's torque there "
+            f"losses from [losses]{means}, {len(self.rows)} rows of the loss table; flange_a.tau differs from the "
+            f"losses solved in the balance by at most {100.0 * self.mean_deviation:.2g} % of the load's torque there "
             f"(mean over the crank angles; {100.0 * self.angle_deviation:.2g} % at single ones), {self.loads[0]:.4g} "
             f"to {self.loads[1]:.4g} N·m, up to {LARGEST_SPEED * 30.0 / math.pi:.4g} rpm{warm}"
         )
@@ -123,6 +127,7 @@ def model_losses(drive: DriveValue) -> ModelLosses:
         0.0,
         (SHARES[0] * model.rated, model.rated),
         (0.0, 0.0),
+        tuple(sorted(set(losses.from_table.values()))),
     )
     return _compared(model, found)
 
@@ -142,7 +147,8 @@ def table_torque(rows: tuple[LossRow, ...], speed: float, asked: Array) -> Array
     table = np.array(rows)
     forward, backward, friction, friction_back = (np.interp(speed, table[:, 0], column) for column in table[:, 1:].T)
     # Two lines; LossyGear changes over where they cross, so it has the larger one.
-    return np.maximum((asked + friction) / forward, backward * (asked + friction_back))
+    needed: Array = np.maximum((asked + friction) / forward, backward * (asked + friction_back))
+    return needed
 
 
 class _Model:

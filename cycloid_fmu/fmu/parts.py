@@ -52,7 +52,10 @@ exp(-(w/stribeck_speed)&sup2;) + viscous |w|) exp(-temperature_coefficient (temp
 that slip one after the other: it holds a load without creep, and its loops close at their reversals.</p>
 <p><code>loss_table</code> is <code>lossTable</code> of Modelica's LossyGear: speed of flange_a, efficiency from a to b
 and from b to a, friction torque at flange_a in the same two cases; linear between the rows, constant beyond the
-last.</p>
+last.{% if interface.lubricant %} The speed is multiplied by the lubricant's viscosity at the present temperature
+over that at <code>lubricant.temperature</code> (ASTM D341).{% endif %}</p>{% if interface.thermal %}
+<p>The temperature of the oil is a state: heat_capacity dT/dt = power_loss + heat_port.Q_flow - (T -
+ambient_temperature)/thermal_resistance.</p>{% endif %}
 </body></html>
 """
 

@@ -85,6 +85,9 @@ _FIELDS = (
     "loss_table",
 )
 
+_SHARED = {"friction_torque": "output_friction.coulomb", "heat_port.T": "temperature"}
+"""Variables whose field in the C model is another variable's in other FMUs."""
+
 
 def constants_header() -> bytes:
     """Return `constants.h`."""
@@ -203,7 +206,7 @@ def _field(variable: Variable) -> int:
     cell = re.fullmatch(r"loss_table\[(\d+),(\d+)\]", variable.name)
     if cell:
         return _FIELDS.index("loss_table") + (int(cell[1]) - 1) * constants.LOSS_COLUMNS + int(cell[2]) - 1
-    name = "output_friction.coulomb" if variable.name == "friction_torque" else variable.name
+    name = _SHARED.get(variable.name, variable.name)
     name = re.sub(r"\[(\d+)\]", r"_\1", ATTRIBUTES.get(name, name)).replace(".", "_")
     return -1 if variable.baked else _FIELDS.index(name)
 

@@ -47,7 +47,6 @@ ATTRIBUTES = {
     "support.phi": "support_angle",
     "support.w": "support_speed",
     "support.tau": "support_torque",
-    "heat_port.T": "temperature",
     "heat_port.T_rate": "temperature_rate",
     "heat_port.Q_flow": "heat_flow",
 }
@@ -110,6 +109,7 @@ class Interface:
     losses
         Rows of Modelica's `LossyGear.lossTable`: |w| of flange_a (rad/s, ascending from 0), efficiency while power
         flows from a to b and from b to a (dimensionless), friction torque at flange_a in the same two cases (N·m).
+        Where neither these nor friction are stated, a build takes both from the pair's `[losses]`, if it has them.
     driven
         Shaft at `flange_a`: "crank", or "sun" of an RV reducer.
     stiffness
@@ -126,7 +126,8 @@ class Interface:
     lubricant
         With it the losses are those of the table at |w| times its viscosity over that at its own temperature.
     thermal
-        With its capacity the temperature of the oil is a state of the FMU, which has a heat port.
+        With its capacity, which must be stated, the temperature of the oil is a state of the FMU, which has a heat
+        port. None for that of a pair with `[losses]`, if it states a capacity.
 
     Examples
     --------
