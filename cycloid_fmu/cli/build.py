@@ -156,7 +156,7 @@ def build(
         _print_notes(one)
         complete, found = with_model_losses(checked_interface(offered, one), one)
         if found is not None:
-            typer.echo(f"{path}: {found.summary}.")
+            typer.echo(f"{path}: {found.summary}")
         if native:
             tables = {"platforms": platforms or (), "largest_torque": largest_torque}
             _build_native(one, path, interface=complete, fmi_version=fmi_version, **tables)

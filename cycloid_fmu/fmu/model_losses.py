@@ -68,15 +68,15 @@ class ModelLosses:
 
     @property
     def summary(self) -> str:
-        """What was computed, and how well it agrees, without a full stop."""
+        """What was computed, and how well it agrees: two sentences, each on its line."""
         low, high = (kelvin - 273.15 for kelvin in self.temperatures)
         means = f" with the geometric means of {', '.join(map(repr, self.from_table))}" if self.from_table else ""
         warm = "" if low == high else f", {low:.4g} to {high:.4g} °C"
         return (
-            f"losses from [losses]{means}, {len(self.rows)} rows of the loss table; flange_a.tau differs from the "
-            f"losses solved in the balance by at most {100.0 * self.mean_deviation:.2g} % of the load's torque there "
-            f"(mean over the crank angles; {100.0 * self.angle_deviation:.2g} % at single ones), {self.loads[0]:.4g} "
-            f"to {self.loads[1]:.4g} N·m, up to {LARGEST_SPEED * 30.0 / math.pi:.4g} rpm{warm}"
+            f"losses from [losses]{means}, {len(self.rows)} rows of the loss table; for {self.loads[0]:.4g} to "
+            f"{self.loads[1]:.4g} N·m, up to {LARGEST_SPEED * 30.0 / math.pi:.4g} rpm{warm}.\n"
+            "The torque at flange_a differs from that with friction in the balance by at most "
+            f"{100.0 * self.mean_deviation:.2g} % of the load's, at single crank angles by {100.0 * self.angle_deviation:.2g} %."
         )
 
 
