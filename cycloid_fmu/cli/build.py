@@ -142,9 +142,12 @@ def build(
     offered, measured = read_interface(stated, drive.ratio, losses=losses, friction=friction_file, loop=loop)
     if measured is not None:
         typer.echo(f"{losses}: {measured.told}.")
-    if drive.pair.losses is not None and states_friction(offered):
-        source = next(file for file in (losses, friction_file, loop) if file is not None)
-        typer.echo(f"{pair_file}: [losses] are not used: {source} states the losses or friction of this FMU.")
+    if drive.pair.losses is not None and (states_friction(offered) or drive.pair.supports is None):
+        source = next((file for file in (losses, friction_file, loop) if file is not None), None)
+        why = "there are no [supports] that they act on"
+        if source is not None:
+            why = f"{source} states the losses or friction of this FMU"
+        typer.echo(f"{pair_file}: [losses] are not used: {why}.")
     if native and drive.pair.rated_torque is None and largest_torque is None:
         from cycloid_fmu.fmu.constants import LARGEST_LOAD
 

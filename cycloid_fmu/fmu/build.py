@@ -145,8 +145,8 @@ def completed(interface: InterfaceKind | Interface, drive: DriveValue) -> Interf
 
 def _with_heat(interface: Interface, drive: DriveValue) -> Interface:
     """Return an interface with a heat port where the drive's losses and its heat capacity are stated."""
-    thermal = drive.pair.thermal
-    if interface.thermal is not None or drive.pair.losses is None or thermal is None or thermal.capacity is None:
+    thermal, stated = drive.pair.thermal, drive.pair.losses is not None and drive.pair.supports is not None
+    if interface.thermal is not None or not stated or thermal is None or thermal.capacity is None:
         return interface
     return dataclasses.replace(interface, thermal=thermal)
 

@@ -76,7 +76,8 @@ class ModelLosses:
             f"losses from [losses]{means}, {len(self.rows)} rows of the loss table; for {self.loads[0]:.4g} to "
             f"{self.loads[1]:.4g} N·m, up to {LARGEST_SPEED * 30.0 / math.pi:.4g} rpm{warm}.\n"
             "The torque at flange_a differs from that with friction in the balance by at most "
-            f"{100.0 * self.mean_deviation:.2g} % of the load's, at single crank angles by {100.0 * self.angle_deviation:.2g} %."
+            f"{100.0 * self.mean_deviation:.2g} % of the load's, at single crank angles by "
+            f"{100.0 * self.angle_deviation:.2g} %."
         )
 
 
@@ -89,14 +90,15 @@ def states_friction(interface: Interface) -> bool:
 def with_model_losses(interface: Interface, drive: DriveValue) -> tuple[Interface, ModelLosses | None]:
     """Return an interface with the losses of `[losses]`, and what was computed.
 
-    It is as it was, with None, where the pair states no losses or the interface states losses or friction.
+    It is as it was, with None, where the pair states no losses or no supports for them to act on, or the interface
+    states losses or friction.
 
     Raises
     ------
     edge.InputError
         As `model_losses`.
     """
-    if drive.pair.losses is None or states_friction(interface):
+    if drive.pair.losses is None or drive.pair.supports is None or states_friction(interface):
         return interface, None
     found = model_losses(drive)
     names = ("input_friction", "output_friction", "lubricant")
@@ -273,17 +275,24 @@ def _compared(model: _Model, found: ModelLosses) -> ModelLosses:
     stated = model.losses.lubricant
     temperatures = {low, high} if model.drive.pair.thermal is not None or stated is not None else {COLDEST}
     temperatures |= set() if stated is None else {stated.temperature}
-    compared, mean, single = list[float](), 0.0, 0.0
+    compared, problem, mean, single = list[float](), None, 0.0, 0.0
     for kelvin in sorted(temperatures):
         try:
             warm = _at_temperature(model.drive, kelvin)
-        except edge.InputError:  # a clearance is used up there
+            off = np.array(
+                [
+                    _differences(model, found, warm, direction, side * model.rated * np.array(_COMPARED), kelvin)
+                    for direction, side in itertools.product((1, -1), (1.0, -1.0))
+                ]
+            )
+        except edge.InputError as refused:  # a clearance is used up there, or the drive jams
+            problem = refused
             continue
         compared.append(kelvin)
-        for direction, side in itertools.product((1, -1), (1.0, -1.0)):
-            off = _differences(model, found, warm, direction, side * model.rated * np.array(_COMPARED), kelvin)
-            mean = max(mean, float(np.abs(off.mean(axis=-1)).max()))
-            single = max(single, float(np.abs(off).max()))
+        mean = max(mean, float(np.abs(off.mean(axis=-1)).max()))
+        single = max(single, float(np.abs(off).max()))
+    if problem is not None and not compared:
+        raise problem
     return dataclasses.replace(
         found, mean_deviation=mean, angle_deviation=single, temperatures=(compared[0], compared[-1])
     )

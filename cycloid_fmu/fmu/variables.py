@@ -109,7 +109,7 @@ class Interface:
     losses
         Rows of Modelica's `LossyGear.lossTable`: |w| of flange_a (rad/s, ascending from 0), efficiency while power
         flows from a to b and from b to a (dimensionless), friction torque at flange_a in the same two cases (N·m).
-        Where neither these nor friction are stated, a build takes both from the pair's `[losses]`, if it has them.
+        Where neither these nor friction are stated, a build takes both from the `[losses]` of a pair with `[supports]`.
     driven
         Shaft at `flange_a`: "crank", or "sun" of an RV reducer.
     stiffness

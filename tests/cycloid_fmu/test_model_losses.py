@@ -9,7 +9,7 @@ import fmpy
 import numpy as np
 import pytest
 from clockworks import Drive
-from common import EXAMPLES
+from common import EXAMPLES, PAIR
 from typer.testing import CliRunner
 
 import cycloid_fmu as cy
@@ -237,6 +237,16 @@ def test_without_losses_an_fmu_has_none(drive):
     interface = completed("kinematic", bare)
     assert (interface.losses, interface.lubricant, interface.thermal) == (LOSSLESS, None, None)
     assert not interface.warms
+
+
+def test_friction_without_bearings_is_not_used_and_a_sentence_says_so(tmp_path):
+    """As wear needs it: the friction of the flanks alone."""
+    pair, out = tmp_path / "pair.toml", tmp_path / "drive.fmu"
+    pair.write_text(PAIR + "[losses.flank]\nfriction_coefficient = 0.06\n")
+    done = CliRunner().invoke(app, ["build", str(pair), "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "[losses] are not used: there are no [supports]" in done.output.replace("\n", " ")
+    assert fmpy.simulate_fmu(str(out), stop_time=0.01, output=["power_loss"])["power_loss"][-1] == 0.0
 
 
 def test_a_drive_that_locks_itself_or_jams_is_refused_in_a_sentence():
