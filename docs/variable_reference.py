@@ -1,5 +1,6 @@
 """The reference of the FMU's variables, from the table that every FMU is made of."""
 
+import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import nominal_surface
 
 EXAMPLE = "drive-39-40.toml"
+BEARINGS = "drive-39-40-bearings.toml"  # with [losses] and [thermal]
 WARM = Friction(temperature_coefficient=0.01)
 INTERFACES = {
     "kinematic": Interface(support_flange=True, input_friction=WARM),
@@ -23,7 +25,9 @@ INTERFACES = {
 SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
     (
         "Inputs and outputs",
-        "Angles and speeds are counter-clockwise, torques positive into the drive at their flange.",
+        "Angles and speeds are counter-clockwise, torques positive into the drive at their flange. `temperature` is an "
+        "input where friction depends on it; with a `capacity` in `[thermal]` it is a state instead, `heat_port.T`, "
+        "and `heat_port.Q_flow` and `ambient_temperature` are inputs.",
         lambda v: v.causality in ("input", "output") and not v.dimensions,
     ),
     (
@@ -33,8 +37,10 @@ SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
     ),
     (
         "Other parameters",
-        "`loss_table[i,j]` has a row for each of `--losses`, the first of which is listed here. `temperature`, its "
-        "coefficients and references are there where `--friction` or `--losses` states a coefficient, here 0.01/K.",
+        "`loss_table[i,j]` has a row for each of `--losses` or of those made from `[losses]`, the first of which is "
+        "listed here. Coefficients and reference temperatures are there where `--friction` or `--losses` states one, "
+        "here 0.01/K. The `lubricant` is that of `[losses.lubricant]`; `temperature_start`, `thermal_resistance` and "
+        f"`heat_capacity` come with the heat port. Their starts here are those of `examples/{BEARINGS}`.",
         lambda v: v.causality == "parameter" and not v.baked and not v.dimensions,
     ),
     (
@@ -64,12 +70,16 @@ errors are those of [one drawing](theory-frames).
 
 
 def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
-    """(interface, its FMI 3.0 variables) of the example."""
-    pair = read_pair(Path(__file__).parent.parent / "examples" / EXAMPLE)
+    """(interface, its FMI 3.0 variables) of the example, with the temperature as an input and then with a heat port."""
+    examples = Path(__file__).parent.parent / "examples"
+    pair, warm = read_pair(examples / EXAMPLE), read_pair(examples / BEARINGS)
     drive = DriveValue(pair, nominal_surface(pair))
+    assert warm.losses is not None
+    heat = {"lubricant": warm.losses.lubricant, "thermal": warm.thermal}
     for name, interface in INTERFACES.items():
         damped = with_damping(interface, drive)
         yield name, variables(drive, damped, "3.0")
+        yield name, variables(drive, dataclasses.replace(damped, **heat), "3.0")
 
 
 def in_native(variable: Variable) -> str:

@@ -123,7 +123,9 @@ def build(
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
     from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.fmu.build import checked_interface
     from cycloid_fmu.fmu.interface_files import read_interface
+    from cycloid_fmu.fmu.model_losses import states_friction, with_model_losses
     from cycloid_fmu.fmu.variables import Interface
 
     if platforms and not native:
@@ -140,6 +142,12 @@ def build(
     offered, measured = read_interface(stated, drive.ratio, losses=losses, friction=friction_file, loop=loop)
     if measured is not None:
         typer.echo(f"{losses}: {measured.told}.")
+    if drive.pair.losses is not None and (states_friction(offered) or drive.pair.supports is None):
+        source = next((file for file in (losses, friction_file, loop) if file is not None), None)
+        why = "there are no [supports] that they act on"
+        if source is not None:
+            why = f"{source} states the losses or friction of this FMU"
+        typer.echo(f"{pair_file}: [losses] are not used: {why}.")
     if native and drive.pair.rated_torque is None and largest_torque is None:
         from cycloid_fmu.fmu.constants import LARGEST_LOAD
 
@@ -149,11 +157,14 @@ def build(
         )
     for path, one in _drives(drive, output, draws, age or [], wear_factor, crank_turns or []).items():
         _print_notes(one)
+        complete, found = with_model_losses(checked_interface(offered, one), one)
+        if found is not None:
+            typer.echo(f"{path}: {found.summary}")
         if native:
             tables = {"platforms": platforms or (), "largest_torque": largest_torque}
-            _build_native(one, path, interface=offered, fmi_version=fmi_version, **tables)
+            _build_native(one, path, interface=complete, fmi_version=fmi_version, **tables)
         else:
-            one.build_fmu(path, offered, fmi_version=fmi_version)  # type: ignore[arg-type]
+            one.build_fmu(path, complete, fmi_version=fmi_version)  # type: ignore[arg-type]
 
 
 def _drives(

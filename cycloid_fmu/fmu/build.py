@@ -16,15 +16,15 @@ import numpy as np
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.edge import ArgumentError
+from cycloid_fmu.edge import ArgumentError, Config
 from cycloid_fmu.fmu.chain import with_chain
 from cycloid_fmu.fmu.constants import DAMPING_TIME
 from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SUMS, SURFACE, sums_of, variables_hash
 from cycloid_fmu.fmu.description import Version
-from cycloid_fmu.fmu.friction_file import Friction
+from cycloid_fmu.fmu.model_losses import with_model_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
-from cycloid_fmu.fmu.variables import INTERFACES, Interface, InterfaceKind, LossRow, variables
+from cycloid_fmu.fmu.variables import ADDED, INTERFACES, Interface, InterfaceKind, LossRow, variables
 from cycloid_fmu.supports.transmission import play_loads
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.surface import DEVIATIONS
@@ -79,8 +79,9 @@ def build_fmu(
             "package_version": __version__,
             "pair": pair.nominal.text,
             "interface": {
-                name: value.model_dump() if isinstance(value, Friction) else value
+                name: value.model_dump() if isinstance(value, Config) else value
                 for name, value in vars(interface).items()
+                if name not in ADDED or value is not None
             },
             "variables": variables_hash(table),
         }
@@ -118,6 +119,8 @@ def checked_interface(interface: InterfaceKind | Interface, drive: DriveValue) -
             raise ArgumentError(name, f"it must be finite and not below zero ({unit})", getattr(interface, name))
     if interface.crank_inertia > 0.0 and interface.output_inertia == 0.0:
         raise ArgumentError("crank_inertia", "needs an output_inertia as well")
+    if interface.thermal is not None and interface.thermal.capacity is None:
+        raise ArgumentError("thermal", "needs a capacity")
     try:
         check_losses(interface.losses)
     except ValueError as problem:
@@ -131,12 +134,21 @@ def completed(interface: InterfaceKind | Interface, drive: DriveValue) -> Interf
     Raises
     ------
     edge.InputError
-        As `checked_interface` and `chain.with_chain` do.
+        As `checked_interface`, `chain.with_chain` and `model_losses.model_losses` do.
     """
     checked = checked_interface(interface, drive)
     if drive.pair.supports is not None:
         play_loads(drive.pair)  # raises without a rated torque
-    return with_damping(with_chain(checked, drive), drive)
+    lossy, _ = with_model_losses(checked, drive)
+    return with_damping(with_chain(_with_heat(lossy, drive), drive), drive)
+
+
+def _with_heat(interface: Interface, drive: DriveValue) -> Interface:
+    """Return an interface with a heat port where the drive's losses and its heat capacity are stated."""
+    thermal, stated = drive.pair.thermal, drive.pair.losses is not None and drive.pair.supports is not None
+    if interface.thermal is not None or not stated or thermal is None or thermal.capacity is None:
+        return interface
+    return dataclasses.replace(interface, thermal=thermal)
 
 
 def with_damping(interface: Interface, drive: DriveValue) -> Interface:

@@ -24,7 +24,7 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu.clockwork import Clockwork, Group
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.friction_file import Friction
-from cycloid_fmu.fmu.variables import Interface, Variable, stiffness_text
+from cycloid_fmu.fmu.variables import ADDED, Interface, Variable, stiffness_text
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -79,7 +79,8 @@ def variables_hash(table: Sequence[Variable]) -> str:
 
 def interface_from(numbers: dict[str, Any]) -> Interface:
     """Return the interface that a builder wrote into the resources."""
-    made = {name: Friction(**numbers[name]) for name in ("input_friction", "output_friction")}
+    made: dict[str, Any] = {name: Friction(**numbers[name]) for name in ("input_friction", "output_friction")}
+    made |= {name: kind(**numbers[name]) for name, kind in ADDED.items() if name in numbers}
     return Interface(**{**numbers, **made, "losses": tuple(tuple(row) for row in numbers["losses"])})
 
 

@@ -9,7 +9,7 @@ import pydantic
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import Config
-from cycloid_fmu.fmu.constants import MOST_LOAD_SHARE, REFERENCE_TEMPERATURE
+from cycloid_fmu.fmu.constants import COLDEST, HOTTEST, MOST_LOAD_SHARE, REFERENCE_TEMPERATURE
 from cycloid_fmu.fmu.friction import NO_FRICTION, Law
 
 FORMAT = "cycloid-friction/1"
@@ -21,7 +21,7 @@ LIMITS: dict[str, tuple[str, float, float | None, float]] = {
     "stribeck_speed": ("rad/s", 1e-6, None, 1.0),
     "viscous": ("N.m.s/rad", 0.0, None, 1e-3),
     "temperature_coefficient": ("1/K", -0.1, 0.1, 0.01),
-    "reference_temperature": ("K", 173.15, 573.15, 300.0),
+    "reference_temperature": ("K", COLDEST, HOTTEST, 300.0),
     "presliding_angle": ("rad", 1e-9, 1.0, 1e-3),
 }
 

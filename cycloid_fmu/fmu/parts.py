@@ -20,6 +20,7 @@ from cycloid_fmu.geometry.profile import flank_points
 
 _FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
 _SUPPORT = "Modelica.Mechanics.Rotational.Interfaces.Support"
+_HEAT_PORT = "Modelica.Thermal.HeatTransfer.Interfaces.HeatPort_a"
 DRIVE = "documentation/drive.toml"  # pair file of the FMU's drive
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>Cycloid drive</title>
@@ -51,7 +52,10 @@ exp(-(w/stribeck_speed)&sup2;) + viscous |w|) exp(-temperature_coefficient (temp
 that slip one after the other: it holds a load without creep, and its loops close at their reversals.</p>
 <p><code>loss_table</code> is <code>lossTable</code> of Modelica's LossyGear: speed of flange_a, efficiency from a to b
 and from b to a, friction torque at flange_a in the same two cases; linear between the rows, constant beyond the
-last.</p>
+last.{% if interface.lubricant %} The speed is multiplied by the lubricant's viscosity at the present temperature
+over that at <code>lubricant.temperature</code> (ASTM D341).{% endif %}</p>{% if interface.thermal %}
+<p>The temperature of the oil is a state: heat_capacity dT/dt = power_loss + heat_port.Q_flow - (T -
+ambient_temperature)/thermal_resistance.</p>{% endif %}
 </body></html>
 """
 
@@ -82,6 +86,18 @@ def terminals(interface: Interface) -> bytes:
                 flange,
                 "TerminalMemberVariable",
                 variableName=f"{end}.{member}",
+                memberName=member,
+                variableKind=kind,
+            )
+    if interface.thermal is not None:
+        port = SubElement(
+            node, "Terminal", name="heat_port", matchingRule="plug", terminalKind=_HEAT_PORT, description="oil"
+        )
+        for member, kind in (("T", "signal"), ("Q_flow", "inflow")):
+            SubElement(
+                port,
+                "TerminalMemberVariable",
+                variableName=f"heat_port.{member}",
                 memberName=member,
                 variableKind=kind,
             )

@@ -51,6 +51,15 @@ _FIELDS = (
     "contact_count",
     "series_compliance",
     "temperature",
+    "temperature_start",
+    "temperature_rate",
+    "ambient_temperature",
+    "heat_flow",
+    "thermal_resistance",
+    "heat_capacity",
+    "lubricant_viscosity_40",
+    "lubricant_viscosity_100",
+    "lubricant_temperature",
     "power_loss",
     "backlash_on",
     "elastic_energy",
@@ -75,6 +84,9 @@ _FIELDS = (
     *(f"{flange}_friction_{name}" for flange in FLANGES for name in Law._fields),
     "loss_table",
 )
+
+_SHARED = {"friction_torque": "output_friction.coulomb", "heat_port.T": "temperature"}
+"""Variables whose field in the C model is another variable's in other FMUs."""
 
 
 def constants_header() -> bytes:
@@ -194,7 +206,7 @@ def _field(variable: Variable) -> int:
     cell = re.fullmatch(r"loss_table\[(\d+),(\d+)\]", variable.name)
     if cell:
         return _FIELDS.index("loss_table") + (int(cell[1]) - 1) * constants.LOSS_COLUMNS + int(cell[2]) - 1
-    name = "output_friction.coulomb" if variable.name == "friction_torque" else variable.name
+    name = _SHARED.get(variable.name, variable.name)
     name = re.sub(r"\[(\d+)\]", r"_\1", ATTRIBUTES.get(name, name)).replace(".", "_")
     return -1 if variable.baked else _FIELDS.index(name)
 

@@ -15,11 +15,14 @@ from typing import Literal
 import numpy as np
 
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.edge import Config
 from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of, wave_of
-from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, REFERENCE_TEMPERATURE, SUGGESTED_STEP
+from cycloid_fmu.fmu.constants import COLDEST, FRICTION_ELEMENTS, HOTTEST, REFERENCE_TEMPERATURE, SUGGESTED_STEP
 from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.friction_file import LIMITS, Friction
+from cycloid_fmu.geometry.losses import Lubricant
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.thermal import Thermal
 from cycloid_fmu.surfaces.structured import structured_value
 
 InterfaceKind = Literal["kinematic", "compliant"]
@@ -28,6 +31,8 @@ INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
 LossRow = tuple[float, float, float, float, float]  # of Modelica's `LossyGear.lossTable`
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
 FRICTIONLESS = Friction()
+ADDED: dict[str, type[Config]] = {"lubricant": Lubricant, "thermal": Thermal}
+"""Values of an `Interface` that the resources of an FMU contain only if they are stated."""
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
 # Attributes of the models for variables with a different name.
 ATTRIBUTES = {
@@ -42,6 +47,8 @@ ATTRIBUTES = {
     "support.phi": "support_angle",
     "support.w": "support_speed",
     "support.tau": "support_torque",
+    "heat_port.T_rate": "temperature_rate",
+    "heat_port.Q_flow": "heat_flow",
 }
 
 # With a support flange the flanges' angles and speeds are absolute.
@@ -52,6 +59,7 @@ ABSOLUTE = {
     "flange_b.w": "absolute_output_speed",
 }
 
+HEAT_STATE = "heat_port.T"
 STRAINS = tuple(f"{flange}_friction_strain" for flange in FLANGES)  # strains of friction elements, in Model Exchange
 
 # unit: exponents of SI base units, then display units with their factor
@@ -69,7 +77,11 @@ UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
     "W": ({"kg": 1, "m": 2, "s": -3}, {}),
     "J": ({"kg": 1, "m": 2, "s": -2}, {}),
     "m": ({"m": 1}, {"um": 1e6, "mm": 1e3}),
+    "m2/s": ({"m": 2, "s": -1}, {"mm2/s": 1e6}),
     "K": ({"K": 1}, {}),
+    "K/s": ({"K": 1, "s": -1}, {}),
+    "K/W": ({"K": 1, "kg": -1, "m": -2, "s": 3}, {}),
+    "J/K": ({"kg": 1, "m": 2, "s": -2, "K": -1}, {"kJ/K": 1e-3}),
     "1/K": ({"K": -1}, {"%/K": 100.0}),
     "s": ({"s": 1}, {"ms": 1e3, "h": 1.0 / 3600.0}),
     "1": ({}, {"%": 100.0}),
@@ -97,6 +109,7 @@ class Interface:
     losses
         Rows of Modelica's `LossyGear.lossTable`: |w| of flange_a (rad/s, ascending from 0), efficiency while power
         flows from a to b and from b to a (dimensionless), friction torque at flange_a in the same two cases (N·m).
+        Where neither these nor friction are stated, a build takes both from the `[losses]` of a pair with `[supports]`.
     driven
         Shaft at `flange_a`: "crank", or "sun" of an RV reducer.
     stiffness
@@ -110,6 +123,11 @@ class Interface:
         Stiffness of the modelled drive, N·m/rad, computed during the build (`fmu.chain.own_stiffness`).
     input_friction, output_friction
         Friction at `flange_a`, where it adds to the losses, and at `flange_b` (`friction_file.Friction`).
+    lubricant
+        With it the losses are those of the table at |w| times its viscosity over that at its own temperature.
+    thermal
+        With its capacity, which must be stated, the temperature of the oil is a state of the FMU, which has a heat
+        port. None for that of a pair with `[losses]`, if it states a capacity.
 
     Examples
     --------
@@ -132,6 +150,8 @@ class Interface:
     support_flange: bool = False
     input_friction: Friction = FRICTIONLESS
     output_friction: Friction = FRICTIONLESS
+    lubricant: Lubricant | None = None
+    thermal: Thermal | None = None
 
     @property
     def laws(self) -> tuple[Law, Law]:
@@ -141,6 +161,11 @@ class Interface:
     @property
     def warms(self) -> bool:
         """Whether friction depends on temperature, which is then an input of the FMU."""
+        return self.lubricant is not None or self.scaled
+
+    @property
+    def scaled(self) -> bool:
+        """Whether a temperature coefficient is stated."""
         return any(law.temperature_coefficient != 0.0 for law in self.laws)
 
     @property
@@ -540,7 +565,7 @@ def _friction(interface: Interface) -> list[Variable]:
     found = []
     for flange, law in zip(FLANGES, interface.laws, strict=True):
         for name, text in texts.items():
-            if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.warms):
+            if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.scaled):
                 continue
             unit, least, most, nominal = LIMITS[name]
             found.append(
@@ -557,20 +582,92 @@ def _friction(interface: Interface) -> list[Variable]:
                     getattr(law, name),
                 )
             )
-    if interface.warms:
+    lubricant = interface.lubricant
+    if lubricant is not None:
+        found += _lubricant(lubricant)
+    if interface.thermal is not None:
+        found += _heat_port(interface.thermal)
+    elif interface.warms:
         found.append(
             Variable(
                 "temperature",
-                "temperature of the sliding parts",
+                "temperature of the sliding parts" if lubricant is None else "temperature of the oil",
                 "input",
                 unit="K",
-                least=173.15,
-                most=573.15,
+                least=COLDEST,
+                most=HOTTEST,
                 nominal=300.0,
-                start=REFERENCE_TEMPERATURE,
+                start=REFERENCE_TEMPERATURE if lubricant is None else lubricant.temperature,
             )
         )
     return found
+
+
+def _heat_port(thermal: Thermal) -> list[Variable]:
+    """Variables of the heat capacity: a heat port as Modelica's, and what the surroundings take."""
+
+    def kelvin(
+        name: str, text: str, causality: Literal["input", "output", "parameter"], start: float | None
+    ) -> Variable:
+        fixed: Literal["fixed", "continuous"] = "fixed" if causality == "parameter" else "continuous"
+        return Variable(name, text, causality, fixed, "K", None, COLDEST, HOTTEST, 300.0, start)
+
+    return [
+        kelvin("heat_port.T", "temperature of the oil", "output", None),
+        Variable(
+            "heat_port.Q_flow",
+            "heat flow into the drive, besides that to the surroundings",
+            "input",
+            unit="W",
+            nominal=10.0,
+            start=0.0,
+        ),
+        kelvin("ambient_temperature", "temperature of the surroundings", "input", thermal.ambient),
+        kelvin("temperature_start", "temperature of the oil at the start", "parameter", thermal.ambient),
+        Variable(
+            "thermal_resistance",
+            "thermal resistance from the oil to the surroundings",
+            "parameter",
+            "tunable",
+            "K/W",
+            least=1e-9,
+            nominal=1.0,
+            start=thermal.whole,
+        ),
+        Variable(
+            "heat_capacity",
+            "heat capacity of the drive",
+            "parameter",
+            "tunable",
+            "J/K",
+            least=1e-9,
+            nominal=1e3,
+            start=thermal.capacity,
+        ),
+    ]
+
+
+def _lubricant(lubricant: Lubricant) -> list[Variable]:
+    """Parameters of the viscosity over the temperature, which multiplies the speed in the loss table."""
+
+    def viscosity(celsius: int, start: float) -> Variable:
+        text = f"lubricant: kinematic viscosity at {celsius} degC"
+        name = f"lubricant.viscosity_{celsius}"
+        return Variable(name, text, "parameter", "fixed", "m2/s", "mm2/s", 4e-7, 1.0, 1e-4, start)
+
+    stated = Variable(
+        "lubricant.temperature",
+        "lubricant: temperature at which loss_table is stated",
+        "parameter",
+        "fixed",
+        "K",
+        None,
+        COLDEST,
+        HOTTEST,
+        300.0,
+        lubricant.temperature,
+    )
+    return [viscosity(40, lubricant.viscosity_40), viscosity(100, lubricant.viscosity_100), stated]
 
 
 def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
@@ -682,7 +779,7 @@ def variables(
     found += [*_told(pair, shape, drive.ratio), *_friction(interface)]
     if interface.support_flange:
         found = _with_support(found, interface.output_inertia > 0.0)
-    if interface.warms:
+    if interface.warms and interface.thermal is None:
         # Friction determines the output's position, on which all of these depend.
         found = [
             dataclasses.replace(v, depends=(*v.depends, "temperature"))
@@ -694,8 +791,11 @@ def variables(
     if fmi_version == "3.0":
         found += _arrays(drive, shape)
     errors = tuple(v.name for v in found if v.causality == "parameter" and v.baked)
-    shaping = (*errors, "series_compliance", "backlash_on")
-    rubbing = tuple(v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction")))
+    begins = () if interface.thermal is None else ("temperature_start",)
+    shaping = (*errors, "series_compliance", "backlash_on", *begins)
+    rubbing = tuple(
+        v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction", "lubricant"))
+    )
     lossy = (*shaping, *rubbing, "friction_torque")
     if interface.kind == "compliant":
         lossy = (*lossy, "mesh_damping")
@@ -706,6 +806,7 @@ def variables(
         "flange_b.tau": lossy,
         "support.tau": lossy,
         "dissipated_energy": (),
+        "heat_port.T": begins,
     }
     return tuple(
         dataclasses.replace(v, initially=initially.get(v.name, shaping)) if v.causality == "output" else v
@@ -734,11 +835,14 @@ def states(interface: Interface) -> tuple[str, ...]:
     With internal inertias the deviation is a state in place of the output's angle, of which it is a millionth. A drive
     with a support flange has no states: it is for Co-Simulation only.
     """
-    if interface.kind == "kinematic" or interface.support_flange:
+    heat = () if interface.thermal is None else (HEAT_STATE,)
+    if interface.support_flange:
         return ()
+    if interface.kind == "kinematic":
+        return heat
     crank = ("flange_a.phi", "flange_a.w") if interface.crank_inertia > 0.0 else ()
     moved = (*crank, "transmission_error", "flange_b.w") if interface.output_inertia > 0.0 else ()
-    return (*moved, *_strains("input"), *_strains("output"), "dissipated_energy")
+    return (*moved, *_strains("input"), *_strains("output"), "dissipated_energy", *heat)
 
 
 def _strains(flange: str, rate: str = "") -> tuple[str, ...]:
@@ -776,7 +880,8 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
         return kept
     inside, dynamic = interface.output_inertia > 0.0, interface.kind == "compliant"
     crank, output = _strains("input"), _strains("output")
-    warm = ("temperature",) if interface.warms else ()
+    heat = () if interface.thermal is None else (HEAT_STATE,)
+    warm = heat or (("temperature",) if interface.warms else ())
     contact = ("flange_a.phi", "transmission_error" if inside else "flange_b.phi")
     moving = (*contact, "flange_a.w", "flange_b.w", *warm)
     inputs = tuple(v.name for v in kept.values() if v.causality == "input")
@@ -815,6 +920,10 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
             add(name, f"strain of a friction element at flange_{end}", "rad", None, law.presliding_angle)
         for name, strain in zip(_strains(flange, "_rate"), _strains(flange), strict=True):
             add(name, f"strain rate of a friction element at flange_{end}", "rad/s", strain, 0.1, (*moving, strain))
+    if heat:
+        flows = ("heat_port.Q_flow", "ambient_temperature")
+        heating = (*moving, *crank, *output, *flows) if dynamic else (*inputs, *heat)
+        add("heat_port.T_rate", "rate of the oil's temperature", "K/s", HEAT_STATE, 1e-2, heating)
     depends = {
         "flange_a.tau": (*moving, *crank),
         "power_loss": (*moving, *crank, *output),
@@ -827,10 +936,13 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
         depends |= {name: (name,) for name in ("flange_a.phi", "flange_a.w", "transmission_error", "flange_b.w")}
     else:
         depends["flange_b.tau"] = (*moving, *output)
+    if not dynamic:  # friction determines the output's position
+        depends = {v.name: (*v.depends, *heat) for v in kept.values() if v.depends}
+    depends |= dict.fromkeys(heat, heat)
     changed = {
         reference: dataclasses.replace(
             v,
-            depends=depends.get(v.name, v.depends) if dynamic else v.depends,
+            depends=depends.get(v.name, v.depends),
             initially=of_start if inside else tuple(dict.fromkeys((*v.depends, *v.initially))),
             derivative_of="dissipated_energy" if dynamic and v.name == "power_loss" else v.derivative_of,
         )

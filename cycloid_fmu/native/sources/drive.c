@@ -28,7 +28,7 @@ double drive_crank_angle(const struct drive *drive) {
     return drive_kinematic(drive) || drive->resting ? drive->state.placed : drive->pressed.crank;
 }
 
-static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
+static int move_flanges(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     drive->solved = 0;
     if (drive_kinematic(drive)) {
@@ -46,6 +46,20 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
                       s->crank_speed, step);
     }
     return compliant_solve(drive, message);
+}
+
+static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
+    const double before = drive->state.dissipated_energy;
+    double length, power;
+    if (move_flanges(drive, step, message)) {
+        return 1;
+    }
+    length = step - drive->remaining;
+    if (!heat_stored(drive) || !(length > 0.0)) {
+        return 0;
+    }
+    power = drive_kinematic(drive) ? kinematic_power(drive) : (drive->state.dissipated_energy - before) / length;
+    return heat_step(drive, power, length, message);
 }
 
 static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
@@ -123,6 +137,9 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     drive->solved = 0;
     memset(drive->state.strain, 0, sizeof drive->state.strain);
     drive->state.settled = drive->state.dissipated_energy = 0.0;
+    if (heat_stored(drive)) {
+        drive->state.temperature = drive->state.temperature_start;
+    }
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
         struct state *s = &drive->state;
         if (s->crank_inertia > 0.0) {
@@ -163,6 +180,14 @@ double *drive_stored(struct state *s, const struct variable *variable) {
     case OUTPUT_SPEED: return &s->output_speed;
     case TORQUE: return &s->torque;
     case TEMPERATURE: return &s->temperature;
+    case HEAT_CAPACITY: return &s->heat_capacity;
+    case THERMAL_RESISTANCE: return &s->thermal_resistance;
+    case AMBIENT_TEMPERATURE: return &s->ambient_temperature;
+    case HEAT_FLOW: return &s->heat_flow;
+    case TEMPERATURE_START: return &s->temperature_start;
+    case LUBRICANT_VISCOSITY_40: return &s->viscosity_40;
+    case LUBRICANT_VISCOSITY_100: return &s->viscosity_100;
+    case LUBRICANT_TEMPERATURE: return &s->lubricant_temperature;
     case SERIES_COMPLIANCE: return &s->series_compliance;
     case BACKLASH_ON: return &s->backlash_on;
     case MESH_DAMPING: return &s->mesh_damping;
@@ -358,8 +383,7 @@ static double output(struct drive *drive, int field) {
     }
     case POWER_LOSS:
         if (still) {
-            return (drive->rubs[INPUT] ? kinematic_rubbing(drive, INPUT, kinematic_crank_torque(drive)).power : 0.0)
-                + (drive->rubs[OUTPUT] ? kinematic_rubbing(drive, OUTPUT, 0.0).power : 0.0);
+            return kinematic_power(drive);
         }
         if (drive->table->offers == INTERFACE_INERTIA) {
             return s->mean_loss;
@@ -367,6 +391,8 @@ static double output(struct drive *drive, int field) {
         return drive->exchange ? exchange_rate(drive, DISSIPATED_ENERGY)
                                : compliant_power(drive) + compliant_rubbing(drive, INPUT).power
                                      + compliant_rubbing(drive, OUTPUT).power;
+    case TEMPERATURE: return s->temperature;
+    case TEMPERATURE_RATE: return exchange_rate(drive, TEMPERATURE);
     case OUTSIDE_RANGE: return drive_outside(drive);
     case ELASTIC_ENERGY:
         return drive->pressed.energy + compliant_rubbing(drive, INPUT).stored + compliant_rubbing(drive, OUTPUT).stored;

@@ -29,10 +29,13 @@ struct state {
     double turned, mean_torque, mean_output, mean_loss, outside;
     /* Of the housing. All other angles and speeds are relative to it; those of the variables are absolute. */
     double support_angle, support_speed;
+    /* Of the heat capacity, which is 0 without one, and of what it is given besides the losses. */
+    double heat_capacity, thermal_resistance, ambient_temperature, heat_flow, temperature_start;
     double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with an inertia */
     /* Model Exchange: output angle, crank angle and strains at the end of the kinematic interface's last step. */
     double held, held_crank, held_strain[2][FRICTION_ELEMENTS];
     double event_mode; /* whether the instance is in it */
+    double viscosity_40, viscosity_100, lubricant_temperature; /* of the loss table; 0 without a lubricant */
     struct friction friction[2];
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
@@ -105,7 +108,12 @@ double drive_stiffness(struct drive *drive);           /* at the flange, the com
 
 int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]);
 int losses_take(const struct drive *drive); /* whether they take anything */
+double losses_thinning(const struct drive *drive); /* factor of the speed at the present temperature */
 double losses_torque(const struct drive *drive, double speed, double asked);
+
+int heat_stored(const struct drive *drive); /* whether the temperature is a state */
+double heat_rate(const struct drive *drive, double power); /* of the temperature, K/s */
+int heat_step(struct drive *drive, double power, double step, char message[MESSAGE_SIZE]);
 
 void friction_settle(struct drive *drive);
 double friction_viscous(const struct drive *drive, int flange);
@@ -148,6 +156,7 @@ double kinematic_rate(const struct drive *drive);    /* of the gear's angle with
 double kinematic_crank_torque(struct drive *drive);
 double kinematic_speed(struct drive *drive);
 struct rubbing kinematic_rubbing(struct drive *drive, int flange, double torque);
+double kinematic_power(struct drive *drive); /* dissipated */
 double kinematic_yielding(struct drive *drive, double speed, double stiffness);
 
 int reducer_elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]);
@@ -167,10 +176,10 @@ double compliant_power(const struct drive *drive); /* of the contacts' damping *
 double compliant_load(const struct drive *drive, int flange); /* torque of the teeth */
 struct rubbing compliant_rubbing(const struct drive *drive, int flange);
 
-enum { MOST_STATES = 5 + 2 * FRICTION_ELEMENTS };
+enum { MOST_STATES = 6 + 2 * FRICTION_ELEMENTS };
 int exchange_states(const struct drive *drive, int fields[MOST_STATES]);
 int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]);
-double exchange_rate(const struct drive *drive, int field);
+double exchange_rate(struct drive *drive, int field);
 void exchange_indicators(struct drive *drive, double result[EVENT_INDICATORS]);
 void exchange_keep(struct drive *drive);
 

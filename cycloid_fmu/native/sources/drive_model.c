@@ -185,7 +185,7 @@ static int solve(void *self, char message[MESSAGE_SIZE]) {
 static void rates(void *self, double *values) {
     int fields[MOST_STATES], count = exchange_states(constant(self), fields), i;
     for (i = 0; i < count; i++) {
-        values[i] = exchange_rate(constant(self), fields[i]);
+        values[i] = exchange_rate(drive_of(self), fields[i]);
     }
 }
 

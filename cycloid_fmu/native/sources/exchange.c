@@ -9,7 +9,8 @@
 int exchange_states(const struct drive *drive, int fields[MOST_STATES]) {
     int count = 0, i;
     if (drive_kinematic(drive)) {
-        return 0;
+        fields[0] = TEMPERATURE;
+        return heat_stored(drive);
     }
     if (drive->table->offers == INTERFACE_INERTIA) {
         if (drive->state.crank_inertia > 0.0) {
@@ -23,6 +24,9 @@ int exchange_states(const struct drive *drive, int fields[MOST_STATES]) {
         fields[count++] = INPUT_FRICTION_STRAIN_1 + i;
     }
     fields[count++] = DISSIPATED_ENERGY;
+    if (heat_stored(drive)) {
+        fields[count++] = TEMPERATURE;
+    }
     return count;
 }
 
@@ -60,7 +64,7 @@ static double speed_at(const struct drive *drive, int flange) {
 }
 
 /* Time derivative of a state. */
-double exchange_rate(const struct drive *drive, int field) {
+double exchange_rate(struct drive *drive, int field) {
     const struct state *s = &drive->state;
     double rate[FRICTION_ELEMENTS], result;
     int flange = field >= INPUT_FRICTION_STRAIN_1 + FRICTION_ELEMENTS ? OUTPUT : INPUT;
@@ -81,6 +85,8 @@ double exchange_rate(const struct drive *drive, int field) {
             }
         }
         return result;
+    case TEMPERATURE:
+        return heat_rate(drive, drive_kinematic(drive) ? kinematic_power(drive) : exchange_rate(drive, DISSIPATED_ENERGY));
     default:
         friction_flow(drive, flange, speed_at(drive, flange), compliant_load(drive, flange), rate);
         return rate[(field - INPUT_FRICTION_STRAIN_1) % FRICTION_ELEMENTS];

@@ -33,8 +33,9 @@ static struct yields cold_yields(const struct drive *drive, int flange, double l
     }
     result.low = result.high = torque;
     if (flange == INPUT && drive->lossy) {
-        result.low += losses_torque(drive, speed, -load);
-        result.high += losses_torque(drive, speed, load);
+        const double reduced = speed * losses_thinning(drive);
+        result.low += losses_torque(drive, reduced, -load);
+        result.high += losses_torque(drive, reduced, load);
     }
     return result;
 }

@@ -263,6 +263,11 @@ struct rubbing kinematic_rubbing(struct drive *drive, int flange, double torque)
                           0.0);
 }
 
+double kinematic_power(struct drive *drive) {
+    return (drive->rubs[INPUT] ? kinematic_rubbing(drive, INPUT, kinematic_crank_torque(drive)).power : 0.0)
+        + (drive->rubs[OUTPUT] ? kinematic_rubbing(drive, OUTPUT, 0.0).power : 0.0);
+}
+
 /* Share of its ideal speed that the output keeps while friction elements hold; `speed` has the sign of the motion. */
 double kinematic_yielding(struct drive *drive, double speed, double stiffness) {
     double following[FRICTION_ELEMENTS], slope;

@@ -5,6 +5,10 @@
 
 int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]) {
     int i, j;
+    if (drive->state.viscosity_100 > drive->state.viscosity_40) {
+        return drive_refuse(message, "lubricant.viscosity_100 = %g m2/s: it must not be above viscosity_40 = %g m2/s.",
+                            drive->state.viscosity_100, drive->state.viscosity_40);
+    }
     for (i = 0; i < drive->rows; i++) {
         const double *row = drive->state.loss + i * LOSS_COLUMNS;
         if (i == 0 ? row[0] != 0.0 : !(row[0] > row[-LOSS_COLUMNS])) {
@@ -33,6 +37,21 @@ int losses_take(const struct drive *drive) {
         result |= row[1] != 1.0 || row[2] != 1.0 || row[3] != 0.0 || row[4] != 0.0;
     }
     return result;
+}
+
+/* lg(ν + 0.7) of the lubricant at a temperature, ν in mm²/s (ASTM D341). */
+static double thickness(const struct state *s, double temperature) {
+    const double at_40 = log10(log10(1e6 * s->viscosity_40 + 0.7)), at_100 = log10(log10(1e6 * s->viscosity_100 + 0.7));
+    return pow(10.0, at_40 + (at_100 - at_40) * log10(temperature / 313.15) / log10(373.15 / 313.15));
+}
+
+/* Viscosity over that at which the table is stated. What a lubricant does depends on speed times viscosity alone. */
+double losses_thinning(const struct drive *drive) {
+    const struct state *s = &drive->state;
+    if (s->viscosity_40 == 0.0 || s->temperature == s->lubricant_temperature) {
+        return 1.0;
+    }
+    return (pow(10.0, thickness(s, s->temperature)) - 0.7) / (pow(10.0, thickness(s, s->lubricant_temperature)) - 0.7);
 }
 
 /* Sliding friction torque at flange_a against its motion, as `Modelica.Mechanics.Rotational.Components.LossyGear` of the
