@@ -256,6 +256,24 @@ def _solve_pressed(
     return _SOLVED
 
 
+@compiled
+def _share_load(floating: _OnBearings, crank_angle: float, result: Array) -> None:
+    side, share = floating.numbers[_SIDE], floating.numbers[_SHARE_OF]
+    i = 0
+    if side != 0.0:
+        i = _HIGH if side > 0.0 else _LOW
+        _end(floating, crank_angle, side)
+    count, pressure = load_sharing(
+        floating.stands[i].drive, floating.rows[i], floating.pin_force, floating.pin_pressure
+    )
+    # Along the tangent, forces are proportional to the torque and pressures to its square root.
+    for disc in range(floating.pin_force.shape[0]):
+        for pin in range(floating.pin_force.shape[1]):
+            floating.pin_force[disc, pin] *= share
+            floating.pin_pressure[disc, pin] *= math.sqrt(share)
+    result[0], result[1] = count, pressure * math.sqrt(share)
+
+
 # Long as each operation is a few lines.
 @compiled
 def _solve_on_bearings(
@@ -313,20 +331,7 @@ def _solve_on_bearings(
     elif operation == SOLVE_TOUCH:
         result[0] = _touch_rate(floating, crank_angle, b)
     else:
-        side, share = numbers[_SIDE], numbers[_SHARE_OF]
-        i = 0
-        if side != 0.0:
-            i = _HIGH if side > 0.0 else _LOW
-            _end(floating, crank_angle, side)
-        count, pressure = load_sharing(
-            floating.stands[i].drive, floating.rows[i], floating.pin_force, floating.pin_pressure
-        )
-        # Along the tangent, forces are proportional to the torque and pressures to its square root.
-        for disc in range(floating.pin_force.shape[0]):
-            for pin in range(floating.pin_force.shape[1]):
-                floating.pin_force[disc, pin] *= share
-                floating.pin_pressure[disc, pin] *= math.sqrt(share)
-        result[0], result[1] = count, pressure * math.sqrt(share)
+        _share_load(floating, crank_angle, result)
     return _SOLVED
 
 
