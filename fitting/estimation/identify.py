@@ -243,7 +243,7 @@ def parameters(
     ...     error = cy.Drive(pair).analyze(load, crank_angle=angle).transmission_error.values[0]
     ...     return fitting.Run(input_angle=angle, output_angle=angle / -9 + error, torque=load, known_index=True)
     >>> given = fitting.parameters([run(load) for load in (20.0, -20.0)], cy.Drive(pair))
-    >>> given["eccentricity"].vary, given["isometric"].vary, float(round(given["pin_radius"].max, 6))
+    >>> given["pin_radius"].vary, given["isometric"].vary, float(round(given["pin_radius"].max, 6))
     (True, False, 0.001)
     """
     running, loops = _measured(recordings, drive)

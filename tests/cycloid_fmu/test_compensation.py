@@ -16,7 +16,7 @@ from cycloid_fmu.analysis import solve
 from cycloid_fmu.compensation.compensator import LARGEST, Memory, step, torque_of_teeth
 from cycloid_fmu.compensation.index import find_index
 from cycloid_fmu.compensation.inverse import SURE, _normal_weights
-from cycloid_fmu.fmu.friction import UNSTRAINED, element_stiffness, slide, yields
+from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ARCSEC = math.pi / 648000.0
@@ -113,16 +113,20 @@ def test_weights_are_the_mean_over_a_normal_distribution():
 )
 @settings(max_examples=60, deadline=None)
 def test_friction_is_that_of_the_fmu(compensator_with_friction, way, load, temperature):
+    """Elements in parallel slip one after the other, the ith at i times the first one's torque (docs/theory/fmu.md)."""
     made, memory = compensator_with_friction, Memory()
-    law, strains, angle = FRICTION.law(1), list(UNSTRAINED), 0.0
-    stiffness = element_stiffness(law, load)
-    low, high = yields(law, load, 0.0, temperature)
+    law, number = FRICTION.law(1), np.arange(1, FRICTION_ELEMENTS + 1)
+    at_reference = law.coulomb + law.load_share * abs(load) + law.stribeck
+    stiffness = 2.0 * at_reference / (law.presliding_angle * (FRICTION_ELEMENTS + 1))
+    slides = at_reference * math.exp(-law.temperature_coefficient * (temperature - law.reference_temperature))
+    most = slides * number / number.sum() / stiffness
+    strains, angle = np.zeros(FRICTION_ELEMENTS), 0.0
     torque_of_teeth(made, memory, angle, 0.0, load, temperature)
-    for one in way:
-        angle += one
-        found = torque_of_teeth(made, memory, angle, 0.0, load, temperature)
-        strains = slide(strains, one, 0.0, stiffness, low, high).strains
-        assert load - found == pytest.approx(stiffness * sum(strains), abs=1e-3 * high)
+    for turn in way:
+        angle += turn
+        teeth = torque_of_teeth(made, memory, angle, 0.0, load, temperature)
+        strains = np.clip(strains + turn, -most, most)
+        assert load - teeth == pytest.approx(stiffness * strains.sum(), abs=1e-3 * slides)
 
 
 @pytest.fixture(scope="module")

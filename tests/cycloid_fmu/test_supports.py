@@ -690,7 +690,7 @@ def test_a_drive_with_other_joints_stores_what_its_flanges_did(kind):
     pair, kinds, displaced, problem = with_other_joints(kind)
     assembly = joint_list(pair, kinds, displaced)
     work = work_of(assembly)
-    box = energy.held(problem, assembly, work, *energy.room(assembly.unknowns))
+    box = energy.held(problem, assembly, work)
 
     def stood(theta, flange):
         found = np.zeros(energy.FOUND)

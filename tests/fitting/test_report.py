@@ -133,7 +133,7 @@ def test_the_pdf_holds_the_same(found, tmp_path):
         "SHA-256",
     ):
         assert word in text, word
-    assert text.count("\f") == 1 + 5  # the table, ten panels two a page
+    assert text.count("\f") in (1 + 5, 2 + 5)  # tables on one page or two, ten panels two a page
 
 
 def test_orders_above_the_noise_are_stems_and_no_line_joins_two_orders():
