@@ -218,7 +218,6 @@ LONG = {
     "fitting.estimation.fit.fit": _ESTIMATION,
     "fitting.estimation.identify.identify": _ESTIMATION,
     "fitting.estimation.result.result_of": _ESTIMATION,
-    "fitting.estimation.starting.starting_estimate": _ESTIMATION,
     "fitting.model.observations.observations": _ESTIMATION,
 }
 WIDE = {

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import structured_value
 from fitting.model.gaussian import Evidence, Gaussian
 from fitting.model.near_drive import NearDrive
 from fitting.model.observations import (
@@ -126,6 +127,23 @@ class Estimate:
         """Distribution of the unknowns in their scale, as distances from where the fit ended."""
         along = self.unknowns.along(self.vector)
         return self.evidence.posterior(self.precision, self.vector, self.unknowns.names, along)
+
+    @cached_property
+    def unlikelihood_of_all(self) -> float:
+        """-2 log of the restricted likelihood if all errors, fitted or held, have their tolerance as prior.
+
+        Unlike `unlikelihood` it ranks fits with different errors.
+        """
+        unknowns = Unknowns(self.pair, self.observed, self.observed.errors)
+        precision, seen = unknowns.precision(self.scatter), self.observed.weight[self.observed.weight > 0.0]
+        precision[unknowns.errors] = 1.0
+        stated = [structured_value(unknowns.prior, n) for n in self.observed.errors]
+        away = unknowns.vector(self.state)
+        away[unknowns.errors] -= stated / unknowns.scale[unknowns.errors]
+        posterior = Evidence.of(unknowns.columns(self.observed, self.linear)).posterior(precision)
+        weight = float(np.log(precision).sum() + 2.0 * np.log(seen).sum())
+        own = self.misfit - float(self.precision @ self.vector**2) + float(precision @ away**2)
+        return own + posterior.log_determinant - weight
 
     @property
     def misfit_with_priors(self) -> float:

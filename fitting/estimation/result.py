@@ -46,6 +46,7 @@ from fitting.estimation.minimisation import Search
 from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, parameter_as_json, withheld
 from fitting.estimation.realised import GAUGE, Realised, realised
 from fitting.estimation.run_out import RunOut, run_outs_of
+from fitting.estimation.starts import is_uneven
 from fitting.estimation.validation import HeldOut, Verdict, with_run_out
 from fitting.model.bearings import (
     pair_with,
@@ -79,7 +80,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 FORMAT = "cycloid-identification/1"
 
-_LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
 _ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
 _TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
 _AT_BOUND = 1e-3  # of the bound: the last step ends so close beside it
@@ -220,12 +220,6 @@ class Identification:
         """Write the identification, `cycloid-identification/1`; never a partial file."""
         with edge.written_whole(path) as temporary:
             temporary.write_text(edge.json_text(as_json(self)), encoding="utf-8")
-
-
-def is_uneven(fit: Estimate) -> bool:
-    """Whether a curve's noise is larger than that of the others, as in a fit that missed the best minimum."""
-    noises = fit.noises[fit.observed.running]
-    return bool(noises.max() > _LEFT * np.median(noises))
 
 
 def inflation_of(residuals: Sequence[Array]) -> float:
