@@ -18,7 +18,6 @@ from cycloid_fmu.surfaces.structured import profile_names, structured_value
 from fitting.estimation.fit import Estimate, fit
 from fitting.estimation.search import NO_FIT, Proposals, Search
 from fitting.estimation.starts import (
-    FIRST_SIZE,
     Multistart,
     at_zeros,
     descriptions,
@@ -38,7 +37,6 @@ from fitting.model.discrepancy import GIVE, RIPPLE, beside_the_gear, causes, giv
 from fitting.model.gaussian import Evidence
 from fitting.model.identifiability import chosen_of
 from fitting.model.observations import (
-    CREEP,
     MISFIT,
     PROFILE_ORDERS,
     Discrepancy,
@@ -112,21 +110,32 @@ class Explanation(Search[Hypothesis, Explained]):
 
     Parameters
     ----------
-    curves, pair
-        The curves, and the nominal pair.
-    form
-        Size of each order of a form that all flanks share, m, if it is one of the causes, otherwise 0.
+    curves, pair, prior
+        The curves, the nominal pair, and the prior of the first hypothesis.
     progress
         Called with what is done.
+    form
+        Size of each order of a form that all flanks share, m, if it is one of the causes, otherwise 0.
+    origin
+        The end of another fit at which it starts; None: at the best of several starts.
     """
 
-    def __init__(self, curves: Sequence[Curve], pair: Pair, form: float, progress: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        curves: Sequence[Curve],
+        pair: Pair,
+        prior: Prior,
+        progress: Callable[[str], None],
+        form: float = 0.0,
+        origin: Estimate | None = None,
+    ) -> None:
         super().__init__()
-        self.curves, self.pair, self.form, self.progress = curves, pair, form, progress
+        self.curves, self.pair, self.prior = curves, pair, prior
+        self.progress, self.form, self.origin = progress, form, origin
         self._suspects: tuple[Explained, Likely, tuple[str, ...]] | None = None
 
-    def explain(self, prior: Prior, start: Estimate | None) -> Explained:
-        """Return the best explanation, from the end of another fit or from the prior.
+    def explain(self) -> Explained:
+        """Return the best explanation.
 
         Raises
         ------
@@ -135,7 +144,7 @@ class Explanation(Search[Hypothesis, Explained]):
         numpy.linalg.LinAlgError
             If the equations are singular.
         """
-        self.run([lambda search: _given(Hypothesis(prior, start=start))])
+        self.run([_beside_the_gear])
         for _ in range(_ROUNDS):
             before = self.best
             self.run(PROPOSALS)
@@ -267,29 +276,20 @@ def _unlikelihood(one: Explained) -> float:
 _Hypotheses = Proposals[Hypothesis, Explained]
 
 
-def _given(hypothesis: Hypothesis) -> _Hypotheses:
-    yield hypothesis
+def _beside_the_gear(search: Explanation) -> _Hypotheses:
+    """Errors alone, with the causes outside the contacts that the best start shows: run-out, drift and compliance.
 
-
-def _with_soft_chain(search: Explanation) -> _Hypotheses:
-    """Compliance and hysteresis between the encoders far above the usual ones, where zeros creep.
-
-    Not at once: a chain that may be soft can take the part of errors and of friction that are not found yet. The
-    scatter of the whole fit would absorb what it can of run-out, drift and wind-up, so these join it if the best start
-    shows them.
+    The scatter of pins and teeth of a fit without them would absorb what it can of them.
     """
-    best = search.best
-    if best.hypothesis.prior.soft_chain or not best.estimate.scatter.get(CREEP, 0.0) > FIRST_SIZE:
-        return
-    soft = Hypothesis(dataclasses.replace(best.hypothesis.prior, soft_chain=True))
-    observed = search.observed(soft)
-    try:
-        start = Multistart(search.pair, observed, None, search.progress).estimate()
-    except NO_FIT:
-        return
+    observed = observed_with(search.curves, search.pair, search.prior)
+    start = search.origin or Multistart(search.pair, observed, None, search.progress).estimate()
     suspected = causes_of(Residual(start), beside_the_gear(start.observed)).columns
-    columns = {n: one for n, one in beside_the_gear(observed).items() if n in suspected}
-    yield dataclasses.replace(soft, misfit=Discrepancy(columns), causes=Likely(columns, {}, ()), start=start)
+    columns = {name: column for name, column in beside_the_gear(observed).items() if name in suspected}
+    end = None
+    if columns:
+        end = yield Hypothesis(search.prior, Discrepancy(columns), Likely(columns, {}, ()), start)
+    if end is None or end.is_failed:
+        yield Hypothesis(search.prior, start=start)
 
 
 def _with_form(search: Explanation) -> _Hypotheses:
@@ -338,7 +338,7 @@ def _from_the_prior(search: Explanation) -> _Hypotheses:
         yield dataclasses.replace(best.hypothesis, start=None)
 
 
-PROPOSALS = _with_soft_chain, _with_form, _from_another_disc, _from_nearby, _with_causes, _from_the_prior
+PROPOSALS = _with_form, _from_another_disc, _from_nearby, _with_causes, _from_the_prior
 
 
 def observed_with(curves: Sequence[Curve], pair: Pair, prior: Prior) -> Observations:
@@ -348,7 +348,6 @@ def observed_with(curves: Sequence[Curve], pair: Pair, prior: Prior) -> Observat
         pair,
         profile=prior.profile,
         first_stage=prior.first_stage,
-        soft_chain=prior.soft_chain,
         constraints=prior.constraints,
     )
 

@@ -13,7 +13,7 @@ from cycloid_fmu.geometry.pair import Pair
 from fitting.estimation.explanation import Explained, Explanation, Hypothesis, observed_with
 from fitting.estimation.fit import OUTLYING, Estimate
 from fitting.estimation.starts import Multistart, is_uneven
-from fitting.estimation.validation import HeldOut, yardsticks
+from fitting.estimation.validation import HeldOut, by_load, yardsticks
 from fitting.model.constraints import Constraints
 from fitting.model.observations import CREEP, left_of, linearise, observations
 from fitting.model.prior import Prior
@@ -22,7 +22,6 @@ from fitting.transmission_error.curve import Curve
 Array = NDArray[np.float64]
 
 _MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another, and not explained
-_SAME_LOAD = 0.05  # of the largest torque: loads that differ by less are one
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Prediction:
         """Fit the others from the end of the fit of all curves, and predict."""
         self.progress("fitting without the held-out curves, from there")
         prior = dataclasses.replace(explained.hypothesis.prior, constraints=self.constraints)
-        search = Explanation(self._others, self.pair, 0.0, self.progress)
+        search = Explanation(self._others, self.pair, prior, self.progress)
         return self._of(search.fitted(Hypothesis(prior, start=explained.estimate)))
 
     def _of(self, fit: Estimate) -> HeldOut:
@@ -113,9 +112,7 @@ def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
     """
     if len(curves) < 3:
         return ()
-    sizes = np.array([abs(c.torque) for c in curves])
-    order = np.argsort(sizes)
-    groups = np.split(order, np.flatnonzero(np.diff(sizes[order]) > _SAME_LOAD * sizes.max()) + 1)
+    groups = by_load(np.array([c.torque for c in curves]))
     if len(groups) >= 3:
         return tuple(int(i) for i in groups[len(groups) // 2])
-    return (int(order[0]),)
+    return (int(groups[0][0]),)

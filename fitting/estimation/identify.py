@@ -148,7 +148,7 @@ def identify(
             shape = 0.0 if prior.profile else shape
             # The model on bearings fits no form: intervals allow for it, and the verdict does not name it.
             cause = 0.0 if pair.supports is not None else shape
-            explained = Explanation(curves, pair, cause, progress).explain(prior, start)
+            explained = Explanation(curves, pair, prior, progress, cause, start).explain()
             verdict = explained.verdict
             if predicted is not None and verdict.state == "explained" and is_mispredicted(predicted):
                 # The first fit may have ended beside its best optimum, which the whole one has found.

@@ -47,7 +47,7 @@ from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, param
 from fitting.estimation.realised import GAUGE, Realised, realised
 from fitting.estimation.run_out import RunOut, run_outs_of
 from fitting.estimation.starts import is_uneven
-from fitting.estimation.validation import HeldOut, Verdict, with_run_out
+from fitting.estimation.validation import SAME_LOAD, HeldOut, Verdict, with_run_out
 from fitting.model.bearings import (
     pair_with,
 )
@@ -81,7 +81,8 @@ Array = NDArray[np.float64]
 FORMAT = "cycloid-identification/1"
 
 _ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
-_TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
+_ENOUGH = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
+_WHOLE_TURN = 0.95  # of an output turn: curves of less do not see every pin with every tooth
 _AT_BOUND = 1e-3  # of the bound: the last step ends so close beside it
 
 
@@ -483,11 +484,11 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
         if n in ("pin_radial", "pin_tangential") and fit.scatter[n] > NO_SCATTER
     )
     seen = sum(np.unique(np.rint(c.input_angle / (2.0 * np.pi) * _ANGLES) % _ANGLES).size for c in curves)
-    if seen < _TOLD * unknown:
+    if seen < _ENOUGH * unknown:
         notes.append(
             f"The curves contain {seen} crank angles in total, too few for the {unknown} displacements of single "
             f"pins: the fit may miss the best optimum; record at least "
-            f"{math.ceil(_TOLD * unknown / len(curves))} samples a crank turn, not in step with it."
+            f"{math.ceil(_ENOUGH * unknown / len(curves))} samples a crank turn, not in step with it."
         )
     return notes
 
@@ -503,7 +504,7 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict, run_out: Sequence[RunOut
             "angles of pins and teeth count from an unknown one."
         )
     sizes = np.array([abs(c.torque) for c in curves])
-    if np.ptp(sizes) < 0.05 * sizes.max():
+    if np.ptp(sizes) < SAME_LOAD * sizes.max():
         notes.append(
             f"There is one load only, {sizes.mean():.4g} N·m: compliance elsewhere cannot be separated from "
             "clearances; record a second one, ten times smaller."
@@ -518,7 +519,7 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict, run_out: Sequence[RunOut
         )
     for curve in curves:
         turns = float(np.ptp(curve.input_angle)) / (2.0 * np.pi * abs(curve.ratio))
-        if turns < 0.95:
+        if turns < _WHOLE_TURN:
             notes.append(
                 f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are resolved less well."
             )

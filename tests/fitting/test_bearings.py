@@ -244,7 +244,7 @@ def test_a_fit_that_ended_in_the_drive_s_mirror_finds_the_drive(monkeypatch):
     state = State(with_structured(surface_of_pair(pair), structured_of(mirror, values)), nothing, np.zeros(0))
     state = dataclasses.replace(state, bench=np.zeros(observed.bench.shape[1]))
     start = fit(pair, observed, list(values), state, {}, gain=8.0, evaluations=12)
-    found = Explanation(curves, pair, 0.0, lambda step: None).explain(Prior(), start)
+    found = Explanation(curves, pair, Prior(), lambda step: None, origin=start).explain()
     assert found.verdict.state == "explained"
     end = found.estimate
     plain = with_scatter(end.state.surface, -end.state.scatter)
