@@ -215,8 +215,6 @@ LONG = {
     "cycloid_fmu.fmu.variables._further": _TABLE,
     "cycloid_fmu.fmu.variables.exchanged": _TABLE,
     "cycloid_fmu.supports.balance.settling": "the two kernels of a balance, which it makes for given forces",
-    "fitting.estimation.fit.fit": _ESTIMATION,
-    "fitting.estimation.identify.identify": _ESTIMATION,
     "fitting.estimation.result.result_of": _ESTIMATION,
     "fitting.model.observations.observations": _ESTIMATION,
 }
@@ -243,7 +241,7 @@ WIDE = {
     "drivers.simulated.can_bench.__init__": _OPTIONS,
     "fitting.ageing.forecast.forecast": _OPTIONS,
     "fitting.ageing.life.life_figures": _OPTIONS,
-    "fitting.estimation.fit.fit": _ESTIMATION,
+    "fitting.estimation.fit.fit": "the unknowns, where they start, and what is known of them",
     "fitting.estimation.identify.identify": _OPTIONS,
     "fitting.estimation.result.result_of": _ESTIMATION,
     "fitting.model.near_drive._sweep": _ESTIMATION,

@@ -111,6 +111,7 @@ def confirmed(estimate: Estimate, gain: float) -> Estimate:
         linear=estimate.linear,
         evaluations=1,
         estimated=False,
+        damping=0.0,
     )
     evaluations = estimate.evaluations + end.evaluations
     return dataclasses.replace(end, evaluations=evaluations, disagreeing=estimate.disagreeing)

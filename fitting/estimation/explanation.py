@@ -333,8 +333,8 @@ def _with_causes(search: Explanation) -> _Hypotheses:
 
 def _from_the_prior(search: Explanation) -> _Hypotheses:
     """The drive of the pair file with the causes, if the starts that disagree were made without them."""
-    best = search.best
-    if best.estimate.disagreeing and best.hypothesis.misfit.columns and not best.is_failed:
+    best, is_tried = search.best, any(end.hypothesis.start is None for end in search.ends)
+    if best.estimate.disagreeing and best.hypothesis.misfit.columns and not best.is_failed and not is_tried:
         yield dataclasses.replace(best.hypothesis, start=None)
 
 

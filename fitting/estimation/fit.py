@@ -241,6 +241,7 @@ def fit(
     evaluations: int = EVALUATIONS,
     estimated: bool = True,
     known: Mapping[str, float] | None = None,
+    damping: float = _FIRST_DAMPING,
 ) -> Estimate:
     """Fit errors, bench and scatter to observations.
 
@@ -266,11 +267,13 @@ def fit(
         Whether the noise and the scatter's deviations are estimated as well.
     known
         Standard deviations of patterns that are not estimated, m.
+    damping
+        Share of the information by which the first step is damped.
     """
     known = {**{n: v for n, v in KNOWN_SIZES.items() if n in scatter_parts(pair)}, **(known or {})}
     unknowns = Unknowns(pair, observed, chosen)
     descent = _Descent(unknowns, observed, state, {**scatter, **known}, known, gain, around, linear)
-    descent.run(evaluations, estimated)
+    descent.run(evaluations, estimated, damping)
     return descent.end()
 
 
@@ -298,12 +301,12 @@ class _Descent:
         self.limit = _limits(self.normal)
         self.evaluations = 1 if linear is None else 0
 
-    def run(self, evaluations: int, is_estimated: bool) -> None:
+    def run(self, evaluations: int, is_estimated: bool, damping: float) -> None:
         """Take steps until one promises less than the gain, or several in a row bring less than they should."""
         if is_estimated:
             self.observed, self.normal = _at_noise(self.observed, self.normal, self.normal.scale**2)
             self.limit = np.full_like(self.limit, OUTLYING)
-        damping, idle, is_settled, is_tried = _FIRST_DAMPING, 0, not is_estimated, False
+        idle, is_settled, is_tried = 0, not is_estimated, False
         while self.evaluations < evaluations:
             precision, posterior = self._posterior()
             misfit = self._misfit(self.normal, precision, self.vector)

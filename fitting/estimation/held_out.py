@@ -14,8 +14,7 @@ from fitting.estimation.explanation import Explained, Explanation, Hypothesis, o
 from fitting.estimation.fit import OUTLYING, Estimate
 from fitting.estimation.starts import Multistart, is_uneven
 from fitting.estimation.validation import HeldOut, by_load, yardsticks
-from fitting.model.constraints import Constraints
-from fitting.model.observations import CREEP, left_of, linearise, observations
+from fitting.model.observations import CREEP, errors_of, left_of, linearise, observations
 from fitting.model.prior import Prior
 from fitting.transmission_error.curve import Curve
 
@@ -34,8 +33,6 @@ class Prediction:
         The nominal pair, all curves of a turning crank, and branches of loops.
     numbers
         Those of the running curves that are held out.
-    constraints
-        What a user has decided of the errors; recordings are numbered anew, so nothing of the bench is decided.
     progress
         Called with what is done.
     """
@@ -44,12 +41,16 @@ class Prediction:
     running: Sequence[Curve]
     loops: Sequence[Curve]
     numbers: Sequence[int]
-    constraints: Constraints | None
     progress: Callable[[str], None]
 
     @property
     def _others(self) -> list[Curve]:
         return [*(c for i, c in enumerate(self.running) if i not in self.numbers), *self.loops]
+
+    def _prior(self, prior: Prior) -> Prior:
+        """What a user has decided of errors alone: recordings are numbered anew, so nothing of the bench is decided."""
+        decided, errors = prior.constraints, [*errors_of(self.pair), *prior.profile]
+        return prior if decided is None else dataclasses.replace(prior, constraints=decided.only(errors))
 
     def start(self, prior: Prior) -> tuple[Estimate | None, HeldOut]:
         """Fit some points of the others, and predict; the fit is a start for that of all curves, if it is good enough.
@@ -57,7 +58,7 @@ class Prediction:
         To first order in the errors is enough, a third of the work: where it predicts badly `again` decides.
         """
         self.progress("fitting without the held-out curves")
-        observed = observed_with(self._others, self.pair, dataclasses.replace(prior, constraints=self.constraints))
+        observed = observed_with(self._others, self.pair, self._prior(prior))
         start = Multistart(self.pair, observed, None, self.progress).estimate()
         predicted = self._of(start)
         is_good = predicted.residual <= _MISPREDICTED * start.noise and not is_uneven(start)
@@ -66,7 +67,7 @@ class Prediction:
     def again(self, explained: Explained) -> HeldOut:
         """Fit the others from the end of the fit of all curves, and predict."""
         self.progress("fitting without the held-out curves, from there")
-        prior = dataclasses.replace(explained.hypothesis.prior, constraints=self.constraints)
+        prior = self._prior(explained.hypothesis.prior)
         search = Explanation(self._others, self.pair, prior, self.progress)
         return self._of(search.fitted(Hypothesis(prior, start=explained.estimate)))
 

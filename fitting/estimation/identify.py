@@ -31,7 +31,7 @@ from fitting.estimation.held_out import Prediction, is_mispredicted, kept_back
 from fitting.estimation.minimisation import default_parameters, names_of
 from fitting.estimation.result import Identification, result_of
 from fitting.estimation.starts import descriptions
-from fitting.estimation.validation import mispredicted
+from fitting.estimation.validation import HeldOut, mispredicted
 from fitting.model.constraints import Constraints, checked
 from fitting.model.loops import observed_curves, on_the_curves_zero
 from fitting.model.observations import errors_of
@@ -130,45 +130,25 @@ def identify(
             f"On bearings the form of the flanks is not fitted: the intervals allow for {shape * 1e6:.2g} µm."
         )
     _check(curves, bootstrap, profiled, [*errors_of(pair), *prior.profile])
-    decided = None
     if parameters is not None:
         checked(parameters, names_of(pair, observed_with(curves, pair, prior)))
-        decided = Constraints.of(parameters)
+        prior = dataclasses.replace(prior, constraints=Constraints.of(parameters))
         pair = _stating(pair, {n: p.value for n, p in parameters.items() if n in errors_of(pair)})
-    errors_alone = None if decided is None else decided.only([*errors_of(pair), *prior.profile])
+    shape = 0.0 if prior.profile else shape
     try:
         # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
         with threadpool_limits(limits=1, user_api="blas"):
-            start = predicted = None
-            numbers = kept_back(running) if held_out else ()
-            prediction = Prediction(pair, running, loops, numbers, errors_alone, progress)
-            if numbers:
-                start, predicted = prediction.start(prior)
-            prior = dataclasses.replace(prior, constraints=decided)
-            shape = 0.0 if prior.profile else shape
             # The model on bearings fits no form: intervals allow for it, and the verdict does not name it.
             cause = 0.0 if pair.supports is not None else shape
-            explained = Explanation(curves, pair, prior, progress, cause, start).explain()
-            verdict = explained.verdict
-            if predicted is not None and verdict.state == "explained" and is_mispredicted(predicted):
-                # The first fit may have ended beside its best optimum, which the whole one has found.
-                predicted = prediction.again(explained)
-                verdict = mispredicted(verdict, predicted) if is_mispredicted(predicted) else verdict
+            prediction = Prediction(pair, running, loops, kept_back(running) if held_out else (), progress)
+            explained, predicted = _explained(prediction, prior, cause)
             estimate, others = _described_otherwise(explained, progress)
-            verdict = dataclasses.replace(verdict, descriptions=1 + len(others), disagreeing=estimate.disagreeing)
+            verdict = dataclasses.replace(
+                explained.verdict, descriptions=1 + len(others), disagreeing=estimate.disagreeing
+            )
             shape = 0.0 if estimate.observed.profile else shape
             result = result_of(
-                pair,
-                estimate,
-                verdict,
-                predicted,
-                prior.scatter,
-                profiled,
-                bootstrap,
-                GAIN,
-                others,
-                shape,
-                progress,
+                estimate, verdict, predicted, prior.scatter, profiled, bootstrap, others, shape, progress
             )
     except np.linalg.LinAlgError:
         raise edge.InputError(
@@ -261,6 +241,19 @@ def _stating(pair: Pair, values: Mapping[str, float]) -> Pair:
     stated = with_structured(surface, changed)
     own = {name for name in stated.errors if not np.array_equal(stated.errors[name], surface.errors[name])}
     return pair.replace(errors={KINDS[name].file_key: stated.errors[name] for name in own}) if own else pair
+
+
+def _explained(prediction: Prediction, prior: Prior, form: float) -> tuple[Explained, HeldOut | None]:
+    """The best explanation of all curves, and the prediction of those that are held out."""
+    start, predicted = prediction.start(prior) if prediction.numbers else (None, None)
+    curves = [*prediction.running, *prediction.loops]
+    explained = Explanation(curves, prediction.pair, prior, prediction.progress, form, start).explain()
+    if predicted is not None and explained.verdict.state == "explained" and is_mispredicted(predicted):
+        # The first fit may have ended beside its best optimum, which the whole one has found.
+        predicted = prediction.again(explained)
+        if is_mispredicted(predicted):
+            explained = dataclasses.replace(explained, verdict=mispredicted(explained.verdict, predicted))
+    return explained, predicted
 
 
 def _described_otherwise(

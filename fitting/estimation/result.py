@@ -41,6 +41,7 @@ from fitting.estimation.allowances import (
 from fitting.estimation.confirmation import Confirmed, as_lmfit, confirmed, lmfit_states, stated, with_covariance
 from fitting.estimation.effects import Effect, effects_of
 from fitting.estimation.effects import as_json as effect_as_json
+from fitting.estimation.explanation import GAIN
 from fitting.estimation.fit import Estimate, allowed_radius, freedom, turn_bootstrap
 from fitting.estimation.minimisation import Search
 from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, parameter_as_json, withheld
@@ -241,14 +242,12 @@ def inflation_of(residuals: Sequence[Array]) -> float:
 
 
 def result_of(
-    pair: Pair,
     fit: Estimate,
     verdict: Verdict,
     predicted: HeldOut | None,
     known: Mapping[str, float],
     profiled: Sequence[str],
     bootstrap: int,
-    gain: float,
     others: Sequence[Estimate],
     form: float,
     progress: Callable[[str], None],
@@ -257,17 +256,16 @@ def result_of(
 
     Parameters
     ----------
-    pair, fit, verdict, predicted
-        The nominal pair, the end of its fit, whether it explains the curves, and the prediction of held-out curves.
+    fit, verdict, predicted
+        The end of the fit, whether it explains the curves, and the prediction of held-out curves.
     known, profiled, bootstrap, progress
         `scatter` and the others of `fitting.estimation.identify.identify`.
-    gain
-        Gain of a step at which the fit ends, as in `fitting.estimation.fit.fit`.
     others
         Fits of the same curves with another disc as the first.
     form
         Expected size of each order of a form that all flanks share, standard deviation, m: intervals allow for it.
     """
+    pair = fit.pair
     if PIN_RADIUS not in known:
         fit = dataclasses.replace(fit, scatter={**fit.scatter, PIN_RADIUS: allowed_radius(fit)})
     names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
@@ -279,7 +277,7 @@ def result_of(
     search, decided = Search(dataclasses.replace(fit, observed=observed)), observed.constraints
     if decided is None and not profiled:
         # Loading lmfit takes as much processor time as a third of a fit of six recordings.
-        search = Search(confirmed(search.start, gain))
+        search = Search(confirmed(search.start, GAIN))
     optimum = search.start if decided is None and not profiled else search.end
     found, every = stated(optimum)
     fit = dataclasses.replace(optimum, observed=fit.observed)
