@@ -204,20 +204,22 @@ class Explanation(Search[Hypothesis, Explained]):
 
         The scatter of pins and teeth may have absorbed most of a cause, so where none is clear doubted ones are named.
         """
-        best = self.best
-        if self._suspects is None or self._suspects[0] is not best:
-            estimate, known = best.estimate, best.hypothesis.causes
-            state = estimate.state if self.form and not best.hypothesis.prior.profile else None
-            columns = causes(self.pair, estimate.observed, estimate.linear, state)
-            residual, doubted = Residual(estimate), tuple[str, ...]()
-            likely = likely_causes(residual, columns, known)
-            if not (
-                known.columns or best.is_failed or likely.columns or any(one.hypothesis.doubted for one in self.ends)
-            ):
-                wider = likely_causes(residual, columns, known, _DOUBTED)
-                likely, doubted = dataclasses.replace(wider, formed=likely.formed), tuple(wider.columns)
-            self._suspects = best, likely, doubted
+        if self._suspects is None or self._suspects[0] is not self.best:
+            self._suspects = self.best, *self._suspects_of(self.best)
         return self._suspects[1:]
+
+    def _suspects_of(self, best: Explained) -> tuple[Likely, tuple[str, ...]]:
+        estimate, known = best.estimate, best.hypothesis.causes
+        if not best.is_failed and known.columns.keys() > self.ends[0].hypothesis.causes.columns.keys():
+            return known, ()
+        state = estimate.state if self.form and not best.hypothesis.prior.profile else None
+        columns = causes(self.pair, estimate.observed, estimate.linear, state)
+        residual = Residual(estimate)
+        likely = likely_causes(residual, columns, known)
+        if likely.columns or best.is_failed or any(end.hypothesis.doubted for end in self.ends):
+            return likely, ()
+        doubted = likely_causes(residual, columns, known, _DOUBTED)
+        return dataclasses.replace(doubted, formed=likely.formed), tuple(doubted.columns)
 
     def observed(self, hypothesis: Hypothesis) -> Observations:
         """Return the curves as observations with the unknowns of a hypothesis."""
