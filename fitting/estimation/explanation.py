@@ -216,7 +216,7 @@ class Explanation(Search[Hypothesis, Explained]):
         columns = causes(self.pair, estimate.observed, estimate.linear, state)
         residual = Residual(estimate)
         likely = likely_causes(residual, columns, known)
-        if likely.columns or best.is_failed or any(end.hypothesis.doubted for end in self.ends):
+        if likely.columns or best.is_failed or any(tried.doubted for tried in self.starts):
             return likely, ()
         doubted = likely_causes(residual, columns, known, _DOUBTED)
         return dataclasses.replace(doubted, formed=likely.formed), tuple(doubted.columns)
@@ -335,7 +335,7 @@ def _with_causes(search: Explanation) -> _Hypotheses:
 
 def _from_the_prior(search: Explanation) -> _Hypotheses:
     """The drive of the pair file with the causes, if the starts that disagree were made without them."""
-    best, is_tried = search.best, any(end.hypothesis.start is None for end in search.ends)
+    best, is_tried = search.best, any(tried.start is None for tried in search.starts)
     if best.estimate.disagreeing and best.hypothesis.misfit.columns and not best.is_failed and not is_tried:
         yield dataclasses.replace(best.hypothesis, start=None)
 

@@ -22,13 +22,14 @@ class Search(ABC, Generic[Start, End]):
 
     Attributes
     ----------
-    ends
-        The ends of all fits.
+    starts, ends
+        The proposed starts, and the ends of their fits where there are some.
     problem
         Why the last start without a fit has none.
     """
 
     def __init__(self) -> None:
+        self.starts: list[Start] = []
         self.ends: list[End] = []
         self.problem: Exception | None = None
         self._best: End | None = None
@@ -53,6 +54,7 @@ class Search(ABC, Generic[Start, End]):
         for propose in proposals:
             starts, end = propose(self), None
             while (start := _next(starts, end)) is not None:
+                self.starts.append(start)
                 try:
                     end = self.fit(start)
                 except NO_FIT as problem:
