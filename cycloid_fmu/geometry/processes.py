@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 _IT = {5: 7.0, 6: 10.0, 7: 16.0, 8: 25.0, 9: 40.0, 10: 64.0, 11: 100.0, 12: 160.0, 13: 250.0}
@@ -19,7 +20,7 @@ def standard_tolerance(grade: int, size: float) -> float:
     30
     """
     size *= 1e3
-    return 1e-6 * _IT[grade] * (0.45 * size ** (1.0 / 3.0) + 0.001 * size)
+    return 1e-6 * _IT[grade] * (0.45 * math.cbrt(size) + 0.001 * size)
 
 
 class Process(NamedTuple):

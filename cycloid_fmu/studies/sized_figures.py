@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,7 +36,7 @@ class Figure(NamedTuple):
     ----------
     name, unit
         Its name and SI unit.
-    value, low, high
+    values
         As drawn, and the ends of its range.
     basis
         What the range is of, or why the value is not known.
@@ -46,20 +46,19 @@ class Figure(NamedTuple):
 
     name: str
     unit: str
-    value: float
-    low: float
-    high: float
+    values: tuple[float, float, float]
     basis: str
     shown: tuple[str, float] = ("", 1.0)
 
     def numbers(self) -> dict[str, Any]:
         """Return it for scripts, SI."""
-        return {key: value for key, value in self._asdict().items() if key != "shown"}
+        ends = dict(zip(("value", "low", "high"), self.values, strict=True))
+        return {"name": self.name, "unit": self.unit, **ends, "basis": self.basis}
 
     def row(self) -> list[str]:
         """Return it as a table row."""
         unit, factor = self.shown[0] or self.unit, self.shown[1]
-        known = [f"{value * factor:.3g}" if math.isfinite(value) else "" for value in (self.value, self.low, self.high)]
+        known = [f"{value * factor:.3g}" if math.isfinite(value) else "" for value in self.values]
         return [self.name, known[0] or "none", " … ".join(known[1:]) if all(known[1:]) else "", unit, self.basis]
 
 
@@ -101,8 +100,14 @@ def _of_tolerances(drive: Sizing) -> list[Figure]:
     for key, shown in (("backlash", ("arcmin", edge.ARCMIN)), ("angular_transmission_error", ("arcmin", edge.ARCMIN))):
         column = next(k for k, (name, _) in enumerate(study.columns) if name == key)
         low, high = np.quantile(sampled[:, column], _ENDS).tolist()
-        rows.append(Figure(key.replace("_", " "), "rad", float(drawn[column]), low, high, basis, shown))
+        rows.append(Figure(key.replace("_", " "), "rad", (float(drawn[column]), low, high), basis, shown))
     return rows
+
+
+def _values(results: Sequence[float]) -> tuple[float, float, float]:
+    """Return the first of three results and the range of the others."""
+    drawn, *ends = results
+    return drawn, min(ends), max(ends)
 
 
 def _with_modulus(pair: Pair, modulus: float) -> Pair:
@@ -125,30 +130,15 @@ def _of_material(drive: Sizing) -> list[Figure]:
     assert limit is not None
     of = f"range of the modulus of {drive.wish.material}"
     elastic = "contacts, eccentric bearing and output pins" if pair.supports else "contacts"
+    permitted = f"permitted {limit.pressure * 1e-6:.0f} MPa {limit.basis}"
     rows = [
-        Figure("torsional stiffness", "N·m/rad", *stiffness, f"mean; {elastic} alone; {of}"),
-        Figure(
-            "contact pressure",
-            "Pa",
-            *pressure,
-            f"permitted {limit.pressure * 1e-6:.0f} MPa {limit.basis}",
-            ("MPa", 1e-6),
-        ),
+        Figure("torsional stiffness", "N·m/rad", _values(stiffness), f"mean; {elastic} alone; {of}"),
+        Figure("contact pressure", "Pa", _values(pressure), permitted, ("MPa", 1e-6)),
     ]
     if pair.supports is not None:
-        lives = [load.life for load in bearing_loads(pair, solved[0])]
-        life = min(value for value in lives if math.isfinite(value))
-        rows.append(
-            Figure(
-                "life of the eccentric bearing",
-                "1",
-                life,
-                math.nan,
-                math.nan,
-                "crank turns at rated torque, L10 of ISO 281",
-                ("million turns", 1e-6),
-            )
-        )
+        life = min(load.life for load in bearing_loads(pair, solved[0]) if math.isfinite(load.life))
+        basis, million = "crank turns at rated torque, L10 of ISO 281", ("million turns", 1e-6)
+        rows.append(Figure("life of the eccentric bearing", "1", (life, math.nan, math.nan), basis, million))
     return rows
 
 
@@ -168,12 +158,12 @@ def _of_friction(drive: Sizing) -> list[Figure]:
         return 0.0 if case.jams else float(case.efficiency)
 
     rows = [
-        Figure("efficiency", "1", *ends(efficiency), f"driving at rated torque, turning slowly; {of}", ("%", 100.0)),
-        Figure("starting torque", "N·m", *ends(lambda each: each.starting_torque), f"at the input, without load; {of}"),
+        Figure("efficiency", "1", ends(efficiency), f"driving at rated torque, turning slowly; {of}", ("%", 100.0)),
+        Figure("starting torque", "N·m", ends(lambda each: each.starting_torque), f"at the input, without load; {of}"),
     ]
     back = ends(lambda each: each.back_driving_torque)
     none = "" if math.isfinite(back[0]) else f"self-locking from rest up to {found.searched_to:g} N·m; "
-    rows.append(Figure("back-driving torque", "N·m", *back, f"{none}from rest; {of}"))
+    rows.append(Figure("back-driving torque", "N·m", back, f"{none}from rest; {of}"))
     return rows
 
 
@@ -214,30 +204,11 @@ def _of_mass(drive: Sizing) -> list[Figure]:
     rotor = discs * pair.eccentricity**2 + pair.discs * inertia / pair.gear_teeth**2
     unbalance = mass * pair.eccentricity if pair.discs == 1 else 0.0
     of = f"range of the density of {drive.wish.material}"
+    ends = (1.0, 1.0 - spread, 1.0 + spread)
+    heavy, lazy = (_values([discs * share + pins for share in ends]), _values([rotor * share for share in ends]))
+    how = "of one disc" if pair.discs == 1 else "discs opposite each other; a couple remains"
     return [
-        Figure(
-            "mass of discs and pins",
-            "kg",
-            discs + pins,
-            discs * (1.0 - spread) + pins,
-            discs * (1.0 + spread) + pins,
-            f"without ring, crank and carrier; {of}",
-        ),
-        Figure(
-            "inertia of the discs at the input",
-            "kg·m²",
-            rotor,
-            rotor * (1.0 - spread),
-            rotor * (1.0 + spread),
-            f"without crank and motor; {of}",
-        ),
-        Figure(
-            "unbalance",
-            "kg·m",
-            unbalance,
-            unbalance,
-            unbalance,
-            "of one disc" if pair.discs == 1 else "discs opposite each other; a couple remains",
-            ("g·mm", 1e6),
-        ),
+        Figure("mass of discs and pins", "kg", heavy, f"without ring, crank and carrier; {of}"),
+        Figure("inertia of the discs at the input", "kg·m²", lazy, f"without crank and motor; {of}"),
+        Figure("unbalance", "kg·m", (unbalance, unbalance, unbalance), how, ("g·mm", 1e6)),
     ]

@@ -510,7 +510,7 @@ def _ball_bearing_stiffness(force: float, bore: float, outside: float) -> float:
     (D - d) and z = 2.9 (D + d)/(D - d) of them (Eschmann, Ball and Roller Bearings).
     """
     ball, balls = 0.3 * (outside - bore), 2.9 * (outside + bore) / (outside - bore)
-    deflection = 4.36e-7 * (5.0 * force / balls) ** (2.0 / 3.0) / (1e3 * ball) ** (1.0 / 3.0)
+    deflection = 4.36e-7 * math.cbrt((5.0 * force / balls) ** 2 / (1e3 * ball))
     return force / deflection
 
 
