@@ -7,7 +7,7 @@ import struct
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import pydantic
@@ -23,11 +23,11 @@ from drivers.encoder import (
     EncoderProtocolError,
     EncoderTimeout,
     ListeningTime,
-    Wiring,
     channel_of,
     device_counts,
 )
 from drivers.lines import BusConfig
+from drivers.plug_in import Wiring
 from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
 
 with edge.needs_extra("bench"):
@@ -90,7 +90,7 @@ class CanopenConfig(AngleConfig):
 class CanopenEncoder(CanEncoder):
     """A CiA 406 node with a TPDO that maps the position 0x6004 or the speed 0x6030.
 
-    Read from the node or an EDS (`dictionary`): identifier and mapping of the TPDO (0x1800 ff., 0x1A00 ff.) and its
+    Read from the node or an EDS: identifier and mapping of the TPDO (0x1800 ff., 0x1A00 ff.) and its
     transmission type. Types 1 to 240 send on every n-th SYNC, whose time stamp the sample gets; types 254 and 255 send
     by event, each frame has its own stamp, and a pause longer than the event timer is a gap. Read from the node: counts
     per turn (0x6501) and number of turns (0x6502), at whose product the position rolls over. A node that restarts is
@@ -99,25 +99,22 @@ class CanopenEncoder(CanEncoder):
 
     configuration = CanopenConfig
 
-    def __init__(self, name: str, config: CanopenConfig, bus: BusConfig, dictionary: Any = None) -> None:
+    def __init__(self, name: str, config: CanopenConfig, bus: BusConfig) -> None:
         super().__init__(name, config, bus)
-        self._dictionary = dictionary
+        if config.quantity == "speed" and config.speed_unit is None:
+            raise edge.InputError('speed_unit is missing: state one count of 0x6030, such as "1 rpm".')
+        self._dictionary: Any = None
         self._node: Any = None
         self._previous: int | None = None
         self._started = self._restarted = self._listening = False
 
     @classmethod
-    def from_config(cls, name: str, config: Any, wiring: Wiring) -> CanopenEncoder:
-        """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
-        if config.quantity == "speed" and config.speed_unit is None:
-            raise edge.InputError(
-                f'{wiring.source}: [channel.{name}] speed_unit is missing: state one count of 0x6030, such as "1 rpm".'
-            )
-        dictionary = None
+    def from_config(cls, name: str, config: Any, wiring: Wiring) -> Self:
+        """Return the encoder with the EDS that its table names, if any; see `PlugIn.from_config`."""
+        encoder = super().from_config(name, config, wiring)
         if config.eds is not None:
-            path = wiring.folder / config.eds
-            dictionary = _read_eds(path, config.node)
-        return cls(name, config, wiring.line(BusConfig, config.bus, f"[channel.{name}]"), dictionary)
+            encoder._dictionary = _read_eds(wiring.folder / config.eds, config.node)
+        return encoder
 
     @property
     def _where(self) -> str:

@@ -16,7 +16,8 @@ from typing import IO, Self
 import platformdirs
 
 from cycloid_fmu import edge
-from drivers.encoder import EncoderSetupError, Wiring
+from drivers.encoder import EncoderSetupError
+from drivers.plug_in import Wiring
 
 WAIT_SECONDS = 5.0  # for a recording that is ending
 

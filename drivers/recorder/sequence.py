@@ -371,10 +371,9 @@ def run_sequence(
     made = sequence if isinstance(sequence, BenchSequence) else read_sequence(sequence)
     with Claims() as claims, contextlib.ExitStack() as stack:
         claims.claim(made.bench.wiring)
-        actuator = None
-        if made.bench.actuator is not None:
-            cls, config = made.bench.actuator
-            actuator = stack.enter_context(cls.from_config(config, made.bench.wiring))
+        actuator = made.bench.new_actuator()
+        if actuator is not None:
+            stack.enter_context(actuator)
         return _run_steps(made, actuator, note, ready, again, progress)
 
 

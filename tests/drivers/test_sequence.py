@@ -19,7 +19,7 @@ from common import EXAMPLES
 from cycloid_fmu import edge
 from drivers.lines import BusConfig
 from drivers.recorder import bench
-from drivers.recorder.actuator import ENTRY_POINTS, Actuator, ActuatorConfig
+from drivers.recorder.actuator import Actuator, ActuatorConfig
 from drivers.recorder.sequence import read_sequence, run_sequence, shortfalls
 from drivers.recording_format import read_recording
 from drivers.simulated.can_bench import SimulatedCanBench
@@ -49,12 +49,9 @@ class Motor(Actuator):
     configuration, line = MotorConfig, BusConfig
     noted: ClassVar[list[str]] = []
 
-    def __init__(self, config, line):
-        self.config, self.channel, self.benches = config, line.channel, contextlib.ExitStack()
-
-    @classmethod
-    def from_config(cls, config, wiring):
-        return cls(config, wiring.line(BusConfig, config.bus, "[actuator]"))
+    def __init__(self, name, config, line):
+        super().__init__(name, config, line)
+        self.channel, self.benches = line.channel, contextlib.ExitStack()
 
     def __enter__(self):
         self.noted.append("open")
@@ -81,9 +78,9 @@ class Motor(Actuator):
 @pytest.fixture
 def motor(monkeypatch, wiring):
     """The bench file with an `[actuator]`, whose plug-in is registered."""
-    point = importlib.metadata.EntryPoint("motor", f"{__name__}:Motor", ENTRY_POINTS)
+    point = importlib.metadata.EntryPoint("motor", f"{__name__}:Motor", Actuator.group)
     points = importlib.metadata.EntryPoints([*importlib.metadata.entry_points(group="cycloid.encoders"), point])
-    monkeypatch.setattr(bench, "registered", lambda group="cycloid.encoders": points.select(group=group))
+    monkeypatch.setattr(bench, "registered", lambda group: points.select(group=group))
     monkeypatch.setattr(Motor, "noted", [])
     wiring.write_text(wiring.read_text() + '[actuator]\nprotocol = "motor"\nbus = "can0"\n')
     return wiring
@@ -155,10 +152,10 @@ def test_the_documented_actuator_sends_each_step_s_torque_and_speed(tmp_path, mo
     code = re.search(r"<!-- actuator -->\n```python\n(.*?)```", text, re.S)[1]
     (tmp_path / "brake.py").write_text(code)
     monkeypatch.syspath_prepend(str(tmp_path))
-    point = importlib.metadata.EntryPoint("brake", "brake:Brake", ENTRY_POINTS)
+    point = importlib.metadata.EntryPoint("brake", "brake:Brake", Actuator.group)
     amt21 = importlib.metadata.entry_points(group="cycloid.encoders").select(name="amt21")
     points = importlib.metadata.EntryPoints([*amt21, point])
-    monkeypatch.setattr(bench, "registered", lambda group="cycloid.encoders": points.select(group=group))
+    monkeypatch.setattr(bench, "registered", lambda group: points.select(group=group))
     controller, line = pty.openpty()
     tty.setraw(line)
     (tmp_path / "BENCH.toml").write_text(
@@ -167,8 +164,7 @@ def test_the_documented_actuator_sends_each_step_s_torque_and_speed(tmp_path, mo
     )
     (tmp_path / "sequence.toml").write_text(SEQUENCE + '[hysteresis]\ntorque = "100 N*m"\n')
     sequence = read_sequence(tmp_path / "sequence.toml")
-    cls, config = sequence.bench.actuator
-    with cls.from_config(config, sequence.bench.wiring) as brake:
+    with sequence.bench.new_actuator() as brake:
         for step in sequence.steps:
             brake.set(step)
         brake.cycle(sequence.steps[-1])
