@@ -49,8 +49,9 @@ def unwrap(
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, such as "1 line" or "2 lines"."""
-    return f"{number} {noun}{'s' * (number != 1)}"
+    """Return a number with its noun, such as "1 line", "2 lines" or "2 queries"."""
+    plural = f"{noun[:-1]}ies" if noun.endswith("ry") else f"{noun}s"
+    return f"{number} {noun if number == 1 else plural}"
 
 
 class UnseenTurns:
@@ -208,9 +209,13 @@ def missing_by_pace(
 
 
 class Pace:
-    """The usual interval between readings, from the last `_PACE_KEPT` intervals without a loss."""
+    """The usual interval between readings, from the last `_PACE_KEPT` intervals without a loss.
 
-    def __init__(self) -> None:
+    `cyclic`: the device sends at one interval, however unevenly a busy machine stamps what arrives.
+    """
+
+    def __init__(self, *, cyclic: bool = False) -> None:
+        self._cyclic = cyclic
         self._steps: collections.deque[float] = collections.deque(maxlen=_PACE_KEPT)
         self._new = 0
         self._found: tuple[float | None, float] = None, math.inf
@@ -227,7 +232,7 @@ class Pace:
             # The mean, because late readings are followed by early ones or arrive together; pauses are left out.
             total = float(np.sum(steps))
             period = float(np.mean(steps[steps <= max(0.1, _PACE_LEAST / len(steps)) * total]))
-            even = np.mean(np.abs(steps - middle) <= 0.5 * middle) >= 0.8
+            even = self._cyclic or np.mean(np.abs(steps - middle) <= 0.5 * middle) >= 0.8
             longest = max(late, period) + 0.5 * period if even else math.inf
             self._found, self._new = (period if period > 0 else None, longest), 0
         return self._found

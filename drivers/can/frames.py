@@ -37,6 +37,11 @@ class Judged:
     status: IntArray
     jumped: npt.NDArray[np.bool_]
 
+    def at(self, which: npt.NDArray[np.bool_]) -> Judged:
+        """Return the frames of a mask, shape (n,)."""
+        device = None if self.time_device is None else self.time_device[which]
+        return Judged(self.payloads[which], self.time_host[which], device, self.status[which], self.jumped[which])
+
 
 class FrameReader:
     """Reads the frames of one identifier as payloads, stamps and status: common to CANopen and DBC channels.
@@ -55,6 +60,8 @@ class FrameReader:
         The channel's name, for events.
     period
         Interval of frames sent by a timer, s, None if unknown; a longer silence is a gap.
+    cyclic
+        Whether frames are sent at one interval; a silence longer than usual is then a gap even if the bus dropped none.
 
     Attributes
     ----------
@@ -70,15 +77,11 @@ class FrameReader:
         sync_step: int | None,
         channel: str,
         period: float | None = None,
+        *,
+        cyclic: bool = False,
     ) -> None:
-        self.hub, self.identifier, self.length, self.sync_step, self.channel, self.period = (
-            hub,
-            identifier,
-            length,
-            sync_step,
-            channel,
-            period,
-        )
+        self.hub, self.identifier, self.length, self.sync_step = hub, identifier, length, sync_step
+        self.channel, self.period, self._by_pace = channel, period, cyclic or not hub.tells_drops
         self._blocks = hub.subscribe(identifier)
         self._events: collections.deque[Event] = collections.deque()
         self._last_seen = -1
@@ -86,7 +89,7 @@ class FrameReader:
         self._newest: int | None = None
         self._last: tuple[float, bytearray, float] | None = None
         self._jumps = ClockJumps()
-        self._pace, self._name = Pace(), frame_name(identifier)
+        self._pace, self._name = Pace(cyclic=cyclic), frame_name(identifier)
         self._gap = hub.gaps
         self._marks: collections.deque[int] = collections.deque()
         self.lost = 0
@@ -265,7 +268,7 @@ class FrameReader:
         period = self.period or self._pace.period
         if period is None:
             return np.zeros(len(step), np.int64)
-        longest = math.inf if self.hub.tells_drops else self._pace.longest
+        longest = self._pace.longest if self._by_pace else math.inf
         gaps = behind | (step > (1.5 * self.period if self.period is not None else longest))
         return missing_by_pace(times, step, gaps & ~jumps, period)[0]
 

@@ -129,6 +129,7 @@ class AsciiCounter(SerialEncoder):
     """
 
     configuration: ClassVar[type[ChannelConfig]] = AsciiConfig
+    cyclic: ClassVar[bool] = False  # whether it is known to send at one interval
 
     def __init__(self, name: str, config: AsciiConfig, port: PortConfig) -> None:
         super().__init__(name, config, port)
@@ -159,7 +160,7 @@ class AsciiCounter(SerialEncoder):
         self._device_start: float | None = None
         self._ticks: tuple[float, float] | None = None
         self._noted, self._doubtful = 0, False
-        self._pace = Pace()
+        self._pace = Pace(cyclic=self.cyclic)
 
     def question(self, port: Any) -> bytes:
         """Request a line and return it; see `SerialEncoder.question`."""
@@ -303,8 +304,10 @@ class AsciiCounter(SerialEncoder):
             if not (self._told or self.asked):
                 step = np.diff(times, prepend=times[0] if self._ticks is None else self._ticks[1])
                 self._ticks = 0.0, float(times[-1])
-                gaps = status & GAP > 0
-                self._paced(times, times, step, gaps, first, gaps)
+                known = status & GAP > 0
+                # A pause is a gap if no lines come in quick succession after it: those were only delayed.
+                missing = self._paced(times, times, step, known | (step > self._pace.longest), first, known)
+                status = status | (missing > 0) * GAP
             return status, None, None
         ticks = np.array([float(f["time"]) for f in fields])
         last, arrived = self._ticks or (ticks[0], times[0])

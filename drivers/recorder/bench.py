@@ -154,7 +154,8 @@ def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> 
     table = edge.toml_table(edge.read_text(path, BENCH_FORMAT), BENCH_FORMAT, source)
     channels, actuator = table.get("channel"), table.get("actuator")
     tables = {f"[channel.{name}]": keys for name, keys in channels.items()} if isinstance(channels, dict) else {}
-    classes: dict[str, Any] = _classes(Encoder, tables, source) | _classes(Actuator, {"[actuator]": actuator}, source)
+    classes: dict[str, Any] = _classes(Encoder, tables, source)  # type: ignore[type-abstract]
+    classes |= _classes(Actuator, {"[actuator]": actuator}, source)  # type: ignore[type-abstract]
     kinds = _line_kinds({where: cls.line for where, cls in classes.items()}, source)
     file = edge.validated(bench_file(kinds.values()), table, source)
     lines: dict[str, dict[str, LineConfig]] = {kind: getattr(file, kind) for kind in kinds}
@@ -182,7 +183,7 @@ def _classes(base: type[PlugIn], tables: Mapping[str, Any], source: str) -> dict
     """Return the plug-in of each table, by the table's name; values that are no table are left to the validation."""
     installed = registered(base.group)
     return {
-        where: plug_in(base, keys.get("protocol"), where, source, installed)  # type: ignore[type-abstract]
+        where: plug_in(base, keys.get("protocol"), where, source, installed)
         for where, keys in tables.items()
         if isinstance(keys, dict)
     }
