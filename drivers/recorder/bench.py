@@ -98,7 +98,7 @@ class Bench:
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as simulated:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as simulated:
     ...     bench = drivers.read_bench(simulated.write_wiring("BENCH.toml"))
     >>> bench.conditions["load"]
     20.0
@@ -145,7 +145,7 @@ def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> 
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as simulated:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as simulated:
     ...     bench = drivers.read_bench(simulated.write_wiring("BENCH.toml"))
     >>> bench.ratio, list(bench.channels)
     (-39.0, ['input_angle', 'output_angle', 'torque'])

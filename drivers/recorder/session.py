@@ -449,7 +449,7 @@ def record(
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, connection="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, bus="virtual") as bench:
     ...     wiring = bench.write_wiring("BENCH.toml")
     ...     done = drivers.record(wiring, "recorded.arrows", samples=96, idle="2 s")
     >>> done.samples

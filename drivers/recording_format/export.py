@@ -60,7 +60,7 @@ def export(
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as bench:
     ...     done = bench.record("test.arrows")
     >>> drivers.export("test.arrows", "test.csv").rows
     96

@@ -53,7 +53,7 @@ class Recording:
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as bench:
     ...     done = bench.record("aligned.arrows")
     >>> recording = drivers.read_recording("aligned.arrows")
     >>> [c.unit for c in recording.header.channels], recording.aligned_time("torque").shape
@@ -333,7 +333,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as bench:
     ...     done = bench.record("read.arrows")
     >>> recording = drivers.read_recording("read.arrows")
     >>> recording.header.ratio, len(recording.samples["torque"]), recording.problems

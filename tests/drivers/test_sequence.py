@@ -22,6 +22,7 @@ from drivers.recorder import bench
 from drivers.recorder.actuator import Actuator, ActuatorConfig
 from drivers.recorder.sequence import read_sequence, run_sequence, shortfalls
 from drivers.recording_format import read_recording
+from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_hysteresis, simulate_motion
 
@@ -62,7 +63,9 @@ class Motor(Actuator):
         options = {"hysteresis": True, "samples_per_turn": 4000} if step.is_hysteresis else {"speed": step.speed}
         turns = int(step.turns + (0 if step.is_hysteresis else self.config.more))
         made = moved(torque=step.torque, turns=turns, direction=step.direction, **options)
-        self.benches.enter_context(SimulatedCanBench(made, channel=self.channel, speed_factor=1.0))
+        self.benches.enter_context(
+            SimulatedCanBench(made, SimulatedCan(interface="virtual", channel=self.channel, speed_factor=1.0))
+        )
 
     def cycle(self, step):
         self.noted.append("cycle")
@@ -89,7 +92,9 @@ def motor(monkeypatch, wiring):
 @pytest.fixture
 def wiring(tmp_path, bus_name):
     motion = simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=20.0, turns=1))
-    return SimulatedCanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39)
+    return SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)).write_wiring(
+        tmp_path / "BENCH.toml", ratio=-39
+    )
 
 
 def test_a_driven_sequence_records_every_step_and_stops_the_bench_after_each(command, tmp_path, motor):
@@ -139,7 +144,9 @@ def test_the_bench_is_stopped_at_every_end_of_a_run(tmp_path, motor, monkeypatch
 def test_a_bench_that_runs_by_itself_is_waited_for(command, tmp_path, wiring, bus_name):
     one_way = SEQUENCE.replace('"forward", "backward"', '"forward"')
     (tmp_path / "sequence.toml").write_text(one_way + 'wait = "0.5 s"\n')
-    with SimulatedCanBench(moved(torque=20.0, turns=4), channel=bus_name, speed_factor=8.0):
+    with SimulatedCanBench(
+        moved(torque=20.0, turns=4), SimulatedCan(interface="virtual", channel=bus_name, speed_factor=8.0)
+    ):
         begun = time.monotonic()
         run = command("cycloid-bench", "run", "sequence.toml")
         assert time.monotonic() - begun > 0.5
@@ -188,7 +195,9 @@ class Person:
         if isinstance(now, str):
             return now + "\n"
         self.benches.close()  # the bench of the previous step is switched off
-        self.benches.enter_context(SimulatedCanBench(now, channel=self.bus_name, speed_factor=8.0))
+        self.benches.enter_context(
+            SimulatedCanBench(now, SimulatedCan(interface="virtual", channel=self.bus_name, speed_factor=8.0))
+        )
         return "\n"
 
 

@@ -673,7 +673,7 @@ def test_the_log_of_a_moteus_goes_to_its_curve_and_maps(command, tmp_path, made)
     assert turning.column in ("POSITION", "ENCODER_0_POSITION"), "both are of the motor"
     assert (driven.column, turning.unit, driven.unit) == ("ENCODER_1_POSITION", "rev", "rev")
     assert (mapping.ratio, mapping.time.unit, mapping.torque.column) == (RATIO, "s", "TORQUE")
-    curve = command("cycloid-fit", "curve", *files, "--mapping", "map.toml", "-o", "curves.csv")
+    curve = command("cycloid-fit", "curve", *files, "--mapping", "map.toml", "-o", "curves.nc")
     assert curve.returncode == 0, curve.stderr
     (first, _) = fitting.read_recordings([tmp_path / name for name in files], mapping=tmp_path / "map.toml")
     (measured,) = fitting.curves(first, RATIO)
