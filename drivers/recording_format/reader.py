@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -14,7 +15,7 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers.recording_format.clocks import Alignment, Clock, clocks_of
-from drivers.recording_format.decoding import Batch, decoded
+from drivers.recording_format.decoding import Batch, DamagedBatchError, decoded
 from drivers.recording_format.schema import (
     COLUMNS,
     FORMAT,
@@ -31,8 +32,7 @@ from drivers.recording_format.schema import (
 )
 from drivers.recording_format.writer import END_OF_STREAM, MESSAGE
 
-_SEARCH_BYTES = 1 << 20
-_PIECE_BYTES = 1 << 22  # of the file, decoded together
+_SEARCH_BYTES, _PIECE_BYTES = 1 << 20, 1 << 22
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,43 +175,51 @@ class RecordingReader:
             there.
         """
         while True:
-            batches, ends = self._piece()
-            for batch, end in zip(decoded(batches, self._names), ends, strict=True):
-                self._offset = end
-                if (taken := self._judged(batch)) is not None:
+            for batch, self._offset in self._piece():
+                if (taken := self._taken(batch)) is not None:
                     yield taken
             # Pieces stop at the end, at damage and at a batch that is not all in the piece: continue with this one.
             size = self.size
             if self._bytes(self._offset, 8) == END_OF_STREAM:
                 return
-            found = self._message(self._offset, size)
-            if found is None:
-                if growing:
-                    return
-                if not self._resume(size):
-                    if self._offset >= size and self._good_end == self._offset:
-                        self.problems.append(
-                            f"{self.source}: it was not closed; all {self.complete} batches were read."
-                        )
-                    else:
-                        self.problems.append(
-                            f"{self.source}: it is truncated or damaged after {self.complete} complete batches; "
-                            "these were read."
-                        )
-                    return
-                continue
-            data, self._offset = found
-            if data is not None and (taken := self._judged(self._decoded(data))) is not None:
-                yield taken
+            message = self._message(self._offset, size)
+            if message is not None:
+                data, self._offset = message
+                if data is not None and (taken := self._taken(data)) is not None:
+                    yield taken
+            elif growing:
+                return
+            elif not self._resume(size):
+                if self._offset >= size and self._good_end == self._offset:
+                    end = f"it was not closed; all {self.complete} batches were read."
+                else:
+                    end = f"it is truncated or damaged after {self.complete} complete batches; these were read."
+                self.problems.append(f"{self.source}: {end}")
+                return
 
-    def _judged(
-        self, decoded: tuple[int, Samples, tuple[Event, ...]] | Exception
-    ) -> tuple[Samples, tuple[Event, ...]] | None:
-        """Return the next batch, with its first sample marked after a loss; None if it is damaged."""
-        if isinstance(decoded, Exception):
-            self._left_out(decoded)
+    def _piece(self) -> Iterator[tuple[Batch, int]]:
+        """Yield the next batches that one piece of the file holds, and the byte at which each ends."""
+        begin = self._offset - len(self._preamble)
+        source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
+        with pa.ipc.open_stream(source) as reader:
+            reader.read_next_batch()
+            while True:
+                try:
+                    batch = reader.read_next_batch_with_custom_metadata()
+                except (StopIteration, ValueError, OSError, EOFError, pa.ArrowException):
+                    return
+                yield batch, begin + source.tell()
+
+    def _taken(self, data: Batch | bytes) -> tuple[Samples, tuple[Event, ...]] | None:
+        """Return a batch or that of a message, its first sample marked after a loss; None if it is damaged."""
+        try:
+            sequence, samples, events = self._decoded(data)
+        except DamagedBatchError as problem:
+            self.problems.append(f"{self.source}: batch {self._number} was left out: {problem}.")
+            self._lost = set(self._names)
+            self._number += 1
+            self._next_sequence += 1
             return None
-        sequence, samples, said = decoded
         if sequence != self._next_sequence:
             self.problems.append(
                 f"{self.source}: batch {self._number} has sequence number {sequence}, not {self._next_sequence}."
@@ -220,7 +228,7 @@ class RecordingReader:
         self._number += 1
         self._good_end, self._next_sequence = self._offset, sequence + 1
         self.complete += 1
-        return self._marked(samples), said
+        return self._marked(samples), events
 
     def _marked(self, samples: Samples) -> Samples:
         """Return samples, the first one marked if samples of the channel may be lost before it."""
@@ -230,27 +238,6 @@ class RecordingReader:
         status = samples.status.copy()
         status[0] |= GAP
         return dataclasses.replace(samples, status=status)
-
-    def _left_out(self, problem: Exception) -> None:
-        self.problems.append(f"{self.source}: batch {self._number} was left out: {problem}.")
-        self._lost = set(self._names)
-        self._number += 1
-        self._next_sequence += 1
-
-    def _piece(self) -> tuple[list[Batch], list[int]]:
-        """Return the next batches that one piece of the file holds, and the byte at which each ends."""
-        begin = self._offset - len(self._preamble)
-        source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
-        batches: list[Batch] = []
-        ends: list[int] = []
-        with pa.ipc.open_stream(source) as reader:
-            reader.read_next_batch()
-            while True:
-                try:
-                    batches.append(reader.read_next_batch_with_custom_metadata())
-                except (StopIteration, ValueError, OSError, EOFError, pa.ArrowException):
-                    return batches, ends
-                ends.append(begin + source.tell())
 
     @property
     def size(self) -> int:
@@ -280,14 +267,23 @@ class RecordingReader:
             return None
         return (self._bytes(offset, end - offset) if message.type == "record batch" else None), end
 
-    def _decoded(self, data: bytes) -> tuple[int, Samples, tuple[Event, ...]] | Exception:
-        """Return the decoded batch of a message, or the reason why it is damaged."""
+    def _decoded(self, data: Batch | bytes) -> tuple[int, Samples, tuple[Event, ...]]:
+        """Return sequence number, samples and events of a batch or message; `DamagedBatchError` if it is damaged."""
+        if not isinstance(data, bytes):
+            return decoded(data, self._names)
         try:
             with pa.ipc.open_stream(pa.BufferReader(self._preamble + data)) as reader:
                 reader.read_next_batch()
-                return next(decoded([reader.read_next_batch_with_custom_metadata()], self._names))
+                batch = reader.read_next_batch_with_custom_metadata()
         except (ValueError, OSError, pa.ArrowException, StopIteration) as problem:  # OSError: lengths beyond the end
-            return problem
+            raise DamagedBatchError(str(problem)) from problem
+        return decoded(batch, self._names)
+
+    def _is_sound(self, data: bytes) -> bool:
+        with contextlib.suppress(DamagedBatchError):
+            self._decoded(data)
+            return True
+        return False
 
     def _resume(self, size: int) -> bool:
         """Continue at the next batch with a correct CRC-32 after damage; False if there is none."""
@@ -298,7 +294,7 @@ class RecordingReader:
             while found >= 0:
                 at = position + found
                 taken = self._message(at, size) if at % 8 == 0 else None
-                if taken is not None and taken[0] is not None and not isinstance(self._decoded(taken[0]), Exception):
+                if taken is not None and taken[0] is not None and self._is_sound(taken[0]):
                     self.problems.append(
                         f"{self.source}: damaged from byte {self._good_end} on; reading continued at byte {at}."
                     )
