@@ -126,8 +126,9 @@ DEVICE = """
 import math, sys
 from drivers.simulated.buses import SimulatedAmt21
 from drivers.simulated.motion import SimulatedRun, simulate_motion
+from drivers.simulated.simulate import bench_of
 motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=100, speed=0.01 * math.pi))
-with SimulatedAmt21().bench(motion) as bench:
+with bench_of(SimulatedAmt21(), motion) as bench:
     bench.write_wiring(sys.argv[1])
     print(bench.url, flush=True)
     sys.stdin.read()

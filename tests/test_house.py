@@ -240,7 +240,6 @@ WIDE = {
     "cycloid_fmu.native.build.build_native": _OPTIONS,
     "cycloid_fmu.native.nodes.solved_at": "places of a grid, and how the model is solved at them",
     "cycloid_fmu.surfaces.surface.__init__": _OPTIONS,
-    "drivers.recorder.session.record_encoders": "the options of `drivers.record`",
     "fitting.ageing.forecast.forecast": _OPTIONS,
     "fitting.ageing.life.life_figures": _OPTIONS,
     "fitting.estimation.fit.fit": _ESTIMATION,

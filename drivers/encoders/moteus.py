@@ -23,7 +23,7 @@ from drivers.can.bus import frame_key
 from drivers.can.frames import FrameReader, Judged
 from drivers.can.hub import CanHub
 from drivers.can.motor import CanMotor
-from drivers.counts import counted, missing_by_pace
+from drivers.counts import counted
 from drivers.lines import BusConfig
 from drivers.motor import MotorConfig
 from drivers.recording_format import GAP, FloatArray, Samples
@@ -139,7 +139,7 @@ class MoteusServo(CanMotor):
         if not bus.fd:
             raise edge.InputError(f'bus = "{config.bus}": a moteus speaks CAN FD; write fd = true in its table.')
         self._queries: _Queries | None = None
-        self._missed = 0
+        self._unanswered, self._lost_earlier = 0.0, 0
 
     def set_up(self, hub: CanHub) -> None:
         """Query the controller once; see `HubEncoder.set_up`."""
@@ -147,7 +147,9 @@ class MoteusServo(CanMotor):
         key = frame_key(node << 8, extended=node << 8 > 0x7FF, fd=True)
         reader = FrameReader(hub, key, _REPLY_BYTES, None, self.name)
         self.listen(reader, f"moteus {node}", "reply", lambda: query(hub, node))
-        self._newest: float | None = None
+        self._lost_earlier += int(self._unanswered)
+        self._begun: float | None = None
+        self._newest, self._replies, self._unanswered = 0.0, 0, 0.0
 
     def start(self) -> None:
         """Query the controller from now on."""
@@ -165,16 +167,31 @@ class MoteusServo(CanMotor):
     @property
     def lost(self) -> int:
         """Number of queries without a reply as asked."""
-        return max(0, self._missed)
+        return self._lost_earlier + int(self._unanswered)
 
     def finish(self) -> None:
         """Report the queries without a reply after the last one; see `Encoder.finish`."""
         super().finish()
-        if self._queries is not None and self._newest is not None:
+        if self._queries is not None and self._begun is not None:
             missing = self._queries.newest - int(self._newest) - 1  # the newest may still be answered
             if missing > 0:
-                self._missed += missing
+                self._unanswered += missing
                 self.reader.say(time.time(), f"{counted(missing, 'query')} without a reply after the last one")
+
+    def _missing(self, asked: FloatArray) -> FloatArray:
+        """Return how many queries before each reply have none, shape (n,); `asked`: the newest query before each."""
+        begun = asked[0] if self._begun is None else self._begun
+        replies = self._replies + np.arange(1, len(asked) + 1)
+        open_queries = asked - begun + 1 - replies
+        if (surplus := float(open_queries.min())) < 0.0:  # the first reply was late, to an earlier query
+            begun, open_queries = begun + surplus, open_queries - surplus
+        # A late reply, after the next query, leaves more open for a moment; a lost one for good.
+        for_good = np.minimum.accumulate(open_queries[::-1])[::-1]
+        before = min(self._unanswered, float(for_good[0]))
+        level = np.maximum.accumulate(np.maximum(for_good, before))
+        self._begun, self._replies, self._unanswered = float(begun), int(replies[-1]), float(level[-1])
+        self._newest = float(asked[-1])
+        return np.diff(level, prepend=before)
 
     def valid(self, block: Judged) -> Any:
         """Return the mask of the replies with the registers asked for; see `CanMotor.valid`."""
@@ -196,11 +213,7 @@ class MoteusServo(CanMotor):
         if not right.any():
             return None
         block, asked = block.at(right), asked[right]
-        steps = np.diff(asked, prepend=asked[0] - 1.0 if self._newest is None else self._newest)
-        missing, late = missing_by_pace(asked, steps, steps > 1.0, 1.0)
-        self._newest = float(asked[-1])
-        # A late reply, after the next query, was counted as missing if it came in a later block.
-        self._missed += int(missing.sum()) - int(np.count_nonzero((steps < 1.0) & ~late))
+        missing = self._missing(asked)
         if missing.any():
             first = float(block.time_host[np.flatnonzero(missing)[0]])
             self.reader.say(first, f"{counted(int(missing.sum()), 'query')} without a reply from here on")

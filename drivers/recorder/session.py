@@ -12,18 +12,14 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
 from drivers.arguments import in_si
-from drivers.encoder import (
-    Encoder,
-    EncoderError,
-    ListeningTime,
-    steady_time,
-)
+from drivers.encoder import Encoder, EncoderError, ListeningTime, steady_time
 from drivers.recorder.bench import Bench, open_encoders, read_bench
 from drivers.recorder.clock import ClockEstimate
 from drivers.recorder.supervision import Supervised
@@ -315,6 +311,15 @@ class _Session:
         self.live.disk_free = shutil.disk_usage(Path(self.path).parent).free
 
 
+class End(TypedDict, total=False):
+    """Conditions that end a recording, see `record`; those absent or None do not."""
+
+    duration: float | None
+    samples: int | None
+    idle: float | None
+    stop: Callable[[], bool] | None
+
+
 def record_encoders(
     encoders: Sequence[Encoder],
     path: str | os.PathLike[str],
@@ -322,13 +327,10 @@ def record_encoders(
     ratio: float | None = None,
     pair: str = "",
     conditions: Mapping[str, float | str] | None = None,
-    duration: float | None = None,
-    samples: int | None = None,
-    idle: float | None = None,
-    stop: Callable[[], bool] | None = None,
     progress: Callable[[Live], None] | None = None,
+    **end: Unpack[End],
 ) -> Recorded:
-    """Record open, started encoders until one of the end conditions; see `record` for the parameters and errors.
+    """Record open, started encoders until one of the conditions `end`; see `record` for the parameters and errors.
 
     A failed channel is reported as an event, reopened until it answers, and its next sample marked; the others
     continue. At the end, also after SIGINT, SIGTERM and SIGHUP, all data waiting on buses and ports are read and
@@ -349,7 +351,7 @@ def record_encoders(
     session = _Session(encoders, writer, path, ratio, epoch)
     try:
         with interrupts() as interrupted:
-            ended = _run(session, interrupted, duration, samples, idle, stop, progress)
+            ended = _run(session, interrupted, end, progress)
             session.take_all()
             session.finish()
     finally:
@@ -369,16 +371,9 @@ def record_encoders(
     return done
 
 
-def _run(
-    session: _Session,
-    interrupted: Sequence[str],
-    duration: float | None,
-    samples: int | None,
-    idle: float | None,
-    stop: Callable[[], bool] | None,
-    progress: Callable[[Live], None] | None,
-) -> str:
+def _run(session: _Session, interrupted: Sequence[str], end: End, progress: Callable[[Live], None] | None) -> str:
     """Record until one of the end conditions, and return it; see `Recorded`."""
+    duration, samples, idle, stop = (dict[str, Any](end).get(key) for key in ("duration", "samples", "idle", "stop"))
     live, listened = session.live, ListeningTime()
     begun, heard = time.monotonic(), 0.0
     while not interrupted:

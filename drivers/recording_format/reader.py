@@ -175,7 +175,8 @@ class RecordingReader:
             there.
         """
         while True:
-            for batch, self._offset in self._piece():
+            for batch, end in self._piece():
+                self._offset = end
                 if (taken := self._taken(batch)) is not None:
                     yield taken
             # Pieces stop at the end, at damage and at a batch that is not all in the piece: continue with this one.
@@ -191,10 +192,10 @@ class RecordingReader:
                 return
             elif not self._resume(size):
                 if self._offset >= size and self._good_end == self._offset:
-                    end = f"it was not closed; all {self.complete} batches were read."
+                    state = f"it was not closed; all {self.complete} batches were read."
                 else:
-                    end = f"it is truncated or damaged after {self.complete} complete batches; these were read."
-                self.problems.append(f"{self.source}: {end}")
+                    state = f"it is truncated or damaged after {self.complete} complete batches; these were read."
+                self.problems.append(f"{self.source}: {state}")
                 return
 
     def _piece(self) -> Iterator[tuple[Batch, int]]:

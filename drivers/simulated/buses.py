@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import abc
 import os
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 import pydantic
 
 from cycloid_fmu import edge
 from drivers.simulated.faults import Fault
 
-if TYPE_CHECKING:
-    from drivers.simulated.bench import SimulatedBench
-    from drivers.simulated.motion import Motion
-
 FORMAT = "cycloid-simulation/1"
 
 
-class SimulatedBus(edge.Config, abc.ABC):
+class SimulatedBus(edge.Config):
     """Keys of every simulated bus.
 
     Attributes
@@ -31,10 +26,6 @@ class SimulatedBus(edge.Config, abc.ABC):
 
     speed_factor: Annotated[float, pydantic.Field(gt=0)] | None = None
     faults: tuple[Fault, ...] = ()
-
-    @abc.abstractmethod
-    def bench(self, motion: Motion) -> SimulatedBench:
-        """Return the bench that sends a motion over this bus."""
 
 
 class SimulatedCan(SimulatedBus):
@@ -71,12 +62,6 @@ class SimulatedCan(SimulatedBus):
             raise ValueError('clock_drift: only the buses "virtual" and "loopback" have a clock')
         return self
 
-    def bench(self, motion: Motion) -> SimulatedBench:
-        """See `SimulatedBus.bench`."""
-        from drivers.simulated.can_bench import SimulatedCanBench  # needs the extra `bench`
-
-        return SimulatedCanBench(motion, self)
-
 
 class SimulatedAmt21(SimulatedBus):
     """An `[amt21]`: two AMT21 encoders on one RS-485 line, a pseudo-terminal.
@@ -98,12 +83,6 @@ class SimulatedAmt21(SimulatedBus):
     multi_turn: bool = False
     baud_rate: Annotated[int, pydantic.Field(gt=0)] = 2_000_000
 
-    def bench(self, motion: Motion) -> SimulatedBench:
-        """See `SimulatedBus.bench`."""
-        from drivers.simulated.serial_bench import SimulatedAmt21Bench
-
-        return SimulatedAmt21Bench(motion, self)
-
 
 class SimulatedModbus(SimulatedBus):
     """A `[modbus]`: two Modbus RTU encoders on one line, a pseudo-terminal; it needs the extra `bench`.
@@ -122,12 +101,6 @@ class SimulatedModbus(SimulatedBus):
     counts_per_turn: Annotated[int, pydantic.Field(gt=1)] = 1 << 18
     baud_rate: Annotated[int, pydantic.Field(gt=0)] = 115_200
 
-    def bench(self, motion: Motion) -> SimulatedBench:
-        """See `SimulatedBus.bench`."""
-        from drivers.simulated.serial_bench import SimulatedModbusBench
-
-        return SimulatedModbusBench(motion, self)
-
 
 class SimulatedAscii(SimulatedBus):
     """An `[ascii]`: a counter of the output angle that sends lines on its own, on a pseudo-terminal.
@@ -145,12 +118,6 @@ class SimulatedAscii(SimulatedBus):
     counts_per_turn: Annotated[int, pydantic.Field(gt=1)] = 360_000
     clock_drift: float = 0.0
     baud_rate: Annotated[int, pydantic.Field(gt=0)] = 921_600
-
-    def bench(self, motion: Motion) -> SimulatedBench:
-        """See `SimulatedBus.bench`."""
-        from drivers.simulated.serial_bench import SimulatedAsciiBench
-
-        return SimulatedAsciiBench(motion, self)
 
 
 class SimulationFile(edge.Config):

@@ -11,7 +11,7 @@ import select
 import struct
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,6 +21,7 @@ from cycloid_fmu import edge
 from drivers.encoders.amt21 import check_bits
 from drivers.recording_format import IntArray
 from drivers.simulated.bench import SimulatedBench
+from drivers.simulated.buses import SimulatedAmt21, SimulatedAscii, SimulatedBus, SimulatedModbus
 from drivers.simulated.faults import SERIAL_FAULTS, Fault, at_wrong_baud
 from drivers.simulated.motion import Motion, quantised
 
@@ -318,3 +319,10 @@ class SimulatedAsciiBench(_PtyBench):
                 for data in [line] * (1 + (fault == "duplicate")) + swapped:
                     self._put(data, self._fault(i, 0))
                 swapped = []
+
+
+SERIAL_BENCHES: Mapping[type[SimulatedBus], type[SimulatedAmt21Bench | SimulatedModbusBench | SimulatedAsciiBench]] = {
+    SimulatedAmt21: SimulatedAmt21Bench,
+    SimulatedModbus: SimulatedModbusBench,
+    SimulatedAscii: SimulatedAsciiBench,
+}

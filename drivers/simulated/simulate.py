@@ -13,6 +13,7 @@ from drivers.arguments import in_si
 from drivers.simulated import motion as measured
 from drivers.simulated.bench import SimulatedBench
 from drivers.simulated.buses import SimulatedBus, SimulatedCan
+from drivers.simulated.serial_bench import SERIAL_BENCHES
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,6 +61,15 @@ class SimulatedMotion:
             seed=self.seed,
         )
         return (measured.simulate_hysteresis if self.hysteresis else measured.simulate_motion)(output_angle, run)
+
+
+def bench_of(bus: SimulatedBus, motion: measured.Motion) -> SimulatedBench:
+    """Return the bench that sends a motion over a bus."""
+    if isinstance(bus, SimulatedCan):
+        from drivers.simulated.can_bench import SimulatedCanBench  # needs the extra `bench`
+
+        return SimulatedCanBench(motion, bus)
+    return SERIAL_BENCHES[type(bus)](motion, bus)
 
 
 def simulate_bench(
@@ -128,6 +138,6 @@ def simulate_bench(
     if isinstance(drive, str | os.PathLike):
         name, drive = Path(drive).stem, measured.fmu_output_angle(drive)
     output_angle = drive or (lambda angle, _: angle / (ratio or 1.0))
-    bench = described.bench(motion.measured(output_angle, torque, turns))
+    bench = bench_of(described, motion.measured(output_angle, torque, turns))
     bench.ratio, bench.pair = ratio, pair or name
     return bench

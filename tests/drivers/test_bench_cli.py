@@ -246,7 +246,10 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
         (["simulate", "--torque", "20 N*m"], "--ratio is missing"),
         (["simulate", "--ratio", "-39"], "--torque is missing; give it: only a drive's FMU states a rated_torque."),
         (["simulate", "--torque", "20 mm", "--ratio", "-39"], '--torque = "20 mm": the unit "mm" measures'),
-        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual"], '--bus = "virtual": other proc'),
+        (
+            ["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual.toml"],
+            'virtual.toml: [can] interface = "virtual": other processes cannot reach it',
+        ),
         (["simulate", "--torque", "20 N*m", "--fmu", "BENCH.toml"], "cycloid-bench record; an FMU is needed here."),
         (["export", "BENCH.toml", "-o", "run.csv"], "cycloid-bench record; a recording is needed here."),
         (["export", "run.arrows", "-o", "run.xls"], "--output = run.xls: the name must end in .csv"),
@@ -254,6 +257,7 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
 )
 def test_bad_input_exits_2_with_one_sentence(command, wiring, arguments, said):
     before = wiring.read_text()
+    wiring.with_name("virtual.toml").write_text('format = "cycloid-simulation/1"\n[can]\ninterface = "virtual"\n')
     done = command("cycloid-bench", *arguments)
     assert done.returncode == 2
     assert said in done.stderr

@@ -451,7 +451,7 @@ def test_a_simulation_is_read_with_its_bus_and_its_faults(tmp_path):
     for text, said in (
         ('[[can.faults]]\nkind = "earthquake"\nsample = 3\n', r"simulation.toml: can.faults\[0\].kind = "),
         ('[[can.faults]]\nkind = "pull"\nsample = 3\nbuy = 1\n', r"simulation.toml: can.faults\[0\].*buy"),
-        ("[can]\nspeed_factor = 0\n", "simulation.toml: can.speed_factor = 0"),
+        ("[can]\nspeed_factor = 0\n", r"simulation.toml: \[can\] speed_factor = 0"),
         ("[can]\n[ascii]\n", "simulation.toml: it has several buses"),
         ("[morse]\n", "morse is not a known key"),
     ):

@@ -23,6 +23,7 @@ from drivers.simulated.buses import SimulatedAmt21, SimulatedAscii, SimulatedCan
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAsciiBench
+from drivers.simulated.simulate import bench_of
 from tests.drivers.test_bench_cli import ENVIRONMENT, filled, needs_multicast
 
 STOPS = int(os.environ.get("CYCLOID_STOPS", "100"))
@@ -225,7 +226,7 @@ def test_random_stops_with_a_device_that_sends(tmp_path, case, record_property):
 @pytest.mark.parametrize("kind", [SimulatedAmt21(), SimulatedModbus()])
 def test_random_stops_with_polled_devices(tmp_path, kind, record_property):
     sent = motion(1000)  # so that a single-turn encoder turns several times in a gap
-    with prompt(), kind.bench(sent) as bench:
+    with prompt(), bench_of(kind, sent) as bench:
         bench.receive_buffer = SERIAL_BUFFER
         bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         recording, told, start = recorded_over_stops(tmp_path, bench, STOPS, 7)
