@@ -113,28 +113,28 @@ class SharedHubs(Generic[Hub]):
         self._lock = threading.Lock()
 
     def __contains__(self, config: Any) -> bool:
-        return config.place in self._users
+        return config.address in self._users
 
     def acquire(self, config: Any) -> Hub:
         """Return the hub of this bus or port, opened for its first user and again after a failure; see `release`."""
         with self._lock:
-            if config.place in self._users and self._users[config.place][0].broken:
-                self._users.pop(config.place)[0].close()
-            if config.place not in self._users:
-                self._users[config.place] = (self._opened(config), [0])
-            hub, users = self._users[config.place]
+            if config.address in self._users and self._users[config.address][0].broken:
+                self._users.pop(config.address)[0].close()
+            if config.address not in self._users:
+                self._users[config.address] = (self._opened(config), [0])
+            hub, users = self._users[config.address]
             users[0] += 1
             return hub
 
     def release(self, hub: Hub) -> None:
         """Release a hub; its last user closes it."""
         with self._lock:
-            current, users = self._users.get(hub.config.place, (None, [0]))
+            current, users = self._users.get(hub.config.address, (None, [0]))
             if current is not hub:  # it broke, and `acquire` has closed it
                 return
             users[0] -= 1
             if users[0] == 0:
-                del self._users[hub.config.place]
+                del self._users[hub.config.address]
                 hub.close()
 
 

@@ -138,12 +138,12 @@ class FrameReader:
         """
         losses: list[tuple[int, int]] = []
         blocks: list[Frames] = []
-        place = 0
+        index = 0
         for lost, block in self._blocks.take(timeout):
             if lost:
-                losses.append((place, lost))
+                losses.append((index, lost))
             blocks.append(block)
-            place += len(block.data)
+            index += len(block.data)
         return self._judged(joined_frames(blocks), losses) if blocks else None
 
     def _judged(self, frames: Frames, losses: list[tuple[int, int]]) -> Judged | None:
@@ -152,9 +152,9 @@ class FrameReader:
         stamps = frames.time if self.sync_step is None else frames.sync_time
         before = np.zeros(n, np.int64)  # status bits for the frame at each place, or else the next one kept
         unread = np.zeros(n, np.int64)
-        for place, lost in losses:
-            unread[place] = lost
-            self.say(frames.time[place], f"{lost} × {self._name} lost: the recorder was too slow")
+        for index, lost in losses:
+            unread[index] = lost
+            self.say(frames.time[index], f"{lost} × {self._name} lost: the recorder was too slow")
         behind = (np.diff(frames.gap, prepend=self._gap) > 0) | (unread > 0)
         self._gap = int(frames.gap[-1])
         before[behind] |= GAP
@@ -169,33 +169,33 @@ class FrameReader:
             jumped = self._clocked(frames, before, behind, unread)
         else:
             good &= self._synced(frames, before)
-        kept = np.flatnonzero(good)
+        valid = np.flatnonzero(good)
         # Bits of a frame left out go to the next one kept, in this block or a later one.
-        marks = np.zeros(len(kept) + 1, np.int64)
+        marks = np.zeros(len(valid) + 1, np.int64)
         noted = np.flatnonzero(before)
-        np.bitwise_or.at(marks, np.searchsorted(kept, noted), before[noted])
+        np.bitwise_or.at(marks, np.searchsorted(valid, noted), before[noted])
         while self._marks:
             marks[0] |= self._marks.popleft()
-        status, left_over = marks[:-1], int(marks[-1])
-        if left_over:
-            self._marks.append(left_over)
-        if len(kept) == 0:
+        status, pending = marks[:-1], int(marks[-1])
+        if pending:
+            self._marks.append(pending)
+        if len(valid) == 0:
             return None
         if self.sync_step is not None:
-            numbers = frames.sync[kept] // self.sync_step
+            numbers = frames.sync[valid] // self.sync_step
             judged, missing, self._newest = judge_sequence(numbers, 1 << 62, self._newest)
             status |= judged
             if missing.any():
                 self.lost += int(missing.sum())
                 gaps = np.flatnonzero(missing)
                 self.say(
-                    stamps[kept[gaps[0]]],
+                    stamps[valid[gaps[0]]],
                     f"{int(missing.sum())} SYNC without a sample, in {counted(len(gaps), 'gap')} from here on",
                 )
         own = frames.device if self.sync_step is None else frames.sync_device
-        device = None if own is None else own[kept]
-        data = frames.data if len(kept) == n else [frames.data[i] for i in kept]
-        return Judged(payload_array(data, self.length), stamps[kept], device, status, jumped[kept])
+        device = None if own is None else own[valid]
+        data = frames.data if len(valid) == n else [frames.data[i] for i in valid]
+        return Judged(payload_array(data, self.length), stamps[valid], device, status, jumped[valid])
 
     def _synced(self, frames: Frames, before: IntArray) -> npt.NDArray[np.bool_]:
         """Return the mask of frames with their own SYNC, and set the bits of the others in `before`."""

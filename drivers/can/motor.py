@@ -54,7 +54,7 @@ class CanMotor(CanEncoder):
                 break
             if time.monotonic() > deadline:
                 raise EncoderTimeout(
-                    f"{self.name}: {device} on the CAN bus {self.bus.place} sends no {what}; is it powered, and are "
+                    f"{self.name}: {device} on the CAN bus {self.bus.address} sends no {what}; is it powered, and are "
                     "its number, its set-up and the bit rate right?"
                 )
         self.channel = channel_of(

@@ -118,7 +118,7 @@ class CanopenEncoder(CanEncoder):
 
     @property
     def _where(self) -> str:
-        return f"{self.name}: node {self.config.node} on the CAN bus {self.bus.place}"
+        return f"{self.name}: node {self.config.node} on the CAN bus {self.bus.address}"
 
     def set_up(self, hub: CanHub) -> None:
         """Query the node; see `HubEncoder.set_up`."""
@@ -128,11 +128,11 @@ class CanopenEncoder(CanEncoder):
         identifier, kind, timer, length = self._tpdo()
         step = kind if 1 <= kind <= 240 else None
         about = [f"node {self.config.node}, vendor 0x{vendor:08X}, product 0x{product:08X}, serial {serial}"]
-        about += self._said(_IDENTITY)
-        state = self._said(_STATE)
+        about += self._texts(_IDENTITY)
+        state = self._texts(_STATE)
         if self.config.quantity == "position":
-            said = self._object(COUNTS_PER_TURN, 0, self.config.counts_per_turn)
-            self._counts_per_turn = device_counts(self.config, said, self._where) if said else 0
+            stated = self._object(COUNTS_PER_TURN, 0, self.config.counts_per_turn)
+            self._counts_per_turn = device_counts(self.config, stated, self._where) if stated else 0
             if self._counts_per_turn == 0:
                 raise EncoderProtocolError(f"{self._where} reports 0 counts per turn (0x6501).")
             # The position has 0x6501 * 0x6502 values, or all 2^bits if the node does not report its turns.
@@ -171,14 +171,14 @@ class CanopenEncoder(CanEncoder):
         data = self._uploaded(index, subindex, optional=default is not None)
         return int.from_bytes(data, "little") if data is not None else default or 0
 
-    def _said(self, objects: Mapping[tuple[int, int, bool], str]) -> list[str]:
+    def _texts(self, objects: Mapping[tuple[int, int, bool], str]) -> list[str]:
         """Return the texts of those of these objects that the node has."""
-        said = []
+        stated = []
         for (index, subindex, signed), text in objects.items():
             data = self._uploaded(index, subindex, optional=True)
             if data is not None:
-                said.append(text.format(int.from_bytes(data, "little", signed=signed)))
-        return said
+                stated.append(text.format(int.from_bytes(data, "little", signed=signed)))
+        return stated
 
     def _communication(self, index: int, subindex: int, default: int | None = None) -> int:
         """Return an object of the TPDO from the EDS, if the wiring names one, else from the node."""
@@ -204,14 +204,14 @@ class CanopenEncoder(CanEncoder):
         off = None
         for number in range(TPDOS):
             entries = self._communication(0x1A00 + number, 0, 0)
-            offset, found = 0, False
+            offset, is_mapped = 0, False
             for entry in range(1, min(entries, 64) + 1):
                 mapped = self._communication(0x1A00 + number, entry)
                 index, _, bits = struct.unpack(">HBB", struct.pack(">I", mapped & 0xFFFFFFFF))
-                if index == wanted and 0 < bits <= 32 and not found:
-                    self._start, self._bits, found = offset, bits, True
+                if index == wanted and 0 < bits <= 32 and not is_mapped:
+                    self._start, self._bits, is_mapped = offset, bits, True
                 offset += bits
-            if not found or offset > 512 or offset % 8:
+            if not is_mapped or offset > 512 or offset % 8:
                 continue
             identifier = self._communication(0x1800 + number, 1)
             if identifier & 0x80000000:
@@ -241,8 +241,8 @@ class CanopenEncoder(CanEncoder):
 
     def _on_emergency(self, problem: Any) -> None:
         """Handle an EMCY; runs in the reader's thread."""
-        said = f"EMCY 0x{problem.code:04X}, register 0x{problem.register:02X}: {problem.get_desc()}"
-        self.reader.say(problem.timestamp, said)
+        stated = f"EMCY 0x{problem.code:04X}, register 0x{problem.register:02X}: {problem.get_desc()}"
+        self.reader.say(problem.timestamp, stated)
 
     def _on_heartbeat(self, identifier: int, data: bytearray, stamp: float) -> None:
         """Handle a heartbeat; runs in the reader's thread."""

@@ -97,8 +97,8 @@ class DbcSensor(CanEncoder):
         try:
             self._si = 1.0 if self._unit == unit else edge.unit_scale(unit, self._unit)
         except ValueError as problem:
-            said = f"{where} unit" if config.unit else f"{path}: the unit of {config.signal}"
-            raise edge.InputError(f"{said} = {edge.shown(unit)}: {problem}.") from None
+            sentence = f"{where} unit" if config.unit else f"{path}: the unit of {config.signal}"
+            raise edge.InputError(f"{sentence} = {edge.shown(unit)}: {problem}.") from None
 
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Wiring) -> DbcSensor:
@@ -173,8 +173,8 @@ class DbcSensor(CanEncoder):
         self._last_time = float(times[-1])
         for which, what in ((missing, "missing"), ((judged & DUPLICATE > 0).astype(np.int64), "duplicated")):
             if which.any():
-                said = f"{counted(int(which.sum()), 'frame')} {what} by the counter {counter.name}"
-                self.reader.say(float(block.time_host[np.flatnonzero(which)[0]]), said)
+                sentence = f"{counted(int(which.sum()), 'frame')} {what} by the counter {counter.name}"
+                self.reader.say(float(block.time_host[np.flatnonzero(which)[0]]), sentence)
         # A frame out of order was counted as missing before.
         self._missed += int(missing.sum()) - int(np.count_nonzero(judged & OUT_OF_ORDER))
         return judged

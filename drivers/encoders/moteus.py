@@ -180,8 +180,8 @@ class MoteusServo(CanMotor):
 
     def _missing(self, asked: FloatArray) -> FloatArray:
         """Return how many queries before each reply have none, shape (n,); `asked`: the newest query before each."""
-        begun = asked[0] if self._begun is None else self._begun
-        replies = self._replies + np.arange(1, len(asked) + 1)
+        begun = float(asked[0]) if self._begun is None else self._begun
+        replies = self._replies + np.arange(1.0, len(asked) + 1.0)
         open_queries = asked - begun + 1 - replies
         if (surplus := float(open_queries.min())) < 0.0:  # the first reply was late, to an earlier query
             begun, open_queries = begun + surplus, open_queries - surplus
@@ -189,7 +189,7 @@ class MoteusServo(CanMotor):
         for_good = np.minimum.accumulate(open_queries[::-1])[::-1]
         before = min(self._unanswered, float(for_good[0]))
         level = np.maximum.accumulate(np.maximum(for_good, before))
-        self._begun, self._replies, self._unanswered = float(begun), int(replies[-1]), float(level[-1])
+        self._begun, self._replies, self._unanswered = begun, int(replies[-1]), float(level[-1])
         self._newest = float(asked[-1])
         return np.diff(level, prepend=before)
 

@@ -167,7 +167,7 @@ class _Session:
         self.writer, self.path, self.ratio, self.epoch = writer, path, ratio, epoch
         self.live = Live({e.channel.name: ChannelState() for e in encoders})
         self._clocks = {e.channel.name: ClockEstimate() for e in encoders}
-        self._clock_said = dict.fromkeys(self._clocks, 0.0)
+        self._clock_time = dict.fromkeys(self._clocks, 0.0)
         self._clock_jumps = {name: rf.ClockJumps() for name in self._clocks}
         self._restarts = dict.fromkeys(self._clocks, 0)
         self._input: Samples | None = None
@@ -211,10 +211,10 @@ class _Session:
 
     def full(self, problem: OSError) -> RecordingError:
         """Return the error for a full disk, which states the content of the file."""
-        kept = ", ".join(f"{n} {name}" for name, n in self.writer.counts.items())
-        said = problem.strerror or problem
+        counts = ", ".join(f"{n} {name}" for name, n in self.writer.counts.items())
+        reason = problem.strerror or problem
         return RecordingError(
-            f"{self.path}: the disk is full or failed ({said}); all data written before are kept: {kept}."
+            f"{self.path}: the disk is full or failed ({reason}); all data written before are kept: {counts}."
         )
 
     def take_all(self) -> bool:
@@ -272,15 +272,15 @@ class _Session:
         name = block.channel
         reset = block.status & rf.RESET != 0
         restarts = np.flatnonzero(self._clock_jumps[name](block.time_device, block.time_host, reset))
-        said: list[Event] = []
+        events: list[Event] = []
         for part in np.split(np.arange(len(block)), restarts):
             if len(part) and part[0] in restarts:
-                said += self.clock_event(name)
+                events += self.clock_event(name)
                 self._clocks[name], self._restarts[name] = ClockEstimate(), self._restarts[name] + 1
             self._clocks[name].add(block.time_device[part], block.time_host[part])
-        if block.time_host[-1] - self._clock_said[name] >= _CLOCK_SECONDS:
-            said += self.clock_event(name)
-        return said
+        if block.time_host[-1] - self._clock_time[name] >= _CLOCK_SECONDS:
+            events += self.clock_event(name)
+        return events
 
     def clock_event(self, name: str) -> list[Event]:
         """Return the estimate of a channel's clock, as an event."""
@@ -288,7 +288,7 @@ class _Session:
         if clock is None:
             return []
         now = steady_time() - self.epoch
-        self._clock_said[name] = now
+        self._clock_time[name] = now
         return [rf.clock_event(now, name, clock, self._restarts[name])]
 
     def _jump(self, name: str) -> list[Event]:

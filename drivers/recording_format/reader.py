@@ -89,8 +89,8 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header
         raise edge.InputError(f"{source}: this is an Arrow stream but not a recording; it states no format.")
     edge.check_format(text["format"], FORMAT, source)
     with edge.parsed_by_others(source, "the recording's header can't be understood"):
-        said = {name: json.loads(text[name]) for name in ("channels", "conditions", "ratio")}
-        header = pydantic.TypeAdapter(Header).validate_python({**said, "pair": text["pair"], "start": text["start"]})
+        values = {name: json.loads(text[name]) for name in ("channels", "conditions", "ratio")}
+        header = pydantic.TypeAdapter(Header).validate_python({**values, "pair": text["pair"], "start": text["start"]})
         if not all(channel.name.isprintable() for channel in header.channels):
             raise ValueError("a channel's name must be printable")
     # A header without checksum is from an early recording, unless its key is damaged.
@@ -119,7 +119,7 @@ class RecordingReader:
     header
         Channels and conditions.
     problems
-        One sentence for each problem of the file found so far.
+        One sentence for each problem of the file so far.
     complete
         Number of complete batches read.
 
@@ -291,9 +291,9 @@ class RecordingReader:
         position = self._good_end + 8
         while position < size:
             block = self._bytes(position, _SEARCH_BYTES)
-            found = block.find(MESSAGE)
-            while found >= 0:
-                at = position + found
+            begin = block.find(MESSAGE)
+            while begin >= 0:
+                at = position + begin
                 taken = self._message(at, size) if at % 8 == 0 else None
                 if taken is not None and taken[0] is not None and self._is_sound(taken[0]):
                     self.problems.append(
@@ -302,7 +302,7 @@ class RecordingReader:
                     self._lost = set(self._names)
                     self._offset = at
                     return True
-                found = block.find(MESSAGE, found + 1)
+                begin = block.find(MESSAGE, begin + 1)
             if len(block) < _SEARCH_BYTES:
                 break
             position += len(block) - len(MESSAGE)
@@ -339,8 +339,8 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     with RecordingReader(path) as reader:
         blocks: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
         events: list[Event] = []
-        for samples, said in reader.batches():
-            events.extend(said)
+        for samples, new_events in reader.batches():
+            events.extend(new_events)
             if len(samples):
                 blocks[samples.channel].append(samples)
         samples_of = {n: joined(n, b) for n, b in blocks.items()}
@@ -363,22 +363,24 @@ def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict
     events: list[Event] = []
     with RecordingReader(path) as reader:
         devices = {c.name: _clock_device(c.time_source) for c in reader.header.channels}
-        for samples, said in reader.batches():
-            events.extend(said)
+        for samples, new_events in reader.batches():
+            events.extend(new_events)
             if len(samples) and samples.channel in channels:
                 first.setdefault(samples.channel, samples)
             if len(first) == len(channels) and all(s.time_device is None for s in first.values()):
                 return {}
-    found = {name: clocks for name, clocks in clocks_of(events).items() if name in channels}
-    names = list(found)
-    for number, one in enumerate(names):
+    by_channel = {name: clocks for name, clocks in clocks_of(events).items() if name in channels}
+    names = list(by_channel)
+    for number, name in enumerate(names):
         for other in names[number + 1 :]:
-            same = devices[one] is not None and devices[one] == devices[other]
-            if same or _stamps(first[one]) & _stamps(first[other]):
-                for restarts in found[one].keys() & found[other].keys():
-                    best = min(found[one][restarts], found[other][restarts], key=lambda clock: clock.uncertainty)
-                    found[one][restarts] = found[other][restarts] = best
-    return found
+            same = devices[name] is not None and devices[name] == devices[other]
+            if same or _stamps(first[name]) & _stamps(first[other]):
+                for restarts in by_channel[name].keys() & by_channel[other].keys():
+                    best = min(
+                        by_channel[name][restarts], by_channel[other][restarts], key=lambda clock: clock.uncertainty
+                    )
+                    by_channel[name][restarts] = by_channel[other][restarts] = best
+    return by_channel
 
 
 def _clock_device(time_source: str) -> str | None:

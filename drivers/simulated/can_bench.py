@@ -53,17 +53,17 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: 
     dictionary = canopen.ObjectDictionary()
 
     def variable(name: str, index: int, kind: int, value: int, sub: int = 0) -> ODVariable:
-        made = ODVariable(name, index, sub)
-        made.data_type, made.default = kind, value
-        made.access_type = "rw" if index == HEARTBEAT_TIME else "ro"
-        return made
+        item = ODVariable(name, index, sub)
+        item.data_type, item.default = kind, value
+        item.access_type = "rw" if index == HEARTBEAT_TIME else "ro"
+        return item
 
     def record(name: str, index: int, entries: Sequence[tuple[str, int, int]]) -> None:
-        made = ODRecord(name, index)
-        made.add_member(variable("entries", index, UNSIGNED8, len(entries)))
+        item = ODRecord(name, index)
+        item.add_member(variable("entries", index, UNSIGNED8, len(entries)))
         for sub, (entry, kind, value) in enumerate(entries, 1):
-            made.add_member(variable(entry, index, kind, value, sub))
-        dictionary.add_object(made)
+            item.add_member(variable(entry, index, kind, value, sub))
+        dictionary.add_object(item)
 
     for name, index, kind, value in (
         ("device type", 0x1000, UNSIGNED32, 0x00020196),

@@ -77,24 +77,24 @@ def faulty_frames(frames: Iterable[list[Frame]], faults: Sequence[Fault]) -> Ite
         if not (now or late or jump):
             yield sample
             continue
-        made: list[Frame] = []
+        sent: list[Frame] = []
         held: list[Frame] = []
         for identifier, data, stamp in sample:
             frame = (identifier, data, stamp + jump)
             kind = next((f.kind for f in now if f.target == identifier and f.kind in _FRAME_FAULTS), None)
             if kind == "duplicate":
-                made += [frame, frame]
+                sent += [frame, frame]
             elif kind == "short":
-                made.append((identifier, data[:-1], frame[2]))
+                sent.append((identifier, data[:-1], frame[2]))
             elif kind == "garbage":
-                made.append((identifier, bytes((i * 37 + k * 101 + 11) % 256 for k in range(1 + i % 3)), frame[2]))
+                sent.append((identifier, bytes((i * 37 + k * 101 + 11) % 256 for k in range(1 + i % 3)), frame[2]))
             elif kind == "swap":
                 held.append(frame)  # sent after the next sample
             elif kind != "drop":
-                made.append(frame)
-        made += late
+                sent.append(frame)
+        sent += late
         late = held
-        yield made
+        yield sent
 
 
 def at_wrong_baud(data: bytes, factor: float = 0.75) -> bytes:

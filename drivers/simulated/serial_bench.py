@@ -117,9 +117,9 @@ class _PtyBench(SimulatedBench):
             "wrong_baud": at_wrong_baud(data),
         }.get(kind or "", data)
         end = time.perf_counter() + (len(sent) + after) * _BITS_PER_BYTE / self.description.baud_rate
-        while (left := end - time.perf_counter()) > 0:
-            if left > 1e-3:
-                time.sleep(left - 5e-4)
+        while (remaining := end - time.perf_counter()) > 0:
+            if remaining > 1e-3:
+                time.sleep(remaining - 5e-4)
         taken = 0
         with contextlib.suppress(OSError):
             taken = os.write(self._bench, sent[: self._room()])

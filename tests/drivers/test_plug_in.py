@@ -191,7 +191,7 @@ def test_a_plug_in_s_table_is_checked_as_the_others_are(tmp_path, guide, old, ne
 def test_a_table_that_another_package_has_is_refused(tmp_path, installed, guide):
     line = (
         "from drivers.lines import LineConfig\nclass Other(LineConfig):\n    kind = 'udp'\n    noun = 'x'\n"
-        "    place = property(lambda self: 'x')\nCounter.line = Other\n"
+        "    address = property(lambda self: 'x')\nCounter.line = Other\n"
     )
     installed("other_rig", "other", "other_rig:Counter", ENCODER + line)
     (tmp_path / "BENCH.toml").write_text(guide[0] + '[channel.torque]\nprotocol = "other"\n')
