@@ -217,11 +217,16 @@ def _ends(floating: _OnBearings, crank_angle: float) -> tuple[float, float]:
 
 
 @compiled
-def _touch_rate(floating: _OnBearings, crank_angle: float, side: float) -> float:
-    """dφ_b/dθ at the end of the play on a side."""
-    before = _end(floating, crank_angle - _CRANK_STEP, side)[0]
-    after = _end(floating, crank_angle + _CRANK_STEP, side)[0]
-    return float((after - before) / (2.0 * _CRANK_STEP) - 1.0 / floating.stands[0].drive.teeth)
+def _touch_rates(floating: _OnBearings, crank_angle: float, side: float) -> tuple[float, float]:
+    """dφ_b/dθ at the end of the play on a side, and where the tangent there begins, to some 1e-6.
+
+    Without play the two ends cross: tangents then begin at their own ends, but the play's end is the middle.
+    """
+    i = 1 if side > 0.0 else 0
+    before, began = _ends(floating, crank_angle - _CRANK_STEP)[i], _end(floating, crank_angle - _CRANK_STEP, side)[0]
+    after, begins = _ends(floating, crank_angle + _CRANK_STEP)[i], _end(floating, crank_angle + _CRANK_STEP, side)[0]
+    ideal, wide = 1.0 / floating.stands[0].drive.teeth, 2.0 * _CRANK_STEP
+    return float((after - before) / wide - ideal), float((begins - began) / wide - ideal)
 
 
 @compiled
@@ -293,8 +298,8 @@ def _solve_on_bearings(
         if side == 0.0:
             result[0], result[1] = results[energy.CRANK_TORQUE], rate
         else:
-            end = _touch_rate(floating, crank_angle, side)
-            bent = share * (rate - end)
+            end, own = _touch_rates(floating, crank_angle, side)
+            bent = share * (rate - own)
             result[0], result[1] = -torque * (end + 0.5 * bent), end + bent
     elif operation == SOLVE_PRESS:
         status = _solve_pressed(floating, crank_angle, a, b, _PRESSED_CENTRING, result)
@@ -319,7 +324,7 @@ def _solve_on_bearings(
         result[0], result[1] = _ends(floating, crank_angle)
         return _SOLVED if math.isfinite(result[0]) else _UNBALANCED
     elif operation == SOLVE_TOUCH:
-        result[0] = _touch_rate(floating, crank_angle, b)
+        result[0] = _touch_rates(floating, crank_angle, b)[0]
     else:
         _share_load(floating, crank_angle, result)
     return _SOLVED
