@@ -60,6 +60,23 @@ def test_each_import_rule_can_be_broken(tmp_path):
     assert verdicts == ["BROKEN"] * len(SETTINGS["tool"]["importlinter"]["contracts"]), run.stdout + run.stderr
 
 
+def imported(tree):
+    """Yield each module and name that a file imports, as one dotted name."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield from (f"{node.module}.{name.name}" for name in node.names)
+
+
+def test_private_names_of_numba_are_in_one_file():
+    """numba.core, where numba keeps its own, and names with an underscore."""
+    private = re.compile(r"numba\.(core|np|cpython|misc)\b|numba\.(.*\.)?_")
+    paths = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    users = {path for path in paths if any(map(private.match, imported(ast.parse(path.read_text("utf-8")))))}
+    assert users == {ROOT / "cycloid_fmu" / "contact" / "internals.py"}
+
+
 @pytest.mark.parametrize(
     ("modules", "allowed"),
     [

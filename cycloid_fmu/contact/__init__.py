@@ -19,7 +19,7 @@ The angle θ of the formulas is `crank_angle`; where a disc's own crank is meant
 
 from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.energy import crank_side, elastic_energy, press
-from cycloid_fmu.contact.equilibrium import behind_compliance, equilibrium
+from cycloid_fmu.contact.equilibrium import behind_compliance, carried, equilibrium
 from cycloid_fmu.contact.hertz import half_width, hertz
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing
 from cycloid_fmu.contact.local_frame import LocalFrame, local_frame
@@ -50,6 +50,7 @@ __all__ = [
     "Problem",
     "Rows",
     "behind_compliance",
+    "carried",
     "compiled",
     "contact_rows",
     "crank_side",

@@ -84,6 +84,17 @@ def _press(
 
 
 @compiled
+def carried(contacts: Rows) -> float:
+    """Torque that solved contacts carry, N·m: force times arm, summed over the rows."""
+    torque = 0.0
+    for row in range(contacts.shape[0]):
+        contact = contacts[row]
+        if contact.force > 0.0:
+            torque += contact.force * contact.arm
+    return torque
+
+
+@compiled
 def to_touch(contacts: Rows, crank_angle: float, x: float, direction: float) -> float:
     """Rotation from x, in `direction` (±1), at which the first flank touches, to second order.
 

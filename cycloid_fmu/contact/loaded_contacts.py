@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.transmission import carried, check_balance
+from cycloid_fmu.contact.transmission import check_balance
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     deviation = np.empty(crank_angle.size)
     table = np.empty((crank_angle.size, contact.contact_rows(drive).size), contact.ROW)
     contact.sweep_contacts(drive, crank_angle, torque, deviation, table)
-    check_balance(torque, carried(table))
+    check_balance(torque, np.array([contact.carried(rows) for rows in table]))
     angle, row = np.nonzero(table["force"] > 0.0)
     held = table[angle, row]
     pins, teeth = drive.teeth + 1, drive.teeth

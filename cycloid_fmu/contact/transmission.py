@@ -304,12 +304,6 @@ def along_sweep(torques: Array, angles: Array) -> Array:
     return np.array(np.broadcast_to(each, (each.shape[0], angles.size)))
 
 
-def carried(contacts: contact.Rows) -> Array:
-    """Torque that contacts carry, N·m: force times arm, summed over the rows, shape (..., rows), of each."""
-    force, arm = contacts["force"], contacts["arm"]
-    return np.asarray(np.sum(np.where(force > 0.0, force * arm, 0.0), axis=-1))
-
-
 def balances(torque: ArrayLike, balance: ArrayLike) -> NDArray[np.bool_]:
     """Whether what contacts carry is the torque, both N·m, shapes that broadcast: else the search ended without it."""
     return np.asarray(np.abs(np.subtract(balance, torque)) <= UNBALANCED * np.abs(torque))
@@ -357,7 +351,7 @@ def check_falling(drive: contact.Problem, crank_angle: Array, torque: Array, fal
     rows = contact.contact_rows(drive)
     for i in doubtful:
         contact.equilibrium(drive, crank_angle[i], torque[i], 0.0, rows, True)
-        check_balance(torque[i], carried(rows))
+        check_balance(torque[i], contact.carried(rows))
 
 
 def empty_lines(drive: DriveValue, slices: int, places: tuple[int, ...]) -> contact.ContactLines:

@@ -582,7 +582,7 @@ def test_compiled_code_is_kept_until_a_file_of_the_room_changes(monkeypatch, tmp
         return sum(kernel.dispatcher().stats.cache_hits.values())
 
     assert [loaded(), loaded()] == [0, 1]
-    monkeypatch.setattr(internals, "_SOURCES", (*internals._SOURCES, (1, "changed.py")))
+    monkeypatch.setattr(compiling, "SOURCES", (*compiling.SOURCES, (1, "changed.py")))
     assert [loaded(), loaded()] == [0, 1]
 
 
