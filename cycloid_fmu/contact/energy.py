@@ -6,7 +6,14 @@ import math
 
 from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.equilibrium import behind_compliance, load, rotational_stiffness
-from cycloid_fmu.contact.local_frame import crank_motion, displaced, local_frame
+from cycloid_fmu.contact.local_frame import (
+    crank_motion,
+    gap_gradient,
+    local_frame,
+    output_motion,
+    projected_stiffness,
+    torque_by_shift,
+)
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows
@@ -32,10 +39,11 @@ def crank_side(problem: Problem, crank_angle: float, x: float, contacts: Rows) -
         if force <= 0.0:
             continue
         local = local_frame(problem, crank_angle, x, contacts, row)
-        vx, vy = crank_motion(problem, local)
-        wx, wy = (0.0, 0.0) if problem.ring else (vy, -vx)
-        crank_torque -= force * (vx * local.normal_x + vy * local.normal_y)
-        coupling += displaced(contact, local, vx, vy, wx, wy)
+        along, (u, v) = gap_gradient(local), crank_motion(problem, local)
+        crank_torque -= force * (along.gap[0] * u + along.gap[1] * v)
+        by_position = projected_stiffness(contact, local, along, output_motion(problem, local))
+        by_u, by_v = torque_by_shift(problem, contact, local, by_position)
+        coupling += by_u * u + by_v * v
         stiffness += rotational_stiffness(contact)
     return crank_torque, -coupling / stiffness if stiffness > 0.0 else math.nan
 
@@ -62,12 +70,11 @@ def elastic_energy(problem: Problem, crank_angle: float, x: float, contacts: Row
         if force <= 0.0:
             continue
         local = local_frame(problem, crank_angle, x, contacts, row)
-        vx, vy = crank_motion(problem, local)
-        normal = vx * local.normal_x + vy * local.normal_y
-        tangent = vy * local.normal_x - vx * local.normal_y
+        along, (u, v) = gap_gradient(local), crank_motion(problem, local)
         bending = 0.5 * force * contact.force_by_curvature * contact.curvature_rate / contact.stiffness
         energy -= 0.5 * force * contact.gap + 0.25 * kappa * force * force
-        by_angle += bending * tangent * local.foot - force * normal
+        by_angle += bending * local.foot * (along.slide[0] * u + along.slide[1] * v)
+        by_angle -= force * (along.gap[0] * u + along.gap[1] * v)
         by_rotation += bending * contact.foot_rate + force * contact.arm
     return energy, by_angle, by_rotation
 

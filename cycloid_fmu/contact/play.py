@@ -130,5 +130,5 @@ def touch_rate(problem: Problem, crank_angle: float, x: float, contacts: Rows, d
     if touching < 0:
         return math.nan
     local = local_frame(problem, crank_angle, x, contacts, touching)
-    vx, vy = crank_motion(problem, local)
-    return (vx * local.normal_x + vy * local.normal_y) / contacts[touching].arm
+    u, v = crank_motion(problem, local)
+    return -(u * local.normal_x + v * local.normal_y) / contacts[touching].arm

@@ -86,7 +86,9 @@ def touching_count(contacts: Rows) -> int:
 def disc_slice_pin(problem: Problem, row: int) -> tuple[int, int, int]:
     """Disc, slice and pin of a row."""
     pins, slices = problem.pin_x.size, problem.centre_x.size
-    return row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
+    ring = row // 2 // pins
+    disc = ring // slices
+    return disc, ring - disc * slices, row // 2 - ring * pins
 
 
 @compiled(inline=True)

@@ -125,7 +125,7 @@ def guide_rows(problem: Problem, crank_angles: Array, deviation: Array, rows: ND
             guide.crank_along = nx * local.crank_y - ny * local.crank_x
             guide.facing, guide.leaning = local.facing, local.leaning
             by_position = gap_gradient(local)
-            guide.turn, guide.turn_along, guide.slide = by_position.gap_y, by_position.slide_y, local.slide
+            guide.turn, guide.turn_along, guide.slide = by_position.gap[2], by_position.slide[2], local.slide
             along = local.around * teeth / (2.0 * math.pi)
             along -= math.floor(along)
             other = (local.tooth + (1 if along > 0.5 else -1)) % teeth if not 0.2 < along < 0.8 else local.tooth

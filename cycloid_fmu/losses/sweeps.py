@@ -8,7 +8,7 @@ import numpy as np
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import gap_gradient
+from cycloid_fmu.contact.local_frame import gap_gradient, projection
 from cycloid_fmu.losses.rubbing import (
     ARM,
     CONSTANT,
@@ -132,9 +132,9 @@ def _add_flanks(problem: Problem, crank_angle: float, contacts: Rows, work: Work
         radius = problem.pin_radius[local.pin]
         distance = contacts[row].gap + radius
         f = sliding_friction(law, rubbing.direction, radius, flank_speed(problem, local, distance), force)
-        at, along = FIRST_DISC + 3 * local.disc, gap_gradient(local)
-        sliding = along.slide_u * row_[at] + along.slide_v * row_[at + 1]
-        sliding += (along.slide_y + distance) * row_[at + 2]
+        at = FIRST_DISC + 3 * local.disc
+        weights = (row_[at], row_[at + 1], row_[at + 2])
+        sliding = projection(weights, gap_gradient(local).slide) + distance * row_[at + 2]
         _by_coefficients(law, f, force, False, sliding, radius, out[FLANK_LAW])
 
 

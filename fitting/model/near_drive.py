@@ -136,7 +136,7 @@ def _write_contact(problem: Problem, theta: float, x: float, contacts: Rows, k: 
         *(CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING),
         *(pin, pin + pins, pin + 2 * pins, tooth),
     )
-    crank, turn = nx * local.crank_x + ny * local.crank_y, gap_gradient(local).gap_y
+    crank, turn = nx * local.crank_x + ny * local.crank_y, gap_gradient(local).gap[2]
     rates = (
         *(-nx, -ny, -nx * height, -ny * height, -crank, 1.0, -local.facing),
         *(nx * c + ny * s, ny * c - nx * s, -1.0, turn),
