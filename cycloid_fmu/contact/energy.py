@@ -50,7 +50,7 @@ def crank_side(problem: Problem, crank_angle: float, x: float, contacts: Rows) -
 
 @compiled
 def elastic_energy(problem: Problem, crank_angle: float, x: float, contacts: Rows) -> tuple[float, float, float]:
-    """Energy stored in the contacts, with its derivatives, from rows solved at deviation x.
+    """Energy stored in the contacts, with its derivatives, from rows solved at transmission error x.
 
     A contact stores U = ½Fδ - ¼κF² for Hertz's law δ = κF(H - ln F) (κ as in `hertz`), and ∂U/∂κ_c = ½F/k ∂F/∂κ_c by
     the flank's curvature κ_c, which moves with the foot. The torques F L of `equilibrium` and `crank_side` leave the
@@ -83,20 +83,20 @@ def elastic_energy(problem: Problem, crank_angle: float, x: float, contacts: Row
 def press(
     problem: Problem, crank_angle: float, flange: float, compliance: float, x: float, contacts: Rows, cold: bool
 ) -> tuple[float, float, float, float, float]:
-    """Solve the contacts with the flange held at a deviation, behind a compliance in series.
+    """Solve the contacts with the flange held at a transmission error, behind a compliance in series.
 
     Parameters
     ----------
     problem, crank_angle, x, contacts, cold
         As in `equilibrium`.
     flange, compliance
-        Deviation of the flange (rad), compliance between it and the contacts (rad/(N·m), 0 where there is none).
+        Transmission error of the flange (rad), and the compliance between it and the contacts (rad/(N·m), 0 without).
 
     Returns
     -------
     x, stiffness, energy, by_angle, by_rotation
-        Deviation (rad) and stiffness (N·m/rad) of the contacts; stored energy (J), the series compliance's included,
-        and its derivatives by crank and flange (N·m).
+        Transmission error (rad) and stiffness (N·m/rad) of the contacts; stored energy (J), with that of the series
+        compliance, and its derivatives by crank and flange (N·m).
     """
     if compliance == 0.0:
         place(problem, crank_angle, flange, contacts, cold, CLEAR, BOUNDED)

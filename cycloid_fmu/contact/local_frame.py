@@ -42,7 +42,7 @@ class LocalFrame(NamedTuple):
 
 @compiled
 def local_frame(problem: Problem, crank_angle: float, x: float, contacts: Rows, row: int) -> LocalFrame:
-    """Local frame of a row that was solved at crank angle θ and deviation x."""
+    """Local frame of a row that was solved at crank angle θ and transmission error x."""
     disc, slice_, pin = disc_slice_pin(problem, row)
     crank, ring, gear = poses(problem, crank_angle, x, disc)
     place = pin * 2.0 * math.pi / (problem.teeth + 1)

@@ -1,4 +1,4 @@
-"""Derivatives of the deviation by everything that an error can displace."""
+"""Derivatives of the transmission error by everything that an error can displace."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def add_by_pins_and_flanks(
 
 @compiled
 def sensitivities(problem: Problem, crank_angle: float, x: float, contacts: Rows, out: Array) -> float:
-    """Derivatives of the deviation at constant torque by every displacement (implicit function theorem).
+    """Derivatives of the transmission error at constant torque by every displacement (implicit function theorem).
 
     As `derivatives`, without that by the crank; returns ∂M/∂x, N·m/rad.
     """
@@ -90,7 +90,7 @@ def sensitivities(problem: Problem, crank_angle: float, x: float, contacts: Rows
 
 @compiled
 def derivatives(problem: Problem, crank_angle: float, x: float, contacts: Rows, out: Array) -> tuple[float, float]:
-    """Derivatives of the deviation at constant torque by every displacement, and of the output by the crank.
+    """Derivatives of the transmission error at constant torque by every displacement, and of the output by the crank.
 
     dx/dp = -(∂M/∂p)/(∂M/∂x) (docs/theory/errors.md), with the arms' own change included.
 

@@ -133,7 +133,7 @@ def sweep_supported_sensitivities(
     results: Derivatives,
     work: Work,
 ) -> bool:
-    """Write the derivatives of the deviation at given solutions; return False if one is singular.
+    """Write the derivatives of the transmission error at given solutions; return False if one is singular.
 
     Parameters
     ----------

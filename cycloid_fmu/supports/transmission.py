@@ -64,7 +64,7 @@ class OnBearings(Transmission):
     disc_shift_x, disc_shift_y
         Shift of each disc's centre from its ideal position, shape (torques, angles, discs), m.
     disc_turn
-        Rotation of each disc relative to the output's deviation, shape (torques, angles, discs), rad.
+        Rotation of each disc relative to the output's transmission error, shape (torques, angles, discs), rad.
     turning_arm_force
         Force of each turning arm, shape (torques, angles, discs, cranks), N; one crank with output rollers.
     crank_bearing_force
@@ -258,16 +258,16 @@ def results(
     """
     lines = transmission.no_lines(len(torques)) if lines is None else lines
     interference = np.full(angles.size, np.nan) if interference is None else interference
-    deviation, stiffness = found.place[..., 0], found.stiffness
+    transmission_error, stiffness = found.place[..., 0], found.stiffness
     low = high = np.full(angles.size, np.nan)
     preload = count = None
     if first:
         # The ends of the play are where the tangents at a small torque in either direction reach zero torque. Without
         # clearance but with errors every position stores energy, yet the output still moves freely.
-        ends = deviation[1:3] - at_angles[1:3] / stiffness[1:3]
+        ends = transmission_error[1:3] - at_angles[1:3] / stiffness[1:3]
         middle = ends.mean(axis=0)
         low, high = np.minimum(ends[0], middle), np.maximum(ends[1], middle)
-        deviation = np.where(at_angles == 0.0, middle, deviation)
+        transmission_error = np.where(at_angles == 0.0, middle, transmission_error)
         stiffness = np.where((at_angles == 0.0) & (interference == 0.0), 0.0, stiffness)
         preload, count = found.pin_force[0].max(axis=(-1, -2)), found.contact_count[0].copy()
     kept = of_part(found, np.s_[first:])
@@ -275,7 +275,7 @@ def results(
     return OnBearings(
         torques,
         angles,
-        deviation[first:],
+        transmission_error[first:],
         stiffness[first:],
         kept.contact_count,
         kept.max_contact_pressure,
