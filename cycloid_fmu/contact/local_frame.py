@@ -129,27 +129,32 @@ def force_fall(contact: np.record, local: LocalFrame, along: GapGradient) -> Vec
     return k * gap[0] - curved * slide[0], k * gap[1] - curved * slide[1], k * gap[2] - curved * slide[2]
 
 
+Stiffness = tuple[Vector, Vector, Vector]
+"""Derivatives of the forces and the moment that hold the gear against a contact, one row for each, by (u, v, y)."""
+
+
 @compiled
-def contact_stiffness(contact: np.record, local: LocalFrame, along: GapGradient) -> tuple[Vector, Vector, Vector]:
-    """Stiffness of one contact against shift and rotation of the gear.
-
-    The force grows by the approach, turns with the normal as the axis slides over the bent flank, and changes with the
-    flank's curvature at the foot; the rotation turns the lever of the pin's axis as well.
-
-    Returns
-    -------
-    tuple
-        Derivatives of -F ∂g/∂(u, v, y), the forces and moment that hold the gear against the contact, by (u, v, y), one
-        row for each force: N/m, N and N·m.
-    """
-    (gu, gv, gy), (su, sv, sy), force = along.gap, along.slide, contact.force
-    fu, fv, fy = force_fall(contact, local, along)
-    bent = force * local.bend
-    tu, tv, ty = bent * su, bent * sv, bent * sy + force
+def turning_stiffness(force: float, local: LocalFrame, along: GapGradient) -> Stiffness:
+    """Stiffness of a force (N) that turns with the contact's normal, and whose lever turns with the gear."""
+    bent, (su, sv, sy) = force * local.bend, along.slide
+    tu, tv, ty = -bent * su, -bent * sv, -bent * sy - force
     return (
-        (fu * gu - tu * su, fv * gu - tv * su, fy * gu - ty * su),
-        (fu * gv - tu * sv, fv * gv - tv * sv, fy * gv - ty * sv),
-        (fu * gy - tu * sy - force * su, fv * gy - tv * sy - force * sv, fy * gy - ty * sy),
+        (tu * su, tv * su, ty * su),
+        (tu * sv, tv * sv, ty * sv),
+        (tu * sy - force * su, tv * sy - force * sv, ty * sy),
+    )
+
+
+@compiled
+def contact_stiffness(contact: np.record, local: LocalFrame, along: GapGradient) -> Stiffness:
+    """Stiffness of one contact against shift and rotation of the gear: of -F ∂g/∂(u, v, y); N/m, N and N·m."""
+    fu, fv, fy = force_fall(contact, local, along)
+    gu, gv, gy = along.gap
+    tu, tv, ty = turning_stiffness(contact.force, local, along)
+    return (
+        (fu * gu + tu[0], fv * gu + tu[1], fy * gu + tu[2]),
+        (fu * gv + tv[0], fv * gv + tv[1], fy * gv + tv[2]),
+        (fu * gy + ty[0], fv * gy + ty[1], fy * gy + ty[2]),
     )
 
 

@@ -45,37 +45,35 @@ def _larger_circle(problem: Problem, contact: np.record, local: LocalFrame) -> t
 
 @compiled
 def add_by_pins_and_flanks(
-    problem: Problem, contact: np.record, local: LocalFrame, weights: Vector, out: Array
-) -> Vector:
+    problem: Problem,
+    contact: np.record,
+    local: LocalFrame,
+    by_position: Vector,
+    by_force: float,
+    by_normal: float,
+    out: Array,
+) -> None:
     """Subtract what displaced pins and flanks change of a weighted sum of a contact's forces on the gear.
 
     Parameters
     ----------
-    weights
-        Of the forces and the moment that hold the gear, such as `output_motion`, whose sum is then the torque.
+    by_position, by_force, by_normal
+        Change of the sum by the gear's position (u, v, y), as `projected_stiffness`; change of minus the sum for each N
+        that the contact presses more, and for each rad that its normal turns.
     out
         As that of `derivatives`.
-
-    Returns
-    -------
-    tuple
-        What the gear's position (u, v, y) changes of the sum.
     """
     teeth, pin = problem.teeth, local.pin
-    pins = teeth + 1
-    along = gap_gradient(local)
+    pins, (by_u, by_v, by_y) = teeth + 1, by_position
     # Turning or shifting a flank is turning or shifting the gear, shifting a pin is shifting the gear back.
-    by_u, by_v, by_y = projected_stiffness(contact, local, along, weights)
-    closing, sliding = projection(weights, along.gap), projection(weights, along.slide)
     s, c = sine_cosine(local.direction)
     out[BODY_COUNT + pin] += c * by_u + s * by_v
     out[BODY_COUNT + pins + pin] += c * by_v - s * by_u
-    out[BODY_COUNT + 2 * pins + pin] += contact.stiffness * closing
-    out[PIN_GENERATING] -= contact.stiffness * closing
+    out[BODY_COUNT + 2 * pins + pin] += contact.stiffness * by_force
+    out[PIN_GENERATING] -= contact.stiffness * by_force
     pressed, turned = _larger_circle(problem, contact, local)
-    out[CIRCLE_GENERATING] += pressed * closing + contact.force * turned * sliding
+    out[CIRCLE_GENERATING] += pressed * by_force + turned * by_normal
     out[BODY_COUNT + 3 * pins + local.disc * teeth + local.tooth] -= by_y
-    return by_u, by_v, by_y
 
 
 @compiled
@@ -118,7 +116,10 @@ def derivatives(problem: Problem, crank_angle: float, x: float, contacts: Rows, 
             continue
         local = local_frame(problem, crank_angle, x, contacts, row)
         stiffness += rotational_stiffness(contact)
-        by_position = add_by_pins_and_flanks(problem, contact, local, output_motion(problem, local), out)
+        along, weights = gap_gradient(local), output_motion(problem, local)
+        by_position = projected_stiffness(contact, local, along, weights)
+        by_force, by_normal = projection(weights, along.gap), contact.force * projection(weights, along.slide)
+        add_by_pins_and_flanks(problem, contact, local, by_position, by_force, by_normal, out)
         by_u, by_v = torque_by_shift(problem, contact, local, by_position)
         z, c, s = problem.slice_z[local.slice], local.crank_x, local.crank_y
         out[CENTRE_X] -= by_u

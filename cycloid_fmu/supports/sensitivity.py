@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import crank_motion, projection
+from cycloid_fmu.contact.local_frame import crank_motion, gap_gradient, projected_stiffness, projection
 from cycloid_fmu.contact.sensitivity import add_by_pins_and_flanks
 from cycloid_fmu.supports.balance import Load, assemble, solve_transposed
 from cycloid_fmu.supports.bearing import CENTRING, by_clearance
@@ -71,12 +71,15 @@ def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, 
     """Subtract λ·∂r/∂p for the displacements of pins and flanks; return λ·∂r/∂θ."""
     row, turning = work.step, 0.0
     for number in range(contacts.shape[0]):
-        if contacts[number].force <= 0.0:
+        contact_ = contacts[number]
+        if contact_.force <= 0.0:
             continue
         local = contact.local_frame(problem, crank_angle, work.place[0], contacts, number)
-        at = FIRST_DISC + 3 * local.disc
+        along, at = gap_gradient(local), FIRST_DISC + 3 * local.disc
         weights = (row[at], row[at + 1], row[at + 2])
-        by_position = add_by_pins_and_flanks(problem, contacts[number], local, weights, out)
+        by_position = projected_stiffness(contact_, local, along, weights)
+        by_force, by_normal = projection(weights, along.gap), contact_.force * projection(weights, along.slide)
+        add_by_pins_and_flanks(problem, contact_, local, by_position, by_force, by_normal, out)
         turning += projection((*crank_motion(problem, local), -1.0 / problem.teeth), by_position)
     return turning
 
