@@ -243,7 +243,6 @@ WIDE = {
     "cycloid_fmu.compensation.build.drive_compensator": "the options of `Drive.compensator`",
     "cycloid_fmu.contact.equilibrium._balance": _KERNEL,
     "cycloid_fmu.contact.hertz.hertz": _KERNEL,
-    "cycloid_fmu.contact.local_frame.levers": _KERNEL,
     "cycloid_fmu.contact.placement._place_pin": _KERNEL,
     "cycloid_fmu.contact.side_by_side.sweep_drives": _KERNEL,
     "cycloid_fmu.contact.sweeps._solve_play": _KERNEL,
@@ -267,7 +266,6 @@ WIDE = {
 NAMELESS = {
     "cycloid_fmu.contact.deviations._closest_on_piece": _KERNEL,
     "cycloid_fmu.contact.energy.press": _KERNEL,
-    "cycloid_fmu.contact.local_frame.levers": _KERNEL,
     "cycloid_fmu.draw.drive_svg._svg": "the four numbers of an SVG's viewBox",
     "cycloid_fmu.fmu.tables.halved": "entries of a heap, in the order by which it compares",
 }

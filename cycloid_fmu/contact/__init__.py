@@ -5,7 +5,7 @@ gear, T(α) = R e^{iα} - e e^{i z_p α}: so the gap of a pin is the signed dist
 pin's radius, and its foot on T and on the flank are the same α (docs/theory/contact.md; turned by -90° so that
 tooth 0 begins at +x). A point is a complex number in the comments and a pair (x, y) in the code.
 
-The unknown is x, the output's deviation from the ideal drive: gear angle -θ/z_c + x with the pin ring fixed, or ring
+The unknown is x, the output's transmission error: gear angle -θ/z_c + x with the pin ring fixed, or ring
 angle θ/z_p + x with the gear held. Torque is what the environment puts on the output; force times arm balances it.
 
 Each module is one step, under the headings of that page: the problem (`problem`), where disc, pins and teeth are

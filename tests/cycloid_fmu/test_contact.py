@@ -255,7 +255,7 @@ def _assert_left_pins_clear(seed, teeth, k, size, step, sign, output):
         contact.place(drive, theta, x, kept, False, clear, math.inf)
         contact.place(drive, theta, x, anew, True, math.inf, math.inf)
         smallest = np.minimum(anew["gap"][::2], anew["gap"][1::2])
-        left = (kept["crank_angle"][::2] != theta) | (kept["deviation"][::2] != x)
+        left = (kept["crank_angle"][::2] != theta) | (kept["transmission_error"][::2] != x)
         assert (smallest[left] > 0.8 * clear).all()  # by rotation a gap is foretold to second order
         solved = ~left & (smallest < clear)
         again = np.minimum(kept["gap"][::2], kept["gap"][1::2])[solved]
