@@ -232,10 +232,7 @@ LONG = {
     "cycloid_fmu.fmu.variables._further": _TABLE,
     "cycloid_fmu.fmu.variables.exchanged": _TABLE,
     "cycloid_fmu.supports.balance.settling": "the two kernels of a balance, which it makes for given forces",
-    "fitting.estimation.fit.fit": _ESTIMATION,
-    "fitting.estimation.identify.identify": _ESTIMATION,
     "fitting.estimation.result.result_of": _ESTIMATION,
-    "fitting.estimation.starting.starting_estimate": _ESTIMATION,
     "fitting.model.observations.observations": _ESTIMATION,
 }
 WIDE = {
@@ -258,7 +255,7 @@ WIDE = {
     "cycloid_fmu.surfaces.surface.__init__": _OPTIONS,
     "fitting.ageing.forecast.forecast": _OPTIONS,
     "fitting.ageing.life.life_figures": _OPTIONS,
-    "fitting.estimation.fit.fit": _ESTIMATION,
+    "fitting.estimation.fit.fit": "the unknowns, where they start, and what is known of them",
     "fitting.estimation.identify.identify": _OPTIONS,
     "fitting.estimation.result.result_of": _ESTIMATION,
     "fitting.model.near_drive._sweep": _ESTIMATION,
