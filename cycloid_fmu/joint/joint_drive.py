@@ -249,10 +249,8 @@ class JointDrive:
     ----------
     absent
         Names of unknown numbers, which this drive is without.
-    motor_work
-        Work of the motor in the last step, J.
-    parts
-        Sub-steps in the last step.
+    memory
+        Where the library has the state, the command and the results of the last step.
 
     Raises
     ------
@@ -293,9 +291,8 @@ class JointDrive:
         kind = ctypes.c_double * len(numbers)
         if self._library.joint_drive_open(self._joint, kind(*numbers), ctypes.c_size_t(len(numbers))) != 0:
             raise JointError(f"{source}: its library takes at most {MOST} points and orders.")
-        self._command, self._outside = (ctypes.c_double * 5)(), (ctypes.c_double * 5)()
-        self._result = (ctypes.c_double * 4)()
-        self._step = self._library.joint_drive_step
+        self._command, self._outside, self._result = *((ctypes.c_double * 5)() for _ in range(2)), (ctypes.c_double * 4)()
+        self.memory = self._joint, self._command, self._result
         self.load([motor_angle, 0.0, *[0.0] * STRAINS])
 
     def step(
@@ -331,11 +328,8 @@ class JointDrive:
                 )
         self._command[:] = command
         self._outside[:] = (phi, w, inertia, force, slope)
-        refused = self._step(self._joint, self._command, self._outside, self._result)
-        if refused:
-            raise JointError(f"The step of the drive is refused: {_REFUSALS[refused]}.")
-        torque, angle, self.motor_work, self.parts = self._result
-        return torque, angle
+        refuse(self._library.joint_drive_step(self._joint, self._command, self._outside, self._result))
+        return self._result[0], self._result[1]
 
     def save(self) -> list[float]:
         """Return the state: angle and speed of the motor, and ten strains of its friction, rad and rad/s."""
@@ -348,6 +342,16 @@ class JointDrive:
         self._library.joint_drive_load(self._joint, (ctypes.c_double * (2 + STRAINS))(*state))
 
     @property
+    def motor_work(self) -> float:
+        """Work of the motor in the last step, J."""
+        return self._result[2]
+
+    @property
+    def parts(self) -> int:
+        """Number of sub-steps in the last step."""
+        return int(self._result[3])
+
+    @property
     def motor_angle(self) -> float:
         """Angle of the motor, rad."""
         return self.save()[0]
@@ -356,6 +360,22 @@ class JointDrive:
     def motor_speed(self) -> float:
         """Speed of the motor, rad/s."""
         return self.save()[1]
+
+
+def refuse(refused: int) -> None:
+    """Raise a `JointError` if the library has refused a step."""
+    if refused:
+        raise JointError(f"The step of the drive is refused: {_REFUSALS[refused]}.")
+
+
+class _Hinge(ctypes.Structure):
+    _fields_ = (
+        ("joint", ctypes.c_void_p),
+        ("speed", ctypes.c_size_t),
+        ("angle", ctypes.c_size_t),
+        ("command", ctypes.c_void_p),
+        ("result", ctypes.c_void_p),
+    )
 
 
 class MujocoJoints:
@@ -383,52 +403,45 @@ class MujocoJoints:
             raise JointError("The integrator of the model must be Euler or implicitfast.")
         joints = [_mujoco_hinge(mujoco, model, name, drive) for name, drive in drives.items()]
         self._mujoco, self.model, self.data, self._time = mujoco, model, data, math.nan
-        places = [(int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])) for joint in joints]
-        self._drives = [(drive, *place) for drive, place in zip(drives.values(), places, strict=True)]
-        dofs = [dof for dof, _ in places]
+        self._drives, self._library, count = list(drives.values()), library(), len(joints)
+        self._hinges = (_Hinge * count)()
+        for drive, hinge, joint in zip(self._drives, self._hinges, joints, strict=True):
+            hinge.speed, hinge.angle = model.jnt_dofadr[joint], model.jnt_qposadr[joint]
+            hinge.joint, hinge.command, hinge.result = map(ctypes.addressof, drive.memory)
         # All forces, the rates of smooth ones at the drives, and a unit torque of each drive.
-        self._forces, self._solved = np.zeros((2, len(joints) + 2, model.nv))
-        self._forces[range(2, len(joints) + 2), dofs] = 1.0
-        self._before, self._per_step = np.zeros((2, model.nv))
-        self._per_step[dofs] = 1.0 / model.opt.timestep
-        self._pushes = np.count_nonzero
-        self._seen = data.qpos, data.qvel, data.qfrc_applied, data.qfrc_passive, data.qfrc_bias, data.xfrc_applied
+        self._forces, self._solved = np.zeros((2, count + 2, model.nv))
+        self._before, per_step = np.zeros((2, model.nv))
+        for k, hinge in enumerate(self._hinges):
+            self._forces[k + 2, hinge.speed], per_step[hinge.speed] = 1.0, 1.0 / model.opt.timestep
+        self._pushed, self._pushes, self._kept = data.xfrc_applied, np.count_nonzero, per_step
+
+        def addresses(*arrays: Any) -> list[ctypes.c_void_p]:
+            return [ctypes.c_void_p(array.ctypes.data) for array in arrays]
+
+        forces = data.qfrc_passive, data.qfrc_bias, data.qfrc_applied, data.qfrc_actuator, data.qfrc_constraint
+        read = (ctypes.c_void_p * len(forces))(*addresses(*forces))
+        size, step, angles, applied = ctypes.c_size_t(model.nv), ctypes.c_double(model.opt.timestep), data.qpos, forces[2]
+        hinges = ctypes.c_size_t(count), self._hinges
+        self._sum = (size, read, *addresses(per_step, self._before, self._forces[0], self._forces[1]))
+        self._move = (*hinges, size, step, *addresses(self._solved, self._forces[1], angles, data.qvel, applied))
+        self._place = (*hinges, *addresses(angles, applied))
 
     def step(self, commands: Sequence[Sequence[float]]) -> None:
         """Move the model by one step, with one command of `JointDrive.step` for each drive, in their order."""
-        mujoco, model, data, (smooth, rates, *_) = self._mujoco, self.model, self.data, self._forces
-        angles, speeds, applied, passive, bias, pushed = self._seen
+        mujoco, model, data, joint = self._mujoco, self.model, self.data, self._library
+        for drive, command in zip(self._drives, commands, strict=True):
+            drive.memory[1][:] = command
         mujoco.mj_step1(model, data)
-        smooth[:] = passive
-        smooth -= bias
-        if data.time == self._time:
-            rates[:] = smooth
-            rates -= self._before
-            rates *= self._per_step
-        else:
-            rates[:] = 0.0
-        self._before[:] = smooth
-        smooth += applied
-        if model.nu:
-            smooth += data.qfrc_actuator
-        if data.nefc:
-            smooth += data.qfrc_constraint
-        if self._pushes(pushed):
-            for body in range(1, model.nbody):
-                mujoco.mj_applyFT(model, data, pushed[body, :3], pushed[body, 3:], data.xipos[body], body, smooth)
+        joint.joint_drive_forces(*self._sum)
+        if data.time != self._time:
+            self._forces[1] = 0.0
+        if self._pushes(self._pushed):
+            for body, push in enumerate(self._pushed):
+                mujoco.mj_applyFT(model, data, push[:3], push[3:], data.xipos[body], body, self._forces[0])
         mujoco.mj_solveM(model, data, self._solved, self._forces)
-        solved, half, moved = self._solved.item, 0.5 * model.opt.timestep, []
-        for k, (drive, dof, place) in enumerate(self._drives):
-            inertia = 1.0 / solved(k + 2, dof)
-            force = inertia * solved(0, dof) - applied.item(dof)
-            slope = inertia * solved(1, dof)
-            torque, angle = drive.step(commands[k], angles.item(place), speeds.item(dof), inertia, force, slope)
-            moved.append((dof, place, torque, angle))
-        for dof, _, torque, _ in moved:
-            applied[dof] = torque + half * rates.item(dof)
+        refuse(joint.joint_drive_hinges(*self._move))
         mujoco.mj_step2(model, data)
-        for dof, place, torque, angle in moved:
-            applied[dof], angles[place] = torque, angle
+        joint.joint_drive_place(*self._place)
         self._time = data.time
 
 

@@ -21,12 +21,13 @@ enum {
     MOST_WAVES = 32,
     STATES = 2 + 2 * FRICTION_ELEMENTS,
     MOST_PARTS_OF_A_STEP = 10000,
-    MOST_SOLUTIONS = 60
+    MOST_SOLUTIONS = 50
 };
 enum { REFUSED_NOT_FINITE = 1, REFUSED_TOO_MANY_PARTS, REFUSED_NUMBERS };
 static const double PHASE = 0.3;                /* rad of the fastest oscillation in a sub-step */
 static const double LONGEST_PART = 1.0 / 3000.0; /* s */
-static const double ROUNDING = 1e-14;           /* of the torques that balance in a sub-step */
+static const double LEAST_WAY = 1e-6;            /* of a way in the other direction */
+static const double ROUNDING = 1e-13;           /* of the way */
 
 struct wave {
     double order, amplitude, phase; /* amplitude sin(order angle/ratio + phase) */
@@ -99,46 +100,36 @@ static struct teeth teeth_between(const struct joint *joint, double angle, doubl
 }
 
 /* Way of an inertia in a time, from a speed, under a torque, a drag and the friction of its flange: the mean of both speeds
-   times the time. `strain` moves with it. The friction's mean torque is in `friction`. */
+   times the time. `strain` moves with it. The friction's mean torque is in `friction`. Friction rises with the way, ever less
+   in either direction: from a way short of the solution Newton's method approaches it and never passes it. A step that
+   changes the direction therefore begins again near 0. */
 static double way_of(const struct joint *joint, int flange, double inertia, double torque, double drag, double speed,
                      double load, double time, double strain[FRICTION_ELEMENTS], double *friction) {
     const struct drive *drive = &joint->drive;
     const double stiffness = drive->element[flange], lubricant = friction_viscous(drive, flange);
     const double slope = 2.0 * inertia / (time * time) + (drag + lubricant) / time;
     const double wanted = torque + 2.0 * inertia * speed / time;
-    double following[FRICTION_ELEMENTS], way = wanted / slope, low, high;
-    struct yields yields;
-    int i;
-    *friction = lubricant * way / time;
-    if (stiffness == 0.0) {
-        return way;
+    double following[FRICTION_ELEMENTS], way = stiffness > 0.0 ? speed * time : wanted / slope, least = LEAST_WAY;
+    struct slid slid = {0.0, 0.0, 0.0};
+    if (stiffness > 0.0) {
+        const struct yields yields = friction_yields(drive, flange, load, speed);
+        int i;
+        for (i = 0; i < MOST_SOLUTIONS; i++) {
+            double next;
+            slid = friction_slide(strain, following, way, time, stiffness, yields);
+            next = way - (slope * way + slid.torque - wanted) / (slope + slid.slope);
+            if (fabs(next - way) <= ROUNDING * (fabs(way) + fabs(wanted) / slope)) {
+                break;
+            }
+            if (next * way < 0.0) {
+                next *= least;
+                least *= LEAST_WAY;
+            }
+            way = next;
+        }
+        memcpy(strain, following, sizeof following);
     }
-    yields = friction_yields(drive, flange, load, speed);
-    low = (wanted - yields.high) / slope;
-    high = (wanted + yields.low) / slope;
-    way = fmin(fmax(speed * time, low), high);
-    for (i = 0; i < MOST_SOLUTIONS; i++) {
-        const struct slid slid = friction_slide(strain, following, way, time, stiffness, yields);
-        const double excess = slope * way + slid.torque - wanted;
-        double next = way - excess / (slope + slid.slope);
-        *friction = slid.torque + lubricant * way / time;
-        if (fabs(excess) <= ROUNDING * (fabs(wanted) + yields.high + yields.low)) {
-            break;
-        }
-        if (excess > 0.0) {
-            high = way;
-        } else {
-            low = way;
-        }
-        if (!(next > low && next < high)) {
-            next = 0.5 * (low + high);
-        }
-        if (next == way) {
-            break;
-        }
-        way = next;
-    }
-    memcpy(strain, following, sizeof following);
+    *friction = slid.torque + lubricant * way / time;
     return way;
 }
 
@@ -284,6 +275,59 @@ JOINT_API int joint_drive_step(void *self, const double command[5], const double
     result[2] = work;
     result[3] = parts;
     return 0;
+}
+
+/* A simulator's generalized forces over its `count` speeds: passive ones, those of inertia and gravity (which it has on the
+   other side), applied, actuators' and constraints'. `sum` is all of them, `rates` the change of the first two since `before`
+   times `per_step`. */
+JOINT_API void joint_drive_forces(size_t count, const double *const force[5], const double *per_step, double *before,
+                                  double *sum, double *rates) {
+    size_t i;
+    for (i = 0; i < count; i++) {
+        const double smooth = force[0][i] - force[1][i];
+        rates[i] = (smooth - before[i]) * per_step[i];
+        before[i] = smooth;
+        sum[i] = smooth + force[2][i] + force[3][i] + force[4][i];
+    }
+}
+
+/* A step of all drives of a simulator. */
+struct hinge {
+    void *joint;
+    size_t speed, angle; /* numbers in the simulator's arrays */
+    const double *command;
+    double *result;
+};
+
+/* `solved`: accelerations by all forces, their rates, and by a unit torque of each drive, over `count` speeds. The drives'
+   torques of the last step are in `applied`; with half of the rates' increase those of this one are there after it. Returns 0,
+   or what one of them refuses. */
+JOINT_API int joint_drive_hinges(size_t drives, struct hinge *hinge, size_t count, double step, const double *solved,
+                                 const double *rates, const double *angles, const double *speeds, double *applied) {
+    size_t k;
+    for (k = 0; k < drives; k++) {
+        const size_t dof = hinge[k].speed;
+        const double inertia = 1.0 / solved[(k + 2) * count + dof];
+        const double outside[5] = {angles[hinge[k].angle], speeds[dof], inertia,
+                                   inertia * solved[dof] - applied[dof], inertia * solved[count + dof]};
+        const int refused = joint_drive_step(hinge[k].joint, hinge[k].command, outside, hinge[k].result);
+        if (refused) {
+            return refused;
+        }
+    }
+    for (k = 0; k < drives; k++) {
+        applied[hinge[k].speed] = hinge[k].result[0] + 0.5 * step * rates[hinge[k].speed];
+    }
+    return 0;
+}
+
+/* After the simulator's step: the arms' angles, and in `applied` the mean torques alone. */
+JOINT_API void joint_drive_place(size_t drives, const struct hinge *hinge, double *angles, double *applied) {
+    size_t k;
+    for (k = 0; k < drives; k++) {
+        angles[hinge[k].angle] = hinge[k].result[1];
+        applied[hinge[k].speed] = hinge[k].result[0];
+    }
 }
 
 /* Of the FMU's tables, whose checks these sources contain as well. */
