@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import ctypes
+import functools
 import hashlib
 import json
 import math
@@ -378,6 +379,13 @@ class _Hinge(ctypes.Structure):
     )
 
 
+class _Scene(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_size_t) for name in ("drives", "speeds", "pushes")),
+        *((f"address_{k}", ctypes.c_void_p) for k in range(13)),
+    )
+
+
 class MujocoJoints:
     """Cycloid drives at hinges of a MuJoCo model. `step` replaces `mujoco.mj_step`.
 
@@ -403,45 +411,40 @@ class MujocoJoints:
             raise JointError("The integrator of the model must be Euler or implicitfast.")
         joints = [_mujoco_hinge(mujoco, model, name, drive) for name, drive in drives.items()]
         self._mujoco, self.model, self.data, self._time = mujoco, model, data, math.nan
-        self._drives, self._library, count = list(drives.values()), library(), len(joints)
-        self._hinges = (_Hinge * count)()
-        for drive, hinge, joint in zip(self._drives, self._hinges, joints, strict=True):
-            hinge.speed, hinge.angle = model.jnt_dofadr[joint], model.jnt_qposadr[joint]
-            hinge.joint, hinge.command, hinge.result = map(ctypes.addressof, drive.memory)
-        # All forces, the rates of smooth ones at the drives, and a unit torque of each drive.
+        self._drives, count = list(drives.values()), len(joints)
         self._forces, self._solved = np.zeros((2, count + 2, model.nv))
-        self._before, per_step = np.zeros((2, model.nv))
-        for k, hinge in enumerate(self._hinges):
-            self._forces[k + 2, hinge.speed], per_step[hinge.speed] = 1.0, 1.0 / model.opt.timestep
-        self._pushed, self._pushes, self._kept = data.xfrc_applied, np.count_nonzero, per_step
-
-        def addresses(*arrays: Any) -> list[ctypes.c_void_p]:
-            return [ctypes.c_void_p(array.ctypes.data) for array in arrays]
-
-        forces = data.qfrc_passive, data.qfrc_bias, data.qfrc_applied, data.qfrc_actuator, data.qfrc_constraint
-        read = (ctypes.c_void_p * len(forces))(*addresses(*forces))
-        size, step, angles, applied = ctypes.c_size_t(model.nv), ctypes.c_double(model.opt.timestep), data.qpos, forces[2]
-        hinges = ctypes.c_size_t(count), self._hinges
-        self._sum = (size, read, *addresses(per_step, self._before, self._forces[0], self._forces[1]))
-        self._move = (*hinges, size, step, *addresses(self._solved, self._forces[1], angles, data.qvel, applied))
-        self._place = (*hinges, *addresses(angles, applied))
+        before, per_step = np.zeros((2, model.nv))
+        hinges = (_Hinge * count)()
+        for k, (drive, joint) in enumerate(zip(self._drives, joints, strict=True)):
+            dof, place = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
+            hinges[k] = _Hinge(ctypes.addressof(drive.memory[0]), dof, place, *map(ctypes.addressof, drive.memory[1:]))
+            self._forces[k + 2, dof], per_step[dof] = 1.0, 1.0 / model.opt.timestep
+        forces = data.qfrc_passive, data.qfrc_bias, data.qfrc_actuator, data.qfrc_constraint, data.xfrc_applied
+        rest = data.qfrc_applied, data.qpos, data.qvel, before, per_step, self._forces, self._solved
+        self._arrays = (*forces, *rest)
+        sizes = count, model.nv, data.xfrc_applied.size, ctypes.addressof(hinges)
+        self._scene = _Scene(*sizes, *(array.ctypes.data for array in self._arrays))
+        self._hinges, address, joint_library = hinges, ctypes.byref(self._scene), library()
+        self._read, self._move, self._place = (
+            functools.partial(getattr(joint_library, f"joint_drive_{name}"), address) for name in ("read", "move", "place")
+        )
 
     def step(self, commands: Sequence[Sequence[float]]) -> None:
         """Move the model by one step, with one command of `JointDrive.step` for each drive, in their order."""
-        mujoco, model, data, joint = self._mujoco, self.model, self.data, self._library
+        mujoco, model, data = self._mujoco, self.model, self.data
         for drive, command in zip(self._drives, commands, strict=True):
             drive.memory[1][:] = command
         mujoco.mj_step1(model, data)
-        joint.joint_drive_forces(*self._sum)
+        pushed = self._read()
         if data.time != self._time:
             self._forces[1] = 0.0
-        if self._pushes(self._pushed):
-            for body, push in enumerate(self._pushed):
+        if pushed:
+            for body, push in enumerate(data.xfrc_applied):
                 mujoco.mj_applyFT(model, data, push[:3], push[3:], data.xipos[body], body, self._forces[0])
         mujoco.mj_solveM(model, data, self._solved, self._forces)
-        refuse(joint.joint_drive_hinges(*self._move))
+        refuse(self._move())
         mujoco.mj_step2(model, data)
-        joint.joint_drive_place(*self._place)
+        self._place()
         self._time = data.time
 
 

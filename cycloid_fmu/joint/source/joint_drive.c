@@ -277,21 +277,7 @@ JOINT_API int joint_drive_step(void *self, const double command[5], const double
     return 0;
 }
 
-/* A simulator's generalized forces over its `count` speeds: passive ones, those of inertia and gravity (which it has on the
-   other side), applied, actuators' and constraints'. `sum` is all of them, `rates` the change of the first two since `before`
-   times `per_step`. */
-JOINT_API void joint_drive_forces(size_t count, const double *const force[5], const double *per_step, double *before,
-                                  double *sum, double *rates) {
-    size_t i;
-    for (i = 0; i < count; i++) {
-        const double smooth = force[0][i] - force[1][i];
-        rates[i] = (smooth - before[i]) * per_step[i];
-        before[i] = smooth;
-        sum[i] = smooth + force[2][i] + force[3][i] + force[4][i];
-    }
-}
-
-/* A step of all drives of a simulator. */
+/* Drives at hinges of a simulator, with the addresses of its arrays. */
 struct hinge {
     void *joint;
     size_t speed, angle; /* numbers in the simulator's arrays */
@@ -299,34 +285,66 @@ struct hinge {
     double *result;
 };
 
-/* `solved`: accelerations by all forces, their rates, and by a unit torque of each drive, over `count` speeds. The drives'
-   torques of the last step are in `applied`; with half of the rates' increase those of this one are there after it. Returns 0,
-   or what one of them refuses. */
-JOINT_API int joint_drive_hinges(size_t drives, struct hinge *hinge, size_t count, double step, const double *solved,
-                                 const double *rates, const double *angles, const double *speeds, double *applied) {
-    size_t k;
-    for (k = 0; k < drives; k++) {
-        const size_t dof = hinge[k].speed;
-        const double inertia = 1.0 / solved[(k + 2) * count + dof];
-        const double outside[5] = {angles[hinge[k].angle], speeds[dof], inertia,
-                                   inertia * solved[dof] - applied[dof], inertia * solved[count + dof]};
-        const int refused = joint_drive_step(hinge[k].joint, hinge[k].command, outside, hinge[k].result);
-        if (refused) {
-            return refused;
-        }
+struct scene {
+    size_t drives, speeds, pushes;
+    struct hinge *hinge;
+    /* Generalized forces: passive ones, those of inertia and gravity (on the other side), of actuators and constraints, and
+       applied ones, among them the drives'; the numbers of forces on bodies. */
+    const double *passive, *bias, *actuated, *constrained, *pushed;
+    double *applied, *angle;
+    const double *speed;
+    double *before, *rates_of; /* of the smooth forces: those of the last step, and 1/step at the drives, else 0 */
+    double *forces; /* rows over the speeds: all forces, the rates of smooth ones, a unit torque of each drive */
+    const double *solved; /* accelerations by each row of `forces` */
+};
+
+/* Fill the first two rows of `forces`; returns whether a force acts on a body, which they lack. */
+JOINT_API int joint_drive_read(const struct scene *scene) {
+    double *all = scene->forces, *rates = all + scene->speeds;
+    size_t i;
+    for (i = 0; i < scene->speeds; i++) {
+        const double smooth = scene->passive[i] - scene->bias[i];
+        rates[i] = (smooth - scene->before[i]) * scene->rates_of[i];
+        scene->before[i] = smooth;
+        all[i] = smooth + scene->applied[i] + scene->actuated[i] + scene->constrained[i];
     }
-    for (k = 0; k < drives; k++) {
-        applied[hinge[k].speed] = hinge[k].result[0] + 0.5 * step * rates[hinge[k].speed];
+    for (i = 0; i < scene->pushes; i++) {
+        if (scene->pushed[i] != 0.0) {
+            return 1;
+        }
     }
     return 0;
 }
 
-/* After the simulator's step: the arms' angles, and in `applied` the mean torques alone. */
-JOINT_API void joint_drive_place(size_t drives, const struct hinge *hinge, double *angles, double *applied) {
+/* Move the drives by a step. The applied forces have their torques, extrapolated by half a step. Returns what is refused. */
+JOINT_API int joint_drive_move(const struct scene *scene) {
+    const double *solved = scene->solved, *rates = scene->forces + scene->speeds;
     size_t k;
-    for (k = 0; k < drives; k++) {
-        angles[hinge[k].angle] = hinge[k].result[1];
-        applied[hinge[k].speed] = hinge[k].result[0];
+    for (k = 0; k < scene->drives; k++) {
+        const struct hinge *hinge = &scene->hinge[k];
+        const size_t dof = hinge->speed;
+        const double inertia = 1.0 / solved[(k + 2) * scene->speeds + dof];
+        const double outside[5] = {scene->angle[hinge->angle], scene->speed[dof], inertia,
+                                   inertia * solved[dof] - scene->applied[dof], inertia * solved[scene->speeds + dof]};
+        const int refused = joint_drive_step(hinge->joint, hinge->command, outside, hinge->result);
+        if (refused) {
+            return refused;
+        }
+    }
+    for (k = 0; k < scene->drives; k++) {
+        const struct hinge *hinge = &scene->hinge[k];
+        const double step = ((const struct joint *)hinge->joint)->step;
+        scene->applied[hinge->speed] = hinge->result[0] + 0.5 * step * rates[hinge->speed];
+    }
+    return 0;
+}
+
+/* After the simulator's step: the arms' angles, and the mean torques alone. */
+JOINT_API void joint_drive_place(const struct scene *scene) {
+    size_t k;
+    for (k = 0; k < scene->drives; k++) {
+        scene->angle[scene->hinge[k].angle] = scene->hinge[k].result[1];
+        scene->applied[scene->hinge[k].speed] = scene->hinge[k].result[0];
     }
 }
 
