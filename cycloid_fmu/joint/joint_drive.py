@@ -17,7 +17,7 @@ import json
 import math
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -115,10 +115,32 @@ def _number(name: str, given: Any, source: str) -> dict[str, Any]:
     return dict(given)
 
 
-def rows_of(path: str | os.PathLike[str]) -> list[dict[str, float]]:
-    """Return the rows of a `draws.csv`: values by dotted name, row 0 the most likely."""
-    with open(path, newline="", encoding="utf-8") as file:
-        return [{name: float(text) for name, text in row.items()} for row in csv.DictReader(file)]
+def rows_of(path: Any, names: Collection[str]) -> list[dict[str, float]]:
+    """Return the rows of a `draws.csv`: values by dotted name, of `names`; row 0 is the most likely.
+
+    Raises
+    ------
+    JointError
+        If it can't be read, or has another number or none.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            lines = list(csv.reader(file))
+    except (OSError, ValueError) as problem:
+        raise JointError(f"{path}: it can't be read: {problem}.") from None
+    rows, header = [], lines[0] if lines else []
+    for name in header:
+        if name not in names:
+            raise JointError(f"{path}: the joint has no number {name!r}.")
+    for line, cells in enumerate(lines[1:], 2):
+        try:
+            row = {name: float(cell) for name, cell in zip(header, cells, strict=True)}
+        except ValueError:
+            row = {}
+        if not row or not all(map(math.isfinite, row.values())):
+            raise JointError(f"{path}: line {line} must have {len(header)} finite numbers.")
+        rows.append(row)
+    return rows
 
 
 def read(document: Any, row: int | None = None) -> dict[str, float | None]:
@@ -149,7 +171,7 @@ def read(document: Any, row: int | None = None) -> dict[str, float | None]:
     if row is not None:
         if not document.get("draws"):
             raise JointError(f"{source}: it names no draws, so there is no row {row}.")
-        rows = rows_of(folder / document["draws"])
+        rows = rows_of(folder / document["draws"], values)
         if not 0 <= row < len(rows):
             raise JointError(f"{folder / document['draws']}: row {row}: it has the rows 0 to {len(rows) - 1}.")
         values.update(rows[row])
