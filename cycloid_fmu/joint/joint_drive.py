@@ -62,8 +62,8 @@ class JointError(ValueError):
 def flat(document: Mapping[str, Any], source: str = "document") -> dict[str, dict[str, Any]]:
     """Return each number of a document by its dotted name, `friction.motor.coulomb` or `te_orders.0.phase`.
 
-    A number is `{"value", "interval", "origin"}`, or `{"value": None, "reason"}` if it is unknown. A list that is unknown
-    as a whole is such a number under the list's name.
+    A number is `{"value", "interval", "origin"}`, or `{"value": None, "reason"}` if it is unknown. A list that is
+    unknown as a whole is such a number under the list's name.
 
     Raises
     ------
@@ -128,7 +128,8 @@ def rows_of(path: Any, names: Collection[str]) -> list[dict[str, float]]:
             lines = list(csv.reader(file))
     except (OSError, ValueError) as problem:
         raise JointError(f"{path}: it can't be read: {problem}.") from None
-    rows, header = [], lines[0] if lines else []
+    rows: list[dict[str, float]] = []
+    header = lines[0] if lines else []
     for name in header:
         if name not in names:
             raise JointError(f"{path}: the joint has no number {name!r}.")
@@ -198,7 +199,9 @@ def check(values: Mapping[str, float | None], source: str = "document") -> None:
         if known(name) < 0.0 or (name.endswith(("_speed", "_angle")) and known(name) == 0.0):
             refuse(name, "it must not be below 0" if known(name) < 0.0 else "it must be above 0")
     if known("friction.motor.efficiency_back_driving") <= 0.0:
-        refuse("friction.motor.efficiency_back_driving", "such a drive is self-locking, which this model can't represent")
+        refuse(
+            "friction.motor.efficiency_back_driving", "such a drive is self-locking, which this model can't represent"
+        )
     for name in EFFICIENCIES:
         if not (math.isnan(known(f"friction.motor.{name}")) or 0.0 < known(f"friction.motor.{name}") <= 1.0):
             refuse(f"friction.motor.{name}", "an efficiency lies above 0 and not above 1")
@@ -314,7 +317,10 @@ class JointDrive:
         kind = ctypes.c_double * len(numbers)
         if self._library.joint_drive_open(self._joint, kind(*numbers), ctypes.c_size_t(len(numbers))) != 0:
             raise JointError(f"{source}: its library takes at most {MOST} points and orders.")
-        self._command, self._outside, self._result = *((ctypes.c_double * 5)() for _ in range(2)), (ctypes.c_double * 4)()
+        self._command, self._outside, self._result = (
+            *((ctypes.c_double * 5)() for _ in range(2)),
+            (ctypes.c_double * 4)(),
+        )
         self.memory = self._joint, self._command, self._result
         self.load([motor_angle, 0.0, *[0.0] * STRAINS])
 
@@ -349,8 +355,8 @@ class JointDrive:
                     f"h = {self.h:g} s is {held:.3g} rad of the drive on an inertia of {inertia:g} kg*m2, more than "
                     f"{HELD_STEP:g}: take a shorter step, or write the arm's angle after it."
                 )
-        self._command[:] = command
-        self._outside[:] = (phi, w, inertia, force, slope)
+        self._command[:] = list(command)
+        self._outside[:] = [phi, w, inertia, force, slope]
         refuse(self._library.joint_drive_step(self._joint, self._command, self._outside, self._result))
         return self._result[0], self._result[1]
 
@@ -448,14 +454,15 @@ class MujocoJoints:
         self._scene = _Scene(*sizes, *(array.ctypes.data for array in self._arrays))
         self._hinges, address, joint_library = hinges, ctypes.byref(self._scene), library()
         self._read, self._move, self._place = (
-            functools.partial(getattr(joint_library, f"joint_drive_{name}"), address) for name in ("read", "move", "place")
+            functools.partial(getattr(joint_library, f"joint_drive_{name}"), address)
+            for name in ("read", "move", "place")
         )
 
     def step(self, commands: Sequence[Sequence[float]]) -> None:
         """Move the model by one step, with one command of `JointDrive.step` for each drive, in their order."""
         mujoco, model, data = self._mujoco, self.model, self.data
         for drive, command in zip(self._drives, commands, strict=True):
-            drive.memory[1][:] = command
+            drive.memory[1][:] = command if isinstance(command, list) else list(command)
         mujoco.mj_step1(model, data)
         pushed = self._read()
         if data.time != self._time:
@@ -479,7 +486,9 @@ def _mujoco_hinge(mujoco: Any, model: Any, name: str, drive: JointDrive) -> int:
         raise JointError(f"The drive of {name!r} has h = {drive.h:g} s, the model {model.opt.timestep:g} s.")
     wraps = zip(model.wrap_type, model.wrap_objid, strict=True)
     if any(kind == mujoco.mjtWrap.mjWRAP_JOINT and number == joint for kind, number in wraps):
-        raise JointError(f"The hinge {name!r} has a tendon transmission; its transmission is the drive: delete the tendon.")
+        raise JointError(
+            f"The hinge {name!r} has a tendon transmission; its transmission is the drive: delete the tendon."
+        )
     direct = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
     actuators = zip(model.actuator_trntype, model.actuator_trnid, strict=True)
     if any(kind in direct and numbers[0] == joint for kind, numbers in actuators):

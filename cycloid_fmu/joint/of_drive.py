@@ -1,4 +1,4 @@
-"""Numbers of a joint from a drive: play, wind-up and orders of its teeth, friction from its losses, and draws of them."""
+"""Numbers of a joint from a drive: play, wind-up and orders of its teeth, friction from its losses, and draws."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ ORDERS_AT = 2
 """Number of that at which the transmission error and the play are resolved into orders."""
 EACH_TURN = 24
 ODD = 13  # more angles, so that their number has no factor in common with those of teeth and pins
+WINDUP_ANGLES = 61  # over a turn of the output, which resolve no orders: the wind-up is a mean
 ORDERS = 5
 DRAWS = 100
 SPEED = 100.0  # rad/s of the motor, 955 rpm
@@ -57,14 +58,15 @@ class Teeth:
     def __init__(self, drive: DriveValue, crank_angle: Array, compliance: float, workers: int) -> None:
         rated = drive.pair.rated_load()
         self.drive, self.loads = drive, rated * np.array(LOADS)
-        found = solve(drive, [*self.loads, *-self.loads], crank_angle, with_stiffness=False, workers=workers)
-        low, high = found.transmission_error[len(LOADS) :], found.transmission_error[: len(LOADS)]
-        half = 0.5 * (high - low).mean(axis=1) + compliance * self.loads
+        load = self.loads[ORDERS_AT]
+        found = solve(drive, [load, -load], crank_angle, with_stiffness=False, workers=workers)
+        high, low = found.transmission_error
+        self.error, self.loose = 0.5 * (high + low), high - low - (high - low).mean()
+        few = np.linspace(0.0, 2.0 * math.pi * abs(drive.pair.ratio), WINDUP_ANGLES, endpoint=False)
+        found = solve(drive, [*self.loads, *-self.loads], few, with_stiffness=False, workers=workers)
+        half = 0.5 * (found.transmission_error[: len(LOADS)] - found.transmission_error[len(LOADS) :]).mean(axis=1)
         self.play = float(np.mean(found.backlash))
-        self.windup = half - 0.5 * self.play
-        self.error = 0.5 * (high[ORDERS_AT] + low[ORDERS_AT])
-        loose = high[ORDERS_AT] - low[ORDERS_AT]
-        self.loose = loose - loose.mean()
+        self.windup = half - 0.5 * self.play + compliance * self.loads
 
     def orders(self, count: int) -> dict[str, list[int]]:
         """Return the numbers of the largest orders of the transmission error and of the play, ascending."""
@@ -109,23 +111,13 @@ def drawn(
     solved: Callable[[DriveValue], Teeth],
     progress: Callable[[int], None],
 ) -> list[Teeth]:
-    """Return the teeth of drives from the posterior of a fit, or within tolerances; none without either.
-
-    Raises
-    ------
-    edge.InputError
-        If draws are wanted of a drive without either.
-    """
+    """Return the teeth of drives from the posterior of a fit, or within tolerances; none without either."""
     number_of = DRAWS if count is None else count
     if tolerances is not None:
         surfaces = (sample_surface(drive.pair, tolerances, seed + k) for k in range(number_of))
         drives = (DriveValue(drive.pair.nominal, surface, drive.first_stage) for surface in surfaces)
     elif drive.surface.covariance is not None:
         drives = (drive.with_surface(one) for one in drawn_surfaces(drive.pair, drive.surface, number_of, seed))
-    elif count:
-        raise edge.ArgumentError(
-            "draws", "the drive has no covariance of a fit; give a surface written by identify, or tolerances", count
-        )
     else:
         return []
     found = []
@@ -135,7 +127,9 @@ def drawn(
     return found
 
 
-def rows_of(values: Mapping[str, float], teeth: Sequence[Teeth], orders: Mapping[str, Sequence[int]]) -> list[dict[str, float]]:
+def rows_of(
+    values: Mapping[str, float], teeth: Sequence[Teeth], orders: Mapping[str, Sequence[int]]
+) -> list[dict[str, float]]:
     """Return the draws after the most likely values; phases are those within half a turn of its own."""
     rows = [dict(values)]
     for each in teeth:
@@ -185,12 +179,15 @@ def friction(drive: DriveValue, speed: float) -> tuple[dict[str, Number], tuple[
         "friction.output.viscous": output.viscous,
         "friction.output.presliding_angle": OUTPUT_PRESLIDING_ANGLE,
     }
-    low, high = (100.0 * float(end) for end in (table[1:, 1].min(), table[1:, 1].max()))
+    rest, low, high = (100.0 * float(end) for end in (table[0, 1], table[1:, 1].min(), table[1:, 1].max()))
     numbers = {name: number(value, "predicted") for name, value in values.items()}
     for name in ("friction.output.stribeck", "friction.output.stribeck_speed"):
         numbers[name] = unknown("[losses] states no Stribeck friction of the output's own drag")
     numbers["friction.output.load_share"] = unknown("losses that grow with the load are in the motor's efficiencies")
-    text = f"Efficiency over the speed: that at {speed:.4g} rad/s of the motor, of {low:.3g} to {high:.3g} % (driving)."
+    text = (
+        f"Efficiency over the speed: that at {speed:.4g} rad/s of the motor; driving it is {low:.3g} to {high:.3g} %, "
+        f"at rest {rest:.3g} %."
+    )
     return numbers, (text, "Friction over the temperature of the lubricant.")
 
 

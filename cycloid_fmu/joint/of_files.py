@@ -61,7 +61,9 @@ def numbers_of(path: _File, rated_torque: float | None) -> dict[str, Number]:
         If it can't be read, or is none of these.
     """
     readers: dict[str, Callable[[], dict[str, Number]]] = {
-        STATED: lambda: stated(edge.toml_table(edge.read_text(path, STATED), STATED, str(path)).get("joint", {}), str(path)),
+        STATED: lambda: stated(
+            edge.toml_table(edge.read_text(path, STATED), STATED, str(path)).get("joint", {}), str(path)
+        ),
         FRICTION: lambda: _friction_file(path),
         FIGURES: lambda: _loop(edge.json_table(path, FIGURES, "figures"), str(path), rated_torque),
         FRICTION_FIT: lambda: _friction_fit(edge.json_table(path, FRICTION_FIT, "a fit of friction")),

@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from cycloid_fmu import edge
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.joint import joint_drive, of_drive
@@ -13,6 +15,7 @@ from cycloid_fmu.joint.document import Joint, Number, number, unknown
 from cycloid_fmu.joint.of_files import numbers_of, stated
 from cycloid_fmu.surfaces.sampling import Tolerances
 
+_WIDTH = 3.92  # of an interval of 95 % over its standard deviation
 _REASONS = {
     "rotor_inertia": "not stated; a pair file has no motor",
     "peak_torque": "not stated",
@@ -78,15 +81,45 @@ def joint_of(
         )
         torque = drive.pair.rated_load() * of_drive.LOADS[of_drive.ORDERS_AT]
         source |= {"drive": drive.hash, "surface": drive.surface.origin, "transmission_error_torque": torque}
-    rated = numbers.get("rated_torque", {}).get("value")
+    of_files: dict[str, Number] = {}
     for path in files:
-        _replace(numbers, numbers_of(path, rated))
-        rated = numbers.get("rated_torque", {}).get("value")
-    _replace(numbers, stated(given or {}, "stated"))
-    kept = [name for name in (rows[0] if rows else ()) if numbers.get(name, {}).get("value") == rows[0][name]]
+        _replace(of_files, numbers_of(path, {**numbers, **of_files}.get("rated_torque", {}).get("value")))
+    _replace(of_files, stated(given or {}, "stated"))
+    _replace(numbers, of_files)
+    rows = _with_files(rows, numbers, of_files, draws, seed)
     _fill(numbers)
     source["seed"] = seed if rows else None
-    return Joint(numbers, tuple({name: row[name] for name in kept} for row in rows), source, left_out)
+    return Joint(numbers, tuple(rows), source, left_out)
+
+
+def _with_files(
+    rows: list[dict[str, float]],
+    numbers: Mapping[str, Number],
+    of_files: Mapping[str, Number],
+    draws: int | None,
+    seed: int,
+) -> list[dict[str, float]]:
+    """Return the draws without what the files replace, and with what they give an interval, drawn independently."""
+    spread = {name: each for name, each in of_files.items() if each.get("interval") is not None}
+    if not rows and spread:
+        rows = [{} for _ in range(1 + (of_drive.DRAWS if draws is None else draws))]
+    if not rows and draws:
+        raise edge.ArgumentError(
+            "draws", "the drive has no covariance of a fit; give a surface written by identify, or tolerances", draws
+        )
+    kept = [name for name in (rows[0] if rows else ()) if name in numbers and name not in of_files]
+    generator = np.random.default_rng([seed, 1])
+    normal = generator.standard_normal((len(rows), len(spread)))
+    normal[:1] = 0.0
+    found = []
+    for row, off in zip(rows, normal, strict=True):
+        own = {}
+        for (name, each), by in zip(spread.items(), off, strict=True):
+            low, high = each["interval"]
+            value = each["value"] + by * (high - low) / _WIDTH
+            own[name] = float(max(value, 0.0) if each["value"] >= 0.0 else value)
+        found.append({**{name: row[name] for name in kept}, **own})
+    return found
 
 
 def _of_drive(

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 import re
 from pathlib import Path
 
+from cycloid_fmu import edge
 from cycloid_fmu.fmu import library
+from cycloid_fmu.joint import joint_drive
+from cycloid_fmu.joint.document import Joint, refused_as_input
 
 FOLDER = Path(__file__).parent
 LIBRARIES = FOLDER / "libraries"
@@ -39,3 +43,31 @@ def source() -> bytes:
 def source_hash() -> str:
     """Return the hash of the source, which a library made of it contains."""
     return hashlib.sha256(source()).hexdigest()
+
+
+def write_runtime(joint: Joint, folder: str | os.PathLike[str]) -> list[Path]:
+    """Write what a simulator needs: the document and its draws, the Python module, the C source and the libraries.
+
+    Raises
+    ------
+    edge.InputError
+        If the run-time refuses the joint, the folder can't be made, or a library is not of the present source.
+    """
+    place = Path(folder)
+    with refused_as_input():
+        joint_drive.JointDrive(joint.document, joint_drive.LONGEST_STEP, 0.0)
+    try:
+        (place / LIBRARIES.name).mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise edge.InputError(f"{place}: {problem.strerror or problem}.") from None
+    files = {f"{NAME}.py": (FOLDER / f"{NAME}.py").read_bytes(), f"{NAME}.c": source()}
+    for path in sorted(LIBRARIES.iterdir()):
+        data = path.read_bytes()
+        if source_hash().encode() not in data:
+            raise edge.InputError(f"{path}: it is not of the present sources; see CONTRIBUTING.md.")
+        files[f"{LIBRARIES.name}/{path.name}"] = data
+    for name, data in files.items():
+        with edge.written_whole(place / name) as temporary:
+            temporary.write_bytes(data)
+    joint.write(place / "joint.json")
+    return [place / name for name in (*files, "joint.json")]

@@ -19,7 +19,10 @@ from cycloid_fmu.fmu.library import PLATFORMS, library_path
 from cycloid_fmu.joint import runtime as joint
 from cycloid_fmu.native.build import build_native
 
-EVERY = [pytest.param(path, id=f"{path.parent.name}/{path.name}") for path in (*libraries.PACKAGED, *libraries.JOINTS, *libraries.FRONTS)]
+EVERY = [
+    pytest.param(path, id=f"{path.parent.name}/{path.name}")
+    for path in (*libraries.PACKAGED, *libraries.JOINTS, *libraries.FRONTS)
+]
 
 
 @pytest.mark.parametrize("path", EVERY)
