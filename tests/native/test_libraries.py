@@ -16,11 +16,11 @@ from cycloid_fmu import edge
 from cycloid_fmu.compensation.forms.write import write_compensator
 from cycloid_fmu.fmu import library
 from cycloid_fmu.fmu.library import PLATFORMS, library_path
+from cycloid_fmu.fmu.native import build_native
 from cycloid_fmu.joint import runtime as joint
-from cycloid_fmu.native.build import build_native
 
 EVERY = [
-    pytest.param(path, id=f"{path.parent.name}/{path.name}")
+    pytest.param(path, id="/".join(path.parts[-3:]))
     for path in (*libraries.PACKAGED, *libraries.JOINTS, *libraries.FRONTS)
 ]
 
