@@ -1064,7 +1064,7 @@ class Drive(DriveValue):
         angles
             Crank angles over one turn of the output; None for as many as the orders need.
         series_compliance
-            Compliance in series with the drive, rad/(N·m) or text with a unit; 0 for that up to a catalogue's stiffness.
+            Compliance in series with the drive, rad/(N·m) or text; 0 for that up to a catalogue's stiffness.
         motor_speed
             Speed of the motor at which the efficiencies of `[losses]` are taken, rad/s or text with a unit.
         workers, progress

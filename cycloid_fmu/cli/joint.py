@@ -28,8 +28,8 @@ def joint(
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="Numbers that replace the drive's own: stated or measured (cycloid-joint-figures/1), loops (metrics -o), "
-            "friction (cycloid-friction/1, or friction -o as JSON); repeatable, the last one counts.",
+            help="Numbers that replace the drive's own: stated or measured (cycloid-joint-figures/1), loops (metrics "
+            "-o), friction (cycloid-friction/1, or friction -o as JSON); repeatable, the last one counts.",
         ),
     ] = None,
     rotor_inertia: Annotated[

@@ -1,7 +1,7 @@
 """The joint document `cycloid-joint/1`: what a robot simulator needs to know of a drive, each number with its origin.
 
-A joint has its numbers by dotted names, `friction.motor.coulomb` or `te_orders.0.phase`; `joint_drive` states the names, and
-checks them. Where numbers of several sources have one name, the source that was given last has it.
+A joint has its numbers by dotted names, `friction.motor.coulomb` or `te_orders.0.phase`; `joint_drive` states the names,
+and checks them.
 """
 
 from __future__ import annotations

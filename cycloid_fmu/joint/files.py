@@ -129,8 +129,8 @@ def _lacks(joint: Joint, what: str, values: Mapping[str, float | None]) -> list[
     if missing:
         lines.append(f"Unknown, and left out: {', '.join(missing)}.")
     lines.append(
-        f"Without a load {of.starting_torque:.4g} N·m start the motor and {of.back_driving_torque:.4g} N·m turn the output "
-        "back, by the friction that is known."
+        f"Without a load {of.starting_torque:.4g} N·m start the motor and {of.back_driving_torque:.4g} N·m turn the "
+        "output back, by the friction that is known."
     )
     return [*lines, *joint.not_represented]
 
@@ -194,7 +194,7 @@ def mjcf(joint: Joint, values: Mapping[str, float | None], arm_inertia: float) -
     of = attributes(values)
     lines = [
         *_lacks(joint, f"{_AS_ATTRIBUTES}; for play and stiffness see the file with -play", values),
-        "The motor's gear multiplies armature and damping by its square (MuJoCo 4.0; before, armature belongs to the joint).",
+        "The motor's gear multiplies armature and damping by its square, in MuJoCo 4.0 and later.",
         f"solreffriction keeps dry friction from creeping: 2 steps of {TIMESTEP:g} s; change it with the step.",
     ]
     hinge = _attribute(
@@ -209,7 +209,7 @@ def mjcf(joint: Joint, values: Mapping[str, float | None], arm_inertia: float) -
 
 
 def mjcf_play(joint: Joint, values: Mapping[str, float | None], arm_inertia: float) -> str:
-    """Return a MuJoCo model with play and stiffness: the arm's angle is that of the hinges `drive` and `play` together."""
+    """Return a MuJoCo model with play and stiffness: the arm's angle is that of `drive` and `play` together."""
     of, play = attributes(values), _known(values, "play")
     if of.stiffness is None:
         raise edge.InputError("stiffness is unknown; this file needs it: state it.")
@@ -303,8 +303,8 @@ def _link(arm_inertia: float) -> str:
     inertia = _attribute(**{name: arm_inertia for name in ("ixx", "iyy", "izz")}, ixy=0.0, ixz=0.0, iyz=0.0)
     return (
         '  <link name="base"/>\n'
-        f'  <link name="arm_link">\n    <inertial><origin xyz="0 0 0"/><mass value="1"/><inertia{inertia}/></inertial>\n'
-        "  </link>\n"
+        '  <link name="arm_link">\n    <inertial><origin xyz="0 0 0"/><mass value="1"/>'
+        f"<inertia{inertia}/></inertial>\n  </link>\n"
     )
 
 
@@ -443,8 +443,8 @@ def bam(joint: Joint, values: Mapping[str, float | None], arm_inertia: float) ->
     at_arm = next((value for value in (speed[0] and speed[0] / of.ratio, speed[1]) if value), 1.0)
     lacks = [
         *_lacks(joint, "play, stiffness, transmission error, presliding and temperature", values),
-        f"Sliding friction differs from this by {loaded:.2g} % at the rated torque and {unloaded:.2g} % without a load; "
-        "one Stribeck speed is for both sides. kt and R are those of your motor.",
+        f"Sliding friction differs from this by {loaded:.2g} % at the rated torque and {unloaded:.2g} % without a "
+        "load; one Stribeck speed is for both sides. kt and R are those of your motor.",
     ]
     content = {
         "comment": " ".join(lacks),
@@ -486,27 +486,23 @@ def load_shares(values: Mapping[str, float | None]) -> tuple[float, float]:
     external = 2.0 * forward * backward / (forward + backward) - motor
     if external < 0.0:
         raise edge.InputError(
-            f"BAM's model m5 can't have losses of {forward:.3g} of the load driving and {backward:.3g} back-driving: its "
-            "share of the external torque would be below 0."
+            f"BAM's model m5 can't have losses of {forward:.3g} of the load driving and {backward:.3g} back-driving: "
+            "its share of the external torque would be below 0."
         )
     return motor, external
 
 
 def residual(values: Mapping[str, float | None], load: float) -> float:
-    """Return by how much sliding friction differs from BAM's at a load (N·m), the larger of both directions, relative."""
+    """Return by how much sliding friction differs from BAM's at a load (N·m), in either direction, relative."""
     of, (motor, external), (driving, back, share) = attributes(values), load_shares(values), _shares(values)
-    lifted = (load + of.output_friction) / ((1.0 - share) * driving) + of.motor_friction - load
-    carried = max(load - of.output_friction, 0.0) / (1.0 + share) * back - of.motor_friction
-    lowered = load - carried
-    if carried <= 0.0:  # it holds: what turns it
-        load = lowered = of.motor_friction / back * (1.0 + share) + of.output_friction
-        carried = 0.0
-    modelled = (
-        of.friction + external * load + motor * max(load + lifted, 0.0),
-        of.friction + external * load + motor * carried,
-    )
-    pairs = zip((lifted, lowered), modelled, strict=True)
-    return max((abs(true / model - 1.0) for true, model in pairs if model > 0.0), default=0.0)
+    lifting = (load + of.output_friction) / ((1.0 - share) * driving) + of.motor_friction
+    holding = max(load - of.output_friction, 0.0) / (1.0 + share) * back - of.motor_friction
+    off = []
+    for torque in (lifting, *([holding] if holding > 0.0 else [])):
+        modelled = of.friction + external * load + motor * torque
+        if modelled > 0.0:
+            off.append(abs(abs(torque - load) / modelled - 1.0))
+    return max(off, default=0.0)
 
 
 Writer = Callable[[Joint, Mapping[str, float | None], float], str]

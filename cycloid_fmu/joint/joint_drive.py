@@ -2,9 +2,9 @@
 
 The simulator has the arm, without armature, friction or an actuator at this joint. At each step `JointDrive` takes the
 motor's command and what the simulator knows of the arm, and gives the torque on it and its angle after the step.
-`MujocoJoints` and `DrakeJoints` do this for MuJoCo and Drake. Only this file, the library for the machine in `libraries`
-and the document are needed. SI units, angles in rad; the motor's angle and torque have the sign of the motor, those of the
-arm the sign of the joint.
+`MujocoJoints` and `DrakeJoints` do this for MuJoCo and Drake. Only this file, the library for the machine in
+`libraries` and the document are needed. SI units, angles in rad; the motor's angle and torque have the sign of the
+motor, those of the arm the sign of the joint.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import functools
 import hashlib
 import json
 import math
-import os
 import platform
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
