@@ -67,14 +67,19 @@ def document(drive):
     }
 
 
-def pendulum(drive, h=1e-3, joint="", body=0.2):
-    """MJCF of the arm of a case's drive: a hinge about a horizontal axis, its mass below at `body` m if that fits."""
+def body_of(drive):
+    """Distance of the arm's mass from its hinge, the mass, and the inertia about its middle."""
     inertia, weight = drive["Jb"], drive["mgl"]
-    length = min(body, 0.5 * inertia * 9.81 / weight)
+    length = min(0.2, 0.5 * inertia * 9.81 / weight)
     mass = weight / 9.81 / length
-    rest = inertia - mass * length**2
+    return length, mass, inertia - mass * length**2
+
+
+def pendulum(drive, joint=""):
+    """MJCF of the arm of a case's drive: a hinge about a horizontal axis."""
+    length, mass, rest = body_of(drive)
     return (
-        f'<mujoco><option timestep="{h}" integrator="implicitfast"/><compiler angle="radian"/><worldbody><body>'
+        '<mujoco><option integrator="implicitfast"/><compiler angle="radian"/><worldbody><body>'
         f'<joint name="arm" type="hinge" axis="0 1 0" {joint}/><inertial pos="0 0 {-length}" mass="{mass}" '
         f'diaginertia="{rest} {rest} {rest}"/></body></worldbody></mujoco>'
     )

@@ -1,7 +1,7 @@
 """The joint document `cycloid-joint/1`: what a robot simulator needs to know of a drive, each number with its origin.
 
-A joint has its numbers by dotted names, `friction.motor.coulomb` or `te_orders.0.phase`; `joint_drive` states the names,
-and checks them.
+A joint has its numbers by dotted names, `friction.motor.coulomb` or `te_orders.0.phase`; `joint_drive` states and
+checks them.
 """
 
 from __future__ import annotations

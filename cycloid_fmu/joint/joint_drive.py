@@ -484,11 +484,11 @@ def _mujoco_hinge(mujoco: Any, model: Any, name: str, drive: JointDrive) -> int:
     if drive.h != model.opt.timestep:
         raise JointError(f"The drive of {name!r} has h = {drive.h:g} s, the model {model.opt.timestep:g} s.")
     wraps = zip(model.wrap_type, model.wrap_objid, strict=True)
-    if any(kind == mujoco.mjtWrap.mjWRAP_JOINT and number == joint for kind, number in wraps):
+    if any(kind == int(mujoco.mjtWrap.mjWRAP_JOINT) and number == joint for kind, number in wraps):
         raise JointError(
             f"The hinge {name!r} has a tendon transmission; its transmission is the drive: delete the tendon."
         )
-    direct = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    direct = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     actuators = zip(model.actuator_trntype, model.actuator_trnid, strict=True)
     if any(kind in direct and numbers[0] == joint for kind, numbers in actuators):
         raise JointError(f"The hinge {name!r} has an actuator; its motor is that of the drive: delete the actuator.")
