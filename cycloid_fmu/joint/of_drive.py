@@ -65,8 +65,9 @@ class Teeth:
         few = np.linspace(0.0, 2.0 * math.pi * abs(drive.pair.ratio), WINDUP_ANGLES, endpoint=False)
         found = solve(drive, [*self.loads, *-self.loads], few, with_stiffness=False, workers=workers)
         half = 0.5 * (found.transmission_error[: len(LOADS)] - found.transmission_error[len(LOADS) :]).mean(axis=1)
-        self.play = float(np.mean(found.backlash))
+        self.play = float(np.mean(found.backlash))  # NaN where the teeth interfere
         self.windup = half - 0.5 * self.play + compliance * self.loads
+        self.runs = math.isfinite(self.play) and bool((np.diff(self.windup, prepend=0.0) > 0.0).all())
 
     def orders(self, count: int) -> dict[str, list[int]]:
         """Return the numbers of the largest orders of the transmission error and of the play, ascending."""
@@ -111,7 +112,10 @@ def drawn(
     solved: Callable[[DriveValue], Teeth],
     progress: Callable[[int], None],
 ) -> list[Teeth]:
-    """Return the teeth of drives from the posterior of a fit, or within tolerances; none without either."""
+    """Return the teeth of drives from the posterior of a fit, or within tolerances; none without either.
+
+    Those whose teeth interfere are left out.
+    """
     number_of = DRAWS if count is None else count
     if tolerances is not None:
         surfaces = (sample_surface(drive.pair, tolerances, seed + k) for k in range(number_of))
@@ -124,7 +128,7 @@ def drawn(
     for each in drives:
         found.append(solved(each))
         progress(1)
-    return found
+    return [teeth for teeth in found if teeth.runs]
 
 
 def rows_of(

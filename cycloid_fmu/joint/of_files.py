@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from cycloid_fmu import edge
@@ -68,10 +70,21 @@ def numbers_of(path: _File, rated_torque: float | None) -> dict[str, Number]:
         FIGURES: lambda: _loop(edge.json_table(path, FIGURES, "figures"), str(path), rated_torque),
         FRICTION_FIT: lambda: _friction_fit(edge.json_table(path, FRICTION_FIT, "a fit of friction")),
     }
-    form = edge.format_of(path)
+    form = _format_of(path)
     if form not in readers:
         raise edge.InputError(f"{path}: figures of a joint are in a file of the format {edge.listed(readers)}.")
     return readers[form]()
+
+
+def _format_of(path: _File) -> object:
+    """Return the format that a file states, TOML or JSON; None if it states none."""
+    if Path(path).suffix.lower() != ".json":
+        return edge.format_of(path)
+    try:
+        content = json.loads(edge.read_text(path))
+    except ValueError:
+        return None
+    return content.get("format") if isinstance(content, dict) else None
 
 
 def stated(given: Mapping[str, Any], source: str) -> dict[str, Number]:

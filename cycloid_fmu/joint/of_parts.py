@@ -142,10 +142,15 @@ def _of_drive(
 
     teeth = solved(drive)
     progress(1)
+    if not teeth.runs:
+        raise edge.InputError(
+            "The teeth of this drive interfere at some crank angles: as a joint it has no play to state."
+        )
     largest = teeth.orders(orders)
     values = teeth.values(largest)
     several = of_drive.drawn(drive, tolerances, draws, seed, solved, progress)
     rows = of_drive.rows_of(values, several, largest) if several else []
+    wanted = of_drive.DRAWS if draws is None else draws
     origin = "identified" if drive.surface.covariance is not None and tolerances is None else "drawn"
     rubbing, left_out = of_drive.friction(drive, speed)
     numbers = {
@@ -161,6 +166,7 @@ def _of_drive(
         f"Transmission error and play over the load: those at {teeth.loads[of_drive.ORDERS_AT]:.4g} N·m.",
         *teeth.left_out(largest),
         "Stiffness over the crank angle.",
+        *([f"{wanted - len(several)} of {wanted} draws: their teeth interfere."] if 0 < len(several) < wanted else []),
         *left_out,
     )
     return numbers, rows, texts
