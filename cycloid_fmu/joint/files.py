@@ -263,7 +263,7 @@ def set_row(model, data, row):
     of = {{**VALUES, **row}}
     ratio = abs(of["ratio"])
     dry = ratio * of.get("friction.motor.coulomb", 0.0), of.get("friction.output.coulomb", 0.0)
-    model.actuator("motor").armature = of["rotor_inertia"]
+    model.actuator_armature[model.actuator("motor").id] = of["rotor_inertia"]
     names = [model.joint(k).name for k in range(model.njnt)]
     if "play" in names:
         model.joint("drive").frictionloss, model.tendon("output").frictionloss = dry

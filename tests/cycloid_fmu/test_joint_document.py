@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.cli import app
+from cycloid_fmu.fmu.run import simulate
 from cycloid_fmu.joint import joint_drive
 from cycloid_fmu.joint.document import read_joint
 from cycloid_fmu.joint.of_parts import joint_of
@@ -233,3 +234,33 @@ def test_the_command_writes_document_draws_and_files(tmp_path, monkeypatch):
     files = {"joint.json", "draws.csv", "arm.xml", "arm-play.xml", "arm_rows.py", "arm.py", "m5.json"}
     assert written >= files | {"arm.urdf", "drake.urdf", "run/joint.json", "run/draws.csv", "run/joint_drive.c"}
     assert (tmp_path / "draws.csv").read_text().count("\n") == 5
+
+
+@pytest.mark.slow(60)
+def test_the_lumped_joint_turns_as_the_drive_s_fmu(tmp_path):
+    """Arm minus motor/ratio over 0.6 s, on both flanks: below 8 arcsec (rms), where a rigid joint has 30."""
+    rotor, arm, h = 1e-4, 2.0, 1e-3
+    joint = AS_MADE.joint(stated={**ROTOR, "mesh_damping": "17 N*m*s/rad"})
+    interface = cy.Interface("compliant", output_inertia=arm, crank_inertia=rotor, mesh_damping=17.0)
+    AS_MADE.build_fmu(tmp_path / "drive.fmu", interface, native=True)
+    time = h * np.arange(601)
+    torque, load = np.where(time < 0.3, -1.0, 1.0), -20.0 * np.cos(2.0 * np.pi * 1.7 * time)
+    outputs = ("flange_a.phi", "flange_b.phi")
+    found = simulate(tmp_path / "drive.fmu", {"flange_a.tau": torque, "flange_b.tau": load}, outputs, time)
+    exact = found["flange_b.phi"] - found["flange_a.phi"] / AS_MADE.ratio
+    off = {}
+    for name, document in (("lumped", joint.document), ("rigid", None)):
+        if document is None:
+            off[name] = exact
+            continue
+        drive, phi, w = joint_drive.JointDrive(document, h, 0.0), 0.0, 0.0
+        deviation = [0.0]
+        for own, other in zip(torque[1:], load[1:], strict=True):
+            push, following = drive.step((own, 0.0, 0.0, 0.0, 0.0), phi, w, arm, other)
+            w, phi = w + h * (push + other) / arm, following
+            deviation.append(phi - drive.motor_angle / AS_MADE.ratio)
+        off[name] = exact - np.array(deviation)
+    assert abs(found["flange_a.phi"]).max() > 50.0
+    lumped, rigid = (np.sqrt(np.mean((off[name] - off[name][0]) ** 2)) / ARCSEC for name in ("lumped", "rigid"))
+    assert lumped < 8.0
+    assert rigid > 30.0
