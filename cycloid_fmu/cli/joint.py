@@ -14,8 +14,6 @@ from cycloid_fmu.edge import commands
 if TYPE_CHECKING:
     from cycloid_fmu.joint.document import Joint, Number
 
-_SHOWN = ("ratio", "rotor_inertia", "rated_torque", "play", "mesh_damping")
-
 
 def joint(
     output: Annotated[Path, commands.output_option((".json",), "JOINT.json", "The joint document (cycloid-joint/1).")],
@@ -122,12 +120,10 @@ def _joint(
 
 
 def _print(found: Joint, output: Path) -> None:
-    names = [name for name in found.numbers if not name.startswith(("te_", "play_", "stiffness"))]
-    commands.print_table(
-        f"{output.name}: the drive as a joint, SI",
-        ["number", "value", "95 %", "origin"],
-        [_row(found, name) for name in names],
-    )
+    from cycloid_fmu.joint import joint_drive
+
+    rows = [_row(found, name) for name in joint_drive.SCALARS]
+    commands.print_table(f"{output.name}: the drive as a joint, SI", ["number", "value", "95 %", "origin"], rows)
     for text in found.not_represented:
         typer.echo(f"Not represented: {text[0].lower()}{text[1:]}")
     if found.rows:

@@ -266,9 +266,10 @@ def set_row(model, data, row):
     model.actuator_armature[model.actuator("motor").id] = of["rotor_inertia"]
     names = [model.joint(k).name for k in range(model.njnt)]
     if "play" in names:
-        model.joint("drive").frictionloss, model.tendon("output").frictionloss = dry
-        model.tendon("spring").lengthspring = -0.5 * of["play"], 0.5 * of["play"]
-        model.tendon("spring").stiffness[...] = stiffness(of)
+        spring, output = model.tendon("spring").id, model.tendon("output").id
+        model.joint("drive").frictionloss, model.tendon_frictionloss[output] = dry
+        model.tendon_lengthspring[spring] = -0.5 * of["play"], 0.5 * of["play"]
+        model.tendon_stiffness[spring] = stiffness(of)
     else:
         model.joint("arm").frictionloss = sum(dry)
     mujoco.mj_setConst(model, data)

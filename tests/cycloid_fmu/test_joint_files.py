@@ -103,7 +103,9 @@ def test_a_row_of_the_draws_is_put_into_the_model(mujoco, tmp_path, monkeypatch)
     model = mujoco.MjModel.from_xml_path("arm-play.xml")
     data = mujoco.MjData(model)
     scope["set_row"](model, data, scope["rows"]()[1])
-    assert model.tendon("spring").lengthspring == pytest.approx([-1.1 * PRINTED["gap"], 1.1 * PRINTED["gap"]])
+    assert model.tendon_lengthspring[model.tendon("spring").id] == pytest.approx(
+        [-1.1 * PRINTED["gap"], 1.1 * PRINTED["gap"]]
+    )
     mujoco.mj_forward(model, data)
     solved = np.zeros((1, 2))
     mujoco.mj_solveM(model, data, solved, np.array([[1.0, 1.0]]))
