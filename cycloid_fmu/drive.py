@@ -1091,12 +1091,9 @@ class Drive(DriveValue):
         >>> round(joint.numbers["play"]["value"] * cy.ARCSEC), joint.numbers["rotor_inertia"]["reason"]
         (104, 'not stated; a pair file has no motor')
         """
-        from cycloid_fmu.joint.of_parts import joint_of
+        from cycloid_fmu.joint.of_parts import Settings, joint_of
 
-        return joint_of(
-            self,
-            files=files,
-            given=stated,
+        settings = Settings(
             tolerances=None if tolerances is None else _tolerances(tolerances),
             draws=draws,
             seed=seed,
@@ -1107,6 +1104,7 @@ class Drive(DriveValue):
             workers=workers or os.cpu_count() or 1,
             progress=progress,
         )
+        return joint_of(self, files, stated, settings)
 
     def compensator(
         self,

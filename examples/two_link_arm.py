@@ -1,9 +1,9 @@
 """A two-link arm with its drives in MuJoCo
 ===========================================
 
-A shoulder with an identified drive and an elbow with one that is only drawn, each beside MuJoCo by the joint's run-time. A
-controller moves both along a path. What play, friction and transmission error do to the tip is seen without each of them;
-a last run has the drives as MuJoCo's own attributes, armature and dry friction.
+A shoulder with an identified drive and an elbow with one that is only drawn, each beside MuJoCo by the joint's
+run-time. A controller moves both along a path. What play, friction and transmission error do to the tip is seen without
+each of them; a last run has the drives as MuJoCo's own attributes, armature and dry friction.
 
 It needs MuJoCo: `pip install mujoco`.
 """

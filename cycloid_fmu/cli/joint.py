@@ -96,14 +96,14 @@ def _joint(
     orders: int,
 ) -> Joint:
     from cycloid_fmu.drive import read_drive
-    from cycloid_fmu.joint.of_parts import joint_of
+    from cycloid_fmu.joint.of_parts import Settings, joint_of
 
     given = {} if rotor_inertia is None else {"rotor_inertia": rotor_inertia}
     if pair_file is None:
         for name, value in (("surface", surface_file), ("tolerances", tolerances_file)):
             if value is not None:
                 raise edge.ArgumentError(name, "needs a gear pair, PAIR.toml", str(value))
-        return joint_of(None, files=figures, given=given, draws=draws, seed=seed)
+        return joint_of(None, figures, given, Settings(draws=draws, seed=seed))
     drive = read_drive(pair_file, surface_file)
     drive.pair.rated_load(str(pair_file))
     several = tolerances_file is not None or drive.surface.covariance is not None

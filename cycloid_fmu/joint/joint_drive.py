@@ -216,14 +216,15 @@ def check(values: Mapping[str, float | None], source: str = "document") -> None:
 
 
 def members(values: Mapping[str, float | None], name: str) -> list[tuple[float, ...]]:
-    """Return the rows of one of `LISTS`; none if it is unknown."""
-    rows = []
+    """Return the rows of one of `LISTS`, up to the first that is unknown."""
+    rows: list[tuple[float, ...]] = []
     while f"{name}.{len(rows)}.{LISTS[name][0]}" in values:
-        row = tuple(values[f"{name}.{len(rows)}.{member}"] for member in LISTS[name])
-        if any(value is None for value in row):
+        given = [values[f"{name}.{len(rows)}.{member}"] for member in LISTS[name]]
+        row = tuple(value for value in given if value is not None)
+        if len(row) < len(given):
             break
         rows.append(row)
-    return rows  # type: ignore[return-value]
+    return rows
 
 
 def library() -> ctypes.CDLL:

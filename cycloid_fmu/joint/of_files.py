@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from cycloid_fmu import edge
-from cycloid_fmu.fmu.friction_file import FORMAT as FRICTION
+from cycloid_fmu.fmu.friction_file import FORMAT as FRICTION_FILE
 from cycloid_fmu.fmu.friction_file import read_friction
 from cycloid_fmu.joint import joint_drive
 from cycloid_fmu.joint.document import Number, number, unknown
 
-STATED = "cycloid-joint-figures/1"
-FIGURES = "cycloid-figures/1"
-FRICTION_FIT = "cycloid-friction-fit/1"
+STATED_FORMAT = "cycloid-joint-figures/1"
+FIGURES_FORMAT = "cycloid-figures/1"
+FRICTION_FIT_FORMAT = "cycloid-friction-fit/1"
 UNITS = {
     "ratio": "1",
     "rotor_inertia": "kg*m^2",
@@ -63,12 +63,12 @@ def numbers_of(path: _File, rated_torque: float | None) -> dict[str, Number]:
         If it can't be read, or is none of these.
     """
     readers: dict[str, Callable[[], dict[str, Number]]] = {
-        STATED: lambda: stated(
-            edge.toml_table(edge.read_text(path, STATED), STATED, str(path)).get("joint", {}), str(path)
+        STATED_FORMAT: lambda: stated(
+            edge.toml_table(edge.read_text(path, STATED_FORMAT), STATED_FORMAT, str(path)).get("joint", {}), str(path)
         ),
-        FRICTION: lambda: _friction_file(path),
-        FIGURES: lambda: _loop(edge.json_table(path, FIGURES, "figures"), str(path), rated_torque),
-        FRICTION_FIT: lambda: _friction_fit(edge.json_table(path, FRICTION_FIT, "a fit of friction")),
+        FRICTION_FILE: lambda: _friction_file(path),
+        FIGURES_FORMAT: lambda: _loop(edge.json_table(path, FIGURES_FORMAT, "figures"), str(path), rated_torque),
+        FRICTION_FIT_FORMAT: lambda: _friction_fit(edge.json_table(path, FRICTION_FIT_FORMAT, "a fit of friction")),
     }
     form = _format_of(path)
     if form not in readers:

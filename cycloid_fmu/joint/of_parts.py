@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -24,29 +25,12 @@ _REASONS = {
 }
 
 
-def joint_of(
-    drive: DriveValue | None,
-    *,
-    files: Sequence[str | os.PathLike[str]] = (),
-    given: Mapping[str, Any] | None = None,
-    tolerances: Tolerances | None = None,
-    draws: int | None = None,
-    seed: int = 0,
-    orders: int = of_drive.ORDERS,
-    angles: int | None = None,
-    series_compliance: float = 0.0,
-    speed: float = of_drive.SPEED,
-    workers: int = 1,
-    progress: Callable[[int], None] = lambda drives: None,
-) -> Joint:
-    """Return the joint of a drive with the numbers of files and those given, which replace the drive's own.
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """How the numbers of a drive are computed and drawn.
 
-    Parameters
+    Attributes
     ----------
-    drive
-        The drive; None if all numbers are from files.
-    files, given
-        As `of_files.numbers_of` and `of_files.stated` have them; the last one counts.
     tolerances
         Draws are within these; without them from the covariance of a fit.
     draws, seed
@@ -61,12 +45,42 @@ def joint_of(
         Speed of the motor at which predicted efficiencies are taken, rad/s.
     workers, progress
         Number of threads; function called with 1 for each drive solved.
+    """
+
+    tolerances: Tolerances | None = None
+    draws: int | None = None
+    seed: int = 0
+    orders: int = of_drive.ORDERS
+    angles: int | None = None
+    series_compliance: float = 0.0
+    speed: float = of_drive.SPEED
+    workers: int = 1
+    progress: Callable[[int], None] = lambda drives: None
+
+
+def joint_of(
+    drive: DriveValue | None,
+    files: Sequence[str | os.PathLike[str]] = (),
+    given: Mapping[str, Any] | None = None,
+    settings: Settings | None = None,
+) -> Joint:
+    """Return the joint of a drive with the numbers of files and those given, which replace the drive's own.
+
+    Parameters
+    ----------
+    drive
+        The drive; None if all numbers are from files.
+    files, given
+        As `of_files.numbers_of` and `of_files.stated` have them; the last one counts.
+    settings
+        How the drive's own numbers are computed.
 
     Raises
     ------
     edge.InputError
         If a file can't be read, a number is out of range, or there is neither drive nor file.
     """
+    how = settings or Settings()
     numbers: dict[str, Number] = {}
     rows: list[dict[str, float]] = []
     source: dict[str, Any] = {"files": [str(path) for path in files]}
@@ -74,11 +88,9 @@ def joint_of(
     if drive is None and not files and not given:
         raise edge.InputError("A joint needs a drive, or a file with its figures.")
     if drive is not None:
-        if not 1 <= orders <= joint_drive.MOST:
-            raise edge.ArgumentError("orders", f"it must be from 1 to {joint_drive.MOST}", orders)
-        numbers, rows, left_out = _of_drive(
-            drive, tolerances, draws, seed, orders, angles, series_compliance, speed, workers, progress
-        )
+        if not 1 <= how.orders <= joint_drive.MOST:
+            raise edge.ArgumentError("orders", f"it must be from 1 to {joint_drive.MOST}", how.orders)
+        numbers, rows, left_out = _of_drive(drive, how)
         torque = drive.pair.rated_load() * of_drive.LOADS[of_drive.ORDERS_AT]
         source |= {"drive": drive.hash, "surface": drive.surface.origin, "transmission_error_torque": torque}
     of_files: dict[str, Number] = {}
@@ -86,9 +98,9 @@ def joint_of(
         _replace(of_files, numbers_of(path, {**numbers, **of_files}.get("rated_torque", {}).get("value")))
     _replace(of_files, stated(given or {}, "stated"))
     _replace(numbers, of_files)
-    rows = _with_files(rows, numbers, of_files, draws, seed)
+    rows = _with_files(rows, numbers, of_files, how)
     _fill(numbers)
-    source["seed"] = seed if rows else None
+    source["seed"] = how.seed if rows else None
     return Joint(numbers, tuple(rows), source, left_out)
 
 
@@ -96,19 +108,20 @@ def _with_files(
     rows: list[dict[str, float]],
     numbers: Mapping[str, Number],
     of_files: Mapping[str, Number],
-    draws: int | None,
-    seed: int,
+    how: Settings,
 ) -> list[dict[str, float]]:
     """Return the draws without what the files replace, and with what they give an interval, drawn independently."""
     spread = {name: each for name, each in of_files.items() if each.get("interval") is not None}
     if not rows and spread:
-        rows = [{} for _ in range(1 + (of_drive.DRAWS if draws is None else draws))]
-    if not rows and draws:
+        rows = [{} for _ in range(1 + (of_drive.DRAWS if how.draws is None else how.draws))]
+    if not rows and how.draws:
         raise edge.ArgumentError(
-            "draws", "the drive has no covariance of a fit; give a surface written by identify, or tolerances", draws
+            "draws",
+            "the drive has no covariance of a fit; give a surface written by identify, or tolerances",
+            how.draws,
         )
     kept = [name for name in (rows[0] if rows else ()) if name in numbers and name not in of_files]
-    generator = np.random.default_rng([seed, 1])
+    generator = np.random.default_rng([how.seed, 1])
     normal = generator.standard_normal((len(rows), len(spread)))
     normal[:1] = 0.0
     found = []
@@ -122,37 +135,29 @@ def _with_files(
     return found
 
 
-def _of_drive(
-    drive: DriveValue,
-    tolerances: Tolerances | None,
-    draws: int | None,
-    seed: int,
-    orders: int,
-    angles: int | None,
-    series: float,
-    speed: float,
-    workers: int,
-    progress: Callable[[int], None],
-) -> tuple[dict[str, Number], list[dict[str, float]], tuple[str, ...]]:
+def _of_drive(drive: DriveValue, how: Settings) -> tuple[dict[str, Number], list[dict[str, float]], tuple[str, ...]]:
     """Return the numbers of a drive, its draws, and what they leave out."""
-    crank_angle, compliance = of_drive.angles_of(drive, angles), of_drive.compliance_of(drive, series)
+    crank_angle, compliance = (
+        of_drive.angles_of(drive, how.angles),
+        of_drive.compliance_of(drive, how.series_compliance),
+    )
 
     def solved(each: DriveValue) -> of_drive.Teeth:
-        return of_drive.Teeth(each, crank_angle, compliance, workers)
+        return of_drive.Teeth(each, crank_angle, compliance, how.workers)
 
     teeth = solved(drive)
-    progress(1)
+    how.progress(1)
     if not teeth.runs:
         raise edge.InputError(
             "The teeth of this drive interfere at some crank angles: as a joint it has no play to state."
         )
-    largest = teeth.orders(orders)
+    largest = teeth.orders(how.orders)
     values = teeth.values(largest)
-    several = of_drive.drawn(drive, tolerances, draws, seed, solved, progress)
+    several = of_drive.drawn(drive, how.tolerances, how.draws, how.seed, solved, how.progress)
     rows = of_drive.rows_of(values, several, largest) if several else []
-    wanted = of_drive.DRAWS if draws is None else draws
-    origin = "identified" if drive.surface.covariance is not None and tolerances is None else "drawn"
-    rubbing, left_out = of_drive.friction(drive, speed)
+    wanted = of_drive.DRAWS if how.draws is None else how.draws
+    origin = "identified" if drive.surface.covariance is not None and how.tolerances is None else "drawn"
+    rubbing, left_out = of_drive.friction(drive, how.speed)
     numbers = {
         **of_drive.with_intervals(values, rows, origin),
         **rubbing,

@@ -15,7 +15,7 @@ from cycloid_fmu.cli import app
 from cycloid_fmu.fmu.run import simulate
 from cycloid_fmu.joint import joint_drive
 from cycloid_fmu.joint.document import read_joint
-from cycloid_fmu.joint.of_parts import joint_of
+from cycloid_fmu.joint.of_parts import Settings, joint_of
 
 AS_MADE = cy.read_drive(EXAMPLES / "drive-39-40-as-made.toml")
 ROTOR = {"rotor_inertia": "1e-4 kg*m^2"}
@@ -156,7 +156,7 @@ def test_draws_without_a_covariance_are_refused():
 
 def test_stated_and_measured_numbers_alone_make_a_joint(tmp_path):
     (tmp_path / "printed.toml").write_text(STATED)
-    joint = joint_of(None, files=[tmp_path / "printed.toml"], draws=200, seed=1)
+    joint = joint_of(None, [tmp_path / "printed.toml"], settings=Settings(draws=200, seed=1))
     assert joint.values["play"] == pytest.approx(math.radians(1.2))
     assert joint.numbers["play"]["interval"] == pytest.approx([math.radians(1.1), math.radians(1.3)])
     assert joint.numbers["play"]["origin"] == "measured"
