@@ -1089,7 +1089,7 @@ class Drive(DriveValue):
         ... )
         >>> joint = cy.Drive(pair).replace(offset="-20 um").joint(angles=90)
         >>> round(joint.numbers["play"]["value"] * cy.ARCSEC), joint.numbers["rotor_inertia"]["reason"]
-        (104, 'not stated; a pair file has no motor')
+        (95, 'not stated; a pair file has no motor')
         """
         from cycloid_fmu.joint.of_parts import Settings, joint_of
 

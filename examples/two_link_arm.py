@@ -47,9 +47,15 @@ def drives() -> dict[str, Joint]:
     )
     shoulder = cy.Drive(made.pair, known).joint(stated=stated | {"rotor_inertia": "1e-4 kg*m^2"}, draws=20)
     pair = cy.Pair(
-        gear_teeth=29, pin_circle_radius="45 mm", pin_radius="2.5 mm", eccentricity="1.1 mm", face_width="8 mm",
-        rated_torque="60 N*m", modification={"offset": "-30 um"}, errors={"pin_radial": {1: ("10 um", "20 deg")}},
-    )  # fmt: skip
+        gear_teeth=29,
+        pin_circle_radius="45 mm",
+        pin_radius="2.5 mm",
+        eccentricity="1.1 mm",
+        face_width="8 mm",
+        rated_torque="60 N*m",
+        modification={"offset": "-30 um"},
+        errors={"pin_radial": {1: ("10 um", "20 deg")}},
+    )
     elbow = cy.Drive(pair).joint(stated=stated | {"rotor_inertia": "3e-5 kg*m^2"})
     return {"shoulder": shoulder, "elbow": elbow}
 
