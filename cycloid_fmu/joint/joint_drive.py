@@ -51,6 +51,7 @@ REQUIRED = ("ratio", "rotor_inertia", "rated_torque", "play")
 MOST = 32  # points, and orders, that the library takes
 NEUTRAL = {"stribeck_speed": 1.0, "presliding_angle": 1e-3, **dict.fromkeys(EFFICIENCIES, 1.0)}
 STRAINS = 10
+MISSING = {"value": None, "reason": "not in the document"}
 _REFUSALS = {1: "a number is not finite", 2: "the arm's inertia is so small that a step would have 10000 parts"}
 
 
@@ -67,7 +68,7 @@ def flat(document: Mapping[str, Any], source: str = "document") -> dict[str, dic
     Raises
     ------
     JointError
-        If it is no such document, or a number is missing or not of this form.
+        If it is no such document, or a number is not of this form. What is missing is unknown.
     """
     if document.get("format") != FORMAT:
         raise JointError(f"{source}: format is {document.get('format')!r}, this version reads {FORMAT!r}.")
@@ -76,9 +77,9 @@ def flat(document: Mapping[str, Any], source: str = "document") -> dict[str, dic
         at: Any = document
         for part in name.split("."):
             at = at.get(part) if isinstance(at, Mapping) else None
-        numbers[name] = _number(name, at, source)
+        numbers[name] = _number(name, MISSING if at is None else at, source)
     for name, members in LISTS.items():
-        rows = document.get(name)
+        rows = document.get(name, MISSING)
         if isinstance(rows, Mapping):
             numbers[name] = _number(name, rows, source)
             if numbers[name]["value"] is not None:
