@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import gap_gradient
+from cycloid_fmu.contact.local_frame import ContactStiffness, GapGradient, LocalFrame, gap_gradient
 from cycloid_fmu.geometry.losses import PARTS
-from cycloid_fmu.supports.balance import Load, assemble, settling
+from cycloid_fmu.supports.balance import Load, add_stiffness, assemble, settling
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
@@ -143,6 +143,41 @@ def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) ->
 
 
 @compiled
+def rubbing_stiffness(
+    contact_: np.record, local: LocalFrame, along: GapGradient, f: Acting, distance: float
+) -> ContactStiffness:
+    """Derivatives of the forces and the moment of a flank's friction on its disc, to be added to `contact_stiffness`.
+
+    Parameters
+    ----------
+    distance
+        As of `flank_speed`.
+    """
+    curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
+    # Friction acts at the point of contact, which slides with the gear's rotation as well.
+    slide_y = along.slide_y + distance
+    pu = f.slope * (contact_.stiffness * along.gap_u - curved * along.slide_u)
+    pv = f.slope * (contact_.stiffness * along.gap_v - curved * along.slide_v)
+    py = f.slope * (contact_.stiffness * along.gap_y - curved * along.slide_y)
+    tu, tv, ty = (
+        f.amplitude * local.bend * along.slide_u,
+        f.amplitude * local.bend * along.slide_v,
+        f.amplitude * local.bend * along.slide_y,
+    )
+    return ContactStiffness(
+        pu * along.slide_u + tu * along.gap_u,
+        pv * along.slide_u + tv * along.gap_u,
+        py * along.slide_u + (ty + f.amplitude) * along.gap_u,
+        pu * along.slide_v + tu * along.gap_v,
+        pv * along.slide_v + tv * along.gap_v,
+        py * along.slide_v + (ty + f.amplitude) * along.gap_v,
+        pu * slide_y + tu * along.gap_y,
+        pv * slide_y + tv * along.gap_y,
+        py * slide_y + ty * along.gap_y,
+    )
+
+
+@compiled
 def _add_flanks(
     problem: Problem, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, loss: Array
 ) -> None:
@@ -160,22 +195,12 @@ def _add_flanks(
         f = sliding_friction(law, rubbing.direction, radius, speed, force)
         loss[FLANK + (TURNING if f.turns else SLIDING)] += abs(f.amplitude * f.speed)
         along = gap_gradient(local)
-        # Friction acts at the point of contact, which slides with the gear's rotation as well.
-        slide_y = along.slide_y + distance
-        curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
+        stiffness = rubbing_stiffness(contact_, local, along, f, distance)
         at = FIRST_DISC + 3 * local.disc
         residual[at] -= f.amplitude * along.slide_u
         residual[at + 1] -= f.amplitude * along.slide_v
-        residual[at + 2] -= f.amplitude * slide_y
-        for j in range(3):
-            gap_j = along.gap_u if j == 0 else (along.gap_v if j == 1 else along.gap_y)
-            slide_j = along.slide_u if j == 0 else (along.slide_v if j == 1 else along.slide_y)
-            pressed = f.slope * (contact_.stiffness * gap_j - curved * slide_j)
-            turned = f.amplitude * local.bend * slide_j
-            rigid = f.amplitude if j == 2 else 0.0
-            jacobian[at, at + j] += pressed * along.slide_u + (turned + rigid) * along.gap_u
-            jacobian[at + 1, at + j] += pressed * along.slide_v + (turned + rigid) * along.gap_v
-            jacobian[at + 2, at + j] += pressed * slide_y + turned * along.gap_y
+        residual[at + 2] -= f.amplitude * (along.slide_y + distance)
+        add_stiffness(jacobian, at, stiffness)
 
 
 @compiled

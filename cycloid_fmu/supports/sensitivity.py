@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
+from cycloid_fmu.contact.local_frame import ContactStiffness, LocalFrame, contact_stiffness, gap_gradient
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CIRCLE_GENERATING,
@@ -72,43 +74,71 @@ class Derivatives(NamedTuple):
 
 
 @compiled
-def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, out: Array) -> float:
-    """Subtract λ·∂r/∂p for the displacements of pins and flanks; return λ·∂r/∂θ."""
-    row, turning = work.step, 0.0
+def add_contact(
+    problem: Problem,
+    contact_: np.record,
+    local: LocalFrame,
+    stiffness: ContactStiffness,
+    row: Array,
+    pressed: float,
+    force: float,
+    across: float,
+    out: Array,
+) -> float:
+    """Subtract λ·∂r/∂p of one contact's force for the displacements of its pin and flank; return λ·∂r/∂θ.
+
+    Parameters
+    ----------
+    stiffness
+        Derivatives of the force's part in the balance by the position of the disc.
+    row
+        λ, shape (unknowns,).
+    pressed
+        What -λ·r changes by for each N that the contact presses more.
+    force, across
+        The force, N, and what -λ·r changes by for each N of it and rad that the normal turns.
+    """
     teeth = problem.teeth
     pins = teeth + 1
     radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
     pitch = BODY_COUNT + 3 * pins
-    e = problem.eccentricity
+    e, disc, pin = problem.eccentricity, local.disc, local.pin
+    at = FIRST_DISC + 3 * disc
+    lu, lv, ly = row[at], row[at + 1], row[at + 2]
+    # Rotating or shifting a flank is rotating or shifting the disc, λ·∂r/∂(u, v, y) of this contact; shifting a pin is
+    # shifting the disc back.
+    by_u = lu * stiffness.uu + lv * stiffness.vu + ly * stiffness.yu
+    by_v = lu * stiffness.uv + lv * stiffness.vv + ly * stiffness.yv
+    by_y = lu * stiffness.uy + lv * stiffness.vy + ly * stiffness.yy
+    c, s = math.cos(local.direction), math.sin(local.direction)
+    out[radial + pin] += c * by_u + s * by_v
+    out[tangential + pin] += -s * by_u + c * by_v
+    out[radius + pin] += contact_.stiffness * pressed
+    out[PIN_GENERATING] -= contact_.stiffness * pressed
+    distance = contact_.gap + problem.pin_radius[pin] - problem.generating_radius
+    larger, turned = larger_circle(problem, contact_, distance, local)
+    out[CIRCLE_GENERATING] += larger * pressed + force * turned * across
+    out[pitch + disc * teeth + local.tooth] -= by_y
+    return float(-e * local.crank_y * by_u + e * local.crank_x * by_v - by_y / teeth)
+
+
+@compiled
+def add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, out: Array) -> float:
+    """Subtract λ·∂r/∂p for the displacements of pins and flanks, λ in `work.step`; return λ·∂r/∂θ."""
+    row, turning = work.step, 0.0
     for number in range(contacts.shape[0]):
         contact_ = contacts[number]
         force = contact_.force
         if force <= 0.0:
             continue
         local = contact.local_frame(problem, crank_angle, work.place[0], contacts, number)
-        disc, pin = local.disc, local.pin
         along = gap_gradient(local)
         stiffness = contact_stiffness(contact_, local, along)
-        at = FIRST_DISC + 3 * disc
-        lu, lv, ly = row[at], row[at + 1], row[at + 2]
+        at = FIRST_DISC + 3 * local.disc
         # Projection of λ on the gap and on the pin's sliding along the flank.
-        closing = lu * along.gap_u + lv * along.gap_v + ly * along.gap_y
-        sliding = lu * along.slide_u + lv * along.slide_v + ly * along.slide_y
-        # Rotating or shifting a flank is rotating or shifting the disc, λ·∂r/∂(u, v, y) of this contact; shifting a pin
-        # is shifting the disc back.
-        by_u = lu * stiffness.uu + lv * stiffness.vu + ly * stiffness.yu
-        by_v = lu * stiffness.uv + lv * stiffness.vv + ly * stiffness.yv
-        by_y = lu * stiffness.uy + lv * stiffness.vy + ly * stiffness.yy
-        c, s = math.cos(local.direction), math.sin(local.direction)
-        out[radial + pin] += c * by_u + s * by_v
-        out[tangential + pin] += -s * by_u + c * by_v
-        out[radius + pin] += contact_.stiffness * closing
-        out[PIN_GENERATING] -= contact_.stiffness * closing
-        distance = contact_.gap + problem.pin_radius[pin] - problem.generating_radius
-        pressed, turned = larger_circle(problem, contact_, distance, local)
-        out[CIRCLE_GENERATING] += pressed * closing + force * turned * sliding
-        out[pitch + disc * teeth + local.tooth] -= by_y
-        turning += -e * local.crank_y * by_u + e * local.crank_x * by_v - by_y / teeth
+        closing = row[at] * along.gap_u + row[at + 1] * along.gap_v + row[at + 2] * along.gap_y
+        sliding = row[at] * along.slide_u + row[at + 1] * along.slide_v + row[at + 2] * along.slide_y
+        turning += add_contact(problem, contact_, local, stiffness, row, closing, force, sliding, out)
     return turning
 
 
@@ -120,8 +150,8 @@ def _by_place(d: Displacement, acting: Reaction, ux: float, uy: float, lx: float
 
 
 @compiled
-def _add_joints(assembly: Assembly, work: Work, by_joint: Array) -> None:
-    """Subtract λ·∂r/∂p for the parameters of each joint, and add ∂r/∂θ to `work.residual`."""
+def add_joints(assembly: Assembly, work: Work, by_joint: Array) -> None:
+    """Subtract λ·∂r/∂p for the parameters of each joint, λ in `work.step`, and add ∂r/∂θ to `work.residual`."""
     row, at, by = work.step, work.at, work.by
     for number in range(assembly.joints.size):
         joint, out = assembly.joints[number], by_joint[number]
@@ -184,10 +214,10 @@ def sweep_supported_sensitivities(
         if not solve_transposed(problem, assembly, work, work.step, 0.0):
             return False
         results.by_torque[i] = work.step[0]  # of λ, which is now in `step`
-        turning = _add_mesh(problem, crank_angles[i], contacts, work, results.by_displacement[i])
+        turning = add_mesh(problem, crank_angles[i], contacts, work, results.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0
-        _add_joints(assembly, work, results.by_joint[i])
+        add_joints(assembly, work, results.by_joint[i])
         for k in range(work.residual.size):
             turning += work.step[k] * work.residual[k]
         results.by_angle[i] = -turning
