@@ -12,11 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu import edge
 from cycloid_fmu.analysis import sensitivity
 from cycloid_fmu.contact.transmission import Sensitivity
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.friction_values import VALUES
-from cycloid_fmu.geometry.losses import LARGEST_COEFFICIENT, Losses
+from cycloid_fmu.geometry.losses import LARGEST_COEFFICIENT, Friction, Losses
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.losses.sensitivity import motion_sensitivity
 from fitting.transmission_error.curve import Curve
@@ -27,12 +28,8 @@ BENCH_HYSTERESIS = 1e-5
 """Usual size of half the difference between the directions that a bench makes beside the friction of the drive, rad."""
 SLOW = 1e-3
 """Speed of the crank of recordings without times, rad/s: friction is that of slow motion."""
+_ALIKE = 0.9  # correlation of two unknowns
 _OF_FRICTION = "_friction_coefficient"
-
-
-def rubs(pair: Pair) -> bool:
-    """Return whether curves of a pair are those with the friction of its [losses], which needs [supports]."""
-    return pair.losses is not None and pair.supports is not None
 
 
 def unknown_coefficients(pair: Pair) -> tuple[str, ...]:
@@ -141,16 +138,56 @@ def _by_logarithm(stated: Losses, losses: Losses, name: str, by: dict[str, Array
     table = name.removesuffix(_OF_FRICTION)
     friction, (half, half_at_rest) = getattr(losses, table), _ranges(stated, name)
     at_rest = by[f"{table}.static_friction_coefficient"] * friction.static * half_at_rest / half
-    return by[f"{table}.friction_coefficient"] * friction.friction_coefficient + at_rest
+    found: Array = by[f"{table}.friction_coefficient"] * friction.friction_coefficient + at_rest
+    return found
 
 
-def needs_times(pair: Pair, curves: Sequence[Curve]) -> list[str]:
-    """Return a note where friction depends on the speed and recordings have no times; none otherwise."""
+def friction_notes(pair: Pair, curves: Sequence[Curve]) -> list[str]:
+    """Return notes on what a fit takes as known of a drive's friction, and on recordings that hardly show it."""
     losses = pair.losses
-    if not rubs(pair) or losses is None:
+    if losses is None:
         return []
-    stated = [getattr(losses, name) for name in type(losses).model_fields]
-    if not any(getattr(one, "stribeck_speed", None) for one in stated):
-        return []
-    without = dict.fromkeys(c.source for c in curves if not c.branch and c.crank_speed is None)
-    return [f"{source}: it has no times, so its friction is taken as that of slow motion." for source in without]
+    if pair.supports is None:
+        return ["[losses] is not used: friction depends on the bearings' forces, and [supports] is missing."]
+    tables = {name: one for name in type(losses).model_fields if (one := getattr(losses, name)) is not None}
+    numbers = [
+        name
+        for name, one in tables.items()
+        if isinstance(one, Friction) and name not in losses.from_table and any(getattr(one, n) for n in one.linear_in)
+    ]
+    notes = []
+    if numbers:
+        notes.append(
+            f"[losses] states the friction of {edge.listed(numbers)} as numbers: they are held, and no interval allows "
+            'for their errors. A pair of materials, friction = "…", is fitted within its range.'
+        )
+    running = [c for c in curves if not c.branch]
+    ways = {(np.sign(c.torque), c.direction) for c in running}
+    if losses.from_table and len(ways) == len({sign for sign, _ in ways}):
+        notes.append(
+            "Each side of the teeth was loaded in one direction only, where friction acts like compliance: run a load "
+            "in both directions."
+        )
+    if any(getattr(one, "stribeck_speed", None) for one in tables.values()):
+        without = dict.fromkeys(c.source for c in running if c.crank_speed is None)
+        notes += [f"{source}: it has no times, so its friction is taken as that of slow motion." for source in without]
+    return notes
+
+
+def separation_notes(names: Sequence[str], covariance: Array, fitted: Sequence[str]) -> list[str]:
+    """Return a note on each fitted coefficient that curves hardly separate from another unknown.
+
+    `names` are those of the unknowns in the covariance, which the scatter of single pins and teeth follows.
+    """
+    notes, deviations = [], np.sqrt(np.diag(covariance))
+    for name in (n for n in fitted if is_coefficient(n)):
+        at = list(names).index(name)
+        correlation = covariance[at] / (deviations * deviations[at])
+        correlation[at] = 0.0
+        other = int(np.argmax(np.abs(correlation)))
+        if abs(correlation[other]) > _ALIKE:
+            notes.append(
+                f"{key_of(name)} and {names[other]} act alike in these curves (correlation {correlation[other]:.2f}): "
+                "the interval of each allows for the other."
+            )
+    return notes
