@@ -352,7 +352,7 @@ def test_without_friction_the_motion_has_the_frictionless_derivatives(name):
 def test_a_drive_that_jams_has_no_motion_and_says_so():
     sizes = {"gear_teeth": 10, "pin_circle_radius": 40e-3, "pin_radius": 4e-3, "eccentricity": 1.6e-3}
     with pytest.raises(edge.InputError, match="jams"):
-        motion_sensitivity(flank_alone(1.9, **sizes), 0.1, ANGLES, -1, 60.0)
+        motion_sensitivity(flank_alone(0.9, **sizes), 0.1, ANGLES, 1, 60.0)
 
 
 def test_oil_and_bearings_follow_the_published_formulas():
