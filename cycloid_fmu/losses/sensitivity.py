@@ -125,10 +125,13 @@ class MotionSensitivity:
     by_coefficient
         Derivatives by the stated coefficients, by "table.key" as of `sensitivity`, shape (angles,) each: rad, of drags
         rad/(N·m).
+    crank_torque
+        As of `solver.Rubbed`, shape (angles,), N·m.
     """
 
     motion: Sensitivity
     by_coefficient: dict[str, Array]
+    crank_torque: Array
 
 
 def motion_sensitivity(
@@ -193,4 +196,4 @@ def motion_sensitivity(
         raise edge.InputError(f"torque = {torques[0]:g} N*m: the balance is singular: the drive jams.")
     by_bearing = add_by_displacements(pair, by_joint, each)
     motion = Sensitivity(error, each, by_angle, by_torque, by_bearing)
-    return MotionSensitivity(motion, _by_name(pair, losses, crank_speed, by_law, by_drag))
+    return MotionSensitivity(motion, _by_name(pair, losses, crank_speed, by_law, by_drag), rubbed.crank_torque[0])

@@ -6,6 +6,7 @@ whose prior has the range as that of two standard deviations either way. Frictio
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -16,6 +17,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.analysis import sensitivity
 from cycloid_fmu.contact.transmission import Sensitivity
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.friction_values import VALUES
 from cycloid_fmu.geometry.losses import LARGEST_COEFFICIENT, Friction, Losses
 from cycloid_fmu.geometry.pair import Pair
@@ -99,7 +101,12 @@ def losses_with(losses: Losses, changes: dict[str, float], *, rounded: bool = Fa
 
 
 def curve_sensitivity(
-    drive: DriveValue, torque: Array, crank_angle: Array, curve: Curve, nominal: Pair
+    drive: DriveValue,
+    torque: Array,
+    crank_angle: Array,
+    curve: Curve,
+    nominal: Pair,
+    first_stage: FirstStage | None = None,
 ) -> tuple[Sensitivity, Array]:
     """Return the transmission error of a curve and its derivatives, the second by `unknown_coefficients`.
 
@@ -115,6 +122,8 @@ def curve_sensitivity(
         Its direction and speed count.
     nominal
         The pair as its file states it.
+    first_stage
+        What is before the drive: friction changes the cranks' torque, and so what the carrier takes of the load.
 
     Raises
     ------
@@ -129,8 +138,26 @@ def curve_sensitivity(
         drive = DriveValue(drive.pair.replace(losses=losses.replace(first_stage=None)), drive.surface)
     speed = curve.crank_speed or SLOW
     with_friction = motion_sensitivity(drive, torque, crank_angle, curve.direction, speed)
+    motion = with_friction.motion
+    if first_stage is not None:
+        more = _more_load(losses, first_stage, curve.direction, with_friction.crank_torque, torque, nominal.gear_teeth)
+        error = motion.transmission_error + motion.by_torque * more * torque
+        motion = dataclasses.replace(motion, transmission_error=error)
     columns = [_by_logarithm(stated, losses, name, with_friction.by_coefficient) for name in names]
-    return with_friction.motion, np.array(columns).T if names else np.zeros((torque.size, 0))
+    return motion, np.array(columns).T if names else np.zeros((torque.size, 0))
+
+
+def _more_load(
+    losses: Losses, stage: FirstStage, direction: int, crank_torque: Array, torque: Array, teeth: int
+) -> float:
+    """Return how much more load the cycloid stage has with friction than without, as a share.
+
+    Its carrier takes M = T + τ_sun - τ of the load T, where τ = M/z_c without friction; of both the means.
+    """
+    loss = 0.0 if losses.first_stage is None else losses.first_stage.share(stage.sun_teeth, stage.planet_teeth)
+    by_load = float(crank_torque.mean() / torque.mean())
+    of_sun = stage.sun_share * (1.0 / (1.0 - loss) if direction * crank_torque.mean() > 0.0 else 1.0 - loss)
+    return (1.0 + (1.0 + stage.sun_share) / teeth) / (1.0 + (1.0 + of_sun) * by_load) - 1.0
 
 
 def _by_logarithm(stated: Losses, losses: Losses, name: str, by: dict[str, Array]) -> Array:

@@ -580,7 +580,7 @@ def linearised_curve(
     by_bearing = np.zeros((torque.size, 0))
     if around is None:
         drive = DriveValue(pair_with(pair, bearings), surface)
-        found, by_friction_of_drive = curve_sensitivity(drive, s * torque, at + w, curve, pair)
+        found, by_friction_of_drive = curve_sensitivity(drive, s * torque, at + w, curve, pair, observed.first_stage)
         model, each, by_crank, by_torque = (
             found.transmission_error,
             found.by_displacement,

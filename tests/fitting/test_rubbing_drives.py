@@ -1,16 +1,18 @@
 """Drives with friction: curves of both directions, the unknown coefficients, and their identification."""
 
+import dataclasses
 import json
 import math
 
 import numpy as np
 import pytest
+from common import DATA
 from sampled_drives import ARCSEC, distances
 from test_bearings import as_made, cranked
 
 import fitting
 from cycloid_fmu.analysis import solve as frictionless
-from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive import Drive, read_drive
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.friction_values import VALUES
 from cycloid_fmu.geometry.losses import Losses
@@ -19,9 +21,9 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.identify import identify
 from fitting.estimation.plan import planned_curve
 from fitting.model.bearings import pair_with, sizes_of, unknown_bearings
-from fitting.model.first_stage import of_cranks
+from fitting.model.first_stage import of_cranks, share_of
 from fitting.model.loops import planned_branches
-from fitting.model.losses import friction_notes, losses_with, separation_notes, unknown_coefficients
+from fitting.model.losses import curve_sensitivity, friction_notes, losses_with, separation_notes, unknown_coefficients
 from fitting.model.observations import (
     HYSTERESIS,
     State,
@@ -177,6 +179,23 @@ def test_curves_of_timed_runs_know_the_speed_of_the_crank():
     (untimed,) = fitting.curves(fitting.Run(input_angle=angle, output_angle=angle / -11.0, torque=20.0), -11.0)
     assert untimed.crank_speed is None
     assert of_cranks(curve, Drive(cranked(1))) == curve
+
+
+def test_behind_a_first_stage_the_cranks_torque_with_friction_loads_the_carrier():
+    """By the balance of the whole drive with its first stage: half a per cent of the difference between directions."""
+    drive = read_drive(DATA / "losses-cases" / "rv-first-stage-seats.toml")
+    load, angle = drive.pair.rated_torque, np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    share, means = share_of(drive.first_stage, drive.pair), []
+    for way in (1, -1):
+        whole = solve(DriveValue(drive.pair, drive.surface, drive.first_stage), np.array([load]), angle, way, 60.0)
+        curve = dataclasses.replace(planned_curve(drive.pair.ratio, load, way, 0.2, 6), crank_speed=60.0)
+        stage = DriveValue(drive.pair, drive.surface)
+        torque = np.full(angle.size, share * load)
+        found, _ = curve_sensitivity(stage, torque, angle, curve, drive.pair, drive.first_stage)
+        means.append((whole.motion.transmission_error.mean(), found.transmission_error.mean()))
+    (up, up_found), (down, down_found) = means
+    assert up_found - down_found == pytest.approx(up - down, rel=5e-3)
+    assert up_found == pytest.approx(up, abs=0.05 * ARCSEC)
 
 
 @pytest.mark.slow(60)
