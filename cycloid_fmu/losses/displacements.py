@@ -50,6 +50,7 @@ from cycloid_fmu.supports.sensitivity import (
     STIFFNESS,
     THROW,
     Derivatives,
+    Projection,
     add_contact,
     add_joints,
     add_mesh,
@@ -75,8 +76,8 @@ def _add_flanks(
         stiffness = rubbing_stiffness(contact_, local, along, f, distance)
         closing = row[at] * along.gap_u + row[at + 1] * along.gap_v + row[at + 2] * along.gap_y
         sliding = row[at] * along.slide_u + row[at + 1] * along.slide_v + row[at + 2] * (along.slide_y + distance)
-        pressed = f.slope * sliding
-        turning += add_contact(problem, contact_, local, stiffness, row, pressed, -f.amplitude, closing, out)
+        projection = Projection(f.slope * sliding, -f.amplitude, closing)
+        turning += add_contact(problem, contact_, local, stiffness, row, projection, out)
         # A smaller flank has its point of contact farther from the pin's axis.
         out[PIN_GENERATING] += f.amplitude * row[at + 2]
     return turning

@@ -73,6 +73,14 @@ class Derivatives(NamedTuple):
     by_torque: Array
 
 
+class Projection(NamedTuple):
+    """What the row λ makes of one contact's force."""
+
+    pressed: float  # change of -λ·r for each N that the contact presses more
+    force: float  # N
+    across: float  # change of -λ·r for each N of the force and rad that the normal turns
+
+
 @compiled
 def add_contact(
     problem: Problem,
@@ -80,9 +88,7 @@ def add_contact(
     local: LocalFrame,
     stiffness: ContactStiffness,
     row: Array,
-    pressed: float,
-    force: float,
-    across: float,
+    along: Projection,
     out: Array,
 ) -> float:
     """Subtract λ·∂r/∂p of one contact's force for the displacements of its pin and flank; return λ·∂r/∂θ.
@@ -93,10 +99,6 @@ def add_contact(
         Derivatives of the force's part in the balance by the position of the disc.
     row
         λ, shape (unknowns,).
-    pressed
-        What -λ·r changes by for each N that the contact presses more.
-    force, across
-        The force, N, and what -λ·r changes by for each N of it and rad that the normal turns.
     """
     teeth = problem.teeth
     pins = teeth + 1
@@ -113,11 +115,11 @@ def add_contact(
     c, s = math.cos(local.direction), math.sin(local.direction)
     out[radial + pin] += c * by_u + s * by_v
     out[tangential + pin] += -s * by_u + c * by_v
-    out[radius + pin] += contact_.stiffness * pressed
-    out[PIN_GENERATING] -= contact_.stiffness * pressed
+    out[radius + pin] += contact_.stiffness * along.pressed
+    out[PIN_GENERATING] -= contact_.stiffness * along.pressed
     distance = contact_.gap + problem.pin_radius[pin] - problem.generating_radius
     larger, turned = larger_circle(problem, contact_, distance, local)
-    out[CIRCLE_GENERATING] += larger * pressed + force * turned * across
+    out[CIRCLE_GENERATING] += larger * along.pressed + along.force * turned * along.across
     out[pitch + disc * teeth + local.tooth] -= by_y
     return float(-e * local.crank_y * by_u + e * local.crank_x * by_v - by_y / teeth)
 
@@ -138,7 +140,8 @@ def add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, o
         # Projection of λ on the gap and on the pin's sliding along the flank.
         closing = row[at] * along.gap_u + row[at + 1] * along.gap_v + row[at + 2] * along.gap_y
         sliding = row[at] * along.slide_u + row[at + 1] * along.slide_v + row[at + 2] * along.slide_y
-        turning += add_contact(problem, contact_, local, stiffness, row, closing, force, sliding, out)
+        projection = Projection(closing, force, sliding)
+        turning += add_contact(problem, contact_, local, stiffness, row, projection, out)
     return turning
 
 
