@@ -152,7 +152,7 @@ def test_the_command_states_the_coefficients(tmp_path):
 
 @pytest.mark.slow(60)
 def test_intervals_of_coefficients_hold_for_drives_of_any_friction():
-    """30 coefficients of ten random drives: at most four 95 % intervals miss, as in 98 of 100 such studies; 2 of 105 did."""
+    """Of 30 coefficients of ten random drives at most four are outside, as in 98 of 100 such studies."""
     missed = 0
     for seed in range(10):
         flank, coulomb, viscous = np.array([0.08, 0.08, 4e-4]) * np.exp(
