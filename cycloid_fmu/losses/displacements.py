@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import gap_gradient
-from cycloid_fmu.contact.sensitivity import PIN_GENERATING
+from cycloid_fmu.contact.local_frame import crank_motion, force_fall, gap_gradient, projection
+from cycloid_fmu.contact.sensitivity import PIN_GENERATING, add_by_pins_and_flanks
 from cycloid_fmu.losses.rubbing import (
     FLANK_LAW,
     Acting,
@@ -50,8 +50,6 @@ from cycloid_fmu.supports.sensitivity import (
     STIFFNESS,
     THROW,
     Derivatives,
-    Projection,
-    add_contact,
     add_joints,
     add_mesh,
 )
@@ -73,11 +71,17 @@ def _add_flanks(
         speed = flank_speed(problem, local, distance)
         f = sliding_friction(law, rubbing.direction, radius, speed, contact_.force)
         along, at = gap_gradient(local), FIRST_DISC + 3 * local.disc
-        stiffness = rubbing_stiffness(contact_, local, along, f, distance)
-        closing = row[at] * along.gap_u + row[at + 1] * along.gap_v + row[at + 2] * along.gap_y
-        sliding = row[at] * along.slide_u + row[at + 1] * along.slide_v + row[at + 2] * (along.slide_y + distance)
-        projection = Projection(f.slope * sliding, -f.amplitude, closing)
-        turning += add_contact(problem, contact_, local, stiffness, row, projection, out)
+        fall, (slide_u, slide_v, slide_y) = force_fall(contact_, local, along), along.slide
+        acting, weights = (slide_u, slide_v, slide_y + distance), (row[at], row[at + 1], row[at + 2])
+        by_u = by_v = by_y = 0.0
+        for i in range(3):
+            by_u += weights[i] * rubbing_stiffness(local, along, f, fall, acting, i, 0)
+            by_v += weights[i] * rubbing_stiffness(local, along, f, fall, acting, i, 1)
+            by_y += weights[i] * rubbing_stiffness(local, along, f, fall, acting, i, 2)
+        by_position, by_force = (by_u, by_v, by_y), f.slope * projection(weights, acting)
+        by_normal = -f.amplitude * projection(weights, along.gap)
+        add_by_pins_and_flanks(problem, contact_, local, by_position, by_force, by_normal, out)
+        turning += projection((*crank_motion(problem, local), -1.0 / problem.teeth), by_position)
         # A smaller flank has its point of contact farther from the pin's axis.
         out[PIN_GENERATING] += f.amplitude * row[at + 2]
     return turning

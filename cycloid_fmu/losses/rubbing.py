@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import ContactStiffness, GapGradient, LocalFrame, gap_gradient
+from cycloid_fmu.contact.local_frame import GapGradient, LocalFrame, Vector, force_fall, gap_gradient
 from cycloid_fmu.geometry.losses import PARTS
-from cycloid_fmu.supports.balance import Load, add_stiffness, assemble, settling
+from cycloid_fmu.supports.balance import Load, assemble, settling
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
@@ -144,37 +144,19 @@ def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) ->
 
 @compiled
 def rubbing_stiffness(
-    contact_: np.record, local: LocalFrame, along: GapGradient, f: Acting, distance: float
-) -> ContactStiffness:
-    """Derivatives of the forces and the moment of a flank's friction on its disc, to be added to `contact_stiffness`.
+    local: LocalFrame, along: GapGradient, f: Acting, fall: Vector, acting: Vector, i: int, j: int
+) -> float:
+    """Derivative of one force or moment (i) of a flank's friction on its disc by one coordinate (j) of its position.
 
     Parameters
     ----------
-    distance
-        As of `flank_speed`.
+    fall
+        As of `force_fall`.
+    acting
+        What friction acts along: the sliding of the point of contact by the disc's position.
     """
-    curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
-    # Friction acts at the point of contact, which slides with the gear's rotation as well.
-    slide_y = along.slide_y + distance
-    pu = f.slope * (contact_.stiffness * along.gap_u - curved * along.slide_u)
-    pv = f.slope * (contact_.stiffness * along.gap_v - curved * along.slide_v)
-    py = f.slope * (contact_.stiffness * along.gap_y - curved * along.slide_y)
-    tu, tv, ty = (
-        f.amplitude * local.bend * along.slide_u,
-        f.amplitude * local.bend * along.slide_v,
-        f.amplitude * local.bend * along.slide_y,
-    )
-    return ContactStiffness(
-        pu * along.slide_u + tu * along.gap_u,
-        pv * along.slide_u + tv * along.gap_u,
-        py * along.slide_u + (ty + f.amplitude) * along.gap_u,
-        pu * along.slide_v + tu * along.gap_v,
-        pv * along.slide_v + tv * along.gap_v,
-        py * along.slide_v + (ty + f.amplitude) * along.gap_v,
-        pu * slide_y + tu * along.gap_y,
-        pv * slide_y + tv * along.gap_y,
-        py * slide_y + ty * along.gap_y,
-    )
+    turned = local.bend * along.slide[j] + (1.0 if i < 2 and j == 2 else 0.0)
+    return float(f.slope * fall[j] * acting[i] + f.amplitude * turned * along.gap[i])
 
 
 @compiled
@@ -195,12 +177,13 @@ def _add_flanks(
         f = sliding_friction(law, rubbing.direction, radius, speed, force)
         loss[FLANK + (TURNING if f.turns else SLIDING)] += abs(f.amplitude * f.speed)
         along = gap_gradient(local)
-        stiffness = rubbing_stiffness(contact_, local, along, f, distance)
-        at = FIRST_DISC + 3 * local.disc
-        residual[at] -= f.amplitude * along.slide_u
-        residual[at + 1] -= f.amplitude * along.slide_v
-        residual[at + 2] -= f.amplitude * (along.slide_y + distance)
-        add_stiffness(jacobian, at, stiffness)
+        fall, (slide_u, slide_v, slide_y) = force_fall(contact_, local, along), along.slide
+        # Friction acts at the point of contact, which slides with the gear's rotation as well.
+        acting, at = (slide_u, slide_v, slide_y + distance), FIRST_DISC + 3 * local.disc
+        for i in range(3):
+            residual[at + i] -= f.amplitude * acting[i]
+            for j in range(3):
+                jacobian[at + i, at + j] += rubbing_stiffness(local, along, f, fall, acting, i, j)
 
 
 @compiled

@@ -9,17 +9,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import ContactStiffness, LocalFrame, contact_stiffness, gap_gradient
-from cycloid_fmu.contact.sensitivity import (
-    BODY_COUNT,
-    CIRCLE_GENERATING,
-    PIN_GENERATING,
-    larger_circle,
-)
+from cycloid_fmu.contact.local_frame import crank_motion, gap_gradient, projected_stiffness, projection
+from cycloid_fmu.contact.sensitivity import add_by_pins_and_flanks
 from cycloid_fmu.supports.balance import Load, assemble, solve_transposed
 from cycloid_fmu.supports.bearing import CENTRING, by_clearance
 from cycloid_fmu.supports.joints import (
@@ -73,75 +66,21 @@ class Derivatives(NamedTuple):
     by_torque: Array
 
 
-class Projection(NamedTuple):
-    """What the row λ makes of one contact's force."""
-
-    pressed: float  # change of -λ·r for each N that the contact presses more
-    force: float  # N
-    across: float  # change of -λ·r for each N of the force and rad that the normal turns
-
-
-@compiled
-def add_contact(
-    problem: Problem,
-    contact_: np.record,
-    local: LocalFrame,
-    stiffness: ContactStiffness,
-    row: Array,
-    along: Projection,
-    out: Array,
-) -> float:
-    """Subtract λ·∂r/∂p of one contact's force for the displacements of its pin and flank; return λ·∂r/∂θ.
-
-    Parameters
-    ----------
-    stiffness
-        Derivatives of the force's part in the balance by the position of the disc.
-    row
-        λ, shape (unknowns,).
-    """
-    teeth = problem.teeth
-    pins = teeth + 1
-    radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
-    pitch = BODY_COUNT + 3 * pins
-    e, disc, pin = problem.eccentricity, local.disc, local.pin
-    at = FIRST_DISC + 3 * disc
-    lu, lv, ly = row[at], row[at + 1], row[at + 2]
-    # Rotating or shifting a flank is rotating or shifting the disc, λ·∂r/∂(u, v, y) of this contact; shifting a pin is
-    # shifting the disc back.
-    by_u = lu * stiffness.uu + lv * stiffness.vu + ly * stiffness.yu
-    by_v = lu * stiffness.uv + lv * stiffness.vv + ly * stiffness.yv
-    by_y = lu * stiffness.uy + lv * stiffness.vy + ly * stiffness.yy
-    c, s = math.cos(local.direction), math.sin(local.direction)
-    out[radial + pin] += c * by_u + s * by_v
-    out[tangential + pin] += -s * by_u + c * by_v
-    out[radius + pin] += contact_.stiffness * along.pressed
-    out[PIN_GENERATING] -= contact_.stiffness * along.pressed
-    distance = contact_.gap + problem.pin_radius[pin] - problem.generating_radius
-    larger, turned = larger_circle(problem, contact_, distance, local)
-    out[CIRCLE_GENERATING] += larger * along.pressed + along.force * turned * along.across
-    out[pitch + disc * teeth + local.tooth] -= by_y
-    return float(-e * local.crank_y * by_u + e * local.crank_x * by_v - by_y / teeth)
-
-
 @compiled
 def add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, out: Array) -> float:
     """Subtract λ·∂r/∂p for the displacements of pins and flanks, λ in `work.step`; return λ·∂r/∂θ."""
     row, turning = work.step, 0.0
     for number in range(contacts.shape[0]):
         contact_ = contacts[number]
-        force = contact_.force
-        if force <= 0.0:
+        if contact_.force <= 0.0:
             continue
         local = contact.local_frame(problem, crank_angle, work.place[0], contacts, number)
-        along = gap_gradient(local)
-        stiffness = contact_stiffness(contact_, local, along)
-        at = FIRST_DISC + 3 * local.disc
-        # Projection of λ on the gap and on the pin's sliding along the flank.
-        closing = row[at] * along.gap_u + row[at + 1] * along.gap_v + row[at + 2] * along.gap_y
-        sliding = row[at] * along.slide_u + row[at + 1] * along.slide_v + row[at + 2] * along.slide_y
-        projection = Projection(closing, force, sliding)
-        turning += add_contact(problem, contact_, local, stiffness, row, projection, out)
+        along, at = gap_gradient(local), FIRST_DISC + 3 * local.disc
+        weights = (row[at], row[at + 1], row[at + 2])
+        by_position = projected_stiffness(contact_, local, along, weights)
+        by_force, by_normal = projection(weights, along.gap), contact_.force * projection(weights, along.slide)
+        add_by_pins_and_flanks(problem, contact_, local, by_position, by_force, by_normal, out)
+        turning += projection((*crank_motion(problem, local), -1.0 / problem.teeth), by_position)
     return turning
 
 
@@ -197,7 +136,7 @@ def sweep_supported_sensitivities(
     results: Derivatives,
     work: Work,
 ) -> bool:
-    """Write the derivatives of the deviation at given solutions; return False if one is singular.
+    """Write the derivatives of the transmission error at given solutions; return False if one is singular.
 
     Parameters
     ----------
