@@ -247,6 +247,7 @@ WIDE = {
     "cycloid_fmu.drive.compensator": _OPTIONS,
     "cycloid_fmu.drive.design": _OPTIONS,
     "cycloid_fmu.drive.joint": _OPTIONS,
+    "cycloid_fmu.losses.displacements.sweep_motion_sensitivities": _KERNEL,
     "cycloid_fmu.losses.solver.solve": _OPTIONS,
     "cycloid_fmu.losses.sweeps.sweep_rubbing": _KERNEL,
     "cycloid_fmu.losses.sweeps.sweep_rubbing_sensitivities": _KERNEL,

@@ -277,6 +277,16 @@ def eccentric(joint: np.record, work: Work) -> tuple[float, float]:
 
 
 @compiled
+def turned_displacement(assembly: Assembly, joint: np.record, d: Displacement, work: Work) -> tuple[float, float]:
+    """Derivative of a joint's displacement by θ at fixed unknowns, after `orient`, m."""
+    outer, seat, axes = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)], work.axes[int(joint.outer)]
+    ideal, (ex, ey) = joint.eccentricity + joint.reach, eccentric(joint, work)
+    vx = seat.rate * d.inner_y - outer.rate * d.outer_y + ey - ideal * axes[3]
+    vy = outer.rate * d.outer_x - seat.rate * d.inner_x - ex + ideal * axes[2]
+    return vx, vy
+
+
+@compiled
 def add_turning(
     assembly: Assembly, joint: np.record, d: Displacement, acting: Reaction, work: Work, unknowns: int, by_angle: Array
 ) -> float:
@@ -284,10 +294,8 @@ def add_turning(
 
     `unknowns` is the result of `derivatives`.
     """
-    outer, seat, axes = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)], work.axes[int(joint.outer)]
-    ideal, (ex, ey) = joint.eccentricity + joint.reach, eccentric(joint, work)
-    vx = seat.rate * d.inner_y - outer.rate * d.outer_y + ey - ideal * axes[3]
-    vy = outer.rate * d.outer_x - seat.rate * d.inner_x - ex + ideal * axes[2]
+    outer, seat = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)]
+    vx, vy = turned_displacement(assembly, joint, d, work)
     gx, gy = change(d, acting, vx, vy)
     for i in range(unknowns):
         by_angle[work.at[i]] += work.by[0, i] * gx + work.by[1, i] * gy

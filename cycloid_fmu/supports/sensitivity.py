@@ -67,8 +67,8 @@ class Derivatives(NamedTuple):
 
 
 @compiled
-def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, out: Array) -> float:
-    """Subtract λ·∂r/∂p for the displacements of pins and flanks; return λ·∂r/∂θ."""
+def add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, out: Array) -> float:
+    """Subtract λ·∂r/∂p for the displacements of pins and flanks, λ in `work.step`; return λ·∂r/∂θ."""
     row, turning = work.step, 0.0
     for number in range(contacts.shape[0]):
         contact_ = contacts[number]
@@ -92,8 +92,8 @@ def _by_place(d: Displacement, acting: Reaction, ux: float, uy: float, lx: float
 
 
 @compiled
-def _add_joints(assembly: Assembly, work: Work, by_joint: Array) -> None:
-    """Subtract λ·∂r/∂p for the parameters of each joint, and add ∂r/∂θ to `work.residual`."""
+def add_joints(assembly: Assembly, work: Work, by_joint: Array) -> None:
+    """Subtract λ·∂r/∂p for the parameters of each joint, λ in `work.step`, and add ∂r/∂θ to `work.residual`."""
     row, at, by = work.step, work.at, work.by
     for number in range(assembly.joints.size):
         joint, out = assembly.joints[number], by_joint[number]
@@ -156,10 +156,10 @@ def sweep_supported_sensitivities(
         if not solve_transposed(problem, assembly, work, work.step, 0.0):
             return False
         results.by_torque[i] = work.step[0]  # of λ, which is now in `step`
-        turning = _add_mesh(problem, crank_angles[i], contacts, work, results.by_displacement[i])
+        turning = add_mesh(problem, crank_angles[i], contacts, work, results.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0
-        _add_joints(assembly, work, results.by_joint[i])
+        add_joints(assembly, work, results.by_joint[i])
         for k in range(work.residual.size):
             turning += work.step[k] * work.residual[k]
         results.by_angle[i] = -turning

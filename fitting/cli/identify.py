@@ -83,7 +83,9 @@ def identify(
     if output is not None:
         result.write(output)
     if surface is not None:
-        notes += options.write_drive(result.drive, surface, "identified" if result.bearings else "")
+        notes += options.write_drive(
+            result.drive, surface, "identified" if result.bearings or result.coefficients else ""
+        )
     if plot is not None:
         fitting.plot(result, plot)
     if report is not None:
@@ -100,7 +102,7 @@ def _print(result: Identification) -> None:
 
     typer.echo(result.verdict.sentence)
     rows, held = [], []
-    for p in (*result.parameters, *result.bearings):
+    for p in (*result.parameters, *result.bearings, *result.coefficients):
         factor, unit = options.FIELD_UNITS[p.unit]
         low, high = (v * factor for v in p.interval)
         if p.held is None:
@@ -109,6 +111,7 @@ def _print(result: Identification) -> None:
         else:
             held.append([p.name, p.held])
     title = "Identified errors and bearings" if result.bearings else "Identified errors"
+    title += ", friction" if result.coefficients else ""
     commands.print_table(title, ["error", "identified", "95 % interval", "unit"], rows)
     commands.print_table("Held fixed, because the data cannot resolve them", ["error", "why"], held)
     if result.held_out is not None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cycloid_fmu.geometry.pair import Pair
 from fitting.estimation.fit import Estimate
 from fitting.estimation.parameter import NORMAL, Parameter, parameter
-from fitting.model.bearings import as_stated, unit_of_bearing
+from fitting.model.bearings import as_stated, is_logarithmic, unit_of_bearing
 from fitting.model.discrepancy import LAG, by_lag
 from fitting.model.observations import MISFIT, Linear, Observations, form_columns
 from fitting.model.prior import tolerances_of
@@ -107,7 +107,7 @@ def bearings_found(
     found, names = [], observed.bearing_names
     values = as_stated(pair, changes, observed.first_stage)
     for name, value, sigma, before in zip(names, values, deviations, observed.bearing_prior, strict=True):
-        is_share = name.endswith("_stiffness")
+        is_share = is_logarithmic(name)
         scale = value if is_share else 1.0
         reach = NORMAL * sigma
         interval = (

@@ -57,6 +57,7 @@ from fitting.model.discrepancy import GIVE
 from fitting.model.first_stage import share_of, with_play
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
+from fitting.model.losses import friction_notes, is_coefficient, key_of, separation_notes
 from fitting.model.observations import (
     CHAIN,
     MISFIT,
@@ -104,6 +105,9 @@ class Identification:
     bearings
         Of a drive with supports: each bearing's stiffness as a share of that in the pair file (unit "1"), and its
         clearance, m.
+    coefficients
+        Friction coefficients that [losses] has from a range: "flank.friction_coefficient" …, as of
+        `fitting.loss_coefficients`.
     clock_lag
         Delay of the output angle (> 0) or of the input angle (< 0), s, if the curves show it.
     run_out
@@ -166,6 +170,7 @@ class Identification:
     realised: Realised
     effects: tuple[Effect, ...]
     bearings: tuple[Parameter, ...]
+    coefficients: tuple[Parameter, ...]
     clock_lag: Parameter | None
     run_out: tuple[RunOut, ...]
     bench: dict[str, float]
@@ -309,7 +314,8 @@ def result_of(
     if own:
         moved_by = moved_by_held(fit, [n for n in names if n not in (*chosen, *beside, *by_user)])
         deviations = np.hypot(deviations, np.linalg.norm(moved_by[unknowns.bearings], axis=1))
-    bearings = bearings_found(pair, observed, state.bearings, deviations)
+    of_drive = bearings_found(pair, observed, state.bearings, deviations)
+    separation = separation_notes(unknowns.names, every, [p.name for p in of_drive if p.held is None])
     made = pair_with(pair, state.bearings, rounded=True)
     lasting = np.r_[unknowns.errors, unknowns.scatter]
     every = every[np.ix_(lasting, lasting)]
@@ -343,7 +349,7 @@ def result_of(
     if not told:
         run_out = tuple(one.withheld() for one in run_out)
         parameters, ring = [withheld(one) for one in parameters], ring.withheld()
-        bearings = [withheld(one) for one in bearings]
+        of_drive = [withheld(one) for one in of_drive]
         lag = withheld(lag) if lag else None
     verdict = with_run_out(verdict, run_out)
     surface = state.surface.replace(
@@ -363,7 +369,10 @@ def result_of(
         parameters=tuple(parameters),
         realised=ring,
         effects=effects_of(pair, observed, linear, state, parameters, ring),
-        bearings=tuple(bearings),
+        bearings=tuple(one for one in of_drive if not is_coefficient(one.name)),
+        coefficients=tuple(
+            dataclasses.replace(one, name=key_of(one.name)) for one in of_drive if is_coefficient(one.name)
+        ),
         clock_lag=lag,
         run_out=run_out,
         bench=bench,
@@ -387,6 +396,8 @@ def result_of(
         notes=(
             *((lag_note(lag),) if lag else ()),
             *_notes(pair, fit, verdict, run_out),
+            *friction_notes(pair, observed.curves),
+            *separation,
             *form_note(parameters, form),
             *tilt_notes(DriveValue(pair, state.surface)),
             *_of_discs(len(others)),
@@ -571,6 +582,9 @@ def as_json(result: Identification) -> dict[str, Any]:
         "effects": [effect_as_json(one) for one in result.effects],
         "run_out": [dataclasses.asdict(one) for one in result.run_out],
         **({"bearings": {p.name: parameter_as_json(p) for p in result.bearings}} if result.bearings else {}),
+        **(
+            {"coefficients": {p.name: parameter_as_json(p) for p in result.coefficients}} if result.coefficients else {}
+        ),
         **({"clock_lag": parameter_as_json(result.clock_lag)} if result.clock_lag else {}),
         "bench": result.bench,
         "lmfit_parameters": lmfit_states(result.confirmed),

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.analysis import error_sensitivity, sensitivity, solve
+from cycloid_fmu.analysis import error_sensitivity, solve
 from cycloid_fmu.contact.transmission import form_sensitivity
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
@@ -38,6 +38,7 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.model.bearings import lowest_of, pair_with, sizes_of, unknown_bearings
 from fitting.model.constraints import Constraints
 from fitting.model.first_stage import share_of, turned
+from fitting.model.losses import BENCH_HYSTERESIS, curve_sensitivity, is_coefficient, unknown_coefficients
 from fitting.model.near_drive import NearDrive
 from fitting.transmission_error.curve import Curve, noise_of
 
@@ -125,8 +126,8 @@ class Observations:
     ripple
         Torque at each point beyond the stated one, as a share of it, shape (points,).
     bearing_names, bearing_prior, bearing_lowest
-        Unknowns of the drive's own bearings and first stage, their prior deviations, and their largest decreases, as in
-        `fitting.model.bearings`.
+        Unknowns of the drive's own bearings, friction and first stage, their prior deviations, and their largest
+        decreases, as in `fitting.model.bearings`.
     first_stage
         First stage, for curves of a whole reducer.
     chain_prior
@@ -217,6 +218,8 @@ class Observations:
 
     def least(self, group: str) -> float:
         """Smallest size of a group of `estimated`: rad, of the chain rad/(N·m)."""
+        if group == HYSTERESIS and any(map(is_coefficient, self.bearing_names)):
+            return BENCH_HYSTERESIS  # unknown friction must not be certain from what the bench does between directions
         return self.chain_prior if group == CHAIN else NO_CREEP
 
     def with_sizes(self, sizes: Mapping[str, float]) -> Observations:
@@ -366,7 +369,7 @@ def observations(
     if turning:
         names.append(HYSTERESIS)
         columns.append(np.repeat([float(c.direction) * (i in turning) for i, c in enumerate(curves)], sizes))
-        priors.append(NO_CREEP)
+        priors.append(BENCH_HYSTERESIS if unknown_coefficients(pair) else NO_CREEP)
     largest = max(float(np.abs(torque).max()), 1e-9)
     nominal = solve(DriveValue.as_stated(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
     names.append(CHAIN)
@@ -411,9 +414,9 @@ class State:
         The friction torques of curves and of loops without load (N·m), and the growth of the latter with the load at
         the flanks: F = F_0 + mu |M|.
     bearings
-        Deviations of each bearing's stiffness and clearance from the pair file, in the order of
-        `Observations.bearing_names`: logarithms of stiffness, m, and rad of a first stage's play; none where nothing
-        of them is unknown.
+        Deviations of each bearing's stiffness and clearance and of friction coefficients from the pair file, in the
+        order of `Observations.bearing_names`: logarithms of stiffness and coefficients, m, and rad of a first stage's
+        play; none where nothing of them is unknown.
     """
 
     surface: ErrorSurface
@@ -573,7 +576,8 @@ def linearised_curve(
         beside = 0.5 * np.sign(torque) * observed.first_stage.bearing_play - w / pair.gear_teeth
     by_bearing = np.zeros((torque.size, 0))
     if around is None:
-        found = sensitivity(DriveValue(pair_with(pair, bearings), surface), s * torque, at + w)
+        drive = DriveValue(pair_with(pair, bearings), surface)
+        found, by_friction_of_drive = curve_sensitivity(drive, s * torque, at + w, curve, pair, observed.first_stage)
         model, each, by_crank, by_torque = (
             found.transmission_error,
             found.by_displacement,
@@ -581,7 +585,8 @@ def linearised_curve(
             found.by_torque,
         )
         if pair.supports is not None:
-            by_bearing = found.by_bearing[:, [LAWS.index(n) for n in observed.bearing_names if n in LAWS]]
+            by_law = found.by_bearing[:, [LAWS.index(n) for n in observed.bearing_names if n in LAWS]]
+            by_bearing = np.hstack([by_law, by_friction_of_drive])
     else:
         model, each, by_torque = around[number].sensitivities(displacement_vector(pair, surface), torque)
         by_crank = np.zeros_like(model)

@@ -20,6 +20,7 @@ from fitting.estimation.fit import OUTLYING
 from fitting.model.bearings import pair_with
 from fitting.model.first_stage import with_play
 from fitting.model.gaussian import Evidence, Gaussian, factor_of
+from fitting.model.losses import is_coefficient
 from fitting.model.observations import State, left_of, scatter_names
 from fitting.model.unknowns import Unknowns
 from fitting.recalibration.known import Known
@@ -325,7 +326,11 @@ def _result(
     bench_mean = rows.before + shift[count : lasting - single]
     # The means of bearings and first stage are in the returned drive.
     bench_mean[[rows.bench.index(n) for n in rows.lowest]] = 0.0
-    found = Known(known.errors, tuple(rows.bench), bench_mean, covariance)
+    # From now on the pair states its friction as numbers, and what friction does otherwise is each run's own.
+    lasts = np.array([not is_coefficient(n) for n in rows.lasting])
+    of_bench = lasts[count : lasting - single]
+    bench = tuple(n for n in rows.bench if not is_coefficient(n))
+    found = Known(known.errors, bench, bench_mean[of_bench], covariance[np.ix_(lasts, lasts)])
     pair, stage = pair_with(drive.pair, state.bearings, rounded=True), drive.first_stage
     if stage is not None:
         stage = with_play(stage, float(state.bearings[-1]))
@@ -348,7 +353,7 @@ def _result(
     moved = {
         name: (float(by), float(by / one) if one > 0.0 else 0.0)
         for name, by, one in zip(rows.lasting, shift, expected, strict=True)
-        if name not in rows.bench or name in rows.lowest
+        if name not in rows.bench or (name in rows.lowest and name in bench)
     }
     of_lost_motions = linear.columns[rows.field.running :] @ rows.factor
     variance = 1.0 - np.einsum("ij,jk,ik->i", of_lost_motions, inverse, of_lost_motions)
