@@ -21,11 +21,13 @@ from cycloid_fmu.bodies.matrices import BodyMatrices
 from cycloid_fmu.bodies.outline import clocking, true_flank
 from cycloid_fmu.contact import Array, compiled
 from cycloid_fmu.contact.foot import path_curvature
+from cycloid_fmu.contact.lanes import on_stack
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import arc_parts
 
 Indices = NDArray[np.int64]
 SPREAD = 12  # forces of both components at six places stand for that of a moving port
+_ALONG = np.dtype((np.record, [("value", np.float64, (SPREAD,))]))
 _ARCS = 256  # pieces of the spline of the arc length over a tooth
 
 
@@ -96,7 +98,7 @@ class Moving(NamedTuple):
     Attributes
     ----------
     matrix
-        Between all slots, shape (slots, slots), m/N; only rows of the slots that are known, or fixed.
+        Between all slots, shape (slots, slots), m/N: rows of the known slots, and between fixed ones (`entry`).
     known
         Slots in the order in which they became known, shape (slots,).
     is_known
@@ -272,6 +274,20 @@ def _arc_over_tooth(pair: Pair) -> Array:
     parts = arc_parts(true_flank(pair), share[:-1] * 2.0 * np.pi / pair.gear_teeth) - share[:-1]
     spline = CubicSpline(share * _ARCS, np.append(parts, parts[0]), bc_type="periodic")
     return np.ascontiguousarray(spline.c.T)
+
+
+@compiled(inline=True)
+def _between(block: Array, start: int, spread: Array, start2: int, spread2: Array) -> float:
+    along = on_stack(_ALONG)
+    for a in range(SPREAD):
+        weight = spread[a]
+        line = block[start + a, start2 : start2 + SPREAD]
+        for b in range(SPREAD):
+            along.value[b] += weight * line[b]
+    value = 0.0
+    for b in range(SPREAD):
+        value += along.value[b] * spread2[b]
+    return value
 
 
 @compiled
@@ -455,8 +471,6 @@ def get_known(influence: Influence, moving: Moving, slot: int) -> None:
             line = block[start + a]
             for m in range(fixed):
                 row[first + m] += weight * line[at + m]
-        for m in range(fixed):
-            matrix[first + m, slot] = row[first + m]
     for i in range(moving.count[0]):
         other = moving.known[i]
         value = _of_others(influence, moving, slot, other, crank_angle, False)
@@ -467,15 +481,14 @@ def get_known(influence: Influence, moving: Moving, slot: int) -> None:
         row[other] = matrix[other, slot] = value
 
 
-@compiled
-def _between(block: Array, start: int, spread: Array, start2: int, spread2: Array) -> float:
-    value = 0.0
-    for a in range(SPREAD):
-        line, along = block[start + a], 0.0
-        for b in range(SPREAD):
-            along += line[start2 + b] * spread2[b]
-        value += spread[a] * along
-    return value
+@compiled(inline=True)
+def entry(influence: Influence, moving: Moving, one: int, other: int) -> float:
+    """Influence between two slots, m/N, each fixed or known."""
+    if influence.arms_slot <= one < influence.rollers_slot and not (
+        influence.arms_slot <= other < influence.rollers_slot
+    ):
+        return float(moving.matrix[other, one])
+    return float(moving.matrix[one, other])
 
 
 @compiled

@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.contact import Array, compiled
 from cycloid_fmu.supports.bearing import push, stored
+from cycloid_fmu.supports.ports import Elastic, Ports, ports_of
 
 HOUSING, CARRIER, FIRST_DISC_BODY = range(3)  # bodies: after the discs come the cranks
 FIRST_DISC = 3  # first unknown of disc 0: shift, then rotation; the carrier's unknowns are its rotation, then its shift
@@ -78,6 +79,8 @@ class Assembly(NamedTuple):
         Radius that converts a rotation to a displacement, m, for convergence limits.
     balanced
         Tolerance of the balance, N.
+    elastic
+        Elastic bodies between the joints; None compiles to kernels that know of none.
     """
 
     bodies: NDArray[np.void]
@@ -85,6 +88,7 @@ class Assembly(NamedTuple):
     laws: NDArray[np.void]
     rotation_scale: float
     balanced: float
+    elastic: Elastic | None
 
     @property
     def unknowns(self) -> int:
@@ -108,6 +112,8 @@ class Work(NamedTuple):
         shape (2, `UNKNOWNS`): see `derivatives`.
     pose, moved
         Last position of each disc, shape (discs, 3), and motion of the discs since all pins were solved, shape (1,), m.
+    ports
+        Memory of the ports of elastic bodies; None without any.
     """
 
     place: Array
@@ -122,6 +128,7 @@ class Work(NamedTuple):
     by: Array
     pose: Array
     moved: Array
+    ports: Ports | None
 
 
 def work_of(assembly: Assembly) -> Work:
@@ -142,6 +149,7 @@ def work_of(assembly: Assembly) -> Work:
         np.zeros((2, UNKNOWNS)),
         np.zeros((discs, 3)),
         np.full(1, np.inf),
+        None if assembly.elastic is None else ports_of(assembly.elastic, unknowns),
     )
 
 

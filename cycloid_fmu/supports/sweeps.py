@@ -13,7 +13,8 @@ from cycloid_fmu.contact import Array, Problem, compiled
 from cycloid_fmu.contact.load_sharing import write_contact_lines
 from cycloid_fmu.supports.balance import NEIGHBOUR, Load, settle, torsional_stiffness
 from cycloid_fmu.supports.bearing import CENTRING
-from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, displacement, eccentric, reaction
+from cycloid_fmu.supports.elastic import joint_force, torque_of_bodies
+from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, displacement, eccentric
 
 
 class Found(NamedTuple):
@@ -31,15 +32,16 @@ class Found(NamedTuple):
 
 
 @compiled
-def _forces(assembly: Assembly, work: Work, force: Array) -> float:
+def _forces(problem: Problem, assembly: Assembly, work: Work, force: Array) -> float:
     """Write the force of every joint (N) at the solved place; return the crank torque (N·m)."""
-    crank_torque = 0.0
+    crank_torque = torque_of_bodies(problem, assembly, assembly.elastic, work, work.ports)
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
         d = displacement(assembly, joint, work)
-        force[number] = reaction(assembly, joint, d, 0.0).force
+        fx, fy = joint_force(assembly, number, d, work, work.ports)
+        force[number] = math.hypot(fx, fy)
         ex, ey = eccentric(joint, work)
-        crank_torque -= force[number] * (ex * d.normal_y - ey * d.normal_x)
+        crank_torque -= ex * fy - ey * fx
     return crank_torque
 
 
@@ -68,7 +70,7 @@ def sweep_supported(
         for k in range(q.size):
             results.place[i, k] = q[k]
         results.stiffness[i] = torsional_stiffness(problem, assembly, work)
-        results.crank_torque[i] = _forces(assembly, work, results.force[i])
+        results.crank_torque[i] = _forces(problem, assembly, work, results.force[i])
         count, pressure = contact.load_sharing(problem, contacts, results.pin_force[i], results.pin_pressure[i])
         results.contact_count[i], results.max_contact_pressure[i] = count, pressure
         if lines.slice_force.size > 0:

@@ -16,7 +16,7 @@ from cycloid_fmu.contact.transmission import Interrupted, Options, Sensitivity, 
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.supports import bearing
-from cycloid_fmu.supports.assembly import add_by_displacements, by_kind, joint_list, kinds_of
+from cycloid_fmu.supports.assembly import add_by_displacements, as_drawn, by_kind, elastic_of, joint_list, kinds_of
 from cycloid_fmu.supports.joints import Assembly, work_of
 from cycloid_fmu.supports.sensitivity import PARAMETERS, Derivatives, sweep_supported_sensitivities
 from cycloid_fmu.supports.sweeps import Found, sweep_interference, sweep_supported
@@ -31,7 +31,7 @@ _PART = 64  # crank angles that one thread solves at a time
 def assembly_of(drive: DriveValue) -> Assembly:
     """Return the joints of a drive as the list for the kernels, at its temperatures."""
     grown = drive.pair.at_temperature
-    return joint_list(grown, kinds_of(grown), drive.displacements)
+    return joint_list(grown, kinds_of(grown), drive.displacements, elastic_of(as_drawn(drive.pair)))
 
 
 def problem_of(drive: DriveValue, slices: int = 1) -> Problem:

@@ -1,0 +1,560 @@
+"""Forces between elastic bodies: the balance e + C f = a of all ports under load (docs/theory/bodies.md).
+
+A port is a force between two bodies that stand where the unknowns q have them: a is their rigid approach at the port,
+e the deflection of what its law holds, Hertz's contact or a bearing, and C f the bodies' displacement. Pins go by their
+force, as their law gives the approach, everything else by its deflection. Newton's method on the ports under load is
+within that on q: `press` solves the forces at a place, `add_ports` has them in the balance with their derivatives.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cycloid_fmu import contact
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
+from cycloid_fmu.contact.hertz import hertz_approach
+from cycloid_fmu.contact.local_frame import Carrying, contact_stiffness, gap_gradient
+from cycloid_fmu.contact.rows import disc_slice_pin
+from cycloid_fmu.supports.bearing import push
+from cycloid_fmu.supports.influence import entry, get_known, rate_of_energy, turn_to
+from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Displacement, Work, derivatives, displacement, reaction
+from cycloid_fmu.supports.ports import ALONG_X, ALONG_Y, PIN, ROLLER, Elastic, Ports, has_ports
+
+_BALANCED = 2e-14  # m: residual of a port
+_ITERATIONS = 60
+_DAMPED = 10  # iterations after which a step may not take away more than nine tenths of a port's deflection
+_DROPPED = 1e-12  # m: a damped deflection below this is none
+_KEPT = 0.05  # a factor is kept as long as it takes away all but this share of the residual
+_PATCH_LIMIT = 0.75  # half width of a contact over that of its patch, up to which the law holds
+
+
+
+
+@compiled
+def _pin_law(problem: Problem, elastic: Elastic, contact_: np.record, pin: int, force: float) -> tuple[float, float, float]:
+    """Approach of a pin, flank and seat under a force, its derivative by the force, and that by the curvature."""
+    width, gear, of_pin = problem.slice_width, problem.compliance_gear, problem.compliance_pin
+    radius, largest = problem.pin_radius[pin], math.inf
+    log_radius = min(1.0 / max(abs(contact_.curvature), 1e-12), problem.largest_log_radius)
+    if elastic.patch_half_width > 0.0:
+        log_radius = 0.25 * elastic.patch_half_width * math.exp(0.75)
+        relative = abs(1.0 / radius + contact_.curvature)
+        narrow = _PATCH_LIMIT * elastic.patch_half_width
+        largest = 0.25 * narrow * narrow * relative * math.pi * width / (gear + of_pin)
+    approach, softness, bent = hertz_approach(
+        force, contact_.curvature, radius, width, gear, of_pin, log_radius, largest
+    )
+    if elastic.patch_half_width == 0.0 and log_radius < problem.largest_log_radius:
+        bent -= 2.0 * gear / (math.pi * width) * force / contact_.curvature
+    if math.isnan(elastic.half_shell):
+        return approach + force * problem.seat_compliance, softness + problem.seat_compliance, bent
+    each = 2.0 * of_pin / width
+    s = elastic.half_shell * width / (2.0 * of_pin * force)
+    seat = 0.08 + math.log(s + 1.42) / math.pi
+    return approach + each * force * seat, softness + each * (seat - s / (math.pi * (s + 1.42))), bent
+
+
+@compiled
+def _deflect(assembly: Assembly, ports: Ports, number: int) -> None:
+    """Write force and softness of a port that goes by its deflection; of both components from the first."""
+    port = ports.ports[number]
+    if port.kind < ALONG_X:
+        port.force = port.softness = 0.0
+        if port.deflection > 0.0:
+            port.force = port.scale * port.deflection**port.exponent
+            port.softness = port.deflection / (port.exponent * port.force)
+        return
+    second = ports.ports[number + 1]
+    length = math.hypot(port.deflection, second.deflection)
+    force, stiffness = push(assembly.laws[port.law], length)
+    port.force = second.force = 0.0
+    if force > 0.0:
+        nx, ny = port.deflection / length, second.deflection / length
+        along, across = 1.0 / stiffness, length / force
+        port.force, second.force = force * nx, force * ny
+        port.softness = along * nx * nx + across * ny * ny
+        second.softness = along * ny * ny + across * nx * nx
+        port.across = (along - across) * nx * ny
+
+
+@compiled
+def _is_active(ports: Ports, number: int) -> bool:
+    port = ports.ports[number]
+    if port.kind == ALONG_X:
+        return bool(port.force != 0.0 or ports.ports[number + 1].force != 0.0)
+    if port.kind == ALONG_Y:
+        return bool(port.force != 0.0 or ports.ports[number - 1].force != 0.0)
+    return bool(port.force > 0.0)
+
+
+@compiled
+def _gather(elastic: Elastic, ports: Ports, listed: int) -> None:
+    """List the ports under load, and write the influence between them if others were before."""
+    n, same = 0, True
+    for i in range(listed):
+        number = ports.listed[i]
+        if _is_active(ports, number):
+            same = same and ports.gathered[n] == number
+            ports.active[n] = number
+            n += 1
+    same = same and ports.counts[1] == n
+    ports.counts[0] = n
+    if same:
+        return
+    ports.counts[1] = n
+    influence, moving = elastic.influence, ports.moving
+    for k in range(n):
+        ports.gathered[k] = ports.active[k]
+        slot = ports.ports[ports.active[k]].slot
+        for m in range(k + 1):
+            value = entry(influence, moving, slot, ports.ports[ports.active[m]].slot)
+            ports.between[k, m] = ports.between[m, k] = value
+
+
+@compiled
+def _displace(ports: Ports) -> tuple[float, float]:
+    """Write what each port under load lacks in its balance, m; return twice the bodies' energy (J) and the largest."""
+    n, right = ports.counts[0], ports.right
+    for k in range(n):
+        right[k] = 0.0
+    for k in range(n):
+        force, row = ports.ports[ports.active[k]].force, ports.between[k]
+        for m in range(n):
+            right[m] += row[m] * force
+    stored = worst = 0.0
+    for k in range(n):
+        port = ports.ports[ports.active[k]]
+        stored += port.force * right[k]
+        right[k] = port.approach - port.deflection - right[k]
+        worst = max(worst, abs(right[k]))
+    return stored, worst
+
+
+@compiled
+def _factor(ports: Ports) -> bool:
+    """Factor C + D⁻¹ of the ports under load; return False if it is not positive."""
+    n, factor = ports.counts[0], ports.factor
+    for k in range(n):
+        row, between = factor[k], ports.between[k]
+        for m in range(k, n):
+            row[m] = between[m]
+        port = ports.ports[ports.active[k]]
+        row[k] += port.softness
+        if port.kind == ALONG_X:
+            row[k + 1] += port.across
+        ports.factored[k] = ports.active[k]
+    ports.counts[2] = n
+    for k in range(n):
+        row = factor[k]
+        if not row[k] > 0.0:
+            ports.counts[2] = -1
+            return False
+        share = 1.0 / math.sqrt(row[k])
+        for m in range(k, n):
+            row[m] *= share
+        for i in range(k + 1, n):
+            weight = row[i]
+            if weight != 0.0:
+                below = factor[i]
+                for m in range(i, n):
+                    below[m] -= weight * row[m]
+    return True
+
+
+@compiled
+def _is_factored(ports: Ports) -> bool:
+    n = ports.counts[0]
+    same = ports.counts[2] == n
+    for k in range(n):
+        same = same and ports.factored[k] == ports.active[k]
+    return bool(same)
+
+
+@compiled
+def _solve(ports: Ports) -> None:
+    """Solve (C + D⁻¹) x = right in place."""
+    n, factor, right = ports.counts[0], ports.factor, ports.right
+    for k in range(n):
+        row = factor[k]
+        right[k] /= row[k]
+        value = right[k]
+        for m in range(k + 1, n):
+            right[m] -= row[m] * value
+    for k in range(n - 1, -1, -1):
+        row, value = factor[k], right[k]
+        for m in range(k + 1, n):
+            value -= row[m] * right[m]
+        right[k] = value / row[k]
+
+
+@compiled
+def _solve_columns(ports: Ports, columns: Array) -> None:
+    """Solve (C + D⁻¹) x = columns in place, shape (ports under load, unknowns)."""
+    n, factor, width = ports.counts[0], ports.factor, columns.shape[1]
+    for k in range(n):
+        row, mine = factor[k], columns[k]
+        share = 1.0 / row[k]
+        for c in range(width):
+            mine[c] *= share
+        for m in range(k + 1, n):
+            weight = row[m]
+            if weight != 0.0:
+                other = columns[m]
+                for c in range(width):
+                    other[c] -= weight * mine[c]
+    for k in range(n - 1, -1, -1):
+        row, mine = factor[k], columns[k]
+        for m in range(k + 1, n):
+            weight = row[m]
+            if weight != 0.0:
+                other = columns[m]
+                for c in range(width):
+                    mine[c] -= weight * other[c]
+        share = 1.0 / row[k]
+        for c in range(width):
+            mine[c] *= share
+
+
+@compiled
+def _bend_pins(problem: Problem, elastic: Elastic, ports: Ports, contacts: Rows) -> None:
+    """Write deflection and softness of the pins under load."""
+    for k in range(ports.counts[0]):
+        port = ports.ports[ports.active[k]]
+        if port.kind == PIN and port.force > 0.0:
+            contact_ = contacts[port.joint]
+            pin = disc_slice_pin(problem, port.joint)[2]
+            port.deflection, port.softness, _ = _pin_law(problem, elastic, contact_, pin, port.force)
+
+
+@compiled
+def _step(
+    problem: Problem, assembly: Assembly, elastic: Elastic, ports: Ports, contacts: Rows, damped: bool
+) -> None:
+    """Take Newton's step of the forces of all ports under load, which is in `ports.right`."""
+    for k in range(ports.counts[0]):
+        number = ports.active[k]
+        port = ports.ports[number]
+        least = 0.1 if damped and port.deflection > _DROPPED else 0.0
+        if port.kind == PIN:
+            force = port.force + ports.right[k]
+            port.force = force if force > 0.1 * port.force or (force > 0.0 and not damped) else least * port.force
+        elif port.kind < ALONG_X:
+            deflection = port.deflection + port.softness * ports.right[k]
+            port.deflection = max(deflection, least * port.deflection)
+            _deflect(assembly, ports, number)
+        elif port.kind == ALONG_X:
+            second, fx, fy = ports.ports[number + 1], ports.right[k], ports.right[k + 1]
+            softness, across = port.softness, port.across
+            port.deflection += softness * fx + across * fy
+            second.deflection += across * fx + second.softness * fy
+            _deflect(assembly, ports, number)
+    _bend_pins(problem, elastic, ports, contacts)
+
+
+@compiled
+def _load_others(
+    problem: Problem, assembly: Assembly, elastic: Elastic, ports: Ports, contacts: Rows, listed: int, stored: float
+) -> bool:
+    """Load the ports that carry nothing and are pressed; return whether there are any.
+
+    As C is positive, (C f)_i² ≤ C_ii fᵀC f: so most of them are certainly clear.
+    """
+    influence, moving, n, others = elastic.influence, ports.moving, ports.counts[0], False
+    bound = math.sqrt(max(influence.largest * stored, 0.0)) + _BALANCED
+    for i in range(listed):
+        number = ports.listed[i]
+        port = ports.ports[number]
+        if port.kind == ALONG_Y or _is_active(ports, number):
+            continue
+        if port.kind < ALONG_X and port.approach < -bound:
+            continue
+        if port.kind == PIN:
+            get_known(influence, moving, port.slot)
+        displaced = across = 0.0
+        for k in range(n):
+            pressed = ports.ports[ports.active[k]]
+            displaced += entry(influence, moving, port.slot, pressed.slot) * pressed.force
+            if port.kind == ALONG_X:
+                across += entry(influence, moving, port.slot + 1, pressed.slot) * pressed.force
+        port.deflection = port.approach - displaced
+        if port.kind == ALONG_X:
+            second = ports.ports[number + 1]
+            second.deflection = second.approach - across
+            _deflect(assembly, ports, number)
+            others = others or _is_active(ports, number)
+        elif port.deflection > _BALANCED:
+            others = True
+            if port.kind == PIN:
+                pin = disc_slice_pin(problem, port.joint)[2]
+                # Newton's method starts from about Hertz's law.
+                port.force = port.deflection / (10.0 * (problem.compliance_gear + problem.compliance_pin))
+                port.force *= problem.slice_width
+                port.deflection, port.softness, _ = _pin_law(
+                    problem, elastic, contacts[port.joint], pin, port.force
+                )
+            else:
+                _deflect(assembly, ports, number)
+    return others
+
+
+@compiled
+def _list(elastic: Elastic, ports: Ports) -> int:
+    """List the ports that may be pressed, with their influence if they were before; return their number."""
+    listed = 0
+    for number in range(ports.ports.size):
+        port = ports.ports[number]
+        if port.kind == PIN and not port.approach > -ports.reach[0]:
+            port.force = 0.0
+            continue
+        if port.kind == ROLLER or (port.kind == PIN and port.force > 0.0):
+            get_known(elastic.influence, ports.moving, port.slot)
+        ports.listed[listed] = number
+        listed += 1
+    return listed
+
+
+@compiled
+def press(problem: Problem, assembly: Assembly, elastic: Elastic, ports: Ports, contacts: Rows) -> tuple[int, float]:
+    """Solve the forces of all ports from their approaches and their last forces.
+
+    Returns
+    -------
+    iterations, reach
+        Number of iterations, 0 without a solution; the gap within which pins may be pressed, m.
+    """
+    listed, last, stored = _list(elastic, ports), math.inf, 0.0
+    _gather(elastic, ports, listed)
+    _bend_pins(problem, elastic, ports, contacts)
+    for iteration in range(_ITERATIONS):
+        stored, worst = _displace(ports)
+        if _load_others(problem, assembly, elastic, ports, contacts, listed, stored):
+            _gather(elastic, ports, listed)
+            stored, worst = _displace(ports)
+        elif worst < _BALANCED:
+            reach = math.sqrt(max(elastic.influence.largest * stored, 0.0))
+            return (iteration + 1 if _factor(ports) else 0), reach
+        if not (_is_factored(ports) and worst < _KEPT * last) and not _factor(ports):
+            return 0, 0.0
+        last = worst
+        _solve(ports)
+        _step(problem, assembly, elastic, ports, contacts, iteration >= _DAMPED)
+        _gather(elastic, ports, listed)
+    return 0, 0.0
+
+
+@compiled
+def write_approaches(
+    problem: Problem, assembly: Assembly, elastic: Elastic, crank_angle: float, contacts: Rows, work: Work, ports: Ports
+) -> None:
+    """Write the rigid approach of all ports where the unknowns have the bodies, after `orient` and placing the pins."""
+    if ports.moving.angle[0] != crank_angle:
+        ports.counts[1] = -1
+        turn_to(elastic.influence, ports.moving, crank_angle)
+    c, s = math.cos(crank_angle / problem.teeth), -math.sin(crank_angle / problem.teeth)
+    for number in range(elastic.first.size):
+        if elastic.count[number] == 0:
+            continue
+        joint, first = assembly.joints[number], elastic.first[number]
+        d = displacement(assembly, joint, work)
+        if joint.reach > 0.0:
+            port = ports.ports[first]
+            port.approach = d.excess - joint.play - port.clearance
+            continue
+        dx, dy = d.length * d.normal_x, d.length * d.normal_y
+        dx, dy = c * dx + s * dy, c * dy - s * dx
+        for i in range(first, first + elastic.count[number]):
+            port = ports.ports[i]
+            port.approach = -(port.along_x * dx + port.along_y * dy) - port.clearance
+    first_row = ports.ports.size - contacts.shape[0]
+    for row in range(contacts.shape[0]):
+        contact_, gap = contacts[row], math.inf
+        if contact_.gap < math.inf and contact.is_solved_at(contact_, crank_angle, work.place[0]):
+            gap = contact_.gap + problem.seat_gap
+        ports.ports[first_row + row].approach = -gap
+
+
+@compiled
+def _write_pins(problem: Problem, elastic: Elastic, contacts: Rows, ports: Ports) -> None:
+    """Write the pins' forces into their rows, and list what carries any."""
+    touching = 0
+    for row in range(contacts.shape[0]):
+        port, contact_ = ports.ports[ports.ports.size - contacts.shape[0] + row], contacts[row]
+        contact_.force = port.force
+        contact_.stiffness = contact_.force_by_curvature = 0.0
+        if port.force > 0.0:
+            pin = disc_slice_pin(problem, row)[2]
+            _, softness, bent = _pin_law(problem, elastic, contact_, pin, port.force)
+            contact_.stiffness, contact_.force_by_curvature = 1.0 / softness, -bent / softness
+            contacts[touching].touching = row
+            touching += 1
+    if touching < contacts.shape[0]:
+        contacts[touching].touching = -1.0
+
+
+@compiled
+def _add_pin(problem: Problem, crank_angle: float, contacts: Rows, row: int, work: Work, ports: Ports, k: int) -> None:
+    """Write the derivatives of a pin's approach, and add what turns its force."""
+    contact_, by = contacts[row], ports.by_place[k]
+    local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
+    along = gap_gradient(local)
+    at = FIRST_DISC + 3 * local.disc
+    by[at], by[at + 1], by[at + 2] = -along.gap_u, -along.gap_v, -along.gap_y
+    curved = contact_.force_by_curvature / contact_.stiffness * contact_.curvature_rate * local.foot
+    bent = ports.curved[k]
+    bent[0], bent[1], bent[2] = curved * along.slide_u, curved * along.slide_v, curved * along.slide_y
+    turned, jacobian = contact_stiffness(Carrying(contact_.force, 0.0, 0.0, 0.0, 0.0), local, along), work.jacobian
+    jacobian[at, at] += turned.uu
+    jacobian[at, at + 1] += turned.uv
+    jacobian[at, at + 2] += turned.uy
+    jacobian[at + 1, at] += turned.vu
+    jacobian[at + 1, at + 1] += turned.vv
+    jacobian[at + 1, at + 2] += turned.vy
+    jacobian[at + 2, at] += turned.yu
+    jacobian[at + 2, at + 1] += turned.yv
+    jacobian[at + 2, at + 2] += turned.yy
+
+
+@compiled
+def _add_joint(
+    assembly: Assembly, elastic: Elastic, number: int, axes: tuple[float, float], work: Work, ports: Ports, k: int
+) -> int:
+    """Write the derivatives of a joint's approaches from the kth port under load on, and its force; return the next k.
+
+    `axes` is the cosine and sine of the ideal rotation of the output. Also adds what turns the force.
+    """
+    joint, c, s = assembly.joints[number], axes[0], axes[1]
+    d = displacement(assembly, joint, work)
+    unknowns, at, by = derivatives(assembly, joint, d, work), work.at, work.by
+    last = elastic.first[number] + elastic.count[number]
+    fx = fy = 0.0
+    while k < ports.counts[0] and ports.active[k] < last:
+        port, row = ports.ports[ports.active[k]], ports.by_place[k]
+        ax, ay = d.normal_x, d.normal_y
+        if joint.reach == 0.0:
+            ax, ay = s * port.along_y - c * port.along_x, -s * port.along_x - c * port.along_y
+        for i in range(unknowns):
+            row[at[i]] += ax * by[0, i] + ay * by[1, i]
+        fx, fy = fx + port.force * ax, fy + port.force * ay
+        k += 1
+    ports.of_joints[number, 0], ports.of_joints[number, 1] = fx, fy
+    return k
+
+
+@compiled
+def _turn_joint(assembly: Assembly, number: int, centring: float, work: Work, ports: Ports) -> None:
+    """Add what turns a joint's force as the unknowns change, and its centring spring."""
+    joint, jacobian = assembly.joints[number], work.jacobian
+    d = displacement(assembly, joint, work)
+    unknowns, at, by = derivatives(assembly, joint, d, work), work.at, work.by
+    fx, fy, nx, ny = ports.of_joints[number, 0], ports.of_joints[number, 1], d.normal_x, d.normal_y
+    spring = across = 0.0
+    if joint.reach > 0.0:
+        across = (fx * nx + fy * ny) / d.length
+    else:
+        spring, across = centring, centring
+        px, py = spring * d.length * nx, spring * d.length * ny
+        for i in range(unknowns):
+            work.residual[at[i]] += px * by[0, i] + py * by[1, i]
+        fx, fy = fx + px, fy + py
+    kxx, kyy, kxy = spring * nx * nx + across * ny * ny, spring * ny * ny + across * nx * nx, (spring - across) * nx * ny
+    for i in range(unknowns):
+        kx, ky = kxx * by[0, i] + kxy * by[1, i], kxy * by[0, i] + kyy * by[1, i]
+        for j in range(unknowns):
+            jacobian[at[i], at[j]] += kx * by[0, j] + ky * by[1, j]
+    turn = assembly.bodies[joint.outer].rotation
+    if turn >= 0:
+        jacobian[turn, turn] -= fx * d.outer_x + fy * d.outer_y
+    turn = assembly.bodies[joint.seat].rotation
+    if turn >= 0:
+        jacobian[turn, turn] += fx * d.inner_x + fy * d.inner_y
+
+
+@compiled
+def add_ports(
+    problem: Problem,
+    assembly: Assembly,
+    elastic: Elastic,
+    crank_angle: float,
+    centring: float,
+    contacts: Rows,
+    work: Work,
+    ports: Ports,
+) -> None:
+    """Add the solved forces of all ports and their derivatives to the balance, after `press`."""
+    n, by, residual = ports.counts[0], ports.by_place, work.residual
+    _write_pins(problem, elastic, contacts, ports)
+    for k in range(n):
+        for i in range(residual.size):
+            by[k, i] = 0.0
+    axes = math.cos(crank_angle / problem.teeth), -math.sin(crank_angle / problem.teeth)
+    k = 0
+    for number in range(elastic.first.size):
+        if elastic.count[number] > 0:
+            k = _add_joint(assembly, elastic, number, axes, work, ports, k)
+            _turn_joint(assembly, number, centring, work, ports)
+    first_pin = k
+    for k in range(first_pin, n):
+        _add_pin(problem, crank_angle, contacts, ports.ports[ports.active[k]].joint, work, ports, k)
+    forces = ports.forces_by_place
+    for k in range(n):
+        force = ports.ports[ports.active[k]].force
+        for i in range(residual.size):
+            forces[k, i] = by[k, i]
+            residual[i] += force * by[k, i]
+    _solve_columns(ports, forces)
+    for k in range(n):
+        mine, row = forces[k], by[k]
+        for i in range(residual.size):
+            weight = mine[i]
+            if weight != 0.0:
+                line = work.jacobian[i]
+                for j in range(residual.size):
+                    line[j] += weight * row[j]
+    for k in range(first_pin, n):
+        at, bent = FIRST_DISC + 3 * disc_slice_pin(problem, ports.ports[ports.active[k]].joint)[0], ports.curved[k]
+        for i in range(residual.size):
+            for j in range(3):
+                work.jacobian[i, at + j] += forces[k, i] * bent[j]
+
+
+@compiled
+def joint_force(
+    assembly: Assembly, number: int, d: Displacement, work: Work, ports: Ports | None
+) -> tuple[float, float]:
+    """Force of a joint on its displacement, N, at a solved place and without the centring springs."""
+    if ports is not None and has_ports(assembly.elastic, number):
+        return ports.of_joints[number, 0], ports.of_joints[number, 1]
+    force = reaction(assembly, assembly.joints[number], d, 0.0).force
+    return force * d.normal_x, force * d.normal_y
+
+
+@compiled
+def torque_of_bodies(
+    problem: Problem, assembly: Assembly, elastic: Elastic | None, work: Work, ports: Ports | None
+) -> float:
+    """What elastic bodies add to the crank's torque at a solved place, N·m.
+
+    The influence changes with the crank angle, and the axes in which bearings press turn.
+    """
+    if elastic is None:
+        return 0.0
+    _write_forces(ports)
+    torque = -rate_of_energy(elastic.influence, ports.moving, ports.of_slots)
+    for number in range(elastic.first.size):
+        if elastic.count[number] > 0 and assembly.joints[number].reach == 0.0:
+            d = displacement(assembly, assembly.joints[number], work)
+            fx, fy = ports.of_joints[number, 0], ports.of_joints[number, 1]
+            torque += d.length * (d.normal_x * fy - d.normal_y * fx) / problem.teeth
+    return torque
+
+
+@compiled
+def _write_forces(ports: Ports) -> None:
+    """Write the force of each slot."""
+    for slot in range(ports.of_slots.size):
+        ports.of_slots[slot] = 0.0
+    for k in range(ports.counts[0]):
+        port = ports.ports[ports.active[k]]
+        ports.of_slots[port.slot] += port.force
