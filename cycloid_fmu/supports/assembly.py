@@ -214,35 +214,55 @@ def elastic_of(pair: Pair) -> Elastic | None:
         "crank_shaft": matrices.carrier is not None,
         "output_roller": bool(matrices.discs) or matrices.output_pin is not None,
     }
-    first, count, ports = [], [], []
     slots = {"turning_arm": influence.arms_slot, "output_roller": influence.rollers_slot}
     slots["crank_shaft"] = len(influence.fixed) - 2 * influence.arms
+    groups = list[tuple[int, int, list[tuple[float, ...]]]]()  # disc, joint or -1, ports
+    count, joints = list[int](), 0
     for number, kind in enumerate(kinds):
         each = 0 if not elastic.get(kind.name) else 1 if kind.name == "output_roller" else 2
         if each == 2 and kind.name == "turning_arm":
             each = influence.sectors
-        for joint in range(kind.size):
-            first.append(len(ports))
+        for at in range(kind.size):
+            disc = at // kind.shape[1] if "disc" in kind.grid else pair.discs
+            block, slot = 0 if influence.coupled else disc, slots.get(kind.name, 0) + at * each
+            ports = [_port(kind, number, joints, slot + n, n, each, block) for n in range(each)]
+            groups.append((disc, joints, ports))
             count.append(each)
-            slot = slots.get(kind.name, 0) + joint * each
-            ports += [_port(kind, number, len(first) - 1, slot + n, n, each) for n in range(each)]
-    pins = pair.discs * pair.pins
-    of_pins = np.zeros(2 * pins, PORT)
-    of_pins["kind"], of_pins["joint"] = PIN, np.arange(2 * pins)
-    of_pins["slot"] = np.arange(2 * pins) // 2
+            joints += 1
+    rows = 2 * pair.pins
+    for row in range(rows * pair.discs):
+        disc = row // rows
+        values = {"kind": PIN, "joint": row, "slot": row // 2, "block": 0 if influence.coupled else disc}
+        groups.append((disc, -1, [_record(values)]))
+    groups.sort(key=lambda group: group[0])
+    first, of_row, whole = np.zeros(joints, np.int64), np.zeros(rows * pair.discs, np.int64), []
+    for _, joint, ports in groups:
+        if joint >= 0:
+            first[joint] = len(whole)
+        else:
+            of_row[int(ports[0][_FIELDS.index("joint")])] = len(whole)
+        whole += ports
     return Elastic(
         influence,
-        np.concatenate([np.array(ports, PORT), of_pins]),
-        np.array(first, np.int64),
+        np.array(whole, PORT),
+        of_row,
+        first,
         np.array(count, np.int64),
         matrices.discs[0].matrix.patch_half_width if matrices.discs else 0.0,
         seat.clearance if seat.kind == "half_shell" else math.nan,
     )
 
 
-def _port(kind: Kind, law: int, joint: int, slot: int, number: int, count: int) -> tuple[float, ...]:
+_FIELDS = list(PORT.names or ())
+
+
+def _record(values: Mapping[str, float]) -> tuple[float, ...]:
+    return tuple(values.get(name, 0) for name in _FIELDS)
+
+
+def _port(kind: Kind, law: int, joint: int, slot: int, number: int, count: int, block: int) -> tuple[float, ...]:
     """Return the record of one of a joint's ports."""
-    values = dict.fromkeys(PORT.names, 0.0) | {"slot": slot, "joint": joint, "law": law}
+    values: dict[str, float] = {"slot": slot, "joint": joint, "law": law, "block": block}
     half = kind.law.half_clearance
     if count == 1:
         values |= {"kind": ROLLER, "clearance": half, "scale": kind.law.stiffness, "exponent": 1.0}
@@ -252,7 +272,7 @@ def _port(kind: Kind, law: int, joint: int, slot: int, number: int, count: int) 
         angle = 2.0 * math.pi * number / count
         values |= {"kind": SECTOR, "along_x": math.cos(angle), "along_y": math.sin(angle), "clearance": half}
         values |= {"scale": kind.law.stiffness * 2.0 * math.pi / count, "exponent": kind.law.exponent}
-    return tuple(values[name] for name in PORT.names)
+    return _record(values)
 
 
 def by_kind(kinds: Sequence[Kind], values: NDArray[Any], axis: int = -1) -> Iterator[tuple[Kind, NDArray[Any]]]:

@@ -19,7 +19,7 @@ from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.supports.elastic import add_ports, press, write_approaches
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, orient, reaction
-from cycloid_fmu.supports.ports import Elastic, Ports, has_ports, reach_of
+from cycloid_fmu.supports.ports import Elastic, Ports, has_ports, reach_of, set_exact
 
 NEIGHBOUR = 0.1  # rad: a solution farther away is no useful start
 _EXACT = 1e-14  # m: a step within rounding
@@ -379,7 +379,8 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
 
         Return the number of steps, 0 without a balance.
         """
-        total = 0
+        total = found = 0
+        set_exact(work.ports, 0.0)
         for stage in range(1 if cold else 0, 3):
             if stage > 0:
                 for i in range(work.place.size):
@@ -395,8 +396,10 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
                     break
                 spring = max(0.1 * spring, pull.centring)
             if found > 0:
-                return total
-        return 0
+                break
+        if set_exact(work.ports, 1.0) and found > 0:
+            assembled(problem, assembly, crank_angle, pull, contacts, work, more)
+        return total if found > 0 else 0
 
     return settle
 

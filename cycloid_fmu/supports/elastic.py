@@ -18,22 +18,37 @@ from cycloid_fmu.contact.hertz import hertz_approach
 from cycloid_fmu.contact.local_frame import Carrying, contact_stiffness, gap_gradient
 from cycloid_fmu.contact.rows import disc_slice_pin
 from cycloid_fmu.supports.bearing import push
-from cycloid_fmu.supports.influence import entry, get_known, rate_of_energy, turn_to
+from cycloid_fmu.supports.influence import Influence, dot, entry, get_known, rate_of_energy, turn_to
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Displacement, Work, derivatives, displacement, reaction
-from cycloid_fmu.supports.ports import ALONG_X, ALONG_Y, PIN, ROLLER, Elastic, Ports, has_ports
+from cycloid_fmu.supports.ports import (
+    AGE,
+    ALONG_X,
+    ALONG_Y,
+    EXACT,
+    FRESH,
+    GATHERED_AT,
+    PIN,
+    ROLLER,
+    Elastic,
+    Ports,
+    has_ports,
+)
 
 _BALANCED = 2e-14  # m: residual of a port
 _ITERATIONS = 60
 _DAMPED = 10  # iterations after which a step may not take away more than nine tenths of a port's deflection
 _DROPPED = 1e-12  # m: a damped deflection below this is none
+_INEXACT = 1e-3  # share of the residual that is left while the unknowns are not balanced yet
+_OLDEST = 4  # times that a factor serves at most
+_PANEL = 4  # rows that are eliminated at once
 _KEPT = 0.05  # a factor is kept as long as it takes away all but this share of the residual
 _PATCH_LIMIT = 0.75  # half width of a contact over that of its patch, up to which the law holds
 
 
-
-
 @compiled
-def _pin_law(problem: Problem, elastic: Elastic, contact_: np.record, pin: int, force: float) -> tuple[float, float, float]:
+def _pin_law(
+    problem: Problem, elastic: Elastic, contact_: np.record, pin: int, force: float
+) -> tuple[float, float, float]:
     """Approach of a pin, flank and seat under a force, its derivative by the force, and that by the curvature."""
     width, gear, of_pin = problem.slice_width, problem.compliance_gear, problem.compliance_pin
     radius, largest = problem.pin_radius[pin], math.inf
@@ -91,7 +106,7 @@ def _is_active(ports: Ports, number: int) -> bool:
 
 @compiled
 def _gather(elastic: Elastic, ports: Ports, listed: int) -> None:
-    """List the ports under load, and write the influence between them if others were before."""
+    """List the ports under load, and write the influence between them where it changed."""
     n, same = 0, True
     for i in range(listed):
         number = ports.listed[i]
@@ -101,33 +116,45 @@ def _gather(elastic: Elastic, ports: Ports, listed: int) -> None:
             n += 1
     same = same and ports.counts[1] == n
     ports.counts[0] = n
-    if same:
+    moved, matrix = ports.numbers[GATHERED_AT] != ports.moving.angle[0], ports.moving.matrix
+    if same and not moved:
         return
-    ports.counts[1] = n
-    influence, moving = elastic.influence, ports.moving
+    ports.counts[1], ports.numbers[GATHERED_AT] = n, ports.moving.angle[0]
+    begin = 0
     for k in range(n):
         ports.gathered[k] = ports.active[k]
-        slot = ports.ports[ports.active[k]].slot
-        for m in range(k + 1):
-            value = entry(influence, moving, slot, ports.ports[ports.active[m]].slot)
-            ports.between[k, m] = ports.between[m, k] = value
+        port = ports.ports[ports.active[k]]
+        if k > 0 and port.block != ports.ports[ports.active[k - 1]].block:
+            begin = k
+        ports.begin[k], row, slot = begin, ports.between[k], port.slot
+        moves, line = port.kind <= ROLLER, matrix[port.slot]
+        for m in range(begin, k + 1):
+            other = ports.ports[ports.active[m]]
+            if moves:
+                row[m] = ports.between[m, k] = line[other.slot]
+            elif other.kind <= ROLLER:
+                row[m] = ports.between[m, k] = matrix[other.slot, slot]
+            elif not same:
+                row[m] = ports.between[m, k] = line[other.slot]
+    end = n
+    for k in range(n - 1, -1, -1):
+        ports.end[k] = end
+        if ports.begin[k] == k:
+            end = k
 
 
 @compiled
 def _displace(ports: Ports) -> tuple[float, float]:
     """Write what each port under load lacks in its balance, m; return twice the bodies' energy (J) and the largest."""
-    n, right = ports.counts[0], ports.right
+    n, right, forces = ports.counts[0], ports.right, ports.forces
     for k in range(n):
-        right[k] = 0.0
-    for k in range(n):
-        force, row = ports.ports[ports.active[k]].force, ports.between[k]
-        for m in range(n):
-            right[m] += row[m] * force
+        forces[k] = ports.ports[ports.active[k]].force
     stored = worst = 0.0
     for k in range(n):
-        port = ports.ports[ports.active[k]]
-        stored += port.force * right[k]
-        right[k] = port.approach - port.deflection - right[k]
+        port, begin, end = ports.ports[ports.active[k]], ports.begin[k], ports.end[k]
+        displaced = dot(ports.between[k, begin:end], forces[begin:end])
+        stored += port.force * displaced
+        right[k] = port.approach - port.deflection - displaced
         worst = max(worst, abs(right[k]))
     return stored, worst
 
@@ -137,29 +164,45 @@ def _factor(ports: Ports) -> bool:
     """Factor C + D⁻¹ of the ports under load; return False if it is not positive."""
     n, factor = ports.counts[0], ports.factor
     for k in range(n):
-        row, between = factor[k], ports.between[k]
-        for m in range(k, n):
+        row, between, end = factor[k], ports.between[k], ports.end[k]
+        for m in range(k, end):
             row[m] = between[m]
         port = ports.ports[ports.active[k]]
         row[k] += port.softness
         if port.kind == ALONG_X:
             row[k + 1] += port.across
         ports.factored[k] = ports.active[k]
-    ports.counts[2] = n
-    for k in range(n):
-        row = factor[k]
-        if not row[k] > 0.0:
-            ports.counts[2] = -1
-            return False
-        share = 1.0 / math.sqrt(row[k])
-        for m in range(k, n):
-            row[m] *= share
-        for i in range(k + 1, n):
-            weight = row[i]
-            if weight != 0.0:
-                below = factor[i]
-                for m in range(i, n):
-                    below[m] -= weight * row[m]
+    ports.counts[2], ports.numbers[FRESH], ports.numbers[AGE] = n, 1.0, 0.0
+    first = 0
+    while first < n:
+        end = ports.end[first]
+        last = min(first + _PANEL, end)
+        for k in range(first, last):
+            row = factor[k, k:end]
+            if not row[0] > 0.0:
+                ports.counts[2] = -1
+                return False
+            share = 1.0 / math.sqrt(row[0])
+            for m in range(row.size):
+                row[m] *= share
+            for i in range(k + 1, last):
+                weight, below = row[i - k], factor[i, i:end]
+                above = factor[k, i:end]
+                for m in range(below.size):
+                    below[m] -= weight * above[m]
+        if last - first == _PANEL:
+            for i in range(last, end):
+                below = factor[i, i:end]
+                a0, a1, a2, a3 = (
+                    factor[first, i:end],
+                    factor[first + 1, i:end],
+                    factor[first + 2, i:end],
+                    factor[first + 3, i:end],
+                )
+                w0, w1, w2, w3 = a0[0], a1[0], a2[0], a3[0]
+                for m in range(below.size):
+                    below[m] -= (w0 * a0[m] + w1 * a1[m]) + (w2 * a2[m] + w3 * a3[m])
+        first = last
     return True
 
 
@@ -173,48 +216,58 @@ def _is_factored(ports: Ports) -> bool:
 
 
 @compiled
-def _solve(ports: Ports) -> None:
-    """Solve (C + D⁻¹) x = right in place."""
-    n, factor, right = ports.counts[0], ports.factor, ports.right
+def solve_ports(ports: Ports, right: Array) -> None:
+    """Solve (C + D⁻¹) x = right in place, of the ports under load."""
+    n, factor = ports.counts[0], ports.factor
     for k in range(n):
-        row = factor[k]
-        right[k] /= row[k]
+        end = ports.end[k]
+        row, below = factor[k, k + 1 : end], right[k + 1 : end]
+        right[k] /= factor[k, k]
         value = right[k]
-        for m in range(k + 1, n):
-            right[m] -= row[m] * value
+        for m in range(row.size):
+            below[m] -= row[m] * value
     for k in range(n - 1, -1, -1):
-        row, value = factor[k], right[k]
-        for m in range(k + 1, n):
-            value -= row[m] * right[m]
-        right[k] = value / row[k]
+        end = ports.end[k]
+        right[k] = (right[k] - dot(factor[k, k + 1 : end], right[k + 1 : end])) / factor[k, k]
 
 
 @compiled
-def _solve_columns(ports: Ports, columns: Array) -> None:
-    """Solve (C + D⁻¹) x = columns in place, shape (ports under load, unknowns)."""
-    n, factor, width = ports.counts[0], ports.factor, columns.shape[1]
+def _write_stiffness(ports: Ports) -> None:
+    """Write AᵀSA, with S = (C + D⁻¹)⁻¹, as the sum of products of the rows of R⁻ᵀA."""
+    n, factor, forward, stiffness = ports.counts[0], ports.factor, ports.forward, ports.stiffness
+    width, unknowns = forward.shape[1], ports.by_place.shape[1]
     for k in range(n):
-        row, mine = factor[k], columns[k]
-        share = 1.0 / row[k]
-        for c in range(width):
-            mine[c] *= share
-        for m in range(k + 1, n):
-            weight = row[m]
-            if weight != 0.0:
-                other = columns[m]
+        for i in range(unknowns):
+            forward[k, i] = ports.by_place[k, i]
+    for i in range(width):
+        for j in range(width):
+            stiffness[i, j] = 0.0
+    first = 0
+    while first < n:
+        end = ports.end[first]
+        last = min(first + _PANEL, end)
+        for k in range(first, last):
+            mine, share = forward[k], 1.0 / factor[k, k]
+            for c in range(width):
+                mine[c] *= share
+            for i in range(k + 1, last):
+                weight, other = factor[k, i], forward[i]
                 for c in range(width):
                     other[c] -= weight * mine[c]
-    for k in range(n - 1, -1, -1):
-        row, mine = factor[k], columns[k]
-        for m in range(k + 1, n):
-            weight = row[m]
-            if weight != 0.0:
-                other = columns[m]
+            for i in range(unknowns):
+                weight, line = mine[i], stiffness[i]
+                if weight != 0.0:
+                    for c in range(width):
+                        line[c] += weight * mine[c]
+        if last - first == _PANEL:
+            m0, m1, m2, m3 = forward[first], forward[first + 1], forward[first + 2], forward[first + 3]
+            for i in range(last, end):
+                w0, w1, w2, w3 = factor[first, i], factor[first + 1, i], factor[first + 2, i], factor[first + 3, i]
+                other = forward[i]
                 for c in range(width):
-                    mine[c] -= weight * other[c]
-        share = 1.0 / row[k]
-        for c in range(width):
-            mine[c] *= share
+                    other[c] -= (w0 * m0[c] + w1 * m1[c]) + (w2 * m2[c] + w3 * m3[c])
+        first = last
+    ports.numbers[FRESH] = 0.0
 
 
 @compiled
@@ -229,9 +282,7 @@ def _bend_pins(problem: Problem, elastic: Elastic, ports: Ports, contacts: Rows)
 
 
 @compiled
-def _step(
-    problem: Problem, assembly: Assembly, elastic: Elastic, ports: Ports, contacts: Rows, damped: bool
-) -> None:
+def _step(problem: Problem, assembly: Assembly, elastic: Elastic, ports: Ports, contacts: Rows, damped: bool) -> None:
     """Take Newton's step of the forces of all ports under load, which is in `ports.right`."""
     for k in range(ports.counts[0]):
         number = ports.active[k]
@@ -254,15 +305,34 @@ def _step(
 
 
 @compiled
+def _displace_arms(influence: Influence, ports: Ports) -> None:
+    """Write the displacements of the turning arms' slots by the ports under load."""
+    first, last, out = influence.arms_slot, influence.rollers_slot, ports.of_slots
+    fixed = influence.arms * influence.sectors
+    for slot in range(first, last):
+        out[slot] = 0.0
+    for k in range(ports.counts[0]):
+        port = ports.ports[ports.active[k]]
+        begin, end = first, last
+        if not influence.coupled:
+            begin = first + port.block * fixed
+            end = begin + fixed
+        force, row, part = port.force, ports.moving.matrix[port.slot, begin:end], out[begin:end]
+        for m in range(part.size):
+            part[m] += force * row[m]
+
+
+@compiled
 def _load_others(
     problem: Problem, assembly: Assembly, elastic: Elastic, ports: Ports, contacts: Rows, listed: int, stored: float
 ) -> bool:
     """Load the ports that carry nothing and are pressed; return whether there are any.
 
-    As C is positive, (C f)_i² ≤ C_ii fᵀC f: so most of them are certainly clear.
+    As C is positive, (C f)_i² ≤ C_ii fᵀC f: so most pins are certainly clear.
     """
     influence, moving, n, others = elastic.influence, ports.moving, ports.counts[0], False
     bound = math.sqrt(max(influence.largest * stored, 0.0)) + _BALANCED
+    _displace_arms(influence, ports)
     for i in range(listed):
         number = ports.listed[i]
         port = ports.ports[number]
@@ -270,14 +340,18 @@ def _load_others(
             continue
         if port.kind < ALONG_X and port.approach < -bound:
             continue
-        if port.kind == PIN:
-            get_known(influence, moving, port.slot)
         displaced = across = 0.0
-        for k in range(n):
-            pressed = ports.ports[ports.active[k]]
-            displaced += entry(influence, moving, port.slot, pressed.slot) * pressed.force
-            if port.kind == ALONG_X:
-                across += entry(influence, moving, port.slot + 1, pressed.slot) * pressed.force
+        if influence.arms_slot <= port.slot < influence.rollers_slot:
+            displaced = ports.of_slots[port.slot]
+            across = ports.of_slots[port.slot + 1] if port.kind == ALONG_X else 0.0
+        else:
+            if port.kind == PIN:
+                get_known(influence, moving, port.slot)
+            for k in range(n):
+                pressed = ports.ports[ports.active[k]]
+                displaced += entry(influence, moving, port.slot, pressed.slot) * pressed.force
+                if port.kind == ALONG_X:
+                    across += entry(influence, moving, port.slot + 1, pressed.slot) * pressed.force
         port.deflection = port.approach - displaced
         if port.kind == ALONG_X:
             second = ports.ports[number + 1]
@@ -291,9 +365,7 @@ def _load_others(
                 # Newton's method starts from about Hertz's law.
                 port.force = port.deflection / (10.0 * (problem.compliance_gear + problem.compliance_pin))
                 port.force *= problem.slice_width
-                port.deflection, port.softness, _ = _pin_law(
-                    problem, elastic, contacts[port.joint], pin, port.force
-                )
+                port.deflection, port.softness, _ = _pin_law(problem, elastic, contacts[port.joint], pin, port.force)
             else:
                 _deflect(assembly, ports, number)
     return others
@@ -324,21 +396,27 @@ def press(problem: Problem, assembly: Assembly, elastic: Elastic, ports: Ports, 
     iterations, reach
         Number of iterations, 0 without a solution; the gap within which pins may be pressed, m.
     """
-    listed, last, stored = _list(elastic, ports), math.inf, 0.0
+    listed, last, stored, goal = _list(elastic, ports), math.inf, 0.0, 0.0
+    exact = ports.numbers[EXACT] != 0.0
+    if ports.numbers[AGE] > _OLDEST:
+        ports.counts[2] = -1
+    ports.numbers[AGE] += 1.0
     _gather(elastic, ports, listed)
     _bend_pins(problem, elastic, ports, contacts)
     for iteration in range(_ITERATIONS):
         stored, worst = _displace(ports)
-        if _load_others(problem, assembly, elastic, ports, contacts, listed, stored):
+        if iteration == 0:
+            goal = _BALANCED if exact else max(_BALANCED, _INEXACT * worst)
+        if worst <= goal:
+            if not _load_others(problem, assembly, elastic, ports, contacts, listed, stored):
+                solved = _is_factored(ports) and not exact or _factor(ports)
+                return (iteration + 1 if solved else 0), math.sqrt(max(elastic.influence.largest * stored, 0.0))
             _gather(elastic, ports, listed)
             stored, worst = _displace(ports)
-        elif worst < _BALANCED:
-            reach = math.sqrt(max(elastic.influence.largest * stored, 0.0))
-            return (iteration + 1 if _factor(ports) else 0), reach
         if not (_is_factored(ports) and worst < _KEPT * last) and not _factor(ports):
             return 0, 0.0
         last = worst
-        _solve(ports)
+        solve_ports(ports, ports.right)
         _step(problem, assembly, elastic, ports, contacts, iteration >= _DAMPED)
         _gather(elastic, ports, listed)
     return 0, 0.0
@@ -349,9 +427,7 @@ def write_approaches(
     problem: Problem, assembly: Assembly, elastic: Elastic, crank_angle: float, contacts: Rows, work: Work, ports: Ports
 ) -> None:
     """Write the rigid approach of all ports where the unknowns have the bodies, after `orient` and placing the pins."""
-    if ports.moving.angle[0] != crank_angle:
-        ports.counts[1] = -1
-        turn_to(elastic.influence, ports.moving, crank_angle)
+    turn_to(elastic.influence, ports.moving, crank_angle)
     c, s = math.cos(crank_angle / problem.teeth), -math.sin(crank_angle / problem.teeth)
     for number in range(elastic.first.size):
         if elastic.count[number] == 0:
@@ -367,12 +443,11 @@ def write_approaches(
         for i in range(first, first + elastic.count[number]):
             port = ports.ports[i]
             port.approach = -(port.along_x * dx + port.along_y * dy) - port.clearance
-    first_row = ports.ports.size - contacts.shape[0]
     for row in range(contacts.shape[0]):
         contact_, gap = contacts[row], math.inf
         if contact_.gap < math.inf and contact.is_solved_at(contact_, crank_angle, work.place[0]):
             gap = contact_.gap + problem.seat_gap
-        ports.ports[first_row + row].approach = -gap
+        ports.ports[elastic.of_row[row]].approach = -gap
 
 
 @compiled
@@ -380,7 +455,7 @@ def _write_pins(problem: Problem, elastic: Elastic, contacts: Rows, ports: Ports
     """Write the pins' forces into their rows, and list what carries any."""
     touching = 0
     for row in range(contacts.shape[0]):
-        port, contact_ = ports.ports[ports.ports.size - contacts.shape[0] + row], contacts[row]
+        port, contact_ = ports.ports[elastic.of_row[row]], contacts[row]
         contact_.force = port.force
         contact_.stiffness = contact_.force_by_curvature = 0.0
         if port.force > 0.0:
@@ -401,9 +476,6 @@ def _add_pin(problem: Problem, crank_angle: float, contacts: Rows, row: int, wor
     along = gap_gradient(local)
     at = FIRST_DISC + 3 * local.disc
     by[at], by[at + 1], by[at + 2] = -along.gap_u, -along.gap_v, -along.gap_y
-    curved = contact_.force_by_curvature / contact_.stiffness * contact_.curvature_rate * local.foot
-    bent = ports.curved[k]
-    bent[0], bent[1], bent[2] = curved * along.slide_u, curved * along.slide_v, curved * along.slide_y
     turned, jacobian = contact_stiffness(Carrying(contact_.force, 0.0, 0.0, 0.0, 0.0), local, along), work.jacobian
     jacobian[at, at] += turned.uu
     jacobian[at, at + 1] += turned.uv
@@ -458,7 +530,11 @@ def _turn_joint(assembly: Assembly, number: int, centring: float, work: Work, po
         for i in range(unknowns):
             work.residual[at[i]] += px * by[0, i] + py * by[1, i]
         fx, fy = fx + px, fy + py
-    kxx, kyy, kxy = spring * nx * nx + across * ny * ny, spring * ny * ny + across * nx * nx, (spring - across) * nx * ny
+    kxx, kyy, kxy = (
+        spring * nx * nx + across * ny * ny,
+        spring * ny * ny + across * nx * nx,
+        (spring - across) * nx * ny,
+    )
     for i in range(unknowns):
         kx, ky = kxx * by[0, i] + kxy * by[1, i], kxy * by[0, i] + kyy * by[1, i]
         for j in range(unknowns):
@@ -488,35 +564,30 @@ def add_ports(
     for k in range(n):
         for i in range(residual.size):
             by[k, i] = 0.0
+    for number in range(elastic.first.size):
+        ports.of_joints[number, 0] = ports.of_joints[number, 1] = 0.0
     axes = math.cos(crank_angle / problem.teeth), -math.sin(crank_angle / problem.teeth)
     k = 0
+    # Ports are in the order of discs, so those of a joint follow each other.
+    while k < n:
+        port = ports.ports[ports.active[k]]
+        if port.kind == PIN:
+            _add_pin(problem, crank_angle, contacts, port.joint, work, ports, k)
+            k += 1
+        else:
+            k = _add_joint(assembly, elastic, port.joint, axes, work, ports, k)
     for number in range(elastic.first.size):
         if elastic.count[number] > 0:
-            k = _add_joint(assembly, elastic, number, axes, work, ports, k)
             _turn_joint(assembly, number, centring, work, ports)
-    first_pin = k
-    for k in range(first_pin, n):
-        _add_pin(problem, crank_angle, contacts, ports.ports[ports.active[k]].joint, work, ports, k)
-    forces = ports.forces_by_place
+    if ports.numbers[FRESH] != 0.0:
+        _write_stiffness(ports)
     for k in range(n):
-        force = ports.ports[ports.active[k]].force
+        force = ports.forces[k]
         for i in range(residual.size):
-            forces[k, i] = by[k, i]
             residual[i] += force * by[k, i]
-    _solve_columns(ports, forces)
-    for k in range(n):
-        mine, row = forces[k], by[k]
-        for i in range(residual.size):
-            weight = mine[i]
-            if weight != 0.0:
-                line = work.jacobian[i]
-                for j in range(residual.size):
-                    line[j] += weight * row[j]
-    for k in range(first_pin, n):
-        at, bent = FIRST_DISC + 3 * disc_slice_pin(problem, ports.ports[ports.active[k]].joint)[0], ports.curved[k]
-        for i in range(residual.size):
-            for j in range(3):
-                work.jacobian[i, at + j] += forces[k, i] * bent[j]
+    for i in range(residual.size):
+        for j in range(residual.size):
+            work.jacobian[i, j] += ports.stiffness[i, j]
 
 
 @compiled

@@ -27,7 +27,7 @@ from cycloid_fmu.geometry.profile import arc_parts
 
 Indices = NDArray[np.int64]
 SPREAD = 12  # forces of both components at six places stand for that of a moving port
-_ALONG = np.dtype((np.record, [("value", np.float64, (SPREAD,))]))
+_ALONG = np.dtype((np.record, [("value", np.float64, (SPREAD,)), ("other", np.float64, (SPREAD,))]))
 _ARCS = 256  # pieces of the spline of the arc length over a tooth
 
 
@@ -67,6 +67,8 @@ class Influence(NamedTuple):
         Turning arms, and output rollers, of each disc.
     largest
         Largest compliance of a port by itself, m/N.
+    coupled
+        Whether discs displace each other's ports.
     """
 
     between: Array
@@ -90,6 +92,7 @@ class Influence(NamedTuple):
     arms: int
     rollers: int
     largest: float
+    coupled: bool
 
 
 class Moving(NamedTuple):
@@ -112,7 +115,10 @@ class Moving(NamedTuple):
     direction
         Of the force on the disc, in the disc's axes, and its derivative, shape (slots, 4).
     own
-        What its own compliance has more than that of these forces, m/N, and its derivative, shape (slots, 2).
+        Its own compliance, m/N, and its derivative, shape (slots, 2).
+    loaded, loaded_rate, sums
+        `spread` and `rate` times its force, shape (slots, `SPREAD`), and sums of rows, shape (ports of a disc's arms,):
+        of `rate_of_energy`.
     """
 
     matrix: Array
@@ -125,6 +131,9 @@ class Moving(NamedTuple):
     rate: Array
     direction: Array
     own: Array
+    loaded: Array
+    loaded_rate: Array
+    sums: Array
 
 
 def moving_of(influence: Influence) -> Moving:
@@ -141,6 +150,9 @@ def moving_of(influence: Influence) -> Moving:
         np.zeros((slots, SPREAD)),
         np.zeros((slots, 4)),
         np.zeros((slots, 2)),
+        np.zeros((slots, SPREAD)),
+        np.zeros((slots, SPREAD)),
+        np.zeros(influence.arms * influence.sectors),
     )
 
 
@@ -215,6 +227,10 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
         arms=arms,
         rollers=rollers,
         largest=sum(parts),
+        coupled=any(
+            part is not None
+            for part in (matrices.pin, matrices.ring, matrices.crank, matrices.output_pin, matrices.carrier)
+        ),
     )
 
 
@@ -291,6 +307,35 @@ def _between(block: Array, start: int, spread: Array, start2: int, spread2: Arra
 
 
 @compiled
+def _weigh(block: Array, start: int, weights: Array, at: int, out: Array) -> None:
+    """Write the sum of `SPREAD` rows of a matrix from `start` on, in the columns from `at` on, by their weights."""
+    size = out.size
+    for m in range(size):
+        out[m] = 0.0
+    for a in range(0, SPREAD, 4):
+        w0, w1, w2, w3 = weights[a], weights[a + 1], weights[a + 2], weights[a + 3]
+        l0, l1 = block[start + a, at : at + size], block[start + a + 1, at : at + size]
+        l2, l3 = block[start + a + 2, at : at + size], block[start + a + 3, at : at + size]
+        for m in range(size):
+            out[m] += w0 * l0[m] + w1 * l1[m] + w2 * l2[m] + w3 * l3[m]
+
+
+@compiled
+def dot(one: Array, other: Array) -> float:
+    """Scalar product, in four sums side by side."""
+    whole = one.size - one.size % 4
+    s0 = s1 = s2 = s3 = 0.0
+    for m in range(0, whole, 4):
+        s0 += one[m] * other[m]
+        s1 += one[m + 1] * other[m + 1]
+        s2 += one[m + 2] * other[m + 2]
+        s3 += one[m + 3] * other[m + 3]
+    for m in range(whole, one.size):
+        s0 += one[m] * other[m]
+    return (s0 + s1) + (s2 + s3)
+
+
+@compiled
 def _spread(influence: Influence, moving: Moving, slot: int, disc: int, curve: int, position: float, by: float) -> None:
     """Write the forces that stand for a moving slot's, after its direction; `by` is dposition/dθ, in steps."""
     places = influence.curve_places[disc, curve]
@@ -328,13 +373,6 @@ def _spread(influence: Influence, moving: Moving, slot: int, disc: int, curve: i
             product, product_rate = fy * fy, 2.0 * fy * ry
         own += value * product
         own_rate += slope * by * product + value * product_rate
-    block = influence.between[disc]
-    for a in range(SPREAD):
-        along = 0.0
-        for b in range(SPREAD):
-            along += block[start + a, start + b] * moving.spread[slot, b]
-        own -= moving.spread[slot, a] * along
-        own_rate -= 2.0 * moving.rate[slot, a] * along
     moving.own[slot, 0], moving.own[slot, 1] = own, own_rate
 
 
@@ -464,20 +502,15 @@ def get_known(influence: Influence, moving: Moving, slot: int) -> None:
     if elastic:
         block, fixed = influence.between[disc], influence.arms * influence.sectors
         first, at = influence.arms_slot + disc * fixed, influence.arms_at[disc]
-        for m in range(fixed):
-            row[first + m] = 0.0
-        for a in range(SPREAD):
-            weight = spread[a]
-            line = block[start + a]
-            for m in range(fixed):
-                row[first + m] += weight * line[at + m]
+        _weigh(block, start, spread, at, row[first : first + fixed])
     for i in range(moving.count[0]):
-        other = moving.known[i]
-        value = _of_others(influence, moving, slot, other, crank_angle, False)
-        if elastic and _disc_of(influence, other) == disc:
+        other, value = moving.known[i], 0.0
+        if influence.coupled:
+            value = _of_others(influence, moving, slot, other, crank_angle, False)
+        if other == slot:
+            value += moving.own[slot, 0]
+        elif elastic and _disc_of(influence, other) == disc:
             value += _between(influence.between[disc], start, spread, moving.start[other], moving.spread[other])
-            if other == slot:
-                value += moving.own[slot, 0]
         row[other] = matrix[other, slot] = value
 
 
@@ -513,16 +546,17 @@ def add_rates(influence: Influence, moving: Moving, force: Array, out: Array) ->
                     out[first + m] += line[at + m] * weight
                 out[slot] += rate[a] * along
         for k in range(moving.count[0]):
-            other = moving.known[k]
+            other, value = moving.known[k], 0.0
             if force[other] == 0.0:
                 continue
-            value = _of_others(influence, moving, slot, other, crank_angle, True)
-            if elastic and _disc_of(influence, other) == disc:
+            if influence.coupled:
+                value = _of_others(influence, moving, slot, other, crank_angle, True)
+            if other == slot:
+                value += moving.own[slot, 1]
+            elif elastic and _disc_of(influence, other) == disc:
                 block = influence.between[disc]
                 value += _between(block, start, rate, moving.start[other], moving.spread[other])
                 value += _between(block, start, moving.spread[slot], moving.start[other], moving.rate[other])
-                if other == slot:
-                    value += moving.own[slot, 1]
             out[slot] += value * force[other]
 
 
@@ -536,23 +570,41 @@ def rate_of_energy(influence: Influence, moving: Moving, force: Array) -> float:
         pressed = force[slot]
         if pressed == 0.0:
             continue
-        disc = _disc_of(influence, slot)
-        start, rate, value = moving.start[slot], moving.rate[slot], 0.0
+        for b in range(SPREAD):
+            moving.loaded[slot, b], moving.loaded_rate[slot, b] = (
+                pressed * moving.spread[slot, b],
+                pressed * moving.rate[slot, b],
+            )
+        disc, start = _disc_of(influence, slot), moving.start[slot]
+        total += 0.5 * moving.own[slot, 1] * pressed * pressed
+        if influence.coupled:
+            for k in range(moving.count[0]):
+                other = moving.known[k]
+                between = _of_others(influence, moving, slot, other, crank_angle, True)
+                total += 0.5 * between * force[other] * pressed
         if elastic:
             block, first, at = influence.between[disc], influence.arms_slot + disc * fixed, influence.arms_at[disc]
-            for a in range(SPREAD):
-                line, along = block[start + a], 0.0
-                for m in range(fixed):
-                    along += line[at + m] * force[first + m]
-                value += rate[a] * along
-            value += 0.5 * moving.own[slot, 1] * pressed
-        for k in range(moving.count[0]):
-            other = moving.known[k]
-            if force[other] == 0.0:
-                continue
-            value += 0.5 * _of_others(influence, moving, slot, other, crank_angle, True) * force[other]
-            if elastic and _disc_of(influence, other) == disc:
-                between = _between(influence.between[disc], start, rate, moving.start[other], moving.spread[other])
-                value += between * force[other]
-        total += pressed * value
+            _weigh(block, start, moving.rate[slot], at, moving.sums)
+            total += pressed * dot(moving.sums, force[first : first + fixed])
+            for k in range(i):
+                other = moving.known[k]
+                if force[other] != 0.0 and _disc_of(influence, other) == disc:
+                    total += _rate_between(block, moving, slot, other)
     return total
+
+
+@compiled(inline=True)
+def _rate_between(block: Array, moving: Moving, one: int, other: int) -> float:
+    """Derivative of what two loaded slots displace each other by, times their forces."""
+    start, start2, along = moving.start[one], moving.start[other], on_stack(_ALONG)
+    loaded, rate = moving.loaded[one], moving.loaded_rate[one]
+    for a in range(SPREAD):
+        weight, weight_rate = loaded[a], rate[a]
+        line = block[start + a, start2 : start2 + SPREAD]
+        for b in range(SPREAD):
+            along.value[b] += weight_rate * line[b]
+            along.other[b] += weight * line[b]
+    value, loaded, rate = 0.0, moving.loaded[other], moving.loaded_rate[other]
+    for b in range(SPREAD):
+        value += along.value[b] * loaded[b] + along.other[b] * rate[b]
+    return value
