@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cycloid_fmu.bodies.matrices import BodyMatrices, matrices_of
 from cycloid_fmu.errors.kinds import EACH_SUPPORT
 from cycloid_fmu.geometry import supports as stated
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.bodies.matrices import BodyMatrices, matrices_of
 from cycloid_fmu.supports.bearing import LAW, RIGID, Law, linear, rollers
 from cycloid_fmu.supports.influence import influence_of
 from cycloid_fmu.supports.joints import (

@@ -9,16 +9,23 @@ within that on q: `press` solves the forces at a place, `add_ports` has them in 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.hertz import hertz_approach
-from cycloid_fmu.contact.local_frame import Carrying, contact_stiffness, gap_gradient
+from cycloid_fmu.contact.local_frame import (
+    Carrying,
+    ContactStiffness,
+    GapGradient,
+    contact_stiffness,
+    gap_gradient,
+)
 from cycloid_fmu.contact.rows import disc_slice_pin
-from cycloid_fmu.supports.bearing import push
-from cycloid_fmu.supports.influence import Influence, dot, entry, get_known, rate_of_energy, turn_to
+from cycloid_fmu.supports.bearing import by_clearance, push
+from cycloid_fmu.supports.influence import Influence, add_rates, dot, entry, get_known, rate_of_energy, turn_to
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Displacement, Work, derivatives, displacement, reaction
 from cycloid_fmu.supports.ports import (
     AGE,
@@ -409,7 +416,7 @@ def press(problem: Problem, assembly: Assembly, elastic: Elastic, ports: Ports, 
             goal = _BALANCED if exact else max(_BALANCED, _INEXACT * worst)
         if worst <= goal:
             if not _load_others(problem, assembly, elastic, ports, contacts, listed, stored):
-                solved = _is_factored(ports) and not exact or _factor(ports)
+                solved = (_is_factored(ports) and not exact) or _factor(ports)
                 return (iteration + 1 if solved else 0), math.sqrt(max(elastic.influence.largest * stored, 0.0))
             _gather(elastic, ports, listed)
             stored, worst = _displace(ports)
@@ -629,3 +636,105 @@ def _write_forces(ports: Ports) -> None:
     for k in range(ports.counts[0]):
         port = ports.ports[ports.active[k]]
         ports.of_slots[port.slot] += port.force
+
+
+class Pull(NamedTuple):
+    """A joint whose ports `pull_ports` has pulled, by what may change it."""
+
+    through_bodies: bool  # False, and nothing else, of a joint between rigid bodies
+    x: float  # by a motion of its displacement, 1/m times what the unknowns are given in
+    y: float
+    force_x: float  # its force on its displacement, N
+    force_y: float
+    stiffness: float  # by the logarithm of its law's stiffness
+    clearance: float  # by its diametral clearance
+    play: float  # by a further play
+
+
+@compiled
+def pull_ports(elastic: Elastic | None, ports: Ports | None, by: Array) -> float:
+    """Write the change of all ports' forces by a change of the unknowns; return its work on dC/dθ f at these ports."""
+    if elastic is None:
+        return 0.0
+    for number in range(ports.ports.size):
+        ports.ports[number].pull = 0.0
+    n, right, rates = ports.counts[0], ports.right, ports.rates
+    for k in range(n):
+        right[k] = dot(ports.by_place[k], by)
+    solve_ports(ports, right)
+    _write_forces(ports)
+    for slot in range(rates.size):
+        rates[slot] = 0.0
+    add_rates(elastic.influence, ports.moving, ports.of_slots, rates)
+    work = 0.0
+    for k in range(n):
+        port = ports.ports[ports.active[k]]
+        port.pull = right[k]
+        work += right[k] * rates[port.slot]
+    return work
+
+
+@compiled
+def pressing_of(elastic: Elastic | None, ports: Ports | None, row: int, rigid: float) -> float:
+    """What changes a pin's force times its gap's rate, N: that of rigid bodies, or of the last `pull_ports`."""
+    if elastic is None:
+        return rigid
+    return float(-ports.ports[elastic.of_row[row]].pull)
+
+
+@compiled
+def pin_stiffness(
+    elastic: Elastic | None, contact_: np.record, local: contact.LocalFrame, along: GapGradient
+) -> ContactStiffness:
+    """`contact_stiffness` between rigid bodies, or the part of it that turns the force."""
+    if elastic is None:
+        return contact_stiffness(contact_, local, along)
+    return contact_stiffness(Carrying(contact_.force, 0.0, 0.0, 0.0, 0.0), local, along)
+
+
+@compiled
+def pull_of(
+    assembly: Assembly,
+    elastic: Elastic | None,
+    ports: Ports | None,
+    crank_angle: float,
+    number: int,
+    d: Displacement,
+    along_x: float,
+    along_y: float,
+) -> Pull:
+    """What changes a joint after `pull_ports`; `along` is the change of its displacement by that of the unknowns."""
+    if elastic is None:
+        return Pull(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    joint = assembly.joints[number]
+    c, s = (
+        math.cos(crank_angle * assembly.bodies[int(joint.outer)].rate),
+        math.sin(crank_angle * assembly.bodies[int(joint.outer)].rate),
+    )
+    fx, fy = ports.of_joints[number, 0], ports.of_joints[number, 1]
+    x = y = stiffness = clearance = play = 0.0
+    for i in range(elastic.first[number], elastic.first[number] + elastic.count[number]):
+        port = ports.ports[i]
+        pull, softness = port.pull, port.softness
+        if pull == 0.0:
+            continue
+        ax, ay = d.normal_x, d.normal_y
+        if joint.reach == 0.0:
+            ax, ay = s * port.along_y - c * port.along_x, -s * port.along_x - c * port.along_y
+        x, y = x + pull * ax, y + pull * ay
+        stiffness += pull * softness * port.force
+        clearance += 0.5 * pull
+        play += pull
+    if elastic.count[number] == 2 and joint.reach == 0.0:
+        first, second = ports.ports[elastic.first[number]], ports.ports[elastic.first[number] + 1]
+        stiffness += first.across * (first.pull * second.force + second.pull * first.force)
+        length = math.hypot(first.deflection, second.deflection)
+        law, clearance = assembly.laws[joint.law], 0.0
+        if length > 0.0 and (first.pull != 0.0 or second.pull != 0.0):
+            along = (first.pull * first.deflection + second.pull * second.deflection) / length
+            clearance = -along * by_clearance(law, length) / push(law, length)[1]
+    if joint.reach > 0.0:
+        across = math.hypot(fx, fy) / d.length
+        normal = d.normal_x * along_x + d.normal_y * along_y
+        x, y = x + across * (along_x - normal * d.normal_x), y + across * (along_y - normal * d.normal_y)
+    return Pull(elastic.count[number] > 0, x, y, fx, fy, stiffness, clearance, play)

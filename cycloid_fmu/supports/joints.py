@@ -285,6 +285,26 @@ def eccentric(joint: np.record, work: Work) -> tuple[float, float]:
 
 
 @compiled
+def turning_motion(assembly: Assembly, joint: np.record, d: Displacement, work: Work) -> tuple[float, float]:
+    """Motion of a joint's displacement with the crank at fixed unknowns, m for each radian."""
+    outer, seat, axes = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)], work.axes[int(joint.outer)]
+    ideal, (ex, ey) = joint.eccentricity + joint.reach, eccentric(joint, work)
+    vx = seat.rate * d.inner_y - outer.rate * d.outer_y + ey - ideal * axes[3]
+    vy = outer.rate * d.outer_x - seat.rate * d.inner_x - ex + ideal * axes[2]
+    return vx, vy
+
+
+@compiled
+def turn_levers(assembly: Assembly, joint: np.record, d: Displacement, fx: float, fy: float, by_angle: Array) -> None:
+    """Add the derivatives of the balance's equations by θ because the levers of a joint's force rotate."""
+    outer, seat = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)]
+    if outer.rotation >= 0:
+        by_angle[outer.rotation] -= outer.rate * (fx * d.outer_x + fy * d.outer_y)
+    if seat.rotation >= 0:
+        by_angle[seat.rotation] += seat.rate * (fx * d.inner_x + fy * d.inner_y)
+
+
+@compiled
 def add_turning(
     assembly: Assembly, joint: np.record, d: Displacement, acting: Reaction, work: Work, unknowns: int, by_angle: Array
 ) -> float:
@@ -292,17 +312,10 @@ def add_turning(
 
     `unknowns` is the result of `derivatives`.
     """
-    outer, seat, axes = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)], work.axes[int(joint.outer)]
-    ideal, (ex, ey) = joint.eccentricity + joint.reach, eccentric(joint, work)
-    vx = seat.rate * d.inner_y - outer.rate * d.outer_y + ey - ideal * axes[3]
-    vy = outer.rate * d.outer_x - seat.rate * d.inner_x - ex + ideal * axes[2]
+    vx, vy = turning_motion(assembly, joint, d, work)
     gx, gy = change(d, acting, vx, vy)
     for i in range(unknowns):
         by_angle[work.at[i]] += work.by[0, i] * gx + work.by[1, i] * gy
-    # The lever arms rotate as well.
     fx, fy = acting.force * d.normal_x, acting.force * d.normal_y
-    if outer.rotation >= 0:
-        by_angle[outer.rotation] -= outer.rate * (fx * d.outer_x + fy * d.outer_y)
-    if seat.rotation >= 0:
-        by_angle[seat.rotation] += seat.rate * (fx * d.inner_x + fy * d.inner_y)
+    turn_levers(assembly, joint, d, fx, fy, by_angle)
     return float(fx * vx + fy * vy)

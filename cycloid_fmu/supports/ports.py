@@ -31,6 +31,7 @@ PORT = np.dtype(
                 "force",
                 "softness",  # derivative of the deflection by the force, and that between both components
                 "across",
+                "pull",  # change of the force by that of the unknowns that `pull_ports` was given
             )
         ],
     )
@@ -81,8 +82,8 @@ class Ports(NamedTuple):
     counts
         Numbers of the last three, shape (3,).
     numbers
-        `GATHERED_AT`: crank angle of `between`, rad; `FRESH`: whether `stiffness` is not that of `factor` yet; `AGE`: how
-        often `factor` served; `EXACT`: whether forces are solved to the end, and with a factor of their own.
+        `GATHERED_AT`: crank angle of `between`, rad; `FRESH`: whether `stiffness` is not that of `factor` yet; `AGE`:
+        how often `factor` served; `EXACT`: whether forces are solved to the end, and with a factor of their own.
     begin, end
         First port under load of the block of each, and that after the last, shape (ports,).
     between

@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
+from cycloid_fmu.contact.local_frame import gap_gradient
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CIRCLE_GENERATING,
@@ -20,6 +22,7 @@ from cycloid_fmu.contact.sensitivity import (
 )
 from cycloid_fmu.supports.balance import Load, assemble, solve_transposed
 from cycloid_fmu.supports.bearing import CENTRING, by_clearance
+from cycloid_fmu.supports.elastic import Pull, pin_stiffness, pressing_of, pull_of, pull_ports
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
     Assembly,
@@ -32,7 +35,10 @@ from cycloid_fmu.supports.joints import (
     displacement,
     eccentric,
     reaction,
+    turn_levers,
+    turning_motion,
 )
+from cycloid_fmu.supports.ports import has_ports
 
 PARAMETERS = (
     "outer_x",
@@ -72,7 +78,9 @@ class Derivatives(NamedTuple):
 
 
 @compiled
-def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, out: Array) -> float:
+def _add_mesh(
+    problem: Problem, assembly: Assembly, crank_angle: float, contacts: Rows, work: Work, out: Array
+) -> float:
     """Subtract λ·∂r/∂p for the displacements of pins and flanks; return λ·∂r/∂θ."""
     row, turning = work.step, 0.0
     teeth = problem.teeth
@@ -88,24 +96,31 @@ def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, 
         local = contact.local_frame(problem, crank_angle, work.place[0], contacts, number)
         disc, pin = local.disc, local.pin
         along = gap_gradient(local)
-        stiffness = contact_stiffness(contact_, local, along)
+        stiffness = pin_stiffness(assembly.elastic, contact_, local, along)
         at = FIRST_DISC + 3 * disc
         lu, lv, ly = row[at], row[at + 1], row[at + 2]
         # Projection of λ on the gap and on the pin's sliding along the flank.
         closing = lu * along.gap_u + lv * along.gap_v + ly * along.gap_y
         sliding = lu * along.slide_u + lv * along.slide_v + ly * along.slide_y
+        pressing = pressing_of(assembly.elastic, work.ports, number, contact_.stiffness * closing)
         # Rotating or shifting a flank is rotating or shifting the disc, λ·∂r/∂(u, v, y) of this contact; shifting a pin
         # is shifting the disc back.
         by_u = lu * stiffness.uu + lv * stiffness.vu + ly * stiffness.yu
         by_v = lu * stiffness.uv + lv * stiffness.vv + ly * stiffness.yv
         by_y = lu * stiffness.uy + lv * stiffness.vy + ly * stiffness.yy
+        if assembly.elastic is not None:
+            by_u += pressing * along.gap_u
+            by_v += pressing * along.gap_v
+            by_y += pressing * along.gap_y
         c, s = math.cos(local.direction), math.sin(local.direction)
         out[radial + pin] += c * by_u + s * by_v
         out[tangential + pin] += -s * by_u + c * by_v
-        out[radius + pin] += contact_.stiffness * closing
-        out[PIN_GENERATING] -= contact_.stiffness * closing
+        out[radius + pin] += pressing
+        out[PIN_GENERATING] -= pressing
         distance = contact_.gap + problem.pin_radius[pin] - problem.generating_radius
         pressed, turned = larger_circle(problem, contact_, distance, local)
+        if assembly.elastic is not None:
+            pressed, closing = pressed / contact_.stiffness, pressing
         out[CIRCLE_GENERATING] += pressed * closing + force * turned * sliding
         out[pitch + disc * teeth + local.tooth] -= by_y
         turning += -e * local.crank_y * by_u + e * local.crank_x * by_v - by_y / teeth
@@ -113,45 +128,71 @@ def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, 
 
 
 @compiled
-def _by_place(d: Displacement, acting: Reaction, ux: float, uy: float, lx: float, ly: float, turn: float) -> float:
+def _by_place(
+    d: Displacement, acting: Reaction, pull: Pull, ux: float, uy: float, lx: float, ly: float, turn: float
+) -> float:
     """λ·∂r for a motion of the outer body's place along u; `turn` is λ for its rotation."""
+    if pull.through_bodies:
+        return pull.x * ux + pull.y * uy + (pull.force_y * ux - pull.force_x * uy) * turn
     gx, gy = change(d, acting, ux, uy)
     return gx * lx + gy * ly + acting.force * (d.normal_y * ux - d.normal_x * uy) * turn
 
 
 @compiled
-def _add_joints(assembly: Assembly, work: Work, by_joint: Array) -> None:
-    """Subtract λ·∂r/∂p for the parameters of each joint, and add ∂r/∂θ to `work.residual`."""
-    row, at, by = work.step, work.at, work.by
+def _turn_pulled(assembly: Assembly, joint: np.record, d: Displacement, pull: Pull, work: Work) -> float:
+    """λ·∂r/∂θ of a joint through elastic bodies but for its levers, and add these to `work.residual`."""
+    vx, vy = turning_motion(assembly, joint, d, work)
+    turn_levers(assembly, joint, d, pull.force_x, pull.force_y, work.residual)
+    return float(pull.x * vx + pull.y * vy)
+
+
+@compiled
+def _add_joints(assembly: Assembly, crank_angle: float, work: Work, by_joint: Array) -> float:
+    """Subtract λ·∂r/∂p for the parameters of each joint; return λ·∂r/∂θ, without what is added to `work.residual`."""
+    row, at, by, turning = work.step, work.at, work.by, 0.0
     for number in range(assembly.joints.size):
         joint, out = assembly.joints[number], by_joint[number]
         d = displacement(assembly, joint, work)
         acting = reaction(assembly, joint, d, 0.0)
-        if acting.stiffness == 0.0:
+        if acting.stiffness == 0.0 and not has_ports(assembly.elastic, number):
             continue
         unknowns = derivatives(assembly, joint, d, work)
-        add_turning(assembly, joint, d, acting, work, unknowns, work.residual)
         lx = ly = 0.0  # λ·∂d/∂q
         for i in range(unknowns):
             lx += by[0, i] * row[at[i]]
             ly += by[1, i] * row[at[i]]
+        pull = pull_of(assembly, assembly.elastic, work.ports, crank_angle, number, d, lx, ly)
+        if pull.through_bodies:
+            turning += _turn_pulled(assembly, joint, d, pull, work)
+            if joint.reach == 0.0:
+                # The axes turn in which bearings press.
+                rate = assembly.bodies[int(joint.outer)].rate
+                turning += rate * (pull.force_x * ly - pull.force_y * lx)
+                turning += rate * d.length * (pull.x * d.normal_y - pull.y * d.normal_x)
+        else:
+            add_turning(assembly, joint, d, acting, work, unknowns, work.residual)
         outer, seat = assembly.bodies[int(joint.outer)].rotation, assembly.bodies[int(joint.seat)].rotation
         turned, carried = row[outer] if outer >= 0 else 0.0, row[seat] if seat >= 0 else 0.0
         c, s = work.axes[int(joint.outer), 0], work.axes[int(joint.outer), 1]
-        out[OUTER] -= _by_place(d, acting, c, s, lx, ly, turned)
-        out[OUTER + 1] -= _by_place(d, acting, -s, c, lx, ly, turned)
+        out[OUTER] -= _by_place(d, acting, pull, c, s, lx, ly, turned)
+        out[OUTER + 1] -= _by_place(d, acting, pull, -s, c, lx, ly, turned)
         c, s = work.axes[int(joint.seat), 0], work.axes[int(joint.seat), 1]
-        out[INNER] += _by_place(d, acting, c, s, lx, ly, carried)
-        out[INNER + 1] += _by_place(d, acting, -s, c, lx, ly, carried)
+        out[INNER] += _by_place(d, acting, pull, c, s, lx, ly, carried)
+        out[INNER + 1] += _by_place(d, acting, pull, -s, c, lx, ly, carried)
         if joint.eccentricity > 0.0:
             ex, ey = eccentric(joint, work)
-            out[THROW] += _by_place(d, acting, ex, ey, lx, ly, 0.0) / math.hypot(ex, ey)
-            out[PHASE] += _by_place(d, acting, -ey, ex, lx, ly, 0.0)
-        if d.length > 0.0:
+            out[THROW] += _by_place(d, acting, pull, ex, ey, lx, ly, 0.0) / math.hypot(ex, ey)
+            out[PHASE] += _by_place(d, acting, pull, -ey, ex, lx, ly, 0.0)
+        if pull.through_bodies:
+            out[PLAY] += pull.play
+            out[STIFFNESS] -= pull.stiffness
+            out[CLEARANCE] += pull.clearance
+        elif d.length > 0.0:
             along = d.normal_x * lx + d.normal_y * ly
             out[PLAY] += acting.stiffness * along
             out[STIFFNESS] -= acting.force * along
             out[CLEARANCE] -= by_clearance(assembly.laws[joint.law], d.excess - joint.play) * along
+    return turning
 
 
 @compiled
@@ -184,10 +225,11 @@ def sweep_supported_sensitivities(
         if not solve_transposed(problem, assembly, work, work.step, 0.0):
             return False
         results.by_torque[i] = work.step[0]  # of λ, which is now in `step`
-        turning = _add_mesh(problem, crank_angles[i], contacts, work, results.by_displacement[i])
+        turning = -pull_ports(assembly.elastic, work.ports, work.step)
+        turning += _add_mesh(problem, assembly, crank_angles[i], contacts, work, results.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0
-        _add_joints(assembly, work, results.by_joint[i])
+        turning += _add_joints(assembly, crank_angles[i], work, results.by_joint[i])
         for k in range(work.residual.size):
             turning += work.step[k] * work.residual[k]
         results.by_angle[i] = -turning
