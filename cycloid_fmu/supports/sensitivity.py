@@ -109,9 +109,10 @@ def _add_mesh(
         by_v = lu * stiffness.uv + lv * stiffness.vv + ly * stiffness.yv
         by_y = lu * stiffness.uy + lv * stiffness.vy + ly * stiffness.yy
         if assembly.elastic is not None:
-            by_u += pressing * along.gap_u
-            by_v += pressing * along.gap_v
-            by_y += pressing * along.gap_y
+            curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot / contact_.stiffness
+            by_u += pressing * (along.gap_u - curved * along.slide_u)
+            by_v += pressing * (along.gap_v - curved * along.slide_v)
+            by_y += pressing * (along.gap_y - curved * along.slide_y)
         c, s = math.cos(local.direction), math.sin(local.direction)
         out[radial + pin] += c * by_u + s * by_v
         out[tangential + pin] += -s * by_u + c * by_v
