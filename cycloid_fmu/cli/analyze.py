@@ -123,6 +123,9 @@ def analyze(
                 plots.save(plots.plot_lines(data), plot.with_stem(f"{plot.stem}-lines"))
         if as_json:
             arrays = {str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}
+            if "compliance" in arrays:
+                parts = arrays.pop("body")
+                arrays["compliance"] = {part: arrays["compliance"][..., k] for k, part in enumerate(parts)}
             commands.print_json(arrays | ({} if judged is None else judged.numbers()))
     if not as_json:
         held = "" if drive.first_stage is None else f", ratio {drive.ratio:g}, sun locked"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cycloid_fmu import edge
 from cycloid_fmu.bodies.matrices import BodyMatrices, matrices_of
 from cycloid_fmu.errors.kinds import EACH_SUPPORT
 from cycloid_fmu.geometry import supports as stated
@@ -191,6 +192,22 @@ def joint_list(
     return Assembly(bodies, joints, laws, pair.pin_circle_radius, balanced, elastic)
 
 
+def is_elastic(pair: Pair) -> bool:
+    """Whether a pair has elastic bodies, or half-shell seats, which are solved with them."""
+    supports = pair.supports
+    return supports is not None and (pair.bodies is not None or supports.pin_seat.kind is not None)
+
+
+def check_rigid(pair: Pair, what: str) -> None:
+    """Raise an `edge.InputError` if a pair has elastic bodies, which a computation does not take into account."""
+    if is_elastic(pair):
+        stated = "[bodies]" if pair.bodies is not None else '[supports.pin_seat] kind = "half_shell"'
+        raise edge.InputError(
+            f"the pair states {stated}, which {what} does not take into account yet; remove it to compute with rigid "
+            "bodies and linear seats."
+        )
+
+
 @functools.lru_cache(maxsize=64)
 def as_drawn(pair: Pair) -> Pair:
     """Return what the elastic bodies of a pair depend on: it, without errors, temperatures, losses and modification."""
@@ -204,7 +221,7 @@ def elastic_of(pair: Pair) -> Elastic | None:
     assert supports is not None
     bodies = pair.bodies
     seat = supports.pin_seat
-    if bodies is None and seat.kind is None:
+    if not is_elastic(pair):
         return None
     matrices = BodyMatrices() if bodies is None else matrices_of(pair, bodies)
     influence = influence_of(pair, matrices)

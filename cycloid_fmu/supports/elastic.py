@@ -25,8 +25,26 @@ from cycloid_fmu.contact.local_frame import (
 )
 from cycloid_fmu.contact.rows import disc_slice_pin
 from cycloid_fmu.supports.bearing import by_clearance, push
-from cycloid_fmu.supports.influence import Influence, add_rates, dot, entry, get_known, rate_of_energy, turn_to
-from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Displacement, Work, derivatives, displacement, reaction
+from cycloid_fmu.supports.influence import (
+    Influence,
+    add_rates,
+    dot,
+    entry,
+    get_known,
+    rate_of_energy,
+    turn_to,
+    write_shares,
+)
+from cycloid_fmu.supports.joints import (
+    FIRST_DISC,
+    Assembly,
+    Displacement,
+    Work,
+    change,
+    derivatives,
+    displacement,
+    reaction,
+)
 from cycloid_fmu.supports.ports import (
     AGE,
     ALONG_X,
@@ -738,3 +756,49 @@ def pull_of(
         normal = d.normal_x * along_x + d.normal_y * along_y
         x, y = x + across * (along_x - normal * d.normal_x), y + across * (along_y - normal * d.normal_y)
     return Pull(elastic.count[number] > 0, x, y, fx, fy, stiffness, clearance, play)
+
+
+@compiled
+def share_compliance(
+    assembly: Assembly, elastic: Elastic | None, ports: Ports | None, work: Work, by_torque: Array, out: Array
+) -> None:
+    """Write the shares of `PARTS` in the compliance dx/dT at a solved place, rad/(N·m).
+
+    The shares are f'ᵀC_B f' of bodies and f'ᵀD⁻¹f' of laws, f' the change of all forces with the torque.
+
+    Parameters
+    ----------
+    by_torque
+        Change of the unknowns with the torque, shape (unknowns,).
+    out
+        Overwritten, shape (parts,); of a drive whose bodies are rigid shape (0,), and left.
+    """
+    if elastic is None:
+        return
+    for part in range(out.size):
+        out[part] = 0.0
+    pull_ports(elastic, ports, by_torque)
+    for slot in range(ports.of_slots.size):
+        ports.of_slots[slot] = 0.0
+    for k in range(ports.counts[0]):
+        port = ports.ports[ports.active[k]]
+        ports.of_slots[port.slot] += port.pull
+        share = port.pull * port.pull * port.softness
+        if port.kind == ALONG_X:
+            share += 2.0 * port.pull * ports.ports[ports.active[k] + 1].pull * port.across
+        out[0 if port.kind == PIN else 1 + port.law] += share
+    laws = assembly.laws.size
+    write_shares(elastic.influence, ports.moving, ports.of_slots, out[1 + laws :])
+    for number in range(assembly.joints.size):
+        if elastic.count[number] > 0:
+            continue
+        joint = assembly.joints[number]
+        d = displacement(assembly, joint, work)
+        acting = reaction(assembly, joint, d, 0.0)
+        unknowns, at, by = derivatives(assembly, joint, d, work), work.at, work.by
+        lx = ly = 0.0
+        for i in range(unknowns):
+            lx += by[0, i] * by_torque[at[i]]
+            ly += by[1, i] * by_torque[at[i]]
+        gx, gy = change(d, acting, lx, ly)
+        out[1 + joint.law] += gx * lx + gy * ly

@@ -53,6 +53,8 @@ class Influence(NamedTuple):
         Angle of each disc's tooth 0 from its x-axis, rad.
     fixed
         Between all slots, what does not depend on the crank angle, shape (slots, slots).
+    of_arms
+        The part of it that cranks have, shape (ports of turning arms, ports of turning arms); size 0 if they are rigid.
     pin, output_pin
         Between the discs, shape (discs, discs); size 0 if they are rigid.
     ring
@@ -80,6 +82,7 @@ class Influence(NamedTuple):
     arc: Array
     clocking: Array
     fixed: Array
+    of_arms: Array
     pin: Array
     output_pin: Array
     ring: Array
@@ -189,14 +192,17 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
             own[j, curve, : len(cubics)] = cubics
         first, held = arms_slot + j * arms * sectors, slice(disc.arms_at, disc.arms_at + arms * sectors)
         fixed[first : first + arms * sectors, first : first + arms * sectors] = disc.between[held, held]
+    by_cranks = np.zeros((0, 0))
     if matrices.crank is not None:
         angle = 2.0 * np.pi * np.arange(sectors) / (sectors if by_sector else 4)
         along = np.column_stack([np.cos(angle), np.sin(angle)])
-        of_arms = arms_slot + np.arange(pair.discs * arms * sectors).reshape(pair.discs, arms, sectors)
+        of_arms = np.arange(pair.discs * arms * sectors).reshape(pair.discs, arms, sectors)
+        by_cranks = np.zeros((of_arms.size, of_arms.size))
         for j in range(pair.discs):
             for k in range(pair.discs):
                 for arm in range(arms):
-                    fixed[np.ix_(of_arms[j, arm], of_arms[k, arm])] += matrices.crank[j, k] * along @ along.T
+                    by_cranks[np.ix_(of_arms[j, arm], of_arms[k, arm])] = matrices.crank[j, k] * along @ along.T
+        fixed[arms_slot:rollers_slot, arms_slot:rollers_slot] += by_cranks
     if matrices.carrier is not None:
         fixed[-2 * arms :, -2 * arms :] = matrices.carrier
     empty = np.zeros((0, 0))
@@ -215,6 +221,7 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
         arc=_arc_over_tooth(pair),
         clocking=np.array([clocking(pair, disc) for disc in range(pair.discs)]),
         fixed=fixed,
+        of_arms=by_cranks,
         pin=empty if matrices.pin is None else matrices.pin,
         output_pin=empty.copy() if matrices.output_pin is None else matrices.output_pin,
         ring=empty.copy() if matrices.ring is None else np.ascontiguousarray(matrices.ring),
@@ -430,15 +437,24 @@ def _disc_of(influence: Influence, slot: int) -> int:
 @compiled
 def _of_others(influence: Influence, moving: Moving, one: int, other: int, crank_angle: float, rate: bool) -> float:
     """Influence between two moving slots by other bodies than a disc, m/N, or its derivative by the crank angle."""
+    of_pin, of_ring, of_output_pin = parts_of_others(influence, moving, one, other, crank_angle, rate)
+    return of_pin + of_ring + of_output_pin
+
+
+@compiled
+def parts_of_others(
+    influence: Influence, moving: Moving, one: int, other: int, crank_angle: float, rate: bool
+) -> tuple[float, float, float]:
+    """Influence between two moving slots by pins, ring and output pins, or its derivative by the crank angle."""
     first, second = moving.direction[one], moving.direction[other]
     if one < influence.arms_slot and other < influence.arms_slot:
-        pins, value = influence.teeth + 1, 0.0
+        pins, value, of_pin = influence.teeth + 1, 0.0, 0.0
         pin, pin2 = one % pins, other % pins
         if influence.pin.size > 0 and pin == pin2:
             cosine = first[0] * second[0] + first[1] * second[1]
             if rate:
                 cosine = first[2] * second[0] + first[3] * second[1] + first[0] * second[2] + first[1] * second[3]
-            value += influence.pin[one // pins, other // pins] * cosine
+            of_pin = influence.pin[one // pins, other // pins] * cosine
         if influence.ring.size > 0:
             gamma = -crank_angle / influence.teeth
             c, s = math.cos(gamma), math.sin(gamma)
@@ -460,15 +476,15 @@ def _of_others(influence: Influence, moving: Moving, one: int, other: int, crank
             else:
                 value += ax * (seats[at, at2] * bx + seats[at, at2 + 1] * by)
                 value += ay * (seats[at + 1, at2] * bx + seats[at + 1, at2 + 1] * by)
-        return value
+        return of_pin, value, 0.0
     if one >= influence.rollers_slot and other >= influence.rollers_slot and influence.output_pin.size > 0:
         at, at2 = one - influence.rollers_slot, other - influence.rollers_slot
         if not rate and at % influence.rollers == at2 % influence.rollers:
             disc, disc2 = at // influence.rollers, at2 // influence.rollers
             # The angle between two eccentrics.
             cosine = math.cos(2.0 * math.pi * (disc - disc2) / influence.clocking.size)
-            return influence.output_pin[disc, disc2] * cosine
-    return 0.0
+            return 0.0, 0.0, influence.output_pin[disc, disc2] * cosine
+    return 0.0, 0.0, 0.0
 
 
 @compiled
@@ -608,3 +624,33 @@ def _rate_between(block: Array, moving: Moving, one: int, other: int) -> float:
     for b in range(SPREAD):
         value += along.value[b] * loaded[b] + along.other[b] * rate[b]
     return value
+
+
+@compiled
+def write_shares(influence: Influence, moving: Moving, force: Array, out: Array) -> None:
+    """Write fᵀC_B f of disc, pin, ring, crank, output pin and carrier, N·m; `force` as in `add_rates`."""
+    for part in range(out.size):
+        out[part] = 0.0
+    first, last, whole = influence.arms_slot, influence.rollers_slot, 0.0
+    for i in range(moving.count[0]):
+        slot = moving.known[i]
+        if force[slot] == 0.0:
+            continue
+        row = moving.matrix[slot]
+        for k in range(moving.count[0]):
+            other = moving.known[k]
+            product = force[slot] * force[other]
+            if product != 0.0:
+                of_pin, of_ring, of_output_pin = parts_of_others(influence, moving, slot, other, moving.angle[0], False)
+                whole += product * row[other]
+                out[1], out[2] = out[1] + product * of_pin, out[2] + product * of_ring
+                out[4] += product * of_output_pin
+        whole += 2.0 * force[slot] * dot(row[first:last], force[first:last])
+    for slot in range(first, last):
+        if force[slot] != 0.0:
+            whole += force[slot] * dot(influence.fixed[slot, first:last], force[first:last])
+            if influence.of_arms.size > 0:
+                out[3] += force[slot] * dot(influence.of_arms[slot - first], force[first:last])
+    for slot in range(len(influence.fixed) - 2 * influence.arms, len(influence.fixed)):
+        out[5] += force[slot] * dot(influence.fixed[slot], force)
+    out[0] = whole - out[1] - out[2] - out[3] - out[4]

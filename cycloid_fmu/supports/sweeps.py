@@ -13,12 +13,15 @@ from cycloid_fmu.contact import Array, Problem, compiled
 from cycloid_fmu.contact.load_sharing import write_contact_lines
 from cycloid_fmu.supports.balance import NEIGHBOUR, Load, settle, torsional_stiffness
 from cycloid_fmu.supports.bearing import CENTRING
-from cycloid_fmu.supports.elastic import joint_force, torque_of_bodies
+from cycloid_fmu.supports.elastic import joint_force, share_compliance, torque_of_bodies
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, displacement, eccentric
 
 
 class Found(NamedTuple):
-    """Results of a sweep, SI; the first axis is the crank angle. `force` is of each joint, shape (angles, joints)."""
+    """Results of a sweep, SI; the first axis is the crank angle. `force` is of each joint, shape (angles, joints).
+
+    `compliance` has the shares of parts, shape (angles, parts), with no parts if all bodies are rigid.
+    """
 
     steps: NDArray[np.int64]
     place: Array
@@ -29,6 +32,7 @@ class Found(NamedTuple):
     pin_force: Array
     pin_pressure: Array
     force: Array
+    compliance: Array
 
 
 @compiled
@@ -70,6 +74,7 @@ def sweep_supported(
         for k in range(q.size):
             results.place[i, k] = q[k]
         results.stiffness[i] = torsional_stiffness(problem, assembly, work)
+        share_compliance(assembly, assembly.elastic, work.ports, work, work.step, results.compliance[i])
         results.crank_torque[i] = _forces(problem, assembly, work, results.force[i])
         count, pressure = contact.load_sharing(problem, contacts, results.pin_force[i], results.pin_pressure[i])
         results.contact_count[i], results.max_contact_pressure[i] = count, pressure
