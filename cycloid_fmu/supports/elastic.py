@@ -363,7 +363,7 @@ def _load_others(
         port = ports.ports[number]
         if port.kind == ALONG_Y or _is_active(ports, number):
             continue
-        if port.kind < ALONG_X and port.approach < -bound:
+        if port.kind <= ROLLER and port.approach < -bound:
             continue
         displaced = across = 0.0
         if influence.arms_slot <= port.slot < influence.rollers_slot:

@@ -68,7 +68,7 @@ class Influence(NamedTuple):
     arms, rollers
         Turning arms, and output rollers, of each disc.
     largest
-        Largest compliance of a port by itself, m/N.
+        Largest compliance of a moving slot by itself, or somewhat more, m/N.
     coupled
         Whether discs displace each other's ports.
     """
@@ -207,9 +207,9 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
         fixed[-2 * arms :, -2 * arms :] = matrices.carrier
     empty = np.zeros((0, 0))
     own_places = max((float(disc.largest) for disc in discs), default=0.0)
-    parts = [own_places, float(fixed.diagonal().max())]
+    parts = [own_places]
     parts += [float(np.abs(part).max()) for part in (matrices.pin, matrices.output_pin) if part is not None]
-    parts += [float(np.abs(matrices.ring.diagonal()).max())] if matrices.ring is not None else []
+    parts += [2.0 * float(np.abs(matrices.ring.diagonal()).max())] if matrices.ring is not None else []
     shape = (len(discs), curves)
     return Influence(
         between=between,
@@ -272,7 +272,7 @@ def _ports_of(disc: DiscInfluence, arms: str) -> _DiscPorts:
         [curve.first for curve in curves],
         np.array([len(curve.ports) for curve in curves]),
         size,
-        max(float(np.abs(curve.own).max()) for curve in curves) * 1.5,
+        1.1 * max(float(np.linalg.norm(curve.own, 2, axis=(1, 2)).max()) for curve in curves),
     )
 
 
