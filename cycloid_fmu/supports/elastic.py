@@ -16,13 +16,7 @@ import numpy as np
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.hertz import hertz_approach
-from cycloid_fmu.contact.local_frame import (
-    Carrying,
-    ContactStiffness,
-    GapGradient,
-    contact_stiffness,
-    gap_gradient,
-)
+from cycloid_fmu.contact.local_frame import gap_gradient, turning_stiffness
 from cycloid_fmu.contact.rows import disc_slice_pin
 from cycloid_fmu.supports.bearing import by_clearance, push
 from cycloid_fmu.supports.influence import (
@@ -499,18 +493,11 @@ def _add_pin(problem: Problem, crank_angle: float, contacts: Rows, row: int, wor
     contact_, by = contacts[row], ports.by_place[k]
     local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
     along = gap_gradient(local)
-    at = FIRST_DISC + 3 * local.disc
-    by[at], by[at + 1], by[at + 2] = -along.gap_u, -along.gap_v, -along.gap_y
-    turned, jacobian = contact_stiffness(Carrying(contact_.force, 0.0, 0.0, 0.0, 0.0), local, along), work.jacobian
-    jacobian[at, at] += turned.uu
-    jacobian[at, at + 1] += turned.uv
-    jacobian[at, at + 2] += turned.uy
-    jacobian[at + 1, at] += turned.vu
-    jacobian[at + 1, at + 1] += turned.vv
-    jacobian[at + 1, at + 2] += turned.vy
-    jacobian[at + 2, at] += turned.yu
-    jacobian[at + 2, at + 1] += turned.yv
-    jacobian[at + 2, at + 2] += turned.yy
+    at, turning = FIRST_DISC + 3 * local.disc, turning_stiffness(contact_.force, local, along)
+    for i in range(3):
+        by[at + i] = -along.gap[i]
+        for j in range(3):
+            work.jacobian[at + i, at + j] += turning[i][j]
 
 
 @compiled
@@ -693,21 +680,11 @@ def pull_ports(elastic: Elastic | None, ports: Ports | None, by: Array) -> float
 
 
 @compiled
-def pressing_of(elastic: Elastic | None, ports: Ports | None, row: int, rigid: float) -> float:
-    """What changes a pin's force times its gap's rate, N: that of rigid bodies, or of the last `pull_ports`."""
+def closing_of(elastic: Elastic | None, ports: Ports | None, row: int, stiffness: float, rigid: float) -> float:
+    """By how much a pin's gap closes for the change of its force: between rigid bodies, or in the last `pull_ports`."""
     if elastic is None:
         return rigid
-    return float(-ports.ports[elastic.of_row[row]].pull)
-
-
-@compiled
-def pin_stiffness(
-    elastic: Elastic | None, contact_: np.record, local: contact.LocalFrame, along: GapGradient
-) -> ContactStiffness:
-    """`contact_stiffness` between rigid bodies, or the part of it that turns the force."""
-    if elastic is None:
-        return contact_stiffness(contact_, local, along)
-    return contact_stiffness(Carrying(contact_.force, 0.0, 0.0, 0.0, 0.0), local, along)
+    return float(-ports.ports[elastic.of_row[row]].pull / stiffness)
 
 
 @compiled
