@@ -184,19 +184,11 @@ def test_sensitivities_are_differences(pair):
     drive = DriveValue.as_stated(pair)
     found, layout = sensitivity(drive, 20.0, ANGLES), displacement_layout(pair)
     step = 2e-8
-
-    def difference(key, values):
-        ends = [deviation(pair.replace(errors={key: sign * step * values})) for sign in (1.0, -1.0)]
-        return (ends[0] - ends[1]) / (2.0 * step)
-
     for pin in (1, 4, 8):
-        one = np.eye(pair.pins)[pin]
         for key in ("pin_radial", "pin_tangential"):
             column = found.by_displacement[:, layout[key].start + pin]
-            ends = [
-                deviation(pair.replace(errors={key: [f"{sign * step!r} m" for sign in way * one]}))
-                for way in (1.0, -1.0)
-            ]
+            moved = [step if number == pin else 0.0 for number in range(pair.pins)]
+            ends = [deviation(pair.replace(errors={key: [way * each for each in moved]})) for way in (1.0, -1.0)]
             assert (ends[0] - ends[1]) / (2.0 * step) == pytest.approx(column, abs=2e-3 + 1e-3 * np.abs(column).max())
     low, high = (deviation(pair, angles=ANGLES + way * 1e-4) for way in (-1.0, 1.0))
     assert (high - low) / 2e-4 == pytest.approx(found.by_crank_angle, abs=2e-7)
