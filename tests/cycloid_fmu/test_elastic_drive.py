@@ -9,7 +9,7 @@ from test_bodies import CASES, SMALL
 
 import cycloid_fmu as cy
 from cycloid_fmu.analysis import sensitivity, solve
-from cycloid_fmu.bodies.matrices import BodyMatrices
+from cycloid_fmu.bodies.matrices import BodyMatrices, matrices_of
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.supports.transmission import LAWS, PARTS
@@ -115,6 +115,21 @@ def test_half_shell_seats_agree_with_a_second_computation():
         assert found.pin_force[0, number] == pytest.approx(other.pin_force, rel=1e-5, abs=1e-3)
 
 
+@pytest.mark.parametrize("pair", [ELASTIC, SOFT_CRANKS], ids=["output_rollers", "cranks"])
+def test_a_drive_agrees_with_a_second_computation(pair):
+    """All ports in plain NumPy; of rigid discs their 48 sectors are the bearings' continuum within 0.01″."""
+    matrices, found = matrices_of(pair, pair.bodies), solved(pair)
+    for number, angle in enumerate(ANGLES):
+        other = elastic_equilibrium.Drive(pair, matrices, angle).solution(20.0)
+        assert found.transmission_error[0, number] == pytest.approx(other.x, abs=0.01 / cy.ARCSEC)
+        assert found.torsional_stiffness[0, number] == pytest.approx(other.stiffness, rel=2e-3)
+        assert np.abs(found.pin_force[0, number] - other.pin_force).max() < 1e-3 * other.pin_force.max()
+        assert found.crank_torque[0, number] == pytest.approx(other.crank_torque, abs=1e-4 * 20.0 / pair.gear_teeth)
+        for part, name in enumerate(PARTS):
+            share = other.compliance.get(name, 0.0)
+            assert found.compliance[0, number, part] == pytest.approx(share, abs=2e-3 / other.stiffness), name
+
+
 # --- limits ---
 
 
@@ -134,14 +149,6 @@ def test_bodies_without_compliance_are_rigid_bodies():
         assert elastic.transmission_error == pytest.approx(rigid.transmission_error, abs=1e-6 / cy.ARCSEC)
         assert elastic.pin_force == pytest.approx(rigid.pin_force, abs=1e-3)
         assert elastic.crank_torque == pytest.approx(rigid.crank_torque, abs=1e-6)
-
-
-def test_a_stiff_disc_keeps_what_is_its_contacts():
-    """With a modulus 1e4 times that of the law the patch's length in the logarithm is all that changes: 0.05″."""
-    stiff = PAIR.replace(bodies={"disc": {**DISC, "youngs_modulus": "2.06e6 GPa"}})
-    soft = PAIR.replace(bodies={"disc": DISC})
-    rigid, changed = deviation(PAIR), deviation(soft)
-    assert np.abs(deviation(stiff) - rigid).max() < 0.1 * np.abs(changed - rigid).max()
 
 
 @pytest.mark.parametrize("pair", [ELASTIC, SOFT_CRANKS], ids=["output_rollers", "cranks"])
