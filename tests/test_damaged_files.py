@@ -22,7 +22,6 @@ from pyarrow import parquet
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
-from cycloid_fmu.bodies.files import read_bodies
 from cycloid_fmu.bodies.given import read_influence, write_influence
 from cycloid_fmu.bodies.outline import windows
 from cycloid_fmu.bodies.ports import PortMatrix
@@ -389,7 +388,7 @@ READERS = {
         text_file("l.csv", "speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m]\n0,.9,.8,.1,.2\n9,1,1,0,0"),
         read_losses,
     ),
-    "bodies": (text_file("bodies.toml", BODIES), read_bodies),
+    "bodies": (text_file("bodies.toml", BODIES), cy.read_drive),
     "influence": (influence, lambda path: read_influence(path, 1e-3)),
     "influence as CSV": (text_file("ring.csv", INFLUENCE), lambda path: read_influence(path, 1e-3)),
     "DXF": (dxf, lambda path: windows(DiscBody(bore_radius="9 mm", windows=[{**SLOT, "dxf": str(path)}]))),

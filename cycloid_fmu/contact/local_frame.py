@@ -168,8 +168,16 @@ def projection(weights: Vector, along: Vector) -> float:
 @compiled
 def projected_stiffness(contact: np.record, local: LocalFrame, along: GapGradient, weights: Vector) -> Vector:
     """Weighted sum of the rows of `contact_stiffness`: how a combination of the forces changes with the position."""
+    return stiffness_along(contact, local, along, weights, projection(weights, along.gap))
+
+
+@compiled
+def stiffness_along(
+    contact: np.record, local: LocalFrame, along: GapGradient, weights: Vector, closing: float
+) -> Vector:
+    """Do as `projected_stiffness`, with the change of the force's combination for each N that the contact presses."""
     fu, fv, fy = force_fall(contact, local, along)
-    closing, sliding = projection(weights, along.gap), projection(weights, along.slide)
+    sliding = projection(weights, along.slide)
     (su, sv, sy), turned = along.slide, local.bend * sliding + weights[2]
     force = contact.force
     return (

@@ -39,7 +39,7 @@ from cycloid_fmu.supports.joints import (
     displacement,
     eccentric,
     reaction,
-    turned_displacement,
+    turning_motion,
 )
 from cycloid_fmu.supports.sensitivity import (
     CLEARANCE,
@@ -149,7 +149,7 @@ def _add_joints(
         out[PLAY] += k * pressed
         out[STIFFNESS] -= acting.force * pressed
         out[CLEARANCE] -= by_clearance(assembly.laws[joint.law], d.excess - joint.play) * pressed
-        vx, vy = turned_displacement(assembly, joint, d, work)
+        vx, vy = turning_motion(assembly, joint, d, work)
         levers = along.outer * outer.rate * (ny * d.outer_x - nx * d.outer_y)
         levers -= along.seat * seat.rate * (ny * d.inner_x - nx * d.inner_y)
         turning += _moved(d, f, k, along, vx, vy, levers)
@@ -196,11 +196,11 @@ def sweep_motion_sensitivities(
             return False
         results.by_torque[i] = work.step[0]  # of λ, which is now in `step`
         by_drag[i] = rubbing.direction * work.step[0]
-        turning = add_mesh(problem, crank_angles[i], contacts, work, results.by_displacement[i])
+        turning = add_mesh(problem, assembly, crank_angles[i], contacts, work, results.by_displacement[i])
         turning += _add_flanks(problem, crank_angles[i], contacts, work, rubbing, results.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0
-        add_joints(assembly, work, results.by_joint[i])
+        turning += add_joints(assembly, crank_angles[i], work, results.by_joint[i])
         for k in range(work.residual.size):
             turning += work.step[k] * work.residual[k]
         turning += _add_joints(problem, assembly, work, rubbing, slope.sliding, results.by_joint[i])

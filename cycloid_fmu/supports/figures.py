@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import Options, Transmission
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.geometry.supports import Bearing, OutputRoller, PinSeat, Supports
 from cycloid_fmu.supports.assembly import bodies_of, kinds_of
@@ -53,8 +54,18 @@ def remaining(supports: Supports, shares: Sequence[Share]) -> float:
     return 1.0 / supports.catalogue_stiffness - sum(share.compliance for share in shares)
 
 
-def _stages(supports: Supports) -> list[tuple[str, Supports]]:
-    """Return the supports with one part after the other made compliant, without clearances until the last."""
+_BODIES = {
+    "disc": "discs",
+    "pin": "pins",
+    "ring": "ring",
+    "crank": "cranks",
+    "carrier": "carrier",
+    "output_pin": "output pins",
+}
+
+
+def _stages(supports: Supports, bodies: Bodies | None) -> list[tuple[str, Supports, Bodies | None]]:
+    """Return supports and bodies with one part after the other made compliant, without clearances until the last."""
     tight = {
         name: value.replace(clearance=0.0)
         for name, value in ((n, getattr(supports, n)) for n in Supports.model_fields)
@@ -76,9 +87,14 @@ def _stages(supports: Supports) -> list[tuple[str, Supports]]:
             if tight[part] == rigid[part]:
                 continue
             now = now.replace(**{part: tight[part]})
-            stages.append((name, now))
+            stages.append((name, now, None))
+    soft = None
+    for part, name in _BODIES.items():
+        if bodies is not None and (body := getattr(bodies, part)) is not None:
+            soft = (soft or Bodies(disc_spacing=bodies.disc_spacing)).replace(**{part: body})
+            stages.append((name, now, soft))
     if now != supports:
-        stages.append(("clearances", supports))
+        stages.append(("clearances", supports, bodies))
     return stages
 
 
@@ -113,8 +129,8 @@ def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: N
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
     loads = pair.rated_torque * np.array([*LOADS, LOST_MOTION_LOAD, -LOST_MOTION_LOAD])
     shares, soft, lost = [], 0.0, 0.0
-    for name, supports in [("mesh", None), *_stages(pair.supports)]:
-        stated = pair.replace(supports=supports)
+    for name, supports, bodies in [("mesh", None, None), *_stages(pair.supports, pair.bodies)]:
+        stated = pair.replace(supports=supports, bodies=bodies)
         swept = solve(DriveValue(stated, nominal_surface(stated)), loads, angles, Options(with_play=False))
         place = swept.transmission_error.mean(axis=1)
         now_soft, now_lost = float((place[1] - place[0]) / (loads[1] - loads[0])), float(place[2] - place[3])
