@@ -12,6 +12,7 @@ app = commands.command_line(
         "draw",
         "surface",
         "build",
+        "compensate",
         "inspect",
         "simulate",
         "compare",

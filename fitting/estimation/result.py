@@ -610,26 +610,6 @@ def _chain_compliance(observed: Observations, bench: Mapping[str, float]) -> flo
     return float(turned @ torque / (torque @ torque)) if torque.any() else bench[CHAIN]
 
 
-def read_chain(path: str | os.PathLike[str]) -> tuple[float, float]:
-    """Return series compliance (rad/(N·m)) and dry friction (N·m) of an identification file.
-
-    Neither is below zero.
-
-    Raises
-    ------
-    edge.InputError
-        If the file is not an identification or has neither of the two.
-    """
-    bench = edge.json_table(path, FORMAT, "identification").get("bench")
-    found = []
-    for name in (CHAIN, "friction_torque"):
-        value = bench.get(name) if isinstance(bench, dict) else None
-        if not isinstance(value, int | float) or not math.isfinite(value):
-            raise edge.InputError(f"{path}: bench has no {name}; identify again.")
-        found.append(max(float(value), 0.0))
-    return found[0], found[1]
-
-
 def read_lmfit_parameters(path: str | os.PathLike[str]) -> Parameters:
     """Read the errors and the bench of an identification file as lmfit parameters, SI.
 
