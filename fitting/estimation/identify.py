@@ -25,6 +25,7 @@ from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import DEVIATIONS, surface_of_pair
 from fitting.arguments import positive
+from fitting.estimation.continuation import continued, earlier_of
 from fitting.estimation.explaining import MisfitSearch
 from fitting.estimation.fit import OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.minimisation import default_parameters, names_of
@@ -45,6 +46,7 @@ from fitting.model.observations import (
     linearise,
     observations,
 )
+from fitting.model.posterior import Posterior
 from fitting.model.prior import Prior, prior_of, tolerances_of
 from fitting.recordings.sources import Source
 from fitting.transmission_error.curve import Curve
@@ -68,6 +70,7 @@ def identify(
     held_out: bool = True,
     form: float | str = "1 um",
     parameters: Parameters | None = None,
+    prior: Posterior | Identification | Drive | str | os.PathLike[str] | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Identification:
     """Identify a drive's errors from recordings at one or more loads, one or both directions.
@@ -99,14 +102,21 @@ def identify(
         Decisions on errors, bench and bearings, SI, made from those of `fitting.parameters`: `vary=False` holds one at
         its value, `min` and `max` bound it, `expr` ties it to others, `vary=True` fits an error even if the data do not
         resolve it. Of all that they do not name the fit decides. The search ends with lmfit's `Minimizer`.
+    prior
+        A fit of this drive, or its file, from whose posterior this one goes on: its errors, pins and teeth, bearings
+        and compliance of the chain have its distribution in place of the usual priors. Zeros, drift, friction and
+        run-out of encoders, which may have been mounted again, are unknown as before. There is no search for other
+        minima, no curve is held out, and no cause is fitted beside the errors. Also `Recalibration.posterior`, or a
+        drive whose surface has a covariance, which does not allow for a form of the flanks.
     progress
         Called with the name of each stage.
 
     Raises
     ------
     edge.InputError
-        If a recording can't be read, is of another drive or has no load, an argument is invalid, `parameters` name
-        what is not an unknown, the data resolve no error, or there are too few turns to draw from.
+        If a recording can't be read, is of another drive or has no load, an argument is invalid, `prior` is of another
+        drive or no prior, `parameters` name what is not an unknown, the data resolve no error, or there are too few
+        turns to draw from.
 
     Examples
     --------
@@ -133,10 +143,10 @@ def identify(
     curves = [*running, *loops]
     if isinstance(tolerances, str | os.PathLike):
         tolerances = read_tolerances(tolerances)
-    prior, beside = _prior(drive, tolerances), []
-    if pair.supports is not None and prior.profile:
-        shape = max(prior.profile.values())
-        prior = dataclasses.replace(prior, profile={})
+    usual, beside = _prior(drive, tolerances), []
+    if pair.supports is not None and usual.profile:
+        shape = max(usual.profile.values())
+        usual = dataclasses.replace(usual, profile={})
         beside.append(
             f"On bearings the form of the flanks is not fitted: the intervals allow for {shape * 1e6:.2g} µm."
         )
@@ -149,15 +159,26 @@ def identify(
                 f"{curve.source}: it has {turns} output turns; at least {TURNS} are needed to draw turns again."
             )
     for name in profiled:
-        if name not in (errors := [*errors_of(pair), *prior.profile]):
+        if name not in (errors := [*errors_of(pair), *usual.profile]):
             near = edge.did_you_mean(name, errors).rstrip("?") or f"one of {', '.join(errors)}"
             raise edge.ArgumentError("profiled", f"it is not an error of this drive; {near}", name)
+    if prior is not None:
+        if tolerances is not None or parameters is not None:
+            name = "parameters" if parameters is not None else "tolerances"
+            raise edge.ArgumentError(name, "can't be given with prior, whose fit has decided on the unknowns")
+        earlier = earlier_of(prior, drive)
+        with threadpool_limits(limits=1, user_api="blas"):
+            found, verdict, sizes = continued(curves, earlier, progress)
+            shape = 0.0 if found.observed.profile else shape
+            return result_of(
+                earlier.drive.pair, found, verdict, None, sizes, profiled, bootstrap, GAIN, (), shape, progress
+            )
     decided = None
     if parameters is not None:
-        checked(parameters, names_of(pair, observed_with(curves, pair, prior)))
+        checked(parameters, names_of(pair, observed_with(curves, pair, usual)))
         decided = Constraints.of(parameters)
         pair = _stating(pair, {n: p.value for n, p in parameters.items() if n in errors_of(pair)})
-    errors_alone = None if decided is None else decided.only([*errors_of(pair), *prior.profile])
+    errors_alone = None if decided is None else decided.only([*errors_of(pair), *usual.profile])
     try:
         # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
         with threadpool_limits(limits=1, user_api="blas"):
@@ -168,15 +189,15 @@ def identify(
                 progress("fitting without the held-out curves")
                 # One to first order is enough, a third of the work: where it predicts badly the whole fit has the say.
                 # Recordings are numbered anew there, so nothing of the bench is decided.
-                start, prior, _ = started(rest, pair, dataclasses.replace(prior, constraints=errors_alone), progress)
+                start, usual, _ = started(rest, pair, dataclasses.replace(usual, constraints=errors_alone), progress)
                 predicted = _predicted(pair, start, [running[i] for i in kept])
                 if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):
                     start = None
-            prior = dataclasses.replace(prior, constraints=decided)
-            shape = 0.0 if prior.profile else shape
+            usual = dataclasses.replace(usual, constraints=decided)
+            shape = 0.0 if usual.profile else shape
             # The model on bearings fits no form: intervals allow for it, and the verdict does not name it.
             cause = 0.0 if pair.supports is not None else shape
-            explained = MisfitSearch([*running, *loops], pair, cause, progress).validated(start, prior)
+            explained = MisfitSearch([*running, *loops], pair, cause, progress).validated(start, usual)
             found, verdict = explained.found, explained.verdict
             shape = 0.0 if found.observed.profile else shape
             if predicted is not None and verdict.state == "explained" and _is_mispredicted(predicted):
@@ -192,7 +213,7 @@ def identify(
                 found,
                 verdict,
                 predicted,
-                prior.scatter,
+                usual.scatter,
                 profiled,
                 bootstrap,
                 GAIN,
