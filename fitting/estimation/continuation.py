@@ -63,13 +63,10 @@ def check_comparable(curve: Curve, drive: Drive) -> None:
 
 
 def state_before(earlier: Posterior, observed: Observations) -> State:
-    """Return the most likely state before measurements.
-
-    Friction opposes the motion: it begins at its standard deviation, not at zero.
-    """
+    """Return the most likely state before measurements."""
     known = dict(zip(earlier.bench, earlier.bench_mean.tolist(), strict=True))
     bench = np.array([known.get(n, 0.0) for n in observed.bench_names])
-    return State(earlier.drive.surface, earlier.scatter_mean, bench, friction=observed.friction_prior)
+    return State(earlier.drive.surface, earlier.scatter_mean, bench)
 
 
 def continued(

@@ -16,6 +16,7 @@ from fitting.arguments import positive
 from fitting.model.observations import (
     CHAIN,
     COMPLIANCE_SHARE,
+    CREEP,
     LOST_MOTION,
     PROFILE_ORDERS,
     Linear,
@@ -42,6 +43,8 @@ FRICTION_OF = "friction_torque_of_"  # a run
 _OWN_FRICTION = 0.5  # standard deviation of a single run's friction over this friction
 _REFERENCE_ORDERS = (2, 3, 4)  # per output turn: errors of the encoder; order 1 is its eccentricity
 _REFERENCE = 1e-4  # rad: standard deviation of each order
+SIZES = {CREEP: 1e-6}
+"""Standard deviation of a common zero's creep from one recording to the next, rad."""
 _FORM = 1e-6  # m: scale of the orders of the profile deviation
 _ANGLES = 10  # angles per crank turn, over an output turn, for a mean lost motion
 
@@ -200,8 +203,18 @@ def observed_in_place(
     profile = {n: _FORM for n in earlier.errors if profile_wave(n, 1) is not None}
     every = [*shown, *[level] * len(pseudo)]
     friction = FRICTION_SHARE * (pair.rated_torque or max(abs(c.torque) for c in means or pseudo))
+    means = [_with_friction(c, friction) for c in means]
     whole = observations([*means, *pseudo], pair, every, profile, earlier.drive.first_stage, earlier=earlier)
     return _with_reference(whole, [one.standard_error for one in lost_motions], torque_share, friction)
+
+
+def _with_friction(curve: Curve, friction: float) -> Curve:
+    """Return a run with the expected friction in its torque: friction opposes the motion, so its mean is not zero."""
+    if curve.branch:
+        return curve
+    by = -float(curve.direction) * float(np.sign(curve.ratio)) * friction
+    each = curve.torque_each
+    return dataclasses.replace(curve, torque=curve.torque + by, torque_each=None if each is None else each + by)
 
 
 def _with_reference(

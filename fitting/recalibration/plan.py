@@ -22,7 +22,7 @@ from fitting.model.posterior import Posterior
 from fitting.model.unknowns import Unknowns
 from fitting.recalibration.drift import DRIFT, drifted, fitted_drive
 from fitting.recalibration.figures import Gradient
-from fitting.recalibration.measured import TORQUE_SHARE, LostMotion, linear_near, observed_in_place, quantised
+from fitting.recalibration.measured import SIZES, TORQUE_SHARE, LostMotion, linear_near, observed_in_place, quantised
 from fitting.recalibration.recalibrate import Recalibration
 from fitting.recalibration.update import with_joint
 
@@ -161,6 +161,6 @@ def _half_widths(
     slope = unknowns.scale * [by_name.get(name, 0.0) for name in unknowns.names]
     widths = {}
     for count in TURNS:
-        posterior = (told.repeated(count) + unknowns.earlier(slope)).posterior(unknowns.known)
+        posterior = (told.repeated(count) + unknowns.earlier(slope)).posterior(unknowns.precision(SIZES))
         widths[count] = float(NORMAL * np.sqrt(slope @ posterior.solve(slope)))
     return widths

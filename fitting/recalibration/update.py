@@ -20,7 +20,7 @@ from fitting.model.observations import Linear, Observations, State
 from fitting.model.posterior import Posterior, lasting
 from fitting.model.prior import posterior_about
 from fitting.model.unknowns import Unknowns
-from fitting.recalibration.measured import linear_near
+from fitting.recalibration.measured import SIZES, linear_near
 
 Array = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ def _stepped(observed: Observations, state: State, settled: float, linear: Linea
     unknowns = len(errors) + len(observed.bench_names) + linear.scatter.shape[1]
     gain = settled * min(unknowns, observed.rows(observed.measured).size)
     # Noise and the sizes of the scatter are known.
-    return fit(pair, observed, errors, state, {}, gain=gain, linear=linear, estimated=False)
+    return fit(pair, observed, errors, state, SIZES, gain=gain, linear=linear, estimated=False)
 
 
 def _last_step(estimate: Estimate) -> tuple[Array, Array]:
