@@ -203,7 +203,8 @@ def _evaluated(
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
-    return _Normal(linears, *(np.array(v) for v in zip(*sums, strict=True)), earlier=unknowns.earlier(vector))
+    gram, moment, square, count, scale, outlying = (np.array(v) for v in zip(*sums, strict=True))
+    return _Normal(linears, gram, moment, square, count, scale, outlying, unknowns.earlier(vector))
 
 
 def _limits(normal: _Normal) -> Array:

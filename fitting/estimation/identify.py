@@ -48,7 +48,7 @@ from fitting.model.observations import (
 )
 from fitting.model.posterior import Posterior
 from fitting.model.prior import Prior, prior_of, tolerances_of
-from fitting.recordings.sources import Source
+from fitting.readers.sources import Source
 from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:

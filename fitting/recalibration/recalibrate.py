@@ -20,11 +20,11 @@ from fitting.estimation.continuation import check_comparable
 from fitting.model.bearings import unit_of_bearing, unknown_bearings
 from fitting.model.loops import observed_curves
 from fitting.model.posterior import Posterior
+from fitting.readers.sources import Source
 from fitting.recalibration.drift import DRIFT, drifted, fitted_drive
 from fitting.recalibration.figures import FigureOfDrive, figures_of
 from fitting.recalibration.measured import TORQUE_SHARE, LostMotion, observed_in_place
 from fitting.recalibration.update import Updated, updated
-from fitting.recordings.sources import Source
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]

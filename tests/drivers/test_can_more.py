@@ -26,7 +26,7 @@ from drivers.recording_format import read_recording
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import Fault
 from drivers.simulated.motion import SimulatedRun, simulate_motion
-from fitting.recordings.recording import RecordingStream
+from fitting.readers.recording import RecordingStream
 from tests.drivers.test_bench_cli import needs_multicast
 
 
