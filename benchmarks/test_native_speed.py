@@ -15,10 +15,10 @@ from fmpy.fmi2 import FMU2Slave
 from native.c_host import HERE, compiled, run_host
 
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.fmu import native as native_build
+from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.library import headers, this_platform
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.native import build as native_build
-from cycloid_fmu.native import tables
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 STEPS = 20_000

@@ -1015,7 +1015,7 @@ class Drive(DriveValue):
         True
         """
         if native:
-            from cycloid_fmu.native.build import build_native
+            from cycloid_fmu.fmu.native import build_native
 
             build_native(
                 self,

@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator
 
 import cycloid_fmu as cy
-from cycloid_fmu.fmu import table_file, variables
-from cycloid_fmu.native import tables
+from cycloid_fmu.fmu import table_file, tables, variables
 
 ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)  # arcsec
 

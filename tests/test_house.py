@@ -237,8 +237,8 @@ WIDE = {
     "cycloid_fmu.losses.sweeps.sweep_rubbing": _KERNEL,
     "cycloid_fmu.losses.sweeps.sweep_rubbing_sensitivities": _KERNEL,
     "cycloid_fmu.motion._contacts": "the arrays of the placed bodies, of which a motion consists",
-    "cycloid_fmu.native.build.build_native": _OPTIONS,
-    "cycloid_fmu.native.nodes.solved_at": "places of a grid, and how the model is solved at them",
+    "cycloid_fmu.fmu.native.build_native": _OPTIONS,
+    "cycloid_fmu.fmu.table_nodes.solved_at": "places of a grid, and how the model is solved at them",
     "cycloid_fmu.surfaces.surface.__init__": _OPTIONS,
     "drivers.recorder.session.record_encoders": "the options of `drivers.record`",
     "drivers.simulated.can_bench.__init__": _OPTIONS,
@@ -254,7 +254,7 @@ NAMELESS = {
     "cycloid_fmu.contact.energy.press": _KERNEL,
     "cycloid_fmu.contact.local_frame.levers": _KERNEL,
     "cycloid_fmu.draw.drive_svg._svg": "the four numbers of an SVG's viewBox",
-    "cycloid_fmu.native.tables.halved": "entries of a heap, in the order by which it compares",
+    "cycloid_fmu.fmu.tables.halved": "entries of a heap, in the order by which it compares",
 }
 
 

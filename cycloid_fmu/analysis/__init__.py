@@ -9,7 +9,6 @@ from cycloid_fmu.analysis.shares import series_compliance as series_compliance
 from cycloid_fmu.analysis.solver import error_sensitivity as error_sensitivity
 from cycloid_fmu.analysis.solver import sensitivity as sensitivity
 from cycloid_fmu.analysis.solver import solve as solve
-from cycloid_fmu.analysis.validity import LARGEST_PRESSURE as LARGEST_PRESSURE
 from cycloid_fmu.analysis.validity import interference_notes as interference_notes
 from cycloid_fmu.analysis.validity import notes as notes
 from cycloid_fmu.analysis.validity import tilt_notes as tilt_notes

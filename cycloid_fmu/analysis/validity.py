@@ -14,8 +14,6 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.temperature import missing_for_clearances
 
 Array = NDArray[np.float64]
-LARGEST_PRESSURE = 4e9
-"""Pa: contact stress at which rolling bodies of bearing steel are permanently deformed (ISO 76, static rating)."""
 _LARGEST_TILT_ERROR = 0.02 / edge.ARCSEC  # rad
 _LARGEST_HALF_WIDTH = 0.25  # of the pin's radius: Hertz's half space ends there
 
@@ -43,18 +41,22 @@ def notes(drive: DriveValue, found: Transmission) -> list[str]:
     Parameters
     ----------
     drive
-        Its pair's `pressure_limit`, or `LARGEST_PRESSURE`, and its rated torque are what results are held against.
+        Its pair's `largest_pressure` and rated torque are what results are held against.
     found
         Of `solve`.
     """
     pair = drive.pair
     said = []
-    limit = LARGEST_PRESSURE if pair.pressure_limit is None else pair.pressure_limit
-    largest = found.max_contact_pressure.max(initial=0.0)
-    if largest > limit:
+    limit, largest = pair.largest_pressure, found.max_contact_pressure.max(initial=0.0)
+    if limit is None and largest > 0.0:
         said.append(
-            f"The contact pressure reaches {largest * 1e-6:.0f} MPa, above {limit * 1e-6:.0f} MPa"
-            + (" (ISO 76)" if pair.pressure_limit is None else "")
+            f"The contact pressure of {largest * 1e-6:.0f} MPa was not judged: of a material that is neither steel nor "
+            "named no limit is known; state [material.gear] name, or [pair] pressure_limit."
+        )
+    elif limit is not None and largest > limit.pressure:
+        said.append(
+            f"The contact pressure reaches {largest * 1e-6:.0f} MPa, above {limit.pressure * 1e-6:.0f} MPa"
+            + (f" {limit.basis}" if limit.basis else "")
             + ": real flanks and pins deform for good there, and the model does not."
         )
     pressed = found.pin_pressure > 0.0

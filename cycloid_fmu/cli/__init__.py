@@ -7,6 +7,7 @@ app = commands.command_line(
     "Cycloid-pin gear drives: transmission error, backlash, load sharing, and FMUs made from them.",
     __name__,
     (
+        "new",
         "analyze",
         "losses",
         "draw",

@@ -201,8 +201,8 @@ def _print_notes(drive: Drive) -> None:
 
 def _build_native(drive: Drive, path: Path, **options: Any) -> None:
     """Build a native FMU with progress, and print the accuracy of its tables."""
-    from cycloid_fmu.native.build import build_native
-    from cycloid_fmu.native.tables import PROBES
+    from cycloid_fmu.fmu.native import build_native
+    from cycloid_fmu.fmu.tables import PROBES
 
     with commands.Bar("crank angles", None) as bar:
         made = build_native(

@@ -130,7 +130,7 @@ def compensate(
 def _platforms_of(output: Path, platforms: list[str], fmi_version: str) -> tuple[str, ...]:
     """Return the platforms of an FMU, none for other forms, whose options and names are checked."""
     if output.suffix == ".fmu":
-        from cycloid_fmu.native.build import checked_platforms
+        from cycloid_fmu.fmu.native import checked_platforms
 
         version: Version = fmi_version  # type: ignore[assignment]
         return checked_platforms(platforms, version)

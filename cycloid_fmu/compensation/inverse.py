@@ -28,9 +28,9 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.fmu.tables import mesh_pitches
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.native.tables import mesh_pitches
 from cycloid_fmu.supports.transmission import PLAY_LOAD
 from cycloid_fmu.surfaces.surface import ErrorSurface
 

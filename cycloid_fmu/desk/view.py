@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.analysis import LARGEST_PRESSURE, notes, series_compliance, solve, statistics
+from cycloid_fmu.analysis import notes, series_compliance, solve, statistics
 from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.draw.drive_picture import CloseUp, caption_of, close_up
 from cycloid_fmu.draw.drive_svg import drive_svg, tooth_svg
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge.quantities import EXAMPLES
 from cycloid_fmu.geometry import ANGLES
-from cycloid_fmu.geometry.pair import FORMAT, Modification, Pair, pair_of_tables
+from cycloid_fmu.geometry.pair import FORMAT, LARGEST_PRESSURE, Modification, Pair, pair_of_tables
 from cycloid_fmu.losses import figures as losses
 from cycloid_fmu.losses.solver import solve as rub
 from cycloid_fmu.motion import Motion, mesh_angles, motion_of

@@ -32,7 +32,7 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 NUMBERS, SURFACE, SUMS = "pair.json", "surface.npz", "SHA256SUMS"
 FORMAT = 4  # of the resource files
 MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 9
-# Phases of an instance as named in messages; the native FMU has the same (native/sources/instance.c).
+# Phases of an instance as named in messages; the native FMU has the same (fmu/clockwork/instance.c).
 INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
     "before initialization",
     "during initialization",

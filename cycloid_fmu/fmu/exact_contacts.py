@@ -1,6 +1,6 @@
 """The contacts of an exact FMU: the contact problem as a function that the model in time calls from C.
 
-`native/sources/exact_contacts.c` puts `struct contacts` around it. A solution begins at the last one, whose rows and
+`fmu/clockwork/exact_contacts.c` puts `struct contacts` around it. A solution begins at the last one, whose rows and
 positions are the blocks of memory that the C code saves and restores.
 """
 

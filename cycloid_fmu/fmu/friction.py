@@ -5,7 +5,7 @@ The sliding friction torque is F = (Coulomb + share |load| + Stribeck extra · e
 sliding, Maxwell-slip elements in parallel stick (W. D. Iwan, J. Appl. Mech. 33 (1966) 893; F. Al-Bender, V. Lampaert
 and J. Swevers, IEEE Trans. Autom. Control 50 (2005) 1883): each is a spring that slides when its torque reaches its
 share of F. A reversal is remembered until the motion passes it again, a load below F is held without creep, and the
-springs slip back when F falls, so no energy is gained. The elements are in `native/sources/friction.c`; here are the
+springs slip back when F falls, so no energy is gained. The elements are in `fmu/clockwork/friction.c`; here are the
 parameters.
 """
 

@@ -20,11 +20,11 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.table_file import constants_header
 
-_PACKAGE = Path(__file__).parents[1]
-SOURCE_FOLDERS = (_PACKAGE / "native" / "sources", _PACKAGE / "compensation" / "forms" / "sources")
+_HERE = Path(__file__).parent
+SOURCE_FOLDERS = (_HERE / "clockwork", _HERE.parent / "compensation" / "forms" / "sources")
 SOURCES = tuple(path.name for folder in SOURCE_FOLDERS for path in sorted(folder.glob("*.c")))
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
-LIBRARIES = _PACKAGE / "native" / "libraries"
+LIBRARIES = _HERE / "libraries"
 LICENCE = LIBRARIES / "LICENSE.zig.txt"  # of the compiler's runtime, parts of which the libraries contain
 
 

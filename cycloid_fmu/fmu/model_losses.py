@@ -135,7 +135,7 @@ def model_losses(drive: DriveValue) -> ModelLosses:
 
 
 def table_torque(rows: tuple[LossRow, ...], speed: float, asked: Array) -> Array:
-    """Return the torque at flange_a with the losses of a table, N·m, as `native/sources/losses.c` has it.
+    """Return the torque at flange_a with the losses of a table, N·m, as `fmu/clockwork/losses.c` has it.
 
     Parameters
     ----------

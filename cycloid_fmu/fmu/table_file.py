@@ -34,7 +34,7 @@ from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
 from cycloid_fmu.geometry.first_stage import FirstStage
 
 if TYPE_CHECKING:
-    from cycloid_fmu.native.tables import Tables
+    from cycloid_fmu.fmu.tables import Tables
 
 _INTERFACES = ("kinematic", "compliant", "inertia")
 _FIELDS = (

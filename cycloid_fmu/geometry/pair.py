@@ -11,7 +11,7 @@ import hashlib
 import math
 import os
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import pydantic
 
@@ -22,6 +22,7 @@ from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry import sizes
 from cycloid_fmu.geometry import temperature as thermal
 from cycloid_fmu.geometry.losses import Losses
+from cycloid_fmu.geometry.materials import MATERIALS, MaterialValue
 from cycloid_fmu.geometry.supports import Supports
 from cycloid_fmu.geometry.temperature import Expansions, Temperatures
 from cycloid_fmu.geometry.thermal import Thermal
@@ -48,6 +49,9 @@ def _teeth(value: int) -> int:
     return value
 
 
+LARGEST_PRESSURE = 4e9
+"""Pa: contact stress at which rolling bodies of bearing steel are permanently deformed (ISO 76, static rating)."""
+_STEEL = 0.1  # share by which Young's modulus of bearing steel differs from that of other steels at most
 _LARGEST_SHARE = 1.0 / 64.0  # largest modification as a share of the pin circle's radius, if that is more than 1 mm
 LEAST_TEETH, MOST_TEETH = 2, 300
 GearTeeth = Annotated[int, pydantic.Field(strict=True), pydantic.AfterValidator(_teeth)]
@@ -56,11 +60,21 @@ PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
 PositiveTorque = Annotated[edge.Torque, pydantic.AfterValidator(_positive)]
 
 
+class PressureLimit(NamedTuple):
+    """Largest permitted contact pressure, Pa, and what it is, as text; "" where a pair file states it."""
+
+    pressure: float
+    basis: str
+
+
 class Material(Config):
     """An elastic material; the default is bearing steel.
 
     Attributes
     ----------
+    name
+        Name of an entry of `materials.MATERIALS`, such as "7075-T6", for what is not stated here: modulus, Poisson's
+        ratio, and the contact pressure that a drive without a `pressure_limit` may have.
     youngs_modulus
         Young's modulus E, Pa.
     poissons_ratio
@@ -71,10 +85,39 @@ class Material(Config):
     >>> import cycloid_fmu as cy
     >>> cy.Material(youngs_modulus="70 GPa").youngs_modulus
     70000000000.0
+    >>> round(cy.Material(name="7075-T6").youngs_modulus * 1e-9, 1)
+    71.5
     """
 
+    name: str | None = None
     youngs_modulus: PositivePressure = 206e9
     poissons_ratio: float = pydantic.Field(default=0.3, ge=0.0, lt=0.5)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _from_table(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping) or given.get("name") is None:
+            return given
+        name = given["name"]
+        if name not in MATERIALS:
+            near = edge.did_you_mean(str(name), MATERIALS) or f"give one of {', '.join(map(repr, MATERIALS))}"
+            raise ValueError(f"name = {edge.shown(name)}: {near}")
+        value = MATERIALS[name]
+        return {"youngs_modulus": value.modulus, "poissons_ratio": value.poissons_ratio, **given}
+
+    @property
+    def value(self) -> MaterialValue | None:
+        """The table's entry of its name; None without a name."""
+        return None if self.name is None else MATERIALS[self.name]
+
+    @property
+    def pressure_limit(self) -> PressureLimit | None:
+        """Largest permitted pressure of a line contact: that of its name, or of steel; None for other materials."""
+        if self.value is not None:
+            return PressureLimit(self.value.largest_pressure, f"of {self.name} ({self.value.basis_of_pressure})")
+        if abs(self.youngs_modulus / Material.model_fields["youngs_modulus"].default - 1.0) <= _STEEL:
+            return PressureLimit(LARGEST_PRESSURE, "of hardened bearing steel (ISO 76)")
+        return None
 
     @property
     def compliance(self) -> float:
@@ -163,7 +206,7 @@ class Pair(Config):
     contact_law
         "capped" bounds the flank's curvature radius in Hertz's logarithm by the pin circle radius.
     pressure_limit
-        Contact pressure above which results carry a note, Pa; by default 4 GPa (ISO 76).
+        Contact pressure above which results carry a note, Pa; by default that of named materials, or 4 GPa (ISO 76).
     modification, material
         Profile modification of the gear and the materials of both flanks.
     supports
@@ -290,6 +333,15 @@ class Pair(Config):
     def ratio(self) -> float:
         """Signed ratio φ_a/φ_b of the ideal drive: -z_c with the gear as output, +z_p with the ring."""
         return float(-self.gear_teeth if self.output == "gear" else self.pins)
+
+    @property
+    def largest_pressure(self) -> PressureLimit | None:
+        """The stated pressure limit, or that of the weaker of gear and pin; None if that of one is not known."""
+        if self.pressure_limit is not None:
+            return PressureLimit(self.pressure_limit, "")
+        of = [material.pressure_limit for material in (self.material.gear, self.material.pin)]
+        known = [limit for limit in of if limit is not None]
+        return min(known) if len(known) == len(of) else None
 
     def rated_load(self, source: str = "the pair") -> float:
         """Return the rated torque, N·m: the load wherever none is given.

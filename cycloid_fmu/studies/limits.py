@@ -18,8 +18,7 @@ import pydantic
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.analysis import LARGEST_PRESSURE
-from cycloid_fmu.geometry.pair import Material, Pair, smallest_convex_radius
+from cycloid_fmu.geometry.pair import Pair, PressureLimit, smallest_convex_radius
 from cycloid_fmu.geometry.temperature import BodyTemperature
 from cycloid_fmu.losses.heat import Heat
 from cycloid_fmu.studies.friction import FrictionFigures
@@ -28,7 +27,6 @@ from cycloid_fmu.surfaces import sampling
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-requirements/1"
-_STEEL = 0.1  # share by which Young's modulus of bearing steel differs from that of other steels at most
 _SUM = 1e-6  # how far the shares of time may be from 1: decimals such as 0.333333
 _ABOVE_ZERO = pydantic.Field(gt=0.0, allow_inf_nan=False)
 
@@ -51,7 +49,7 @@ class Limits(sampling.Limits):
         [supports] catalogue_stiffness; without one that of contacts and bearings alone, or of the mesh alone.
     static_safety
         Smallest allowed static safety of the contacts, S_0 = (p_limit/p)²: the load at the pressure limit over the load
-        (line contact). The limit is the pair's `pressure_limit`, or for bearing steel 4 GPa (ISO 76); at every load.
+        (line contact). The limit is the pair's `largest_pressure`, for bearing steel 4 GPa (ISO 76); at every load.
     smallest_curvature_radius
         Smallest allowed convex curvature radius of the flank as drawn, m.
     bearing_life
@@ -283,36 +281,34 @@ def static_safety(pair: Pair, pressure: float) -> float:
     """Return S_0 = (p_limit/p)² of the contacts: the load at the pressure limit over the load (1).
 
     The pressure of a line contact grows with the root of its load (Hertz), and ISO 76 rates by load. The limit is the
-    pair's `pressure_limit`, or ISO 76's 4 GPa of hardened bearing steel, at which the permanent deformation is 1e-4 of
-    the roller's diameter. Infinite without contact.
+    pair's `largest_pressure`: stated, or that of the weaker material; of hardened bearing steel it is ISO 76's 4 GPa,
+    at which the permanent deformation is 1e-4 of the roller's diameter. Infinite without contact.
 
     Raises
     ------
     edge.InputError
-        If the pair states no limit and a body is of another material.
+        If the pair states no limit and that of a body is not known.
     """
-    limit = pressure_limit_of(pair)
+    limit = pressure_limit_of(pair).pressure
     return (limit / pressure) ** 2 if pressure > 0.0 else math.inf
 
 
-def pressure_limit_of(pair: Pair, source: str = "the pair") -> float:
-    """Return the contact pressure that a pair may have at most, Pa: stated, or ISO 76's of hardened bearing steel.
+def pressure_limit_of(pair: Pair, source: str = "the pair") -> PressureLimit:
+    """Return the contact pressure that a pair may have at most: stated, or that of its weaker material.
 
     Raises
     ------
     edge.InputError
-        If none is stated and Young's modulus of gear or pin is not that of steel, 206 GPa within 10 %.
+        If none is stated and gear or pin is neither named nor of steel, 206 GPa within 10 %.
     """
-    if pair.pressure_limit is not None:
-        return pair.pressure_limit
-    for body, material in (("gear", pair.material.gear), ("pin", pair.material.pin)):
-        if not abs(material.youngs_modulus / Material().youngs_modulus - 1.0) <= _STEEL:
-            raise edge.InputError(
-                f"{source}: [pair] pressure_limit is missing; state it for static_safety: the "
-                f"{LARGEST_PRESSURE * 1e-9:g} GPa of ISO 76 are those of hardened bearing steel, and "
-                f"[material.{body}] youngs_modulus is {material.youngs_modulus * 1e-9:.4g} GPa."
-            )
-    return LARGEST_PRESSURE
+    if (limit := pair.largest_pressure) is not None:
+        return limit
+    body = "gear" if pair.material.gear.pressure_limit is None else "pin"
+    modulus = getattr(pair.material, body).youngs_modulus
+    raise edge.InputError(
+        f"{source}: [pair] pressure_limit is missing; state it for static_safety, or name the material: "
+        f"[material.{body}] youngs_modulus is {modulus * 1e-9:.4g} GPa, and no limit of such a material is known."
+    )
 
 
 def whole_stiffness(stiffness: Array, series: float) -> Array:
@@ -408,9 +404,9 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any], series: float = 0
         where = at(pressure, int(pressure.argmax()))
         add("max_contact_pressure", pressure.max(), **where)
         if "static_safety" in stated:
-            limit = f"at {pressure_limit_of(pair) * 1e-6:.5g} MPa"
-            limit += " of hardened bearing steel (ISO 76)" if pair.pressure_limit is None else ""
-            add("static_safety", static_safety(pair, float(pressure.max())), limit, **where)
+            limit = pressure_limit_of(pair)
+            basis = f"at {limit.pressure * 1e-6:.5g} MPa {limit.basis}".rstrip()
+            add("static_safety", static_safety(pair, float(pressure.max())), basis, **where)
     if loaded.size:
         stiffness = whole_stiffness(np.asarray(data["torsional_stiffness"])[loaded], series)
         place = at(stiffness, int(stiffness.argmin()), torque[loaded])

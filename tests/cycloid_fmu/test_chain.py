@@ -14,12 +14,12 @@ import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.cli import app
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.fmu import native as native_build
 from cycloid_fmu.fmu.build import build_fmu, completed
 from cycloid_fmu.fmu.chain import own_stiffness, read_loop, with_chain
 from cycloid_fmu.fmu.run import told
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.native import build as native_build
 from cycloid_fmu.reducer.lost_motion import parts_of
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.figures.metrics import figures_of

@@ -12,10 +12,9 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu import library
+from cycloid_fmu.fmu import library, table_cache, tables
+from cycloid_fmu.fmu import native as native_build
 from cycloid_fmu.fmu.variables import Interface
-from cycloid_fmu.native import build as native_build
-from cycloid_fmu.native import table_cache, tables
 
 HERE = Path(__file__).parent
 INTERFACES = {

@@ -9,10 +9,9 @@ from c_host import BUILT, HERE, Tabled, compiled, run_host
 from common import EXAMPLES
 
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu import library
+from cycloid_fmu.fmu import library, table_cache
+from cycloid_fmu.fmu import native as native_build
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.native import build as native_build
-from cycloid_fmu.native import table_cache
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 

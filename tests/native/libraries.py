@@ -19,7 +19,7 @@ from cycloid_fmu.fmu import library
 
 ROOT = Path(library.__file__).parents[2]
 FRONT = ROOT / "cycloid_fmu" / "fmu" / "front"
-UCRT = ROOT / "cycloid_fmu" / "native" / "windows" / "ucrt.c"
+UCRT = library.LIBRARIES / "ucrt.c"
 TARGETS = {  # Linux no newer than GLIBC 2.17, macOS from 11
     "x86_64-linux": "x86_64-linux-gnu.2.17",
     "aarch64-linux": "aarch64-linux-gnu.2.17",

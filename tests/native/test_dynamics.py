@@ -13,10 +13,10 @@ from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
 from cycloid_fmu import edge
+from cycloid_fmu.fmu import native as native_build
 from cycloid_fmu.fmu.build import with_damping
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import Interface
-from cycloid_fmu.native import build as native_build
 
 CHAIN = {"series_compliance": 5e-6, "mesh_damping": 50.0}
 LOSSY = ((0.0, 0.9, 0.85, 0.02, 0.03), (400.0, 0.92, 0.87, 0.05, 0.06))

@@ -206,7 +206,7 @@ def test_what_stands_in_the_way_is_said(placed, tmp_path):
     told = []
     logger = LOGGER(lambda environment, name, status, category, message: told.append((status, message.decode())))
     functions = (ctypes.c_void_p * 5)(ctypes.cast(logger, ctypes.c_void_p))
-    other = compiled(tmp_path / "other.so", [HERE.parents[1] / "cycloid_fmu/native/sources/uri.c"], "-shared", "-fPIC")
+    other = compiled(tmp_path / "other.so", [HERE.parents[1] / "cycloid_fmu/fmu/clockwork/uri.c"], "-shared", "-fPIC")
     for folder, library, location, said in (
         # The message is a format: a host in C would look for an argument behind each single %.
         ("100% none", None, b"/r", "100%% none/pythonfmu-export.so: cannot open shared object file"),

@@ -10,8 +10,8 @@ from fmpy.fmi3 import FMU3Model
 import cycloid_fmu as cy
 from cycloid_fmu.fmu.build import completed
 from cycloid_fmu.fmu.library import this_platform
+from cycloid_fmu.fmu.native import build_native
 from cycloid_fmu.fmu.variables import Interface
-from cycloid_fmu.native.build import build_native
 
 LOSSES = ((0.0, 0.9, 0.88, 0.05, 0.05), (50.0, 0.93, 0.92, 0.1, 0.12), (800.0, 0.94, 0.93, 0.6, 0.7))
 SPEED, LOAD, LAST = 120.0, 100.0, 900.0

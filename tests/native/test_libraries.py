@@ -16,7 +16,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.compensation.forms.write import write_compensator
 from cycloid_fmu.fmu import library
 from cycloid_fmu.fmu.library import PLATFORMS, library_path
-from cycloid_fmu.native.build import build_native
+from cycloid_fmu.fmu.native import build_native
 
 EVERY = [pytest.param(path, id=f"{path.parent.name}/{path.name}") for path in (*libraries.PACKAGED, *libraries.FRONTS)]
 

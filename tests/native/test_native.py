@@ -28,16 +28,15 @@ from libraries import windows_runtime, zig
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu import constants
+from cycloid_fmu.fmu import constants, table_cache, tables
+from cycloid_fmu.fmu import native as native_build
 from cycloid_fmu.fmu.library import SOURCE_FOLDERS, SOURCES, library_path, this_platform
 from cycloid_fmu.fmu.resource_file import DRIVE, HEAD, headed, sealed
 from cycloid_fmu.fmu.run import open_fmu
 from cycloid_fmu.fmu.table_file import constants_header, table_body
+from cycloid_fmu.fmu.table_nodes import midway
 from cycloid_fmu.fmu.variables import Interface, from_tables, variables
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
-from cycloid_fmu.native import build as native_build
-from cycloid_fmu.native import table_cache, tables
-from cycloid_fmu.native.nodes import midway
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair

@@ -10,8 +10,8 @@ from clockworks import compliant_drive, kinematic_drive
 import cycloid_fmu as cy
 from cycloid_fmu.analysis import solve
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.variables import Interface
-from cycloid_fmu.native import tables
 from cycloid_fmu.supports.transmission import PLAY_LOAD
 from cycloid_fmu.surfaces.surface import surface_of_pair
 

@@ -1,4 +1,4 @@
-/* The C host's start and its output on Windows, as `native/windows/ucrt.c` does it: without mingw's library. */
+/* The C host's start and its output on Windows, as `fmu/libraries/ucrt.c` does it: without mingw's library. */
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>

@@ -11,13 +11,13 @@ from xml.etree.ElementTree import Element, SubElement
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.compensation.compensator import Compensator
 from cycloid_fmu.compensation.forms.numbers import about, table_body
+from cycloid_fmu.fmu import native
 from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 from cycloid_fmu.fmu.library import SOURCES, source_files
 from cycloid_fmu.fmu.parts import licences, write_archive
 from cycloid_fmu.fmu.resource_file import COMPENSATOR, sealed
 from cycloid_fmu.fmu.variables import Variable
-from cycloid_fmu.native import build as native
 
 IDENTIFIER = "CycloidCompensator"
 _STEP = 1e-3  # s, of the default experiment
@@ -83,7 +83,7 @@ def build_compensator_fmu(
     compensator, path
         The compensator, and the file.
     fmi_version, platforms
-        As of `cycloid_fmu.native.build.build_native`.
+        As of `cycloid_fmu.fmu.native.build_native`.
 
     Raises
     ------

@@ -37,7 +37,7 @@ def write_compensator(
     temperature
         Temperature of the look-up table, K; None for the middle of the compensator's range.
     fmi_version, platforms
-        For an FMU, as in `cycloid_fmu.native.build.build_native`.
+        For an FMU, as in `cycloid_fmu.fmu.native.build_native`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-/* Tables of a drive, read and interpolated. Their contents: cycloid_fmu/native/tables.py. */
+/* Tables of a drive, read and interpolated. Their contents: cycloid_fmu/fmu/tables.py. */
 #ifndef CYCLOID_TABLE_H
 #define CYCLOID_TABLE_H
 

@@ -1,6 +1,6 @@
 """The drive in time with its exact contacts: the model of the native FMU, in C, on the contact problem itself.
 
-The C sources in `native/sources` hold the model; here are its variables by name and by reference, its errors, which
+The C sources in this folder hold the model; here are its variables by name and by reference, its errors, which
 make another contact problem when they change, and its state.
 """
 
@@ -24,7 +24,7 @@ from cycloid_fmu.fmu.table_file import described
 from cycloid_fmu.fmu.variables import Interface, Variable, variables
 from cycloid_fmu.surfaces.structured import structured_value
 
-_MOST_BLOCKS = 16  # of `native/sources/exact_contacts.h`
+_MOST_BLOCKS = 16  # of `exact_contacts.h`
 _OF_PINS = ("pin_force", "pin_pressure")
 
 

@@ -32,10 +32,10 @@ from cycloid_fmu.contact.transmission import rigid_problem
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import InputError
 from cycloid_fmu.errors.kinds import EACH_SUPPORT, kinds_of
+from cycloid_fmu.fmu import table_nodes
 from cycloid_fmu.fmu.constants import LARGEST_LOAD, LEAST_COMPLIANCE, MOST_LOADS
+from cycloid_fmu.fmu.table_nodes import Array, Array32, Rest, Solved
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.native import nodes
-from cycloid_fmu.native.nodes import Array, Array32, Rest, Solved
 from cycloid_fmu.supports.transmission import play_loads
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 
@@ -262,7 +262,7 @@ def _chosen_loads(
     pair = drive.pair
 
     def solve_at(loads: Sequence[float], following: float | None = None) -> None:
-        one = nodes.solved(drive, direction, np.array(loads), angles, rest, following=following)
+        one = table_nodes.solved(drive, direction, np.array(loads), angles, rest, following=following)
         known.update(zip(loads, zip(one.deviation, one.compliance, strict=True), strict=True))
 
     def halved(cells: list[tuple[float, float]]) -> list[tuple[float, float, float, float]]:
@@ -411,8 +411,8 @@ def _first_loads(drive: DriveValue, accuracy: float, largest: float, workers: in
     pair = drive.pair
     period = mesh_pitches(drive) * _pitch(pair)
     spread = np.sort(np.random.default_rng(1).uniform(0.0, period, _SPREAD))
-    rest = nodes.at_rest(drive, spread, workers)
-    ends = nodes.solved(drive, 1.0, np.array([0.0, largest]), spread, rest)
+    rest = table_nodes.at_rest(drive, spread, workers)
+    ends = table_nodes.solved(drive, 1.0, np.array([0.0, largest]), spread, rest)
     allowed = max(accuracy, RANGE_SHARE * float(np.ptp(ends.deviation, axis=1).max()))
 
     def chosen_loads(direction: float) -> Array:
@@ -457,7 +457,7 @@ class _Grid:
     def __post_init__(self) -> None:
         self.pitches = mesh_pitches(self.drive)
         self.angles = self._equidistant()
-        self.rest = nodes.at_rest(self.drive, self.angles, self.workers)
+        self.rest = table_nodes.at_rest(self.drive, self.angles, self.workers)
         self.exact = [self._solved(d, n) for d, n in zip(_DIRECTIONS, self.loads, strict=True)]
         self.far = [
             _far(self.drive, d, n[-1], self.angles, one, self.workers)
@@ -492,7 +492,7 @@ class _Grid:
         found = [np.empty_like(channel) for channel in coarse[:2]]
         needed = np.empty(found[0].shape, dtype=bool)
         for k in range(at.size):  # a row at a time stays in the processor's cache
-            (found[0][k], off), (found[1][k], bent) = (nodes.midway(channel[k]) for channel in coarse[:2])
+            (found[0][k], off), (found[1][k], bent) = (table_nodes.midway(channel[k]) for channel in coarse[:2])
             needed[k] = (off > _MIDWAY * self.allowed) | (bent > _MIDWAY_COMPLIANCE * coarse.compliance[k])
         load, angle = np.nonzero(needed)
         if load.size:
@@ -500,7 +500,7 @@ class _Grid:
         step = self.angles.size // (2 * coarse.deviation.shape[1])
         middles = self.angles[step :: 2 * step]
         here = Rest._make(channel[step :: 2 * step] for channel in self.rest)
-        solver = functools.partial(nodes.solved_at, self.drive, direction, at, middles)
+        solver = functools.partial(table_nodes.solved_at, self.drive, direction, at, middles)
         one = solver(load, angle, here, self.workers, self.progress)
         found[0][needed], found[1][needed] = one.deviation, one.compliance
         finer = [np.stack(both, axis=-1).reshape(at.size, -1) for both in zip(coarse[:2], found, strict=True)]
@@ -512,7 +512,7 @@ class _Grid:
         self.total(fewest * at.size)
         step = self.angles.size // fewest
         here = Rest._make(channel[::step] for channel in self.rest)
-        solver = functools.partial(nodes.solved, self.drive, direction, at)
+        solver = functools.partial(table_nodes.solved, self.drive, direction, at)
         one = solver(self.angles[::step], here, self.workers, self.progress)
         while one.deviation.shape[1] < self.angles.size:
             one = self._between(one, direction, at)
@@ -522,7 +522,7 @@ class _Grid:
         """Insert the crank angles midway."""
         self.samples *= 2
         self.angles = self._equidistant()
-        here = nodes.at_rest(self.drive, self.angles[1::2], self.workers)
+        here = table_nodes.at_rest(self.drive, self.angles[1::2], self.workers)
         self.rest = Rest._make(np.ravel(channels, "F") for channels in zip(self.rest, here, strict=True))
         for k, direction in enumerate(_DIRECTIONS):
             self.exact[k] = self._between(self.exact[k], direction, self.loads[k])
@@ -610,7 +610,7 @@ def _far(
     """Solve the model at a load far beyond the last."""
     for times in _FAR:
         with contextlib.suppress(InputError):  # contacts can't balance every load
-            return times * last, nodes.solved(drive, direction, np.array([times * last]), angles, workers=workers)
+            return times * last, table_nodes.solved(drive, direction, np.array([times * last]), angles, workers=workers)
     end = Solved(*(channel[-1:] for channel in exact))
     beyond = (_FAR[-1] - 1.0) * last
     return _FAR[-1] * last, end._replace(deviation=end.deviation + np.float32(beyond) * end.compliance)
@@ -643,8 +643,8 @@ def _between_loads(drive: DriveValue, loads: Sequence[Array], theta: Array, torq
         cells, shares, widths = _cells(at, np.abs(torque[side]))
         for j in np.unique(cells):
             here = side[cells == j]
-            rest = nodes.at_rest(drive, theta[here]) if j == 0 else None
-            ends = nodes.solved(drive, direction, at[j : j + 2], theta[here], rest)
+            rest = table_nodes.at_rest(drive, theta[here]) if j == 0 else None
+            ends = table_nodes.solved(drive, direction, at[j : j + 2], theta[here], rest)
             u, h = shares[cells == j], widths[cells == j]
             deviation[here] = direction * _hermite(u, h, ends.deviation, ends.compliance)
             stiffness[here] = 1.0 / _slope(u, h, ends.deviation, ends.compliance)

@@ -12,12 +12,14 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import ArgumentError
+from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.build import completed
 from cycloid_fmu.fmu.constants import EVENT_INDICATORS, MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 from cycloid_fmu.fmu.library import LICENCE, PLATFORMS, SOURCES, library_path, platform_of, source_files
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.resource_file import DRIVE, sealed
+from cycloid_fmu.fmu.table_cache import tables_of
 from cycloid_fmu.fmu.table_file import table_body
 from cycloid_fmu.fmu.variables import (
     Interface,
@@ -29,8 +31,6 @@ from cycloid_fmu.fmu.variables import (
     variables,
 )
 from cycloid_fmu.fmu.variables import states as continuous_states
-from cycloid_fmu.native import tables
-from cycloid_fmu.native.table_cache import tables_of
 
 IDENTIFIER = "CycloidDrive"
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.native import tables
-from cycloid_fmu.native.tables import Errors, Side, Tables
+from cycloid_fmu.fmu import tables
+from cycloid_fmu.fmu.tables import Errors, Side, Tables
 
 _PACKAGE = Path(__file__).parents[1]
 _MAKERS = (
     *("analysis", "contact", "drive_value.py", "errors", "geometry", "supports", "surfaces"),
-    *("native/nodes.py", "native/tables.py"),
+    *("fmu/table_nodes.py", "fmu/tables.py"),
 )
 _MOST_BYTES = 400_000_000  # of all tables in the cache
 _SIDE = ("load", "deviation", "compliance", "told_load", "contact_count", "pressure")

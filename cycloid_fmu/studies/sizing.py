@@ -1,0 +1,591 @@
+"""From a wish to a first drive: ratio, outer diameter, torque, material and process.
+
+Sizes follow rules that are stated with each value; modification and face width are those of `design.search`, for the
+least backlash at which drives of the process turn freely, and for the least width that the weaker material carries.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.analysis import solve
+from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry import sizes
+from cycloid_fmu.geometry.losses import Losses
+from cycloid_fmu.geometry.materials import MATERIALS
+from cycloid_fmu.geometry.pair import LEAST_TEETH, MOST_TEETH, Pair, PositiveTorque, smallest_convex_radius
+from cycloid_fmu.geometry.processes import PROCESSES, Process, standard_tolerance
+from cycloid_fmu.geometry.supports import Supports
+from cycloid_fmu.studies.design import DesignTask, search
+from cycloid_fmu.surfaces.sampling import Tolerances, parse_tolerances
+from cycloid_fmu.surfaces.surface import surface_of_pair
+
+Array = NDArray[np.float64]
+_DOWELS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0)  # mm, ISO 8734
+_BALL_BEARINGS = (  # bore, outside diameter, width (mm), C (kN): SKF, deep groove, series 618
+    (10.0, 19.0, 5.0, 1.38),
+    (12.0, 21.0, 5.0, 1.43),
+    (15.0, 24.0, 5.0, 1.56),
+    (17.0, 26.0, 5.0, 1.68),
+    (20.0, 32.0, 7.0, 4.03),
+    (25.0, 37.0, 7.0, 4.36),
+    (30.0, 42.0, 7.0, 4.49),
+    (35.0, 47.0, 7.0, 4.36),
+    (40.0, 52.0, 7.0, 4.49),
+    (45.0, 58.0, 7.0, 6.63),
+    (50.0, 65.0, 7.0, 6.76),
+    (55.0, 72.0, 9.0, 9.04),
+    (60.0, 78.0, 10.0, 11.9),
+    (65.0, 85.0, 10.0, 12.4),
+    (70.0, 90.0, 10.0, 12.4),
+    (75.0, 95.0, 10.0, 12.7),
+    (80.0, 100.0, 10.0, 13.0),
+)
+_SHORTENING = 0.65  # K = e z_p/R_p: lower, forces on the crank grow; higher, the flank's tips get sharp
+_PIN_SHARE = 0.45  # largest diameter of a pin relative to the distance of neighbouring pins
+_CURVATURE = 1.3  # least curvature radius of the pin centre's path relative to the pin's radius: no sharp flank
+_MODIFICATION = 4.0  # range of the modification relative to the tolerance of a position
+_USUAL_CLEARANCE = 1.1  # isometric modification that a search ends with, relative to the tolerance of a position
+_YIELD = 0.95  # of drives of the process that must turn freely
+_SAMPLES = 64
+_LARGEST_WIDTH = 0.3  # of all discs together relative to the outer diameter
+_LEAST_WIDTH = 2e-3  # m
+_OUTPUT_PINS = ((6, 8, 5, 4), (10, 12))  # numbers in the order of preference; many small ones only if few do not fit
+_TRIALS = 5  # doublings of the diameter or quarterings of the torque, and bisections, for the nearest possible drive
+_WIDENED = 5  # times that the face width is adapted to the bearings
+_SAFETY = 1.5  # of output pins against bending fatigue
+_OUTPUT_STEEL = "case-hardened steel"
+_SHEAR = 30e6  # Pa: of the crank, as in handbooks for shafts whose bending is not known yet
+_BEARING_SPEED, _BEARING_LOAD = 2.0, 0.0007  # f_0 and f_1 of deep groove bearings with grease (Palmgren)
+
+
+class Wish(edge.Config):
+    """What a drive shall be.
+
+    Attributes
+    ----------
+    ratio
+        Whole number, |motor speed/output speed|.
+    outer_diameter
+        Largest diameter of the ring, m.
+    torque
+        Rated torque at the output, N·m.
+    material
+        Of discs, a name of `materials.MATERIALS`.
+    pin_material
+        Of pins and output pins.
+    process
+        By which discs and ring are made, a name of `processes.PROCESSES`.
+    discs
+        Number of discs.
+    output
+        "gear": the carrier turns; "ring": the ring does.
+
+    Examples
+    --------
+    >>> from cycloid_fmu.studies.sizing import Wish
+    >>> wish = Wish(ratio=15, outer_diameter="70 mm", torque="20 N*m", material="printed PLA", process="FDM")
+    >>> wish.gear_teeth
+    15
+    """
+
+    ratio: int = pydantic.Field(strict=True)
+    outer_diameter: sizes.CircleRadius
+    torque: PositiveTorque
+    material: str
+    process: str
+    pin_material: str = "bearing steel"
+    discs: int = pydantic.Field(default=2, ge=1, le=4, strict=True)
+    output: Literal["gear", "ring"] = "gear"
+
+    @pydantic.field_validator("material", "pin_material")
+    @classmethod
+    def _material(cls, name: str) -> str:
+        return _named(name, MATERIALS)
+
+    @pydantic.field_validator("process")
+    @classmethod
+    def _process(cls, name: str) -> str:
+        return _named(name, PROCESSES)
+
+    @pydantic.model_validator(mode="after")
+    def _possible(self) -> Wish:
+        least, most = (teeth + (self.output == "ring") for teeth in (LEAST_TEETH, MOST_TEETH))
+        if not least <= abs(self.ratio) <= most:
+            raise ValueError(
+                f"ratio = {self.ratio}: one stage has a ratio from {least} to {most} with output = {self.output!r}; "
+                "a larger one needs a first stage before it"
+            )
+        return self
+
+    @property
+    def gear_teeth(self) -> int:
+        """Teeth of the discs: the ratio with the gear as output, one less with the ring."""
+        return abs(self.ratio) - (self.output == "ring")
+
+
+def _named(name: str, known: Any) -> str:
+    if name not in known:
+        near = edge.did_you_mean(name, known) or f"give one of {', '.join(map(repr, known))}"
+        raise ValueError(f"{edge.shown(name)}: {near}")
+    return name
+
+
+@dataclasses.dataclass(frozen=True)
+class Sizing:
+    """A first drive for a wish.
+
+    Attributes
+    ----------
+    wish
+        The wish.
+    pair
+        The drive.
+    tolerances
+        Text of a tolerance file: what the process holds.
+    reasons
+        {"table.key" of the pair file: why this value}.
+    notes
+        What is assumed, rigid or not judged, one sentence each.
+    bearing_seat
+        Radius of the discs' bore for the eccentric bearing, m; 0 where it is not sized.
+    """
+
+    wish: Wish
+    pair: Pair
+    tolerances: str
+    reasons: dict[str, str]
+    notes: tuple[str, ...]
+    bearing_seat: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """The pair file, with the reason of each value behind it."""
+        title, *lines = self.pair.text.splitlines()
+        wish = self.wish
+        head = (
+            f"# |ratio| {abs(wish.ratio)}, {wish.outer_diameter * 1e3:g} mm outside, {wish.torque:g} N*m; discs of "
+            f"{wish.material} by {wish.process}, pins of {wish.pin_material}."
+        )
+        table, found = "", [head, *(f"# {note}" for note in self.notes), title]
+        for line in lines:
+            if line.startswith("["):
+                table = line.strip("[]")
+                reason = self.reasons.get(table)
+            else:
+                reason = self.reasons.get(f"{table}.{line.split(' = ')[0]}")
+            found.append(f"{line}  # {reason}" if reason else line)
+        return "\n".join(found) + "\n"
+
+
+class _Mesh(NamedTuple):
+    """Ring and discs by rules: pin circle and pin radius, eccentricity, m."""
+
+    circle: float
+    pin: float
+    eccentricity: float
+
+
+def _mesh(wish: Wish, process: Process) -> _Mesh:
+    """Return pin circle, pins and eccentricity for an outer diameter.
+
+    Raises
+    ------
+    edge.InputError
+        If no pin of a standard diameter fits.
+    """
+    pins, wall = wish.gear_teeth + 1, process.wall
+    for diameter in sorted(_DOWELS, reverse=True):
+        radius = 0.5e-3 * diameter
+        circle = math.floor(2e3 * (0.5 * wish.outer_diameter - wall - radius) + 1e-6) * 0.5e-3
+        if circle <= 0.0 or 2.0 * radius > _PIN_SHARE * 2.0 * circle * math.sin(math.pi / pins):
+            continue
+        step = 0.05e-3 if circle * _SHORTENING / pins > 0.5e-3 else 0.01e-3
+        eccentricity = step * math.floor(_SHORTENING * circle / pins / step)
+        if eccentricity > 0.0 and smallest_convex_radius(circle, eccentricity, pins) >= _CURVATURE * radius:
+            return _Mesh(circle, radius, round(eccentricity, 9))
+    raise _TooSmallError(f"no pin of 1 mm or more fits {pins} times into {wish.outer_diameter * 1e3:g} mm")
+
+
+class _TooSmallError(edge.InputError):
+    """A wish for which there is no room."""
+
+
+def process_tolerances(wish: Wish, mesh: _Mesh) -> str:
+    """Return the text of the tolerance file of drives that a process makes: ISO 286-1 by its grade."""
+    process = PROCESSES[wish.process]
+    place = process.position(2.0 * mesh.circle)
+    flank = process.position(2.0 * mesh.pin)
+
+    def um(value: float) -> str:
+        return f'"{value * 1e6:.2g} um"'
+
+    rows = [f"[{key}]\nsingle = {um(place)}\ncumulative = {um(2.0 * place)}" for key in ("gear_pitch", "pin_pitch")]
+    each = standard_tolerance(6, 2.0 * mesh.pin) / 4.0
+    for key, value in {
+        "pin_radius_each": each,
+        "centre_distance_x": place,
+        "centre_distance_y": place,
+        "eccentricity": process.position(2.0 * mesh.eccentricity),
+        "isometric": flank,
+    }.items():
+        rows.append(f"[{key}]\ntolerance = {um(value)}")
+    head = f"# What {wish.process} holds: IT{process.grade} of ISO 286-1 ({process.source}); pins m6 (ISO 8734).\n"
+    return head + 'format = "cycloid-tolerances/1"\n' + "\n".join(rows) + "\n"
+
+
+def size(wish: Wish, progress: Callable[[str], None] = lambda step: None) -> Sizing:
+    """Return a first drive for a wish.
+
+    Parameters
+    ----------
+    wish
+        What the drive shall be.
+    progress
+        Called with the name of each stage.
+
+    Raises
+    ------
+    edge.InputError
+        If there is none; the sentence names the nearest outer diameter and the nearest torque that are possible.
+
+    Examples
+    --------
+    >>> from cycloid_fmu.studies.sizing import Wish, size
+    >>> wish = Wish(ratio=15, outer_diameter="70 mm", torque="20 N*m", material="7075-T6", process="CNC")
+    >>> drive = size(wish)
+    >>> drive.pair.gear_teeth, drive.pair.supports.kind
+    (15, 'output_rollers')
+    """
+    try:
+        return _sized(wish, progress)
+    except _TooSmallError as problem:
+        raise edge.InputError(f"There is no such drive: {problem}. {_nearest(wish, progress)}") from None
+
+
+def _sized(wish: Wish, progress: Callable[[str], None], search_modification: bool = True) -> Sizing:
+    process, gear = PROCESSES[wish.process], MATERIALS[wish.material]
+    mesh = _mesh(wish, process)
+    tolerances = process_tolerances(wish, mesh)
+    width = max(_LEAST_WIDTH, process.wall, 0.5 * _LARGEST_WIDTH * wish.outer_diameter / wish.discs)
+    pair = Pair(
+        gear_teeth=wish.gear_teeth,
+        pin_circle_radius=mesh.circle,
+        pin_radius=mesh.pin,
+        eccentricity=mesh.eccentricity,
+        face_width=width,
+        discs=wish.discs,
+        output=wish.output,
+        rated_torque=wish.torque,
+        material={"gear": {"name": wish.material}, "pin": {"name": wish.pin_material}},
+    )
+    if search_modification:
+        pair = _modified(pair, parse_tolerances(tolerances, "tolerances of the process"), process, progress)
+    else:
+        pair = pair.replace(isometric=_USUAL_CLEARANCE * process.position(2.0 * mesh.circle))
+    limit = pair.largest_pressure
+    assert limit is not None
+    pair, binding = _wide_enough(pair, wish, process, limit.pressure, progress)
+    reasons = {
+        "pair.pin_circle_radius": f"outer radius less pin radius and a wall of {process.wall * 1e3:g} mm",
+        "pair.pin_radius": f"largest dowel (ISO 8734) of at most {_PIN_SHARE:g} of the pins' distance",
+        "pair.eccentricity": f"shortening coefficient K = {pair.shortening:.2f}, aimed at {_SHORTENING:g}",
+        "pair.face_width": binding,
+        "pair.rated_torque": "the wish",
+        "pair.discs": "opposite each other, so balanced" if wish.discs > 1 else "unbalanced: one disc",
+        "modification.isometric": f"with offset: least backlash at which {_YIELD:.0%} of drives by {wish.process} turn",
+        "material.gear": gear.source.replace("#", ""),
+        "material.pin": MATERIALS[wish.pin_material].source,
+    }
+    notes = [
+        "A first drive: sizes by rules, modification and face width by the search of `design`; its bodies are rigid, "
+        "so the real drive is softer.",
+    ]
+    if gear.creeps:
+        notes.append(
+            f"{wish.material} creeps: under lasting load modulus and strength fall to a half or less, which is not "
+            f"computed; keep below {gear.service_temperature - 273.15:.0f} degC."
+        )
+    if wish.output == "gear":
+        progress("output and bearings")
+        output, pair = _held(wish, pair, process, limit.pressure)
+        reasons |= output.reasons
+        notes += output.notes
+        return Sizing(wish, pair, tolerances, reasons, tuple(notes), output.bearing_seat)
+    notes.append('output = "ring": bearings and output are not modelled, so neither sized here; no losses.')
+    return Sizing(wish, pair, tolerances, reasons, tuple(notes))
+
+
+def _modified(pair: Pair, tolerances: Tolerances, process: Process, progress: Callable[[str], None]) -> Pair:
+    """Return the pair with the modification of least backlash at which drives of the process turn freely."""
+    reach = _MODIFICATION * process.position(2.0 * pair.pin_circle_radius)
+    most = min(reach, 0.9e-3, 0.3 * pair.pin_radius)
+    task = DesignTask(
+        goals=("backlash",),
+        vary={"isometric": (0.0, most), "offset": (-most, 0.0)},
+        limits={"interference": 0.0},
+        robust={"yield": _YIELD, "samples": _SAMPLES},
+    )
+    start = pair.replace(isometric=0.5 * most, offset=-0.25 * most)
+    progress("modification")
+    (found,) = search(start, task, tolerances, starts=0)
+    if not found.met:
+        share = found.yields["all"]["share"]
+        raise _TooSmallError(
+            f"with what the process holds, {share:.0%} of drives turn freely at the largest modification, "
+            f"{most * 1e6:.0f} µm"
+        )
+    return found.pair
+
+
+def _wide_enough(
+    pair: Pair, wish: Wish, process: Process, pressure: float, progress: Callable[[str], None]
+) -> tuple[Pair, str]:
+    """Return the pair with the least face width at which the pressure is permitted, and why it is that."""
+    least = max(_LEAST_WIDTH, process.wall)
+    most = _LARGEST_WIDTH * wish.outer_diameter / wish.discs
+    reached = largest_pressure(pair.replace(face_width=most))
+    if reached > pressure:
+        raise _TooSmallError(
+            f"at the largest face width, {most * 1e3:.3g} mm a disc, the contact pressure is {reached * 1e-6:.0f} MPa, "
+            f"and {wish.material} bears {pressure * 1e-6:.0f} MPa"
+        )
+    task = DesignTask(
+        goals=("face_width",), vary={"face_width": (least, most)}, limits={"max_contact_pressure": pressure}
+    )
+    progress("face width")
+    (found,) = search(pair.replace(face_width=most), task, starts=0)
+    needed = found.pair.face_width
+    why = f"for {pressure * 1e-6:.0f} MPa at rated torque" if needed > 1.001 * least else "the least by rule"
+    return found.pair.replace(face_width=_half_mm(needed)), why
+
+
+class _Output(NamedTuple):
+    """Supports and losses of a drive with output pins, with their reasons and notes, and the eccentric's seat, m."""
+
+    supports: Supports
+    losses: Losses
+    reasons: dict[str, str]
+    notes: list[str]
+    bearing_seat: float
+
+
+def _output(wish: Wish, pair: Pair, process: Process) -> _Output:
+    """Return supports and losses of a drive with output pins: pins and eccentric bearing that fit.
+
+    Raises
+    ------
+    edge.InputError
+        If nothing fits between the crank and the flank's roots.
+    """
+    root = pair.pin_circle_radius - pair.pin_radius - pair.eccentricity
+    wall, e = process.wall, pair.eccentricity
+    input_torque = wish.torque / abs(pair.ratio)
+    shaft = (2.0 * input_torque / (math.pi * _SHEAR)) ** (1.0 / 3.0)  # radius
+    length = pair.discs * pair.face_width + (pair.discs + 1) * 0.5e-3
+    strength = MATERIALS[_OUTPUT_STEEL].bending_fatigue
+    assert strength is not None
+    allowed = strength[0] / _SAFETY
+    for counts, bearing in itertools.product(_OUTPUT_PINS, reversed(_BALL_BEARINGS)):
+        bore, outside, ball_width, _ = bearing
+        if 0.5e-3 * bore < shaft + e + 1e-3 or 1e-3 * ball_width > pair.face_width + 2e-3:
+            continue
+        inner, room = 0.5e-3 * outside + wall, 0.5 * (root - 0.5e-3 * outside) - wall
+        circle = round(0.5 * (inner + root - wall), 4)
+        for count in counts:
+            force = 4.0 * wish.torque / (pair.discs * count * circle)
+            needed = (8.0 * force * length / (math.pi * allowed)) ** (1.0 / 3.0)  # M = F l/4 of a beam on two supports
+            pin = next((0.5e-3 * d for d in _DOWELS if 1e-3 * d >= needed), math.inf)
+            hole = pin + e
+            if hole > room or 2.0 * circle * math.sin(math.pi / count) < 2.0 * hole + wall:
+                continue
+            return _with_output(wish, pair, bearing, circle, count, pin, force, length)
+    raise _TooSmallError(
+        f"no eccentric bearing with output pins fits inside the flank's roots, {2e3 * root:.3g} mm in diameter"
+    )
+
+
+def _held(wish: Wish, pair: Pair, process: Process, pressure: float) -> tuple[_Output, Pair]:
+    """Return output and bearings, and the drive on them, as much wider as their play and give make necessary."""
+    most = _LARGEST_WIDTH * wish.outer_diameter / wish.discs
+    for _ in range(_WIDENED):
+        output = _output(wish, pair, process)
+        held = pair.replace(supports=output.supports, losses=output.losses)
+        reached = largest_pressure(held)
+        if reached <= pressure:
+            return output, held
+        pair = pair.replace(face_width=_half_mm(pair.face_width * (reached / pressure) ** 2))
+        if pair.face_width > most:
+            break
+    raise _TooSmallError(
+        f"on its bearings the contact pressure is {reached * 1e-6:.0f} MPa at a face width of "
+        f"{held.face_width * 1e3:.3g} mm, and {wish.material} bears {pressure * 1e-6:.0f} MPa"
+    )
+
+
+def _half_mm(width: float) -> float:
+    """Round a width (m) up to half a millimetre."""
+    return round(0.5e-3 * math.ceil(width * 2e3 - 1e-9), 6)
+
+
+def _with_output(
+    wish: Wish,
+    pair: Pair,
+    bearing: Sequence[float],
+    circle: float,
+    count: int,
+    pin: float,
+    force: float,
+    length: float,
+) -> _Output:
+    bore, outside, _, capacity = bearing
+    process = PROCESSES[wish.process]
+    arm_force = 1.25 * wish.torque / (pair.discs * pair.eccentricity * pair.gear_teeth)
+    stiffness = _ball_bearing_stiffness(arm_force, 1e-3 * bore, 1e-3 * outside)
+    bending = 48.0 * MATERIALS[_OUTPUT_STEEL].modulus * math.pi * pin**4 / 4.0 / length**3
+    contact = _roller_stiffness(pair, pin, force)
+    clearance = round(standard_tolerance(process.grade, 2.0 * (pin + pair.eccentricity)), 6)
+    supports = Supports(
+        kind="output_rollers",
+        count=count,
+        circle_radius=circle,
+        turning_arm={"stiffness": _three(stiffness), "dynamic_capacity": 1e3 * capacity},
+        output_roller={
+            "stiffness": _three(1.0 / (1.0 / bending + 1.0 / contact)),
+            "clearance": min(clearance, 2e-4),
+            "radius": pin,
+        },
+    )
+    friction = _friction_of(wish.material)
+    losses = Losses(
+        flank={"friction": friction},
+        output_contact={"friction": friction},
+        output_roller={"outer_radius": pin},
+        turning_arm={
+            "mean_diameter": round(0.5e-3 * (bore + outside), 6),
+            "load_factor": _BEARING_LOAD,
+            "speed_factor": _BEARING_SPEED,
+        },
+        lubricant={"viscosity_40": 100e-6, "viscosity_100": 11e-6, "temperature": 313.15},
+    )
+    reasons = {
+        "supports.count": f"output pins of {2e3 * pin:g} mm in holes of {2e3 * (pin + pair.eccentricity):.4g} mm",
+        "supports.circle_radius": "between the eccentric bearing and the roots of the flank",
+        "supports.turning_arm": f"ball bearing {bore:g} x {outside:g} mm, series 618; stiffness by Palmgren",
+        "supports.output_roller": f"contact and bending, held at both ends, at {force:.0f} N",
+        "losses.flank": "values to begin with; measure the drive",
+        "losses.output_contact": "pins that do not turn; bushings would lose less",
+        "losses.turning_arm": "deep groove, greased (Palmgren)",
+        "losses.lubricant": "assumed: a grease's base oil, ISO VG 100",
+    }
+    notes = [
+        "Rigid here, because nothing is known of them: crank shaft and its bearings, main bearing, pin seats.",
+        "Lives by ISO 281 with the exponent of rollers; the eccentric runs on balls, whose exponent is 3.",
+    ]
+    if clearance > 2e-4:
+        notes.append(f"The clearance of the output holes would be {clearance * 1e6:.0f} µm; the model ends at 200 µm.")
+    return _Output(supports, losses, reasons, notes, 0.5e-3 * outside)
+
+
+def _three(value: float) -> float:
+    """Round to three significant digits."""
+    return float(f"{value:.3g}")
+
+
+def _ball_bearing_stiffness(force: float, bore: float, outside: float) -> float:
+    """Return the secant radial stiffness of a deep groove bearing without clearance, N/m.
+
+    δ = 4.36e-4 Q^(2/3)/D_w^(1/3) mm, Q = 5F/z (Palmgren; Harris, Rolling Bearing Analysis), with balls of D_w = 0.3
+    (D - d) and z = 2.9 (D + d)/(D - d) of them (Eschmann, Ball and Roller Bearings).
+    """
+    ball, balls = 0.3 * (outside - bore), 2.9 * (outside + bore) / (outside - bore)
+    deflection = 4.36e-7 * math.cbrt((5.0 * force / balls) ** 2 / (1e3 * ball))
+    return force / deflection
+
+
+def _roller_stiffness(pair: Pair, pin: float, force: float) -> float:
+    """Return the secant stiffness of an output pin in its hole by Hertz's line contact, N/m."""
+    from scipy.optimize import brentq
+
+    from cycloid_fmu.contact.hertz import hertz
+
+    given = (-1.0 / (pin + pair.eccentricity), pin, pair.face_width)
+    elastic = (pair.material.gear.compliance, pair.material.pin.compliance, pair.pin_circle_radius)
+    approach = brentq(lambda value: hertz(value, *given, *elastic)[0] - force, 1e-12, 0.2 * pin)
+    return float(force / approach)
+
+
+def _friction_of(material: str) -> str:
+    """Return the entry of `friction_values.VALUES` for pins of steel on a material."""
+    value = MATERIALS[material]
+    if not value.creeps:
+        return "steel, grease"
+    return {"POM": "POM, dry"}.get(material, "plastic, dry")
+
+
+def _nearest(wish: Wish, progress: Callable[[str], None]) -> str:
+    """Return what is possible instead, as sentences: a larger drive, and a smaller torque."""
+
+    def fits(**changes: float) -> bool:
+        try:
+            _sized(wish.replace(**changes), lambda step: None, search_modification=False)
+        except edge.InputError:
+            return False
+        return True
+
+    said = []
+    for name, unit, factor, step in (("outer_diameter", "mm", 1e3, 2.0), ("torque", "N*m", 1.0, 0.25)):
+        word, wished = name.replace("_", " "), getattr(wish, name)
+        progress(f"nearest possible {word}")
+        impossible, possible = 0.0, next((k for k in range(1, _TRIALS + 1) if fits(**{name: wished * step**k})), 0)
+        if not possible:
+            end = wished * step**_TRIALS * factor
+            said.append(f"No {word} {'up' if step > 1.0 else 'down'} to {end:.2g} {unit} is enough.")
+            continue
+        impossible, nearest = possible - 1.0, float(possible)
+        for _ in range(_TRIALS):
+            middle = 0.5 * (impossible + nearest)
+            impossible, nearest = (impossible, middle) if fits(**{name: wished * step**middle}) else (middle, nearest)
+        said.append(f"About {wished * step**nearest * factor:.3g} {unit} of {word} would be possible.")
+    return " ".join(said)
+
+
+def largest_pressure(pair: Pair, angles: int = 90) -> float:
+    """Return the largest contact pressure of a drive at its rated torque over a crank turn, Pa."""
+    turn = np.linspace(0.0, 2.0 * np.pi, angles, endpoint=False)
+    found = solve(DriveValue(pair, surface_of_pair(pair)), np.array([pair.rated_load()]), turn, with_play=False)
+    return float(found.max_contact_pressure.max())
+
+
+def write_sizing(drive: Sizing, folder: str | os.PathLike[str], figures: Sequence[dict[str, Any]]) -> None:
+    """Write a first drive into a folder, which is created: `drive.toml`, `tolerances.toml` and `figures.json`.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be written.
+    """
+    target = Path(folder)
+    try:
+        target.mkdir(exist_ok=True)
+    except OSError as failure:
+        raise edge.InputError(f"{folder}: it can't be created as a folder: {failure.strerror}.") from None
+    texts = {
+        "drive.toml": drive.text,
+        "tolerances.toml": drive.tolerances,
+        "figures.json": edge.json_text(list(figures)),
+    }
+    for name, text in texts.items():
+        with edge.written_whole(target / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
