@@ -69,7 +69,7 @@ from fitting.model.observations import (
     with_scatter,
 )
 from fitting.model.posterior import Posterior, lasting
-from fitting.model.prior import tolerances_of
+from fitting.model.prior import posterior_as_json, tolerances_of
 from fitting.model.unknowns import NO_SCATTER
 from fitting.transmission_error.curve import Curve
 
@@ -606,7 +606,7 @@ def as_json(result: Identification) -> dict[str, Any]:
         "bench": result.bench,
         "lmfit_parameters": lmfit_states(result.confirmed),
         "correlation": {"of": list(result.fitted), "matrix": result.correlation},
-        "posterior": None if result.posterior is None else result.posterior.stated,
+        "posterior": None if result.posterior is None else posterior_as_json(result.posterior),
         "singular_values": result.singular_values,
         "weak_combinations": list(result.weak_combinations),
         "noise": result.noise,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,16 +99,6 @@ class Posterior:
     def deviations(self) -> dict[str, float]:
         """Standard deviation of each unknown, SI."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-
-    @property
-    def stated(self) -> dict[str, Any]:
-        """The distribution as the content of a file, SI: `factor` times its transpose is the covariance."""
-        return {
-            "errors": list(self.errors),
-            "bench": list(self.bench),
-            "mean": [float(f"{v:.12g}") for v in self.mean],
-            "factor": factor_rows(self.covariance),
-        }
 
     def rows(self, names: Sequence[str], scale: Array) -> tuple[Array, Array]:
         """Return the distribution of some unknowns as measurements of them.

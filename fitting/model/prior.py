@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,19 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, sample_surface
-from cycloid_fmu.surfaces.structured import profile_names, profile_wave, structured_value, unit_of
-from cycloid_fmu.surfaces.surface import Elements
+from cycloid_fmu.surfaces.structured import profile_names, profile_wave, structured_value, unit_of, with_structured
+from cycloid_fmu.surfaces.surface import Elements, surface_of_pair
 from fitting.model.bearings import sizes_of, unknown_bearings
 from fitting.model.constraints import Constraints
-from fitting.model.observations import ORDERS, PROFILE_ORDERS, estimated_parts, scatter_names
-from fitting.model.posterior import Posterior
+from fitting.model.observations import (
+    ORDERS,
+    PROFILE_ORDERS,
+    errors_of,
+    estimated_parts,
+    scatter_between,
+    scatter_names,
+)
+from fitting.model.posterior import Posterior, factor_rows
 
 Array = NDArray[np.float64]
 TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # prior standard deviation of an error
@@ -99,6 +107,24 @@ def posterior_about(
     values = [structured_value(plain, n) for n in errors]
     mean = np.concatenate([values, bench_mean, np.zeros(len(scatter))])
     return Posterior(drive, plain, tuple(errors), tuple(bench), tuple(scatter), mean, covariance)
+
+
+def posterior_as_json(posterior: Posterior) -> dict[str, Any]:
+    """Return a posterior as in a `cycloid-identification/1` file, SI: `factor` times its transpose is the covariance.
+
+    All that the surface has beside structured errors counts as scatter.
+    """
+    surface, orders = posterior.plain, [n for n in posterior.errors if profile_wave(n, 1) is not None]
+    values = {n: structured_value(surface, n) for n in (*errors_of(posterior.drive.pair), *orders)}
+    structured = with_structured(surface_of_pair(posterior.drive.pair.nominal), values)
+    mean = posterior.mean.copy()
+    mean[len(mean) - len(posterior.scatter) :] = scatter_between(posterior.drive.surface, structured)
+    return {
+        "errors": list(posterior.errors),
+        "bench": list(posterior.bench),
+        "mean": [float(f"{v:.12g}") for v in mean],
+        "factor": factor_rows(posterior.covariance),
+    }
 
 
 def prior_of(pair: Pair, tolerances: Tolerances) -> Prior:

@@ -104,6 +104,11 @@ def test_the_file_is_the_prior(curves, drive, before, after, tmp_path):
     assert read.drive.surface.errors.keys() == before.surface.errors.keys()
     for name, values in read.drive.surface.errors.items():
         assert values == pytest.approx(before.surface.errors[name], abs=1e-12), name
+    # The surface of a fit does not tell scatter and errors apart; the file of the next fit has all of it.
+    of_surface = fitting.identify(curves, drive, prior=before.drive)
+    of_surface.write(tmp_path / "next.json")
+    for name, values in read_posterior(tmp_path / "next.json", drive).drive.surface.errors.items():
+        assert values == pytest.approx(of_surface.surface.errors[name], abs=1e-12), name
     again = resolved(fitting.identify(curves, drive, prior=tmp_path / "fit.json"))
     for name, one in resolved(after).items():
         assert again[name].value == pytest.approx(one.value, abs=1e-2 * one.standard_error)
