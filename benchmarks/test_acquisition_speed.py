@@ -124,10 +124,11 @@ def test_frames_a_second_against_a_bare_receive_loop(benchmark, interface):
 
 DEVICE = """
 import math, sys
+from drivers.simulated.buses import SimulatedAmt21
 from drivers.simulated.motion import SimulatedRun, simulate_motion
-from drivers.simulated.serial_bench import SimulatedAmt21Bench
+from drivers.simulated.simulate import bench_of
 motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=100, speed=0.01 * math.pi))
-with SimulatedAmt21Bench(motion) as bench:
+with bench_of(SimulatedAmt21(), motion) as bench:
     bench.write_wiring(sys.argv[1])
     print(bench.url, flush=True)
     sys.stdin.read()

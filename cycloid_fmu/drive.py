@@ -71,6 +71,16 @@ def _torques(given: Any, pair: Pair) -> list[float]:
     return [_torque(one) for one in ([given] if isinstance(given, str) or np.ndim(given) == 0 else given)]
 
 
+def _crank_angles(angles: int, turns: int = 1) -> Array:
+    """Return crank angles evenly spaced over whole turns from 0, end excluded, rad."""
+    return np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
+
+
+def _cores(workers: int | None = None) -> int:
+    """Return the number of workers, by default one per core."""
+    return workers or os.cpu_count() or 1
+
+
 def _requirements(given: Requirements | str | os.PathLike[str]) -> Requirements:
     if isinstance(given, str | os.PathLike):
         from cycloid_fmu.studies.limits import read_requirements
@@ -219,14 +229,14 @@ class Drive(DriveValue):
         from cycloid_fmu.analysis import analyze
 
         if crank_angle is None:
-            crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
+            crank_angle = _crank_angles(angles, turns)
         return analyze(
             self,
             _torques(torque, self.pair),
             crank_angle,
             slices,
             with_elements=slices is not None,
-            workers=workers or os.cpu_count() or 1,
+            workers=_cores(workers),
             progress=progress,
         )
 
@@ -282,9 +292,9 @@ class Drive(DriveValue):
         return figures(
             self,
             _torques(torque, self.pair),
-            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
+            _crank_angles(angles, turns),
             speed,
-            workers=workers or os.cpu_count() or 1,
+            workers=_cores(workers),
             progress=progress,
         )
 
@@ -351,8 +361,8 @@ class Drive(DriveValue):
         return heat(
             self,
             turning,
-            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
-            workers=workers or os.cpu_count() or 1,
+            _crank_angles(angles, turns),
+            workers=_cores(workers),
             progress=progress,
         )
 
@@ -463,8 +473,8 @@ class Drive(DriveValue):
             self,
             stated,
             [] if torque is None else _torques(torque, self.pair),
-            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
-            workers=workers or os.cpu_count() or 1,
+            _crank_angles(angles, turns),
+            workers=_cores(workers),
             progress=progress,
         )
 
@@ -578,7 +588,7 @@ class Drive(DriveValue):
         from cycloid_fmu.supports.figures import bearing_loads
 
         loads = _torques(torque, self.pair)
-        crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
+        crank_angle = _crank_angles(angles, turns)
         found = solve(self, loads, crank_angle, with_play=False)
         return bearing_loads(self.pair, found)
 
@@ -630,7 +640,7 @@ class Drive(DriveValue):
         from cycloid_fmu.supports.transmission import LAWS
 
         if crank_angle is None:
-            crank_angle = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
+            crank_angle = _crank_angles(angles)
         known = names_of(self.pair) + (list(LAWS) if self.pair.supports is not None else [])
         names = list(errors) if errors is not None else known
         for name in names:
@@ -733,7 +743,7 @@ class Drive(DriveValue):
         if requirements is not None:
             study = yields.with_requirements(study, _requirements(requirements))
         check_study(study, "pair", "tolerances")
-        return yields.conduct(study, workers=workers or os.cpu_count() or 1, progress=progress)
+        return yields.conduct(study, workers=_cores(workers), progress=progress)
 
     def sweep(
         self,
@@ -797,7 +807,7 @@ class Drive(DriveValue):
 
         speed = _quantity("crank_speed", crank_speed, "rad/s")
         sweep = Sweep(self, vary_of(vary), tuple(_torques(torque, self.pair)), angles, turns, speed)
-        return conduct(sweep, output, workers=workers or os.cpu_count() or 1, progress=progress)
+        return conduct(sweep, output, workers=_cores(workers), progress=progress)
 
     def wear(
         self,
@@ -854,7 +864,7 @@ class Drive(DriveValue):
             loads,
             crank_turns,
             source,
-            workers=workers or os.cpu_count() or 1,
+            workers=_cores(workers),
             progress=progress,
         )
 
@@ -1023,7 +1033,7 @@ class Drive(DriveValue):
                 interface=interface,
                 fmi_version=fmi_version,
                 largest_torque=largest_torque,
-                workers=os.cpu_count() or 1,
+                workers=_cores(),
             )
         else:
             from cycloid_fmu.fmu.build import build_fmu
@@ -1123,7 +1133,7 @@ class Drive(DriveValue):
             temperatures=between,
             series_compliance=series_compliance,
             torque_share=torque_share,
-            workers=workers or os.cpu_count() or 1,
+            workers=_cores(workers),
             tolerances=None if tolerances is None else _tolerances(tolerances),
             total=total,
             progress=progress,

@@ -21,7 +21,7 @@ from cycloid_fmu.surfaces import sampling
 from cycloid_fmu.wear import law as wear_law
 from drivers.encoder import protocols
 from drivers.recorder import bench, sequence
-from drivers.simulated import faults
+from drivers.simulated import buses
 from fitting.ageing import history
 from fitting.figures import conformity, instruments
 from fitting.readers import mapping
@@ -40,7 +40,7 @@ FILES = (
     ("History of a drive", history.FORMAT, history.History, None),
     ("Bench wiring", bench.BENCH_FORMAT, bench.bench_file(), None),
     ("Guided sequence", sequence.FORMAT, sequence.SequenceFile, None),
-    ("Scripted faults", faults.FORMAT, faults._FaultFile, None),
+    ("Simulated bench", buses.FORMAT, buses.SimulationFile, None),
     ("Mapping of a bench file", mapping.FORMAT, mapping.FileMapping, None),
     ("Instruments of a bench", instruments.FORMAT, instruments.InstrumentsFile, "instruments.toml"),
     ("Certificate of a drive", conformity.FORMAT, conformity.Certificate, "certificate.toml"),

@@ -4,7 +4,7 @@ The names below are those that a notebook needs; each is loaded on first use. A 
 `drivers.encoder.Encoder`, see docs/encoder.md.
 
 >>> import drivers
->>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, connection="virtual") as bench:
+>>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, bus="virtual") as bench:
 ...     done = bench.record("run.arrows")
 >>> recording = drivers.read_recording("run.arrows")
 >>> recording.samples["input_angle"].value.shape
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from drivers.recording_format import Recording, read_recording
     from drivers.recording_format.export import export
     from drivers.recording_format.repair import repair
-    from drivers.simulated.simulate import SimulatedConnection, SimulatedMotion, simulate_bench
+    from drivers.simulated.simulate import SimulatedMotion, simulate_bench
 
 _HOMES = {
     "connections": ("list_connections",),
@@ -38,7 +38,7 @@ _HOMES = {
     "recording_format": ("Recording", "read_recording"),
     "recording_format.export": ("export",),
     "recording_format.repair": ("repair",),
-    "simulated.simulate": ("SimulatedConnection", "SimulatedMotion", "simulate_bench"),
+    "simulated.simulate": ("SimulatedMotion", "simulate_bench"),
 }
 
 __all__ = [
@@ -46,7 +46,6 @@ __all__ = [
     "Encoder",
     "EncoderError",
     "Recording",
-    "SimulatedConnection",
     "SimulatedMotion",
     "export",
     "list_connections",

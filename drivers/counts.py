@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from drivers import recording_format as rf
 
-_PACE_KEPT, _PACE_LEAST = 512, 8
+_PACE_READINGS, _PACE_LEAST = 512, 8
 _SPEED_SECONDS, _LEAST_SECONDS = 1.0, 0.02  # gapless time over which the speed is averaged, and the least for one
 _LOOK_AHEAD, _LATEST = 16, 0.1  # readings and seconds, the longer of which late readings have to catch up
 
@@ -49,8 +49,9 @@ def unwrap(
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, such as "1 line" or "2 lines"."""
-    return f"{number} {noun}{'s' * (number != 1)}"
+    """Return a number with its noun, such as "1 line", "2 lines" or "2 queries"."""
+    plural = f"{noun[:-1]}ies" if noun.endswith("ry") else f"{noun}s"
+    return f"{number} {noun if number == 1 else plural}"
 
 
 class UnseenTurns:
@@ -65,7 +66,9 @@ class UnseenTurns:
     def __init__(self, modulus: int) -> None:
         self._modulus = modulus
         self._last: tuple[float, int] | None = None
-        self._ways: collections.deque[tuple[float, float]] = collections.deque()  # (s, counts) of gapless stretches
+        self._stretches: collections.deque[tuple[float, float]] = (
+            collections.deque()
+        )  # (s, counts) of gapless stretches
 
     def __call__(
         self, times: npt.NDArray[np.float64], counts: npt.NDArray[np.int64], gaps: npt.NDArray[np.bool_]
@@ -92,9 +95,9 @@ class UnseenTurns:
                     counts[i:] += rounds * self._modulus
             from_time, from_count = self._last if self._last is not None and not gaps[i] else (times[i], counts[i])
             self._last = float(times[part[-1]]), int(counts[part[-1]])
-            self._ways.append((self._last[0] - float(from_time), float(self._last[1] - from_count)))
-            while sum(lasts for lasts, _ in self._ways) - self._ways[0][0] > _SPEED_SECONDS:
-                self._ways.popleft()
+            self._stretches.append((self._last[0] - float(from_time), float(self._last[1] - from_count)))
+            while sum(lasts for lasts, _ in self._stretches) - self._stretches[0][0] > _SPEED_SECONDS:
+                self._stretches.popleft()
         return counts, unseen
 
     def _speed(self) -> float | None:
@@ -102,8 +105,8 @@ class UnseenTurns:
 
         It is a mean because a single time stamp may be 25 ms off.
         """
-        lasts = sum(lasts for lasts, _ in self._ways)
-        return sum(way for _, way in self._ways) / lasts if lasts > _LEAST_SECONDS else None
+        lasts = sum(lasts for lasts, _ in self._stretches)
+        return sum(travel for _, travel in self._stretches) / lasts if lasts > _LEAST_SECONDS else None
 
 
 def counts_to_value(
@@ -208,12 +211,16 @@ def missing_by_pace(
 
 
 class Pace:
-    """The usual interval between readings, from the last `_PACE_KEPT` intervals without a loss."""
+    """The usual interval between readings, from the last `_PACE_KEPT` intervals without a loss.
 
-    def __init__(self) -> None:
-        self._steps: collections.deque[float] = collections.deque(maxlen=_PACE_KEPT)
+    `cyclic`: the device sends at one interval, however unevenly a busy machine stamps what arrives.
+    """
+
+    def __init__(self, *, cyclic: bool = False) -> None:
+        self._cyclic = cyclic
+        self._steps: collections.deque[float] = collections.deque(maxlen=_PACE_READINGS)
         self._new = 0
-        self._found: tuple[float | None, float] = None, math.inf
+        self._estimate: tuple[float | None, float] = None, math.inf
 
     def add(self, *steps: float) -> None:
         """Add intervals between readings, s."""
@@ -221,16 +228,20 @@ class Pace:
         self._new += len(steps)
 
     def _look(self) -> tuple[float | None, float]:
-        if self._new and len(self._steps) >= _PACE_LEAST and (self._new >= _PACE_KEPT // 8 or self._found[0] is None):
+        if (
+            self._new
+            and len(self._steps) >= _PACE_LEAST
+            and (self._new >= _PACE_READINGS // 8 or self._estimate[0] is None)
+        ):
             steps = np.array(self._steps)
             middle, late = (float(x) for x in np.quantile(steps, (0.5, 0.98)))
             # The mean, because late readings are followed by early ones or arrive together; pauses are left out.
             total = float(np.sum(steps))
             period = float(np.mean(steps[steps <= max(0.1, _PACE_LEAST / len(steps)) * total]))
-            even = np.mean(np.abs(steps - middle) <= 0.5 * middle) >= 0.8
+            even = self._cyclic or np.mean(np.abs(steps - middle) <= 0.5 * middle) >= 0.8
             longest = max(late, period) + 0.5 * period if even else math.inf
-            self._found, self._new = (period if period > 0 else None, longest), 0
-        return self._found
+            self._estimate, self._new = (period if period > 0 else None, longest), 0
+        return self._estimate
 
     @property
     def period(self) -> float | None:

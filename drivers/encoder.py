@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import abc
-import dataclasses
 import importlib.metadata
 import time
-from collections.abc import Mapping
-from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, ClassVar, Literal
 
 import pydantic
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
-from drivers.lines import LineConfig
+from drivers.plug_in import PlugIn, PlugInConfig, registered
 from drivers.recording_format import Channel, Event, Samples
 
-ENTRY_POINTS = "cycloid.encoders"
-
-
-Line = TypeVar("Line", bound=LineConfig)
 _LONGEST_STEP = 0.1  # s: twice the time that a recorder waits for a sample
 _EPOCH = time.time() - time.monotonic()
 
@@ -54,20 +46,17 @@ class EncoderSetupError(EncoderConnectionError, edge.InputError):
     """The wiring cannot work: no such bus or port, no permission, a node in use, contradictory counts per turn."""
 
 
-class ChannelConfig(edge.Config):
+class ChannelConfig(PlugInConfig):
     """Keys of every channel of a `BENCH.toml`; each protocol adds its own.
 
     Attributes
     ----------
-    protocol
-        Name of the protocol.
     direction
         +1 if the sensor's values increase counter-clockwise, -1 if they decrease.
     zero_reference
         "absolute": the zero is the same in every recording; "incremental": each recording has its own.
     """
 
-    protocol: str
     direction: Literal[1, -1] = 1
     zero_reference: Literal["absolute", "incremental"] = "absolute"
 
@@ -90,40 +79,11 @@ class AngleConfig(ChannelConfig):
     largest_speed: Annotated[edge.Speed, pydantic.Field(gt=0)] | None = None
 
 
-@dataclasses.dataclass(frozen=True)
-class Wiring:
-    """Lines of a `BENCH.toml` by kind and name, the base folder of file names in it, and the file's own name."""
+class Encoder(PlugIn):
+    """A sensor that yields time-stamped samples in blocks, described by a `[channel.name]`.
 
-    lines: Mapping[str, Mapping[str, LineConfig]]
-    folder: Path
-    source: str
-
-    def line(self, kind: type[Line], name: str, table: str) -> Line:
-        """Return the line of this kind and name; an `edge.InputError` names the table that asks if there is none."""
-        named = self.lines.get(kind.kind, {})
-        line = named.get(name)
-        if not isinstance(line, kind):
-            there = ", ".join(edge.shown(k) for k in named) or "none"
-            raise edge.InputError(
-                f"{self.source}: {table} {kind.kind} = {edge.shown(name)}: there is no {kind.kind} of this "
-                f"name; the file has {there}."
-            )
-        return line
-
-
-class Encoder(abc.ABC):
-    """A sensor that yields time-stamped samples in blocks; a context manager that opens and closes it.
-
-    `start` is called once all channels of a bench are open, so that none misses samples triggered by the first one.
-
-    Attributes
-    ----------
-    configuration
-        The keys of its `[channel.X]`.
-    line
-        The table of the line that its channels share, see `LineConfig`; None: there is none.
-    channel
-        The channel's description, from `__enter__` on.
+    From `__enter__` on, `channel` describes it. `start` is called once all channels of a bench are open, so that none
+    misses samples triggered by the first one.
 
     Examples
     --------
@@ -131,44 +91,14 @@ class Encoder(abc.ABC):
 
     >>> import drivers
     >>> sorted(drivers.Encoder.__abstractmethods__)
-    ['__enter__', 'close', 'events', 'from_config', 'read']
+    ['__enter__', 'close', 'events', 'read']
     """
 
+    group = "cycloid.encoders"
     configuration: ClassVar[type[ChannelConfig]]
-    line: ClassVar[type[LineConfig] | None] = None
     channel: Channel
 
-    @classmethod
-    @abc.abstractmethod
-    def from_config(cls, name: str, config: Any, wiring: Wiring) -> Encoder:
-        """Return the encoder that a `[channel.name]` of a `BENCH.toml` describes, not yet opened.
-
-        Raises
-        ------
-        edge.InputError
-            If it names a line or file that does not exist.
-        """
-
-    @abc.abstractmethod
-    def __enter__(self) -> Self:
-        """Open the device; from then on `channel` describes it.
-
-        Raises
-        ------
-        EncoderError
-            If the bus, port or device does not answer, or its answer is invalid.
-        """
-
-    @abc.abstractmethod
-    def close(self) -> None:
-        """Release the bus or port; closing twice is allowed."""
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def start(self) -> None:  # noqa: B027
+    def start(self) -> None:
         """Start the device's transmission, if necessary."""
 
     @abc.abstractmethod
@@ -195,10 +125,10 @@ class Encoder(abc.ABC):
     def events(self) -> list[Event]:
         """Return the events since the last call, `time` in seconds since 1970, and clear them."""
 
-    def drain(self) -> None:  # noqa: B027
+    def drain(self) -> None:
         """Read all data waiting on the bus or port, so that the next `read` returns it; sampling continues."""
 
-    def finish(self) -> None:  # noqa: B027
+    def finish(self) -> None:
         """Report samples missing after the last one, in `events` and `lost`; called once, after the last `read`."""
 
     @property
@@ -297,59 +227,6 @@ class ListeningTime:
         return self.seconds
 
 
-def registered(group: str = ENTRY_POINTS) -> importlib.metadata.EntryPoints:
-    """Return the entry points of a group of all installed packages, whose files are read."""
-    return importlib.metadata.entry_points(group=group)
-
-
 def protocols() -> dict[str, importlib.metadata.EntryPoint]:
     """Return the registered protocols of encoders by name."""
-    return {e.name: e for e in registered()}
-
-
-PlugIn = TypeVar("PlugIn")
-
-
-def plug_in(
-    protocol: object, table: str, source: str, installed: importlib.metadata.EntryPoints, base: type[PlugIn]
-) -> type[PlugIn]:
-    """Return the class of a protocol, from this package or another installed one.
-
-    Parameters
-    ----------
-    protocol, table, source
-        Protocol that a table of a bench file states, such as "[channel.torque]", and the names of both.
-    installed
-        What is `registered`.
-    base
-        Class from which it must derive: `Encoder`, or `recorder.actuator.Actuator`.
-
-    Raises
-    ------
-    edge.InputError
-        If no installed package provides the protocol, two do, or its class does not load; names table and file.
-    """
-    known = {e.name: e for e in installed}
-    names = ", ".join(sorted(known)) or "none"
-    if protocol is None:
-        raise edge.InputError(f"{source}: {table} protocol is missing; installed are {names}.")
-    where = f"{source}: {table} protocol = {edge.shown(protocol)}"
-    if not isinstance(protocol, str) or protocol not in known:
-        raise edge.InputError(f"{where}: no such protocol is installed; installed are {names}.")
-    owners = {e.dist.name for e in installed.select(name=protocol) if e.dist}
-    if len(owners) > 1:
-        raise edge.InputError(f"{where}: the packages {' and '.join(sorted(owners))} both provide it; uninstall one.")
-    owner = "".join(owners) or known[protocol].value
-    try:
-        loaded = known[protocol].load()
-    except edge.InputError as problem:  # an extra that is not installed
-        raise edge.InputError(f"{where}: {problem}") from None
-    except Exception as problem:  # a plug-in's module may raise anything
-        said = str(problem).rstrip(".") or type(problem).__name__
-        raise edge.InputError(f"{where}: the package {owner} that provides it does not load: {said}.") from problem
-    if not (isinstance(loaded, type) and issubclass(loaded, base) and hasattr(loaded, "configuration")):
-        raise edge.InputError(
-            f"{where}: the package {owner} must provide a subclass of {base.__name__} with a configuration, "
-            f"not {loaded!r}."
-        )
-    return loaded
+    return {e.name: e for e in registered(Encoder.group)}

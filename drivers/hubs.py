@@ -9,8 +9,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
-from cycloid_fmu import edge
-from drivers.encoder import Encoder, EncoderError, Wiring
+from drivers.encoder import Encoder, EncoderError
 from drivers.lines import LineConfig
 from drivers.recording_format import Event
 
@@ -114,66 +113,37 @@ class SharedHubs(Generic[Hub]):
         self._lock = threading.Lock()
 
     def __contains__(self, config: Any) -> bool:
-        return config.place in self._users
+        return config.address in self._users
 
     def acquire(self, config: Any) -> Hub:
         """Return the hub of this bus or port, opened for its first user and again after a failure; see `release`."""
         with self._lock:
-            if config.place in self._users and self._users[config.place][0].broken:
-                self._users.pop(config.place)[0].close()
-            if config.place not in self._users:
-                self._users[config.place] = (self._opened(config), [0])
-            hub, users = self._users[config.place]
+            if config.address in self._users and self._users[config.address][0].broken:
+                self._users.pop(config.address)[0].close()
+            if config.address not in self._users:
+                self._users[config.address] = (self._opened(config), [0])
+            hub, users = self._users[config.address]
             users[0] += 1
             return hub
 
     def release(self, hub: Hub) -> None:
         """Release a hub; its last user closes it."""
         with self._lock:
-            current, users = self._users.get(hub.config.place, (None, [0]))
+            current, users = self._users.get(hub.config.address, (None, [0]))
             if current is not hub:  # it broke, and `acquire` has closed it
                 return
             users[0] -= 1
             if users[0] == 0:
-                del self._users[hub.config.place]
+                del self._users[hub.config.address]
                 hub.close()
 
 
 class HubEncoder(Encoder, Generic[Hub]):
-    """An encoder on a shared bus or port: acquires and releases the hub.
-
-    Parameters
-    ----------
-    name
-        Name of the channel.
-    config
-        The channel's table in the `BENCH.toml`.
-    line
-        The table of its line.
-
-    Attributes
-    ----------
-    shared
-        The hubs of all such encoders.
-    line
-        Class of the line's table; the channel's table names the line by the key `line.kind`.
-    """
+    """An encoder on a shared bus or port: acquires and releases the hub; `shared` are the hubs of all such encoders."""
 
     shared: SharedHubs[Any]
     line: ClassVar[type[LineConfig]]
-
-    def __init__(self, name: str, config: Any, line: LineConfig) -> None:
-        self.name, self.config, self._line = name, config, line
-        self.hub: Hub | None = None
-
-    @classmethod
-    def from_config(cls, name: str, config: Any, wiring: Wiring) -> Self:
-        """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
-        line = wiring.line(cls.line, getattr(config, cls.line.kind), f"[channel.{name}]")
-        try:
-            return cls(name, config, line)
-        except edge.InputError as problem:
-            raise edge.InputError(f"{wiring.source}: [channel.{name}] {problem}") from None
+    hub: Hub | None = None
 
     @abc.abstractmethod
     def set_up(self, hub: Hub) -> None:
@@ -191,7 +161,7 @@ class HubEncoder(Encoder, Generic[Hub]):
 
     def __enter__(self) -> Self:
         """Open the bus or port and set up the device; see `Encoder.__enter__`."""
-        self.hub = self.shared.acquire(self._line)
+        self.hub = self.shared.acquire(self.line_config)
         try:
             self.set_up(self.hub)
         except BaseException:

@@ -58,7 +58,7 @@ class LineConfig(edge.Config, abc.ABC):
     --------
     >>> from drivers.lines import PortConfig
     >>> port = PortConfig(url="/dev/ttyUSB0")
-    >>> port.kind, port.noun, port.place
+    >>> port.kind, port.noun, port.address
     ('port', 'serial port', '"/dev/ttyUSB0"')
     """
 
@@ -67,8 +67,8 @@ class LineConfig(edge.Config, abc.ABC):
 
     @property
     @abc.abstractmethod
-    def place(self) -> str:
-        """What identifies the line on this machine, for messages; lines with the same place are the same line."""
+    def address(self) -> str:
+        """What identifies the line on this machine, for messages; lines with the same address are the same line."""
 
     @property
     def is_private(self) -> bool:
@@ -115,7 +115,7 @@ class BusConfig(LineConfig):
     sync_period: Annotated[edge.Seconds, pydantic.Field(gt=0)] | None = None
 
     @property
-    def place(self) -> str:
+    def address(self) -> str:
         """Interface and channel, which identify the bus, for messages."""
         return f'{self.interface} "{self.channel}"'
 
@@ -165,7 +165,7 @@ class PortConfig(LineConfig):
     stop_bits: Literal[1, 2] = 1
 
     @property
-    def place(self) -> str:
+    def address(self) -> str:
         """The URL in quotes, which identifies the port, for messages."""
         return f'"{self.url}"'
 

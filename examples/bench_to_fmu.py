@@ -40,7 +40,7 @@ def main() -> None:
                 motion=drivers.SimulatedMotion(
                     48, direction, noise="0.5 arcsec", torque_noise=0.2, seed=len(recordings)
                 ),
-                connection="virtual",
+                bus="virtual",
             )
             with bench:
                 done = bench.record(path, wiring=OUT / "bench.toml")

@@ -44,7 +44,7 @@ def recorded(joint: Path, nominal: cy.Drive) -> list[Path]:
                 motion=drivers.SimulatedMotion(
                     48, direction, noise="0.5 arcsec", torque_noise=0.2, seed=len(recordings)
                 ),
-                connection="virtual",
+                bus="virtual",
             )
             with bench:
                 bench.record(path, wiring=OUT / "bench.toml")

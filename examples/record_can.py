@@ -31,7 +31,7 @@ def main() -> None:
         ratio=-39,
         turns=2,
         motion=drivers.SimulatedMotion(noise="0.4 arcsec", torque_noise="0.1 N*m"),
-        connection="virtual",
+        bus="virtual",
     )
     with bench:
         wiring = bench.write_wiring(OUT / "bench.toml")

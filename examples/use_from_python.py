@@ -125,7 +125,7 @@ for seed, (load, direction) in enumerate([(20, "forward"), (-20, "backward"), (2
         ratio=pair.ratio,
         torque=load,
         motion=drivers.SimulatedMotion(24, direction, noise="0.5 arcsec", torque_noise=0.2, seed=seed),
-        connection="virtual",
+        bus="virtual",
     ) as bench:
         done = bench.record(path)
     recordings.append(path)

@@ -44,7 +44,7 @@ from drivers.recorder.bench import read_bench
 from drivers.recorder.sequence import read_sequence
 from drivers.recording_format import RecordingWriter, Samples
 from drivers.recording_format.repair import repair
-from drivers.simulated.faults import read_faults
+from drivers.simulated.buses import read_simulation
 from fitting.ageing.history import History, measured, read_history
 from fitting.estimation.result import read_lmfit_parameters
 from fitting.figures.comparison import read_figures
@@ -406,9 +406,11 @@ READERS = {
     "EDS": (beside(encoder, "encoder.eds"), lambda path: read_bench(path.with_name("BENCH.toml"))),
     "DBC": (beside(sensor, "bench.dbc"), lambda path: read_bench(path.with_name("BENCH.toml"))),
     "sequence": (lambda f: (bench(f), text_file("sequence.toml", SEQUENCE)(f))[1], read_sequence),
-    "faults": (
-        text_file("f.toml", 'format = "cycloid-faults/1"\n[[fault]]\nkind = "pull"\nsample = 3\nby = "200 ms"\n'),
-        read_faults,
+    "simulation": (
+        text_file(
+            "s.toml", 'format = "cycloid-simulation/1"\n[[amt21.faults]]\nkind = "pull"\nsample = 3\nby = "200 ms"\n'
+        ),
+        read_simulation,
     ),
     "recording": (recording, read_run),
     "repair": (recording, repair),

@@ -36,15 +36,16 @@ SHORTER = (
     (r"( wear .*--crank-turns) \S+", r"\g<1> 2e4"),
 )
 SIMULATE = "cycloid-bench simulate --fmu as-made.fmu --noise '0.5 arcsec'"
+BUS = r"printf 'format = \"cycloid-simulation/1\"\n[can]\nchannel = \"GROUP\"\n' > bus.toml"
 RUNS = f"""
 cp examples/drive-39-40.toml drive.toml
 cycloid-fmu build examples/drive-39-40-as-made.toml -o as-made.fmu
-{SIMULATE} --torque '20 N*m' --direction backward --bus virtual -o 20Nm-backward.arrows
-{SIMULATE} --torque '-200 N*m' --bus virtual -o 200Nm-forward.arrows
-{SIMULATE} --torque '200 N*m' --direction backward --bus virtual -o 200Nm-backward.arrows
+{SIMULATE} --torque '20 N*m' --direction backward -o 20Nm-backward.arrows
+{SIMULATE} --torque '-200 N*m' -o 200Nm-forward.arrows
+{SIMULATE} --torque '200 N*m' --direction backward -o 200Nm-backward.arrows
 """
 LOOP = f"""
-{SIMULATE} --hysteresis --torque '181 N*m' --turns 3 --samples-per-turn 400 --bus virtual -o loop.arrows
+{SIMULATE} --hysteresis --torque '181 N*m' --turns 3 --samples-per-turn 400 -o loop.arrows
 cycloid-bench export loop.arrows -o loop.csv
 rm loop.arrows
 """
@@ -66,7 +67,8 @@ GIVEN = {
     "bench": f"""
         cycloid-fmu example drive-39-40-as-made.toml -o made.toml
         cycloid-fmu build made.toml -o as-made.fmu
-        {SIMULATE} --torque '-20 N*m' --channel 239.74.163.79 --write-bench BENCH.toml &
+        {BUS.replace("GROUP", "239.74.163.79")}
+        {SIMULATE} --torque '-20 N*m' --bus bus.toml --write-bench BENCH.toml &
     """,
     "own_motor": f"""
         cycloid-fmu example drive-39-40.toml -o drive.toml
@@ -74,7 +76,8 @@ GIVEN = {
         cycloid-fit inspect ramp.csv -o ramp.toml
     """,
     "README": f"""{RUNS}{LOOP}
-        {SIMULATE} --torque '-20 N*m' --channel 239.74.163.78 --write-bench bench.toml &
+        {BUS.replace("GROUP", "239.74.163.78")}
+        {SIMULATE} --torque '-20 N*m' --bus bus.toml --write-bench bench.toml &
     """,
     "tolerances": f"""
         cycloid-fmu example drive-39-40-as-made.toml -o made.toml

@@ -73,7 +73,7 @@ def test_files_that_are_not_text_are_named(command, tmp_path):
     pair = EXAMPLES / TAKEN["pair"]
     assert command("cycloid-fmu", "surface", "nominal", pair, "-o", "s.nc").returncode == 0
     assert command("cycloid-fmu", "build", pair, "-o", "d.fmu").returncode == 0
-    bench = ["--ratio", "-39", "--torque", "1 Nm", "--bus", "virtual"]
+    bench = ["--ratio", "-39", "--torque", "1 Nm"]
     assert command("cycloid-bench", "simulate", *bench, "-o", "r.arrows").returncode == 0
     kinds = {
         "s.nc": "an error surface (cycloid-surface/1), for --surface",

@@ -247,7 +247,7 @@ TAKES = {
         ({"bench.toml": CAN + 'protocol = "odrive"\nnode = 1\n'}, "canopen", RECORD),
         ({"bench.toml": LINE + 'protocol = "modbus"\nregister = 0\n'}, "pymodbus", RECORD),
         ({}, "canopen", SIMULATE),
-        ({}, "pymodbus", (*SIMULATE, "--serial", "modbus")),
+        ({"bus.toml": 'format = "cycloid-simulation/1"\n[modbus]\n'}, "pymodbus", (*SIMULATE, "--bus", "bus.toml")),
     ],
     "bench-files": [
         ({"run.tdms": "x"}, "nptdms", ("cycloid-fit", "inspect", "run.tdms")),

@@ -810,7 +810,7 @@ def test_nothing_is_written_over_or_through_what_is_no_file(tmp_path, occupied, 
     said = "only regular files are written"
     recording = tmp_path / "run.arrows"
     with drivers.simulate_bench(
-        ratio=-39, torque=20.0, turns=1, motion=drivers.SimulatedMotion(8), connection="virtual"
+        ratio=-39, torque=20.0, turns=1, motion=drivers.SimulatedMotion(8), bus="virtual"
     ) as bench:
         bench.record(recording)
         with pytest.raises(edge.InputError, match=f"^path = .*{said}"):

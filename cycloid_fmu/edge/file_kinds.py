@@ -22,7 +22,7 @@ FORMATS = {
     "cycloid-history": "the history of a drive, for cycloid-fit forecast",
     "cycloid-bench": "the wiring of a bench, for cycloid-bench record",
     "cycloid-sequence": "a test sequence, for cycloid-bench run",
-    "cycloid-faults": "a script of faults, for --faults",
+    "cycloid-simulation": "a simulated bus with its faults, for cycloid-bench simulate --bus",
     "cycloid-mapping": "a mapping of a bench file, for --mapping",
     "cycloid-instruments": "a list of a bench's instruments, for --instruments",
     "cycloid-certificate": "the content of a certificate, for --certificate",

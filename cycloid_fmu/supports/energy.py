@@ -15,7 +15,7 @@ import numpy as np
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.load_sharing import load_sharing
-from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
+from cycloid_fmu.contact.local_frame import contact_stiffness, crank_motion, gap_gradient, projection
 from cycloid_fmu.supports.balance import HELD, Load, settle, solve_transposed
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
@@ -72,19 +72,16 @@ def _mesh(
         along = gap_gradient(local)
         stiffness = contact_stiffness(contact_, local, along)
         # Motion of the disc with the crank at fixed unknowns.
-        u, v, y = -drive.eccentricity * local.crank_y, drive.eccentricity * local.crank_x, -1.0 / drive.teeth
+        motion = (*crank_motion(drive, local), -1.0 / drive.teeth)
         energy += -0.5 * force * (contact_.gap + drive.seat_gap) - 0.25 * kappa * force * force
-        turning -= force * (along.gap_u * u + along.gap_v * v + along.gap_y * y)
+        turning -= force * projection(motion, along.gap)
         curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
         bending = 0.5 * force * curved / contact_.stiffness
-        bent_by += bending * (along.slide_u * u + along.slide_v * v + along.slide_y * y)
+        bent_by += bending * projection(motion, along.slide)
         at = FIRST_DISC + 3 * local.disc
-        by_energy[at] += bending * along.slide_u
-        by_energy[at + 1] += bending * along.slide_v
-        by_energy[at + 2] += bending * along.slide_y
-        by_angle[at] += stiffness.uu * u + stiffness.uv * v + stiffness.uy * y
-        by_angle[at + 1] += stiffness.vu * u + stiffness.vv * v + stiffness.vy * y
-        by_angle[at + 2] += stiffness.yu * u + stiffness.yv * v + stiffness.yy * y
+        for i in range(3):
+            by_energy[at + i] += bending * along.slide[i]
+            by_angle[at + i] += projection(motion, stiffness[i])
     return energy, turning, bent_by
 
 

@@ -37,7 +37,7 @@ def frame_name(key: int) -> str:
 def time_source(config: BusConfig, what: str) -> str:
     """Return a channel's `time_source`: 'hardware clock: the CAN interface's stamp of the frame (…)'; `what`: frame."""
     clock = _CLOCKS.get(config.interface, "host")
-    return f"{clock} clock: the CAN interface's stamp of the {what} ({config.place})"
+    return f"{clock} clock: the CAN interface's stamp of the {what} ({config.address})"
 
 
 def open_bus(config: BusConfig, **options: object) -> can.BusABC:
@@ -49,7 +49,7 @@ def open_bus(config: BusConfig, **options: object) -> can.BusABC:
         If the interface is unknown or does not open.
     """
     if config.interface in SERIAL_BUSES and (refused := no_terminal(device_of(config.channel))):
-        raise EncoderSetupError(f"The CAN bus {config.place} does not open: {refused}.")
+        raise EncoderSetupError(f"The CAN bus {config.address} does not open: {refused}.")
     for name in ("bitrate", "data_bitrate"):
         if getattr(config, name) is not None:
             options[name] = getattr(config, name)
@@ -65,5 +65,5 @@ def open_bus(config: BusConfig, **options: object) -> can.BusABC:
         return can.Bus(interface=config.interface, channel=config.channel, **options)
     except Exception as problem:  # each backend of python-can raises its own
         raise EncoderSetupError(
-            f"The CAN bus {config.place} does not open: {reason(problem, 'interface')}."
+            f"The CAN bus {config.address} does not open: {reason(problem, 'interface')}."
         ) from problem

@@ -45,14 +45,14 @@ class SocketDrops:
 
     def stamp(self, ancillary: Sequence[tuple[int, int, bytes]]) -> float | None:
         """Return the time stamp in a frame's ancillary data, s since 1970, or None; update the count of drops."""
-        found = None
+        stamp = None
         for level, kind, data in ancillary:
             if level == socket.SOL_SOCKET and kind == _TIMESTAMP_NS:
                 seconds, nanoseconds = _STAMP.unpack_from(data)
-                found = seconds + nanoseconds * 1e-9
+                stamp = seconds + nanoseconds * 1e-9
             elif level == socket.SOL_SOCKET and kind == _DROPS:
                 self.total += (_COUNT.unpack_from(data)[0] - self.total) % (1 << 32)
-        return found
+        return stamp
 
     def since(self) -> int:
         """Return the number of frames dropped after the last received one."""

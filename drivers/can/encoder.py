@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from drivers.can.frames import FrameReader
 from drivers.can.hub import CanHub, hubs
 from drivers.hubs import HubEncoder
@@ -17,11 +15,13 @@ class CanEncoder(HubEncoder[CanHub]):
     shared = hubs
     line = BusConfig
     reader: FrameReader
+    _lost_before = 0
 
-    def __init__(self, name: str, config: Any, bus: BusConfig) -> None:
-        super().__init__(name, config, bus)
-        self.bus = bus
-        self._lost_before = 0
+    @property
+    def bus(self) -> BusConfig:
+        """The table of its bus."""
+        config: BusConfig = self.line_config
+        return config
 
     def start(self) -> None:
         """Let the hub send SYNC, if the wiring requires it."""

@@ -37,6 +37,11 @@ class Judged:
     status: IntArray
     jumped: npt.NDArray[np.bool_]
 
+    def at(self, which: npt.NDArray[np.bool_]) -> Judged:
+        """Return the frames of a mask, shape (n,)."""
+        device = None if self.time_device is None else self.time_device[which]
+        return Judged(self.payloads[which], self.time_host[which], device, self.status[which], self.jumped[which])
+
 
 class FrameReader:
     """Reads the frames of one identifier as payloads, stamps and status: common to CANopen and DBC channels.
@@ -55,6 +60,8 @@ class FrameReader:
         The channel's name, for events.
     period
         Interval of frames sent by a timer, s, None if unknown; a longer silence is a gap.
+    cyclic
+        Whether frames are sent at one interval; a silence longer than usual is then a gap even if the bus dropped none.
 
     Attributes
     ----------
@@ -70,15 +77,11 @@ class FrameReader:
         sync_step: int | None,
         channel: str,
         period: float | None = None,
+        *,
+        cyclic: bool = False,
     ) -> None:
-        self.hub, self.identifier, self.length, self.sync_step, self.channel, self.period = (
-            hub,
-            identifier,
-            length,
-            sync_step,
-            channel,
-            period,
-        )
+        self.hub, self.identifier, self.length, self.sync_step = hub, identifier, length, sync_step
+        self.channel, self.period, self._by_pace = channel, period, cyclic or not hub.tells_drops
         self._blocks = hub.subscribe(identifier)
         self._events: collections.deque[Event] = collections.deque()
         self._last_seen = -1
@@ -86,7 +89,7 @@ class FrameReader:
         self._newest: int | None = None
         self._last: tuple[float, bytearray, float] | None = None
         self._jumps = ClockJumps()
-        self._pace, self._name = Pace(), frame_name(identifier)
+        self._pace, self._name = Pace(cyclic=cyclic), frame_name(identifier)
         self._gap = hub.gaps
         self._marks: collections.deque[int] = collections.deque()
         self.lost = 0
@@ -135,12 +138,12 @@ class FrameReader:
         """
         losses: list[tuple[int, int]] = []
         blocks: list[Frames] = []
-        place = 0
+        index = 0
         for lost, block in self._blocks.take(timeout):
             if lost:
-                losses.append((place, lost))
+                losses.append((index, lost))
             blocks.append(block)
-            place += len(block.data)
+            index += len(block.data)
         return self._judged(joined_frames(blocks), losses) if blocks else None
 
     def _judged(self, frames: Frames, losses: list[tuple[int, int]]) -> Judged | None:
@@ -149,9 +152,9 @@ class FrameReader:
         stamps = frames.time if self.sync_step is None else frames.sync_time
         before = np.zeros(n, np.int64)  # status bits for the frame at each place, or else the next one kept
         unread = np.zeros(n, np.int64)
-        for place, lost in losses:
-            unread[place] = lost
-            self.say(frames.time[place], f"{lost} × {self._name} lost: the recorder was too slow")
+        for index, lost in losses:
+            unread[index] = lost
+            self.say(frames.time[index], f"{lost} × {self._name} lost: the recorder was too slow")
         behind = (np.diff(frames.gap, prepend=self._gap) > 0) | (unread > 0)
         self._gap = int(frames.gap[-1])
         before[behind] |= GAP
@@ -166,33 +169,33 @@ class FrameReader:
             jumped = self._clocked(frames, before, behind, unread)
         else:
             good &= self._synced(frames, before)
-        kept = np.flatnonzero(good)
+        valid = np.flatnonzero(good)
         # Bits of a frame left out go to the next one kept, in this block or a later one.
-        marks = np.zeros(len(kept) + 1, np.int64)
+        marks = np.zeros(len(valid) + 1, np.int64)
         noted = np.flatnonzero(before)
-        np.bitwise_or.at(marks, np.searchsorted(kept, noted), before[noted])
+        np.bitwise_or.at(marks, np.searchsorted(valid, noted), before[noted])
         while self._marks:
             marks[0] |= self._marks.popleft()
-        status, left_over = marks[:-1], int(marks[-1])
-        if left_over:
-            self._marks.append(left_over)
-        if len(kept) == 0:
+        status, pending = marks[:-1], int(marks[-1])
+        if pending:
+            self._marks.append(pending)
+        if len(valid) == 0:
             return None
         if self.sync_step is not None:
-            numbers = frames.sync[kept] // self.sync_step
+            numbers = frames.sync[valid] // self.sync_step
             judged, missing, self._newest = judge_sequence(numbers, 1 << 62, self._newest)
             status |= judged
             if missing.any():
                 self.lost += int(missing.sum())
                 gaps = np.flatnonzero(missing)
                 self.say(
-                    stamps[kept[gaps[0]]],
+                    stamps[valid[gaps[0]]],
                     f"{int(missing.sum())} SYNC without a sample, in {counted(len(gaps), 'gap')} from here on",
                 )
         own = frames.device if self.sync_step is None else frames.sync_device
-        device = None if own is None else own[kept]
-        data = frames.data if len(kept) == n else [frames.data[i] for i in kept]
-        return Judged(payload_array(data, self.length), stamps[kept], device, status, jumped[kept])
+        device = None if own is None else own[valid]
+        data = frames.data if len(valid) == n else [frames.data[i] for i in valid]
+        return Judged(payload_array(data, self.length), stamps[valid], device, status, jumped[valid])
 
     def _synced(self, frames: Frames, before: IntArray) -> npt.NDArray[np.bool_]:
         """Return the mask of frames with their own SYNC, and set the bits of the others in `before`."""
@@ -265,7 +268,7 @@ class FrameReader:
         period = self.period or self._pace.period
         if period is None:
             return np.zeros(len(step), np.int64)
-        longest = math.inf if self.hub.tells_drops else self._pace.longest
+        longest = self._pace.longest if self._by_pace else math.inf
         gaps = behind | (step > (1.5 * self.period if self.period is not None else longest))
         return missing_by_pace(times, step, gaps & ~jumps, period)[0]
 

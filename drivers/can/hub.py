@@ -115,7 +115,7 @@ class CanHub:
         self._emptied = False
         self._stopping = threading.Event()
         self._producer: threading.Thread | None = None
-        self._thread = threading.Thread(target=self._run, name=f"CAN {self.config.place}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"CAN {self.config.address}", daemon=True)
         self._thread.start()
 
     def subscribe(self, identifier: int) -> BlockQueue[Frames]:
@@ -129,9 +129,9 @@ class CanHub:
 
     def unsubscribe(self, identifier: int, blocks: object) -> None:
         """Stop filling a queue."""
-        left = [q for q in self._queues.get(identifier, []) if q is not blocks]
+        remaining = [q for q in self._queues.get(identifier, []) if q is not blocks]
         others = {k: v for k, v in self._queues.items() if k != identifier}
-        self._queues = {**others, identifier: left} if left else others
+        self._queues = {**others, identifier: remaining} if remaining else others
         self._wanted = frozenset({SYNC_ID, *self._queues})
 
     def node(self, number: int, quantity: str) -> Any:
@@ -145,7 +145,7 @@ class CanHub:
         taken = self._quantities.setdefault(number, set())
         if quantity in taken:
             raise EncoderSetupError(
-                f"The {quantity} of node {number} on the CAN bus {self.config.place} is in use by another channel."
+                f"The {quantity} of node {number} on the CAN bus {self.config.address} is in use by another channel."
             )
         taken.add(quantity)
         if number not in self.network:
@@ -161,7 +161,7 @@ class CanHub:
     def produce_sync(self) -> None:
         """Send SYNC from now on, if the wiring requires it."""
         if self.config.sync_period is not None and self._producer is None:
-            self._producer = threading.Thread(target=self._produce, name=f"SYNC {self.config.place}", daemon=True)
+            self._producer = threading.Thread(target=self._produce, name=f"SYNC {self.config.address}", daemon=True)
             self._producer.start()
 
     def events(self) -> list[Event]:
@@ -177,7 +177,7 @@ class CanHub:
         came = self.broken or self._drained.wait(_DRAIN_SECONDS)
         self._drained_at = time.monotonic()
         if not came:
-            self._events.append(Event(time.time(), "", f"unread frames remain on the CAN bus {self.config.place}"))
+            self._events.append(Event(time.time(), "", f"unread frames remain on the CAN bus {self.config.address}"))
 
     def finish(self) -> None:
         """Report the frames lost after the last one, at the end of reading."""
@@ -212,7 +212,7 @@ class CanHub:
 
     def _break(self, problem: Exception) -> None:
         self._failure = EncoderConnectionError(
-            f"The CAN bus {self.config.place} failed: {reason(problem, 'interface')}."
+            f"The CAN bus {self.config.address} failed: {reason(problem, 'interface')}."
         )
         self.broken = True
         self._drained.set()
@@ -270,12 +270,12 @@ class CanHub:
         since = self._drain_from  # with constant traffic the bus is never empty
         self._emptied = since is not None and (bool(own_clock) or (bool(block) and block[-1].timestamp > since))
 
-    def _serve(self, message: can.Message, key: int, place: int) -> None:
-        """Pass a frame of no channel to CANopen's services; `place`: number of frames before it in the block."""
+    def _serve(self, message: can.Message, key: int, index: int) -> None:
+        """Pass a frame of no channel to CANopen's services; `index`: number of frames before it in the block."""
         if message.is_error_frame:
             self._odd["error frames"] += 1
             if message.arbitration_id & _CONTROLLER and _OVERRUN & sum(message.data[1:2]):
-                self._block_gaps.append((place, 0))
+                self._block_gaps.append((index, 0))
             if message.arbitration_id & _BUS_OFF:
                 raise can.CanOperationError("bus-off")
         elif key != message.arbitration_id:
@@ -290,27 +290,27 @@ class CanHub:
         """Sort a block's frames by key, each with the SYNC before it, into the queues."""
         gaps, self._block_gaps = self._block_gaps, []
         if any([m.is_remote_frame or not m.is_rx for m in block]):
-            kept = self._plain(block)
-            gaps = [(int(np.searchsorted(kept, place)), lost) for place, lost in gaps]
-            block, arrivals = [block[i] for i in kept], [arrivals[i] for i in kept] if arrivals else []
+            indices = self._plain(block)
+            gaps = [(int(np.searchsorted(indices, index)), lost) for index, lost in gaps]
+            block, arrivals = [block[i] for i in indices], [arrivals[i] for i in indices] if arrivals else []
         if block or gaps:
             self._publish(block, arrivals, gaps, time.monotonic())
         for what, count in self._odd.items():
             if count:
-                self._events.append(Event(time.time(), "", f"{count} {what} on the CAN bus {self.config.place}"))
+                self._events.append(Event(time.time(), "", f"{count} {what} on the CAN bus {self.config.address}"))
                 self._odd[what] = 0
 
     def _plain(self, block: list[can.Message]) -> list[int]:
         """Return the places of all frames except remote frames and echoes of own frames other than SYNC."""
-        kept = []
-        for place, message in enumerate(block):
+        indices = []
+        for index, message in enumerate(block):
             if message.is_remote_frame:
                 continue
             if not message.is_rx and message.arbitration_id != SYNC_ID:
                 self._odd["echoes of own frames"] += 1
             else:
-                kept.append(place)
-        return kept
+                indices.append(index)
+        return indices
 
     def _publish(
         self, block: list[can.Message], arrivals: list[float], gaps: list[tuple[int, int]], arrived: float
@@ -323,18 +323,18 @@ class CanHub:
         host = np.array(arrivals) if arrivals else stamps
         synced = keys == SYNC_ID
         # Changes of the state along the block, in order: before a frame after a gap, and at each SYNC.
-        changes = sorted([(place, 0) for place, _ in gaps] + [(place, 1) for place in np.flatnonzero(synced).tolist()])
+        changes = sorted([(index, 0) for index, _ in gaps] + [(index, 1) for index in np.flatnonzero(synced).tolist()])
         seen = [self._state()]
-        for place, is_sync in changes:
+        for index, is_sync in changes:
             if is_sync:
-                self._on_sync(block[place].data, float(host[place]), block[place].timestamp, arrived)
+                self._on_sync(block[index].data, float(host[index]), block[index].timestamp, arrived)
             else:
                 self.gaps, self._in_gap = self.gaps + 1, True
             seen.append(self._state())
         if gaps:
             at = float(host[min(gaps[0][0], len(block) - 1)]) if block else time.time()
             self._say_lost(sum(lost for _, lost in gaps), at)
-        state = np.searchsorted([place for place, _ in changes], np.arange(len(block)), side="right")
+        state = np.searchsorted([index for index, _ in changes], np.arange(len(block)), side="right")
         numbers, times, devices, counted = map(np.array, zip(*seen, strict=True))
         sync, sync_stamps = numbers[state], (devices if arrivals else times)[state]
         if not self.tells_drops and (period := self._pace.period) is not None:
@@ -364,7 +364,7 @@ class CanHub:
 
     def _say_lost(self, lost: int, at: float) -> None:
         what, why = (f"{lost} frames", "not read in time") if lost else ("frames", "overrun of the controller")
-        self._events.append(Event(at, "", f"{what} lost on the CAN bus {self.config.place}: {why}"))
+        self._events.append(Event(at, "", f"{what} lost on the CAN bus {self.config.address}: {why}"))
 
     def _on_sync(self, data: bytearray, host: float, stamp: float, arrived: float) -> None:
         """Count a SYNC and those missing before it."""
@@ -373,7 +373,7 @@ class CanHub:
         jumped = self.sync >= 0 and (elapsed < -CLOCK_JUMP or arrived - stamp < self._floor - CLOCK_JUMP)
         self._floor = arrived - stamp if jumped else min(self._floor, arrived - stamp)
         if jumped:
-            self._events.append(Event(host, "", f"the clock of SYNC jumped on the CAN bus {self.config.place}"))
+            self._events.append(Event(host, "", f"the clock of SYNC jumped on the CAN bus {self.config.address}"))
             self.gaps += 1
         counter = data[0] if len(data) == 1 and 1 <= data[0] <= SYNC_COUNTER_MAX else 0
         asked = self._in_gap or not self.tells_drops or elapsed > _PAUSE or counter == 1
@@ -390,7 +390,7 @@ class CanHub:
             step = max(1, round(expected))
         if step > 1:
             how = f" (counter {counter})" if counter else ""
-            self._events.append(Event(host, "", f"{step - 1} SYNC missing on the CAN bus {self.config.place}{how}"))
+            self._events.append(Event(host, "", f"{step - 1} SYNC missing on the CAN bus {self.config.address}{how}"))
         elif self.sync >= 0 and not self._in_gap and not jumped:
             self._pace.add(elapsed)
         self.sync, self._counter, self._in_gap = max(self.sync, -1) + step, counter, False
@@ -426,8 +426,8 @@ class CanHub:
             missed = max(missed, round(elapsed / self.config.sync_period) - 1)
         if missed:
             self.gaps += 1
-            said = f"{missed} SYNC not sent in time on the CAN bus {self.config.place}"
-            self._events.append(Event(host, "", f"{said}: the recorder was delayed"))
+            text = f"{missed} SYNC not sent in time on the CAN bus {self.config.address}"
+            self._events.append(Event(host, "", f"{text}: the recorder was delayed"))
 
 
 hubs = SharedHubs(CanHub)

@@ -12,10 +12,10 @@ def list_() -> None:
 
     Example: [cyan]cycloid-bench list[/]
     """
-    found = drivers.list_connections()
+    connections = drivers.list_connections()
     for title, names in (
-        ("protocols", found.protocols),
-        ("serial ports", found.serial_ports),
-        ("CAN buses", found.can_buses),
+        ("protocols", connections.protocols),
+        ("serial ports", connections.serial_ports),
+        ("CAN buses", connections.can_buses),
     ):
         typer.echo(f"{title}: {', '.join(names) or 'none'}")

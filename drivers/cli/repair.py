@@ -26,15 +26,15 @@ def repair(
     The file itself is not changed. Exit status 1 if it is damaged.
     """
     with bytes_of(recording) as advance:
-        kept = drivers.repair(recording, output, progress=advance)
-    for problem in kept.problems:
+        repaired = drivers.repair(recording, output, progress=advance)
+    for problem in repaired.problems:
         typer.echo(problem, err=True)
-    typer.echo(f"{recording}: {kept.batches} intact batches, {kept.events} events")
-    for name, channel in kept.channels.items():
+    typer.echo(f"{recording}: {repaired.batches} intact batches, {repaired.events} events")
+    for name, channel in repaired.channels.items():
         lasts = f", from {channel.first:.6f} s to {channel.last:.6f} s" if channel.samples else ""
         gaps = f", {channel.gaps} of them after a gap" if channel.gaps else ""
         typer.echo(f"{name}: {channel.samples} samples{lasts}{gaps}")
     if output is not None:
         typer.echo(f"{output}: written")
-    if kept.problems:
+    if repaired.problems:
         raise typer.Exit(edge.FAILED)

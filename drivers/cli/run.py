@@ -31,12 +31,12 @@ def run(
     """
     from drivers.recorder.sequence import read_sequence
 
-    made = read_sequence(sequence, allow=allow or ())
+    plan = read_sequence(sequence, allow=allow or ())
     numbers = itertools.count(1)
 
     def note(step: Step, path: Path | None) -> None:
         line.pause()
-        begun = f"{next(numbers)} of {len(made.steps)}: {step.instruction()}" if path is None else f"{path}: recorded"
+        begun = f"{next(numbers)} of {len(plan.steps)}: {step.instruction()}" if path is None else f"{path}: recorded"
         typer.echo(begun)
 
     def ready(step: Step) -> None:
@@ -45,9 +45,9 @@ def run(
     def again(step: Step, trial: Path, short: list[str]) -> bool:
         line.pause()
         typer.echo(f"{trial}: not reached: {'; '.join(short)}.", err=True)
-        return made.is_prompted and typer.confirm("Repeat this step?", default=True, err=True)
+        return plan.is_prompted and typer.confirm("Repeat this step?", default=True, err=True)
 
     with recording(), LiveLine() as line:
-        done = drivers.run_sequence(made, note=note, ready=ready, again=again, progress=line)
+        done = drivers.run_sequence(plan, note=note, ready=ready, again=again, progress=line)
     if done.shortfalls:
         raise typer.Exit(edge.FAILED)

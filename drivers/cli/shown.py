@@ -133,10 +133,10 @@ def _print(done: Recorded) -> None:
     samples = ", ".join(f"{n} {name}" for name, n in done.samples.items())
     typer.echo(f"{done.path}: {samples}; {counted(done.events, 'event')}")
     for name, marks in done.marks.items():
-        said = [f"{n} {mark.removesuffix('s') if n == 1 else mark}" for mark, n in marks.items()]
-        said += [f"{done.lost[name]} lost"] if done.lost[name] else []
-        if said:
-            typer.echo(f"{name}: {', '.join(said)}")
+        parts = [f"{n} {mark.removesuffix('s') if n == 1 else mark}" for mark, n in marks.items()]
+        parts += [f"{done.lost[name]} lost"] if done.lost[name] else []
+        if parts:
+            typer.echo(f"{name}: {', '.join(parts)}")
     for failure in done.failures:
         typer.echo(str(failure), err=True)
     if not any(done.samples.values()):

@@ -11,8 +11,7 @@ import drivers
 from cycloid_fmu import edge
 from cycloid_fmu.edge.commands import choice_option, output_option, quantity_option, ratio_option
 from drivers.cli.shown import LiveLine, recording, report
-
-_BUS = "CAN interface of python-can; loopback reaches other processes on this machine."
+from drivers.simulated.buses import SimulatedCan, read_simulation
 
 
 def simulate(
@@ -42,37 +41,25 @@ def simulate(
             "--hysteresis", help="Lock the input and cycle the torque through 0, +T, 0, -T, 0, --turns times."
         ),
     ] = False,
-    interface: Annotated[str, typer.Option("--bus", help=_BUS)] = "loopback",
-    channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
-    serial: Annotated[
-        Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
-    ] = None,
-    faults: Annotated[
-        Path | None, typer.Option(metavar="FAULTS.toml", help="Faults to simulate, with their times.")
-    ] = None,
-    speed_factor: Annotated[
-        float | None, typer.Option(help="Speed relative to real time. Default: as fast as the bus permits.")
+    simulation: Annotated[
+        Path | None,
+        typer.Option("--bus", metavar="SIMULATION.toml", help="Bus and faults. Default: CAN on this machine."),
     ] = None,
 ) -> None:
     """Simulate a bench: wait for a recorder, then send the signals of a motion as real sensors do.
 
     Example: [cyan]cycloid-bench simulate --fmu drive.fmu --torque "20 N*m" --write-bench BENCH.toml[/],
     and in a second terminal [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/].
-    The virtual bus cannot be reached from other processes: with [cyan]--bus virtual[/] add [cyan]-o run.arrows[/].
+    With [cyan]-o run.arrows[/] no recorder is needed.
     """
-    if interface == "virtual" and output is None and serial is None:
-        raise edge.ArgumentError(
-            "interface", "other processes cannot reach this bus; add -o RUN.arrows or use loopback", interface
-        )
-    bench = drivers.simulate_bench(
-        drive,
-        torque=torque,
-        ratio=ratio,
-        turns=turns,
-        motion=drivers.SimulatedMotion(samples_per_turn, direction, speed, noise, seed=seed, hysteresis=hysteresis),
-        connection=drivers.SimulatedConnection(interface, channel, serial=serial, speed_factor=speed_factor),
-        faults=faults,
-    )
+    if simulation is not None:
+        bus = read_simulation(simulation)
+    else:
+        bus = SimulatedCan(interface="loopback" if output is None else "virtual")
+    if isinstance(bus, SimulatedCan) and bus.interface == "virtual" and output is None:
+        raise edge.InputError(f'{simulation}: [can] interface = "virtual": other processes cannot reach it; add -o.')
+    motion = drivers.SimulatedMotion(samples_per_turn, direction, speed, noise, seed=seed, hysteresis=hysteresis)
+    bench = drivers.simulate_bench(drive, torque=torque, ratio=ratio, turns=turns, motion=motion, bus=bus)
     with recording(), bench:
         if output is not None:
             with LiveLine() as progress:

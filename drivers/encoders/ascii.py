@@ -129,6 +129,7 @@ class AsciiCounter(SerialEncoder):
     """
 
     configuration: ClassVar[type[ChannelConfig]] = AsciiConfig
+    cyclic: ClassVar[bool] = False  # whether it is known to send at one interval
 
     def __init__(self, name: str, config: AsciiConfig, port: PortConfig) -> None:
         super().__init__(name, config, port)
@@ -145,7 +146,7 @@ class AsciiCounter(SerialEncoder):
                 self._scale = edge.unit_scale(config.unit or self._unit, self._unit)
             except ValueError as problem:
                 raise edge.InputError(f'unit = "{config.unit}": {problem}.') from None
-        self._told = not {"sequence", "time"}.isdisjoint(self._names)  # these show missing lines
+        self._shows_losses = not {"sequence", "time"}.isdisjoint(self._names)  # these show missing lines
         self._request = (config.request or "").encode()
         self.asked = bool(self._request)
         self._forget()
@@ -159,7 +160,7 @@ class AsciiCounter(SerialEncoder):
         self._device_start: float | None = None
         self._ticks: tuple[float, float] | None = None
         self._noted, self._doubtful = 0, False
-        self._pace = Pace()
+        self._pace = Pace(cyclic=self.cyclic)
 
     def question(self, port: Any) -> bytes:
         """Request a line and return it; see `SerialEncoder.question`."""
@@ -249,21 +250,21 @@ class AsciiCounter(SerialEncoder):
                 first = int(np.flatnonzero(which)[0])
                 shown = lines[first].text[:40].decode("ascii", "backslashreplace")
                 self.say(lines[first].time, f'{counted(int(which.sum()), "line")} lost: {what} ("{shown}")')
-        told = self._told
-        noted = np.array([line.noted and not told for line in lines])
+        shows_losses = self._shows_losses
+        noted = np.array([line.noted and not shows_losses for line in lines])
         right &= ~late
-        if not told and (self.asked or self._pace.period is None):
+        if not shows_losses and (self.asked or self._pace.period is None):
             self._lost += int(np.count_nonzero(~right))
-        kept = np.flatnonzero(right)
-        status = self.marked(kept, ~there | late | noted, wrong)
-        if len(kept) == 0:
+        valid = np.flatnonzero(right)
+        status = self.marked(valid, ~there | late | noted, wrong)
+        if len(valid) == 0:
             return None
-        fields = [parsed[i] or {} for i in kept]
-        times = np.array([lines[i].time for i in kept])
+        fields = [parsed[i] or {} for i in valid]
+        times = np.array([lines[i].time for i in valid])
         # Near delayed lines and errors of the port, before or after them, lines may be lost.
         doubtful = np.array([self._doubtful, *(line.late or line.noted for line in lines)])
         self._doubtful = bool(doubtful[-1])
-        doubtful = (doubtful[1:] | doubtful[:-1])[kept]
+        doubtful = (doubtful[1:] | doubtful[:-1])[valid]
         status, device, expected = self._clocked(fields, times, status, doubtful)
         status = self._numbered(fields, times, status, expected)
         if "value" in self._names:
@@ -300,11 +301,13 @@ class AsciiCounter(SerialEncoder):
         """
         first = self._ticks is None
         if "time" not in self._names:
-            if not (self._told or self.asked):
+            if not (self._shows_losses or self.asked):
                 step = np.diff(times, prepend=times[0] if self._ticks is None else self._ticks[1])
                 self._ticks = 0.0, float(times[-1])
-                gaps = status & GAP > 0
-                self._paced(times, times, step, gaps, first, gaps)
+                known = status & GAP > 0
+                # A pause is a gap if no lines come in quick succession after it: those were only delayed.
+                missing = self._paced(times, times, step, known | (step > self._pace.longest), first, known)
+                status = status | (missing > 0) * GAP
             return status, None, None
         ticks = np.array([float(f["time"]) for f in fields])
         last, arrived = self._ticks or (ticks[0], times[0])

@@ -7,7 +7,7 @@ import struct
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import pydantic
@@ -23,11 +23,11 @@ from drivers.encoder import (
     EncoderProtocolError,
     EncoderTimeout,
     ListeningTime,
-    Wiring,
     channel_of,
     device_counts,
 )
 from drivers.lines import BusConfig
+from drivers.plug_in import Wiring
 from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
 
 with edge.needs_extra("bench"):
@@ -90,7 +90,7 @@ class CanopenConfig(AngleConfig):
 class CanopenEncoder(CanEncoder):
     """A CiA 406 node with a TPDO that maps the position 0x6004 or the speed 0x6030.
 
-    Read from the node or an EDS (`dictionary`): identifier and mapping of the TPDO (0x1800 ff., 0x1A00 ff.) and its
+    Read from the node or an EDS: identifier and mapping of the TPDO (0x1800 ff., 0x1A00 ff.) and its
     transmission type. Types 1 to 240 send on every n-th SYNC, whose time stamp the sample gets; types 254 and 255 send
     by event, each frame has its own stamp, and a pause longer than the event timer is a gap. Read from the node: counts
     per turn (0x6501) and number of turns (0x6502), at whose product the position rolls over. A node that restarts is
@@ -99,29 +99,26 @@ class CanopenEncoder(CanEncoder):
 
     configuration = CanopenConfig
 
-    def __init__(self, name: str, config: CanopenConfig, bus: BusConfig, dictionary: Any = None) -> None:
+    def __init__(self, name: str, config: CanopenConfig, bus: BusConfig) -> None:
         super().__init__(name, config, bus)
-        self._dictionary = dictionary
+        if config.quantity == "speed" and config.speed_unit is None:
+            raise edge.InputError('speed_unit is missing: state one count of 0x6030, such as "1 rpm".')
+        self._dictionary: Any = None
         self._node: Any = None
         self._previous: int | None = None
         self._started = self._restarted = self._listening = False
 
     @classmethod
-    def from_config(cls, name: str, config: Any, wiring: Wiring) -> CanopenEncoder:
-        """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
-        if config.quantity == "speed" and config.speed_unit is None:
-            raise edge.InputError(
-                f'{wiring.source}: [channel.{name}] speed_unit is missing: state one count of 0x6030, such as "1 rpm".'
-            )
-        dictionary = None
+    def from_config(cls, name: str, config: Any, wiring: Wiring) -> Self:
+        """Return the encoder with the EDS that its table names, if any; see `PlugIn.from_config`."""
+        encoder = super().from_config(name, config, wiring)
         if config.eds is not None:
-            path = wiring.folder / config.eds
-            dictionary = _read_eds(path, config.node)
-        return cls(name, config, wiring.line(BusConfig, config.bus, f"[channel.{name}]"), dictionary)
+            encoder._dictionary = _read_eds(wiring.folder / config.eds, config.node)
+        return encoder
 
     @property
     def _where(self) -> str:
-        return f"{self.name}: node {self.config.node} on the CAN bus {self.bus.place}"
+        return f"{self.name}: node {self.config.node} on the CAN bus {self.bus.address}"
 
     def set_up(self, hub: CanHub) -> None:
         """Query the node; see `HubEncoder.set_up`."""
@@ -131,11 +128,11 @@ class CanopenEncoder(CanEncoder):
         identifier, kind, timer, length = self._tpdo()
         step = kind if 1 <= kind <= 240 else None
         about = [f"node {self.config.node}, vendor 0x{vendor:08X}, product 0x{product:08X}, serial {serial}"]
-        about += self._said(_IDENTITY)
-        state = self._said(_STATE)
+        about += self._texts(_IDENTITY)
+        state = self._texts(_STATE)
         if self.config.quantity == "position":
-            said = self._object(COUNTS_PER_TURN, 0, self.config.counts_per_turn)
-            self._counts_per_turn = device_counts(self.config, said, self._where) if said else 0
+            stated = self._object(COUNTS_PER_TURN, 0, self.config.counts_per_turn)
+            self._counts_per_turn = device_counts(self.config, stated, self._where) if stated else 0
             if self._counts_per_turn == 0:
                 raise EncoderProtocolError(f"{self._where} reports 0 counts per turn (0x6501).")
             # The position has 0x6501 * 0x6502 values, or all 2^bits if the node does not report its turns.
@@ -174,14 +171,14 @@ class CanopenEncoder(CanEncoder):
         data = self._uploaded(index, subindex, optional=default is not None)
         return int.from_bytes(data, "little") if data is not None else default or 0
 
-    def _said(self, objects: Mapping[tuple[int, int, bool], str]) -> list[str]:
+    def _texts(self, objects: Mapping[tuple[int, int, bool], str]) -> list[str]:
         """Return the texts of those of these objects that the node has."""
-        said = []
+        stated = []
         for (index, subindex, signed), text in objects.items():
             data = self._uploaded(index, subindex, optional=True)
             if data is not None:
-                said.append(text.format(int.from_bytes(data, "little", signed=signed)))
-        return said
+                stated.append(text.format(int.from_bytes(data, "little", signed=signed)))
+        return stated
 
     def _communication(self, index: int, subindex: int, default: int | None = None) -> int:
         """Return an object of the TPDO from the EDS, if the wiring names one, else from the node."""
@@ -207,14 +204,14 @@ class CanopenEncoder(CanEncoder):
         off = None
         for number in range(TPDOS):
             entries = self._communication(0x1A00 + number, 0, 0)
-            offset, found = 0, False
+            offset, is_mapped = 0, False
             for entry in range(1, min(entries, 64) + 1):
                 mapped = self._communication(0x1A00 + number, entry)
                 index, _, bits = struct.unpack(">HBB", struct.pack(">I", mapped & 0xFFFFFFFF))
-                if index == wanted and 0 < bits <= 32 and not found:
-                    self._start, self._bits, found = offset, bits, True
+                if index == wanted and 0 < bits <= 32 and not is_mapped:
+                    self._start, self._bits, is_mapped = offset, bits, True
                 offset += bits
-            if not found or offset > 512 or offset % 8:
+            if not is_mapped or offset > 512 or offset % 8:
                 continue
             identifier = self._communication(0x1800 + number, 1)
             if identifier & 0x80000000:
@@ -244,8 +241,8 @@ class CanopenEncoder(CanEncoder):
 
     def _on_emergency(self, problem: Any) -> None:
         """Handle an EMCY; runs in the reader's thread."""
-        said = f"EMCY 0x{problem.code:04X}, register 0x{problem.register:02X}: {problem.get_desc()}"
-        self.reader.say(problem.timestamp, said)
+        stated = f"EMCY 0x{problem.code:04X}, register 0x{problem.register:02X}: {problem.get_desc()}"
+        self.reader.say(problem.timestamp, stated)
 
     def _on_heartbeat(self, identifier: int, data: bytearray, stamp: float) -> None:
         """Handle a heartbeat; runs in the reader's thread."""

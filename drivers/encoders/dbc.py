@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,9 @@ from drivers.can.encoder import CanEncoder
 from drivers.can.frames import FrameReader, Judged
 from drivers.can.hub import CanHub
 from drivers.counts import Pace, counted, extract_bits, judge_sequence
-from drivers.encoder import ChannelConfig, Wiring, channel_of
+from drivers.encoder import ChannelConfig, channel_of
 from drivers.lines import BusConfig
+from drivers.plug_in import Wiring
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, FloatArray, IntArray, Samples
 
 with edge.needs_extra("bench"):
@@ -62,15 +62,15 @@ class DbcSensor(CanEncoder):
     Raises
     ------
     edge.InputError
-        If file (relative to `folder`), message, signal or unit is missing or unusable.
+        If file, message, signal or unit is missing or unusable.
     """
 
     configuration = DbcConfig
 
-    def __init__(self, name: str, config: DbcConfig, bus: BusConfig, folder: Path, source: str) -> None:
+    def __init__(self, name: str, config: DbcConfig, bus: BusConfig, wiring: Wiring) -> None:
         super().__init__(name, config, bus)
-        where = f"{source}: [channel.{name}]"
-        path = folder / config.file
+        where = f"{wiring.source}: {wiring.table}"
+        path = wiring.folder / config.file
         text = edge.read_text(path)
         with edge.parsed_by_others(path, "this is not a DBC file"):
             database = edge.call_limited(path, cantools.database.load_string, text, "dbc")
@@ -97,13 +97,13 @@ class DbcSensor(CanEncoder):
         try:
             self._si = 1.0 if self._unit == unit else edge.unit_scale(unit, self._unit)
         except ValueError as problem:
-            said = f"{where} unit" if config.unit else f"{path}: the unit of {config.signal}"
-            raise edge.InputError(f"{said} = {edge.shown(unit)}: {problem}.") from None
+            sentence = f"{where} unit" if config.unit else f"{path}: the unit of {config.signal}"
+            raise edge.InputError(f"{sentence} = {edge.shown(unit)}: {problem}.") from None
 
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Wiring) -> DbcSensor:
-        """Return the sensor of a `[channel.name]`; see `Encoder.from_config`."""
-        return cls(name, config, wiring.line(BusConfig, config.bus, f"[channel.{name}]"), wiring.folder, wiring.source)
+        """Return the sensor of a `[channel.name]`; see `PlugIn.from_config`."""
+        return cls(name, config, wiring.line(BusConfig, config.bus), wiring)
 
     def set_up(self, hub: CanHub) -> None:
         """See `HubEncoder.set_up`."""
@@ -173,8 +173,8 @@ class DbcSensor(CanEncoder):
         self._last_time = float(times[-1])
         for which, what in ((missing, "missing"), ((judged & DUPLICATE > 0).astype(np.int64), "duplicated")):
             if which.any():
-                said = f"{counted(int(which.sum()), 'frame')} {what} by the counter {counter.name}"
-                self.reader.say(float(block.time_host[np.flatnonzero(which)[0]]), said)
+                sentence = f"{counted(int(which.sum()), 'frame')} {what} by the counter {counter.name}"
+                self.reader.say(float(block.time_host[np.flatnonzero(which)[0]]), sentence)
         # A frame out of order was counted as missing before.
         self._missed += int(missing.sum()) - int(np.count_nonzero(judged & OUT_OF_ORDER))
         return judged

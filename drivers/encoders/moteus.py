@@ -7,32 +7,33 @@ four. It has not been tried on a controller.
 
 from __future__ import annotations
 
+import collections
 import contextlib
-import math
+import itertools
 import threading
 import time
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import can
 import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
-from drivers.can.bus import frame_key, time_source
-from drivers.can.encoder import CanEncoder
-from drivers.can.frames import FrameReader, payload_array
+from drivers.can.bus import frame_key
+from drivers.can.frames import FrameReader, Judged
 from drivers.can.hub import CanHub
-from drivers.encoder import EncoderSetupError, EncoderTimeout, channel_of
+from drivers.can.motor import CanMotor
+from drivers.counts import counted
 from drivers.lines import BusConfig
-from drivers.motor import UNITS, MotorConfig, check_role
-from drivers.recording_format import GAP, Samples
+from drivers.motor import MotorConfig
+from drivers.recording_format import GAP, FloatArray, Samples
 
 _QUERY, _REPLY = b"\x1c\x04\x01", b"\x2c\x04\x01"  # read, and reply of, 4 float32 from register 0x001 on
 _REPLY_BYTES = 20  # with one byte of padding to a length that CAN FD has
-_ANSWER_SECONDS = 1.0
-_SILENCE = 0.1  # s without a reply from which on the next one is marked
 _REPLY_WANTED = 0x8000
 _COLUMNS = {"position": 0, "velocity": 1, "torque": 2, "current": 3}
+_REMEMBERED, _LATEST = 1 << 14, 1.0  # queries, and seconds that a reply may take
+_PAUSE = 0.1  # s without a query that are a gap
 
 
 class MoteusConfig(MotorConfig):
@@ -52,18 +53,22 @@ class MoteusConfig(MotorConfig):
 
 
 class _Queries:
-    """The thread that queries a controller for all its channels."""
+    """The thread that queries a controller for all its channels.
+
+    Queries are numbered. Those that it could not send in a pause of this process have numbers too: they are missing.
+    """
 
     shared: ClassVar[dict[tuple[CanHub, int], _Queries]] = {}
     lock: ClassVar[threading.Lock] = threading.Lock()
 
     def __init__(self, hub: CanHub, node: int, period: float) -> None:
         self.users, self._hub, self._node, self._period = 0, hub, node, period
+        self._sent: collections.deque[tuple[float, int]] = collections.deque(maxlen=_REMEMBERED)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"moteus {node}", daemon=True)
 
     @classmethod
-    def join(cls, hub: CanHub, node: int, period: float) -> None:
+    def join(cls, hub: CanHub, node: int, period: float) -> _Queries:
         """Query a controller from now on; see `leave`."""
         with cls.lock:
             queries = cls.shared.get((hub, node))
@@ -71,25 +76,45 @@ class _Queries:
                 queries = cls.shared[hub, node] = cls(hub, node, period)
                 queries._thread.start()
             queries.users += 1
+            return queries
 
-    @classmethod
-    def leave(cls, hub: CanHub, node: int) -> None:
+    def leave(self) -> None:
         """Stop querying with the last user."""
-        with cls.lock:
-            queries = cls.shared[hub, node]
-            queries.users -= 1
-            if queries.users:
+        with self.lock:
+            self.users -= 1
+            if self.users:
                 return
-            del cls.shared[hub, node]
-        queries._stopping.set()
-        queries._thread.join()
+            del self.shared[self._hub, self._node]
+        self._stopping.set()
+        self._thread.join()
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest query; -1 before the first."""
+        with self.lock:
+            return self._sent[-1][1] if self._sent else -1
+
+    def asked(self, times: FloatArray) -> FloatArray:
+        """Return the number of the newest query before each reply, received at times in s since 1970, shape (n,)."""
+        oldest = float(times[0]) - _LATEST
+        with self.lock:
+            recent = list(itertools.takewhile(lambda query: query[0] > oldest, reversed(self._sent)))[::-1]
+        sent, numbers = np.array([(-np.inf, -1), *recent]).T
+        return np.asarray(numbers[np.searchsorted(sent, times, side="right") - 1])
 
     def _run(self) -> None:
-        due = time.monotonic()
-        with contextlib.suppress(can.CanError):  # the hub reports a bus that failed
-            while not self._stopping.wait(max(0.0, due - time.monotonic())):
+        number, due = 0, time.monotonic()
+        asked = due
+        while not self._stopping.wait(max(0.0, due - time.monotonic())) and not self._hub.broken:
+            now = time.monotonic()
+            if now - asked > max(_PAUSE, 5.0 * self._period):
+                number += int((now - asked) / self._period) - 1
+            with self.lock:
+                self._sent.append((time.time(), number))
+            with contextlib.suppress(can.CanError):  # no buffer is free, as nobody acknowledges; no reply will come
                 query(self._hub, self._node)
-                due = max(due + self._period, time.monotonic())
+            # Not at once after a late query, whose reply would count as that of the next.
+            number, asked, due = number + 1, now, max(due + self._period, now + 0.25 * self._period)
 
 
 def query(hub: CanHub, node: int) -> None:
@@ -100,91 +125,98 @@ def query(hub: CanHub, node: int) -> None:
     hub.bus.send(message)
 
 
-class MoteusServo(CanEncoder):
+class MoteusServo(CanMotor):
     """One quantity of one controller. All quantities of one reply have exactly the same time.
 
-    Replies that are not as asked are left out with an event. A float32 of turns resolves 0.02 deg after 1,000 turns.
+    Replies that are not as asked are left out with an event; they and queries without a reply are counted as lost. A
+    float32 of turns resolves 0.02 deg after 1,000 turns.
     """
 
     configuration = MoteusConfig
 
     def __init__(self, name: str, config: MoteusConfig, bus: BusConfig) -> None:
         super().__init__(name, config, bus)
-        check_role(name, config)
         if not bus.fd:
             raise edge.InputError(f'bus = "{config.bus}": a moteus speaks CAN FD; write fd = true in its table.')
-        self._column = _COLUMNS["current" if config.torque_constant is not None else config.quantity]
-        self._queried = False
-        self._replied: float | None = None
+        self._queries: _Queries | None = None
+        self._unanswered, self._lost_earlier = 0.0, 0
 
     def set_up(self, hub: CanHub) -> None:
-        """See `HubEncoder.set_up`."""
+        """Query the controller once; see `HubEncoder.set_up`."""
         node = self.config.node
-        identifier = node << 8
-        self.reader = FrameReader(
-            hub, frame_key(identifier, extended=identifier > 0x7FF, fd=True), _REPLY_BYTES, None, self.name
-        )
-        deadline = time.monotonic() + _ANSWER_SECONDS
-        while True:
-            query(hub, node)
-            block = self.reader.read(0.1)
-            if block is not None and _replies(block.payloads).any():
-                break
-            if time.monotonic() > deadline:
-                raise EncoderTimeout(f"{self.name}: moteus {node} on the CAN bus {self.bus.place} does not answer.")
-        self.channel = channel_of(
-            self.name,
-            self.config,
-            identity=f"moteus {node}: {self.config.identity}",
-            time_source=time_source(self.bus, "reply"),
-            unit=UNITS[self.config.quantity],
-        )
+        key = frame_key(node << 8, extended=node << 8 > 0x7FF, fd=True)
+        reader = FrameReader(hub, key, _REPLY_BYTES, None, self.name)
+        self.listen(reader, f"moteus {node}", "reply", lambda: query(hub, node))
+        self._lost_earlier += int(self._unanswered)
+        self._begun: float | None = None
+        self._newest, self._replies, self._unanswered = 0.0, 0, 0.0
 
     def start(self) -> None:
         """Query the controller from now on."""
-        if self.hub is None:
-            raise EncoderSetupError(f"{self.name}: it is not open.")
-        _Queries.join(self.hub, self.config.node, self.config.period)
-        self._queried = True
+        super().start()
+        assert self.hub is not None, "start() is for a controller that is open"
+        self._queries = _Queries.join(self.hub, self.config.node, self.config.period)
 
     def leave(self, hub: CanHub) -> None:
         """Stop querying and reading."""
-        if self._queried:
-            _Queries.leave(hub, self.config.node)
-            self._queried = False
+        if self._queries is not None:
+            self._queries.leave()
+            self._queries = None
         super().leave(hub)
+
+    @property
+    def lost(self) -> int:
+        """Number of queries without a reply as asked."""
+        return self._lost_earlier + int(self._unanswered)
+
+    def finish(self) -> None:
+        """Report the queries without a reply after the last one; see `Encoder.finish`."""
+        super().finish()
+        if self._queries is not None and self._begun is not None:
+            missing = self._queries.newest - int(self._newest) - 1  # the newest may still be answered
+            if missing > 0:
+                self._unanswered += missing
+                self.reader.say(time.time(), f"{counted(missing, 'query')} without a reply after the last one")
+
+    def _missing(self, asked: FloatArray) -> FloatArray:
+        """Return how many queries before each reply have none, shape (n,); `asked`: the newest query before each."""
+        begun = float(asked[0]) if self._begun is None else self._begun
+        replies = self._replies + np.arange(1.0, len(asked) + 1.0)
+        open_queries = asked - begun + 1 - replies
+        if (surplus := float(open_queries.min())) < 0.0:  # the first reply was late, to an earlier query
+            begun, open_queries = begun + surplus, open_queries - surplus
+        # A late reply, after the next query, leaves more open for a moment; a lost one for good.
+        for_good = np.minimum.accumulate(open_queries[::-1])[::-1]
+        before = min(self._unanswered, float(for_good[0]))
+        level = np.maximum.accumulate(np.maximum(for_good, before))
+        self._begun, self._replies, self._unanswered = begun, int(replies[-1]), float(level[-1])
+        self._newest = float(asked[-1])
+        return np.diff(level, prepend=before)
+
+    def valid(self, block: Judged) -> Any:
+        """Return the mask of the replies with the registers asked for; see `CanMotor.valid`."""
+        return (block.payloads[:, : len(_REPLY)] == np.frombuffer(_REPLY, np.uint8)).all(axis=1)
 
     def read(self, timeout: float) -> Samples | None:
         """Return the new values; see `Encoder.read`."""
         block = self.reader.read(timeout)
         if block is None:
             return None
-        right = _replies(block.payloads)
+        right = self.valid(block)
         if not right.all():
-            odd = int(np.count_nonzero(~right))
-            self.reader.say(float(block.time_host[~right][0]), f"{odd} replies left out: not the registers asked for")
+            wrong = int(np.count_nonzero(~right))
+            self.reader.say(float(block.time_host[~right][0]), f"{wrong} replies left out: not the registers asked for")
+        if self._queries is None:
+            return None
+        asked = self._queries.asked(block.time_host)
+        right &= asked >= 0  # replies to queries of the set-up are no samples
         if not right.any():
             return None
-        registers = np.ascontiguousarray(block.payloads[right, len(_REPLY) : len(_REPLY) + 16]).view("<f4")
-        stated = registers[:, self._column].astype(np.float64)
-        if self.config.quantity != "torque":
-            stated = 2.0 * math.pi * stated
-        device, host = block.time_device, block.time_host[right]
-        times = host if device is None else device[right]
-        waited = np.diff(times, prepend=times[0] if self._replied is None else self._replied)
-        self._replied = float(times[-1])
-        silent = waited > max(_SILENCE, 5.0 * self.config.period)
-        if silent.any():
-            self.reader.say(float(host[silent][0]), f"no reply for {float(waited.max()):.3f} s")
-        return Samples.checked(
-            self.name,
-            host,
-            self.config.of_side(stated),
-            time_device=None if device is None else device[right],
-            status=block.status[right] | silent * GAP,
-        )
-
-
-def _replies(payloads: np.ndarray) -> np.ndarray:
-    """Return the mask of frames that are replies with the registers asked for, shape (n,)."""
-    return np.asarray((payloads[:, : len(_REPLY)] == payload_array([bytearray(_REPLY)], len(_REPLY))).all(axis=1))
+        block, asked = block.at(right), asked[right]
+        missing = self._missing(asked)
+        if missing.any():
+            first = float(block.time_host[np.flatnonzero(missing)[0]])
+            self.reader.say(first, f"{counted(int(missing.sum()), 'query')} without a reply from here on")
+        registers = np.ascontiguousarray(block.payloads[:, len(_REPLY) : len(_REPLY) + 16]).view("<f4")
+        stated = registers[:, _COLUMNS[self.stated]].astype(np.float64)
+        return self.samples(block, stated, block.status | (missing > 0) * GAP)

@@ -53,7 +53,7 @@ class SimplefocMotor(AsciiCounter):
     A torque needs `torque_constant`: it is the measured current of the q axis times this.
     """
 
-    configuration = SimplefocConfig
+    configuration, cyclic = SimplefocConfig, True
 
     def __init__(self, name: str, config: SimplefocConfig, port: PortConfig) -> None:
         check_role(name, config)

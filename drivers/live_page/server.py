@@ -251,7 +251,7 @@ def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: i
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as bench:
     ...     done = bench.record("seen.arrows")
     >>> with drivers.watch("seen.arrows") as server:
     ...     server.url.startswith("http://127.0.0.1:")

@@ -13,9 +13,9 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
-from drivers.encoder import ChannelConfig, Encoder, Wiring, plug_in, registered
+from drivers.encoder import ChannelConfig, Encoder
 from drivers.lines import BusConfig, LineConfig, PortConfig
-from drivers.recorder.actuator import ENTRY_POINTS as ACTUATORS
+from drivers.plug_in import PlugIn, Wiring, plug_in, registered
 from drivers.recorder.actuator import Actuator, ActuatorConfig
 
 BENCH_FORMAT = "cycloid-bench/1"
@@ -98,7 +98,7 @@ class Bench:
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as simulated:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as simulated:
     ...     bench = drivers.read_bench(simulated.write_wiring("BENCH.toml"))
     >>> bench.conditions["load"]
     20.0
@@ -113,7 +113,17 @@ class Bench:
 
     def encoders(self) -> list[Encoder]:
         """Return new encoders for all channels, not yet opened."""
-        return [cls.from_config(name, config, self.wiring) for name, (cls, config) in self.channels.items()]
+        return [
+            cls.from_config(name, config, dataclasses.replace(self.wiring, table=f"[channel.{name}]"))
+            for name, (cls, config) in self.channels.items()
+        ]
+
+    def new_actuator(self) -> Actuator | None:
+        """Return a new actuator, not yet opened; None: the bench has none."""
+        if self.actuator is None:
+            return None
+        cls, config = self.actuator
+        return cls.from_config("actuator", config, dataclasses.replace(self.wiring, table="[actuator]"))
 
 
 def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> Bench:
@@ -135,49 +145,48 @@ def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> 
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as simulated:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as simulated:
     ...     bench = drivers.read_bench(simulated.write_wiring("BENCH.toml"))
     >>> bench.ratio, list(bench.channels)
     (-39.0, ['input_angle', 'output_angle', 'torque'])
     """
     source = str(path)
     table = edge.toml_table(edge.read_text(path, BENCH_FORMAT), BENCH_FORMAT, source)
-    classes: dict[str, type[Encoder]] = {}
-    given = table.get("channel")
-    installed = registered()
-    for name, channel in given.items() if isinstance(given, dict) else ():
-        if isinstance(channel, dict):
-            table_name = f"[channel.{name}]"
-            classes[name] = plug_in(channel.get("protocol"), table_name, source, installed, Encoder)  # type: ignore[type-abstract]
-    drives, driving = table.get("actuator"), None
-    if isinstance(drives, dict):
-        driving = plug_in(drives.get("protocol"), "[actuator]", source, registered(ACTUATORS), Actuator)  # type: ignore[type-abstract]
-    users = {f"[channel.{name}]": cls.line for name, cls in classes.items()}
-    if driving is not None:
-        users["[actuator]"] = driving.line
-    kinds = _line_kinds(users, source)
+    channels, actuator = table.get("channel"), table.get("actuator")
+    tables = {f"[channel.{name}]": keys for name, keys in channels.items()} if isinstance(channels, dict) else {}
+    classes: dict[str, Any] = _classes(Encoder, tables, source)  # type: ignore[type-abstract]
+    classes |= _classes(Actuator, {"[actuator]": actuator}, source)  # type: ignore[type-abstract]
+    kinds = _line_kinds({where: cls.line for where, cls in classes.items()}, source)
     file = edge.validated(bench_file(kinds.values()), table, source)
     lines: dict[str, dict[str, LineConfig]] = {kind: getattr(file, kind) for kind in kinds}
     for kind, named in lines.items():
         for name, line in named.items():
             if refusal := line.refusal(allow):
                 raise edge.InputError(f"{source}: [{kind}.{name}] {refusal}.")
-    channels = {
-        name: (cls, edge.validated(cls.configuration, file.channel[name], f"{source}: [channel.{name}]"))
-        for name, cls in classes.items()
+    tables["[actuator]"] = file.actuator
+    plug_ins = {
+        where: (cls, edge.validated(cls.configuration, tables[where], f"{source}: {where}"))
+        for where, cls in classes.items()
     }
-    wiring = Wiring(lines, Path(path).parent, source)
-    actuator = None
-    if driving is not None and isinstance(drives, dict):
-        actuator = driving, edge.validated(driving.configuration, drives, f"{source}: [actuator]")
     conditions = file.conditions.model_dump(exclude_none=True)
     if file.largest_deviation is not None:
         conditions[rf.LARGEST_DEVIATION_KEY] = file.largest_deviation
-    bench = Bench(file.ratio, file.pair, conditions, channels, wiring, actuator)
+    driven_by = plug_ins.pop("[actuator]", None)
+    encoders = dict(zip(file.channel, plug_ins.values(), strict=True))
+    bench = Bench(file.ratio, file.pair, conditions, encoders, Wiring(lines, Path(path).parent, source), driven_by)
     bench.encoders()
-    if actuator is not None:
-        actuator[0].from_config(actuator[1], wiring)
+    bench.new_actuator()
     return bench
+
+
+def _classes(base: type[PlugIn], tables: Mapping[str, Any], source: str) -> dict[str, type[PlugIn]]:
+    """Return the plug-in of each table, by the table's name; values that are no table are left to the validation."""
+    installed = registered(base.group)
+    return {
+        where: plug_in(base, keys.get("protocol"), where, source, installed)
+        for where, keys in tables.items()
+        if isinstance(keys, dict)
+    }
 
 
 @contextlib.contextmanager

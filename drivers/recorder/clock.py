@@ -35,15 +35,15 @@ def lower_hull(x: FloatArray, y: FloatArray) -> npt.NDArray[np.intp]:
         if np.count_nonzero(below) > 0.9 * len(below):
             break
         order = np.concatenate([order[:1], at[below], order[-1:]])
-    kept: list[int] = []
+    hull: list[int] = []
     for i in order.tolist():
-        while len(kept) > 1:
-            a, b = kept[-2], kept[-1]
+        while len(hull) > 1:
+            a, b = hull[-2], hull[-1]
             if (x[b] - x[a]) * (y[i] - y[a]) > (y[b] - y[a]) * (x[i] - x[a]):
                 break
-            kept.pop()
-        kept.append(i)
-    return np.array(kept, np.intp)
+            hull.pop()
+        hull.append(i)
+    return np.array(hull, np.intp)
 
 
 class ClockEstimate:
@@ -72,11 +72,11 @@ class ClockEstimate:
         x = np.concatenate([self._points[0], away])
         y = np.concatenate([self._points[1], (host - self._start[1]) - away])
         outer = lower_hull(x, y)
-        left = np.delete(np.arange(len(x)), outer)
-        inner = left[lower_hull(x[left], y[left])]
-        kept = np.concatenate([outer, inner])
-        self._points = x[kept], y[kept]
-        self._layers = [np.arange(len(outer)), np.arange(len(outer), len(kept))]
+        rest = np.delete(np.arange(len(x)), outer)
+        inner = rest[lower_hull(x[rest], y[rest])]
+        hull = np.concatenate([outer, inner])
+        self._points = x[hull], y[hull]
+        self._layers = [np.arange(len(outer)), np.arange(len(outer), len(hull))]
         self._ends = min(self._ends[0], float(away.min())), max(self._ends[1], float(away.max()))
         self._sum += float(np.sum(away))
         self.samples += len(device)

@@ -16,7 +16,8 @@ from typing import IO, Self
 import platformdirs
 
 from cycloid_fmu import edge
-from drivers.encoder import EncoderSetupError, Wiring
+from drivers.encoder import EncoderSetupError
+from drivers.plug_in import Wiring
 
 WAIT_SECONDS = 5.0  # for a recording that is ending
 
@@ -53,7 +54,7 @@ class Claims:
         for line in itertools.chain.from_iterable(named.values() for named in wiring.lines.values()):
             if line.is_private:
                 continue
-            what = f"{line.noun} {line.place}"
+            what = f"{line.noun} {line.address}"
             if what not in self._files:
                 folder = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "in-use"
                 try:
@@ -61,8 +62,8 @@ class Claims:
                     with tempfile.TemporaryFile(dir=folder):
                         pass
                 except OSError as problem:
-                    said = f"{folder}: {problem.strerror}; another recording of the same {what} is not noticed."
-                    warnings.warn(said, edge.InputWarning, stacklevel=2)
+                    sentence = f"{folder}: {problem.strerror}; another recording of the same {what} is not noticed."
+                    warnings.warn(sentence, edge.InputWarning, stacklevel=2)
                     return
                 path = folder / f"{zlib.crc32(what.encode()):08x}"
                 self._files[what] = _locked(path, what), path

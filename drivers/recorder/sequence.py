@@ -202,40 +202,42 @@ def shortfalls(step: Step, samples: dict[str, Samples], file: SequenceFile) -> l
     file
         The sequence, for its tolerances.
     """
-    said = [f"there is no sample of {role}" for role in ("input_angle", "torque") if not len(samples.get(role, ()))]
-    if said:
-        return said
+    sentences = [
+        f"there is no sample of {role}" for role in ("input_angle", "torque") if not len(samples.get(role, ()))
+    ]
+    if sentences:
+        return sentences
     angle, torque = samples["input_angle"], samples["torque"].value
-    way = angle.value[-1] - angle.value[0]
+    rotation = angle.value[-1] - angle.value[0]
     if step.is_hysteresis:
         moved = float(np.ptp(angle.value))
         if moved > _STANDS:
-            said.append(f"the input is not locked: it moved by {math.degrees(moved):.2f} deg")
+            sentences.append(f"the input is not locked: it moved by {math.degrees(moved):.2f} deg")
         for name, reached in (("highest", float(torque.max())), ("lowest", -float(torque.min()))):
             if reached < _AT_PEAK * step.torque:
-                said.append(f"the {name} torque reaches {reached:.4g} of {step.torque:.4g} N*m")
+                sentences.append(f"the {name} torque reaches {reached:.4g} of {step.torque:.4g} N*m")
         if abs(torque[-1]) > 2 * _NEAR_ZERO * step.torque:
-            said.append(f"the torque ends at {torque[-1]:.4g} N*m, not at zero")
-        return said
-    if way * (1 if step.direction == "forward" else -1) < 0:
+            sentences.append(f"the torque ends at {torque[-1]:.4g} N*m, not at zero")
+        return sentences
+    if rotation * (1 if step.direction == "forward" else -1) < 0:
         other = "backward" if step.direction == "forward" else "forward"
-        said.append(f"the crank turns {other}, not {step.direction}")
-    turned = abs(way) / (2 * math.pi)
+        sentences.append(f"the crank turns {other}, not {step.direction}")
+    turned = abs(rotation) / (2 * math.pi)
     if turned < step.turns * (1 - 1e-3) - 0.05:
-        said.append(f"the crank makes {turned:.3g} turns, not {step.turns:g}")
+        sentences.append(f"the crank makes {turned:.3g} turns, not {step.turns:g}")
     mean, spread = float(torque.mean()), float(torque.std())
     if abs(mean - step.torque) > file.load_tolerance:
-        said.append(f"the mean torque is {mean:.4g} N*m, not {step.torque:.4g} ± {file.load_tolerance:.3g}")
+        sentences.append(f"the mean torque is {mean:.4g} N*m, not {step.torque:.4g} ± {file.load_tolerance:.3g}")
     if spread > 3 * file.load_tolerance:
-        said.append(f"the torque varies by {spread:.3g} N*m rms")
+        sentences.append(f"the torque varies by {spread:.3g} N*m rms")
     lasts = float(angle.time_host[-1] - angle.time_host[0])
-    speed = abs(way) / lasts if lasts > 0 else math.inf
+    speed = abs(rotation) / lasts if lasts > 0 else math.inf
     if abs(speed - step.speed) > file.speed_tolerance:
-        said.append(
+        sentences.append(
             f"the mean speed is {speed * 30 / math.pi:.4g} rpm, not {step.speed * 30 / math.pi:.4g} ± "
             f"{file.speed_tolerance * 30 / math.pi:.3g}"
         )
-    return said
+    return sentences
 
 
 class _End:
@@ -308,9 +310,9 @@ def _run_step(
         )
     recording = read_recording(path)
     samples = {c.role: recording.samples[c.name] for c in recording.header.channels}
-    said = shortfalls(step, samples, sequence.file)
+    sentences = shortfalls(step, samples, sequence.file)
     gaps = sum(int(np.count_nonzero(s.status & rf.GAP)) for s in recording.samples.values())
-    return said + ([f"{gaps} samples follow a gap"] if gaps else [])
+    return sentences + ([f"{gaps} samples follow a gap"] if gaps else [])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -368,18 +370,17 @@ def run_sequence(
     Traceback (most recent call last):
     cycloid_fmu.edge.problems.InputError: sequence.toml: No such file or directory.
     """
-    made = sequence if isinstance(sequence, BenchSequence) else read_sequence(sequence)
+    plan = sequence if isinstance(sequence, BenchSequence) else read_sequence(sequence)
     with Claims() as claims, contextlib.ExitStack() as stack:
-        claims.claim(made.bench.wiring)
-        actuator = None
-        if made.bench.actuator is not None:
-            cls, config = made.bench.actuator
-            actuator = stack.enter_context(cls.from_config(config, made.bench.wiring))
-        return _run_steps(made, actuator, note, ready, again, progress)
+        claims.claim(plan.bench.wiring)
+        actuator = plan.bench.new_actuator()
+        if actuator is not None:
+            stack.enter_context(actuator)
+        return _run_steps(plan, actuator, note, ready, again, progress)
 
 
 def _run_steps(
-    made: BenchSequence,
+    plan: BenchSequence,
     actuator: Actuator | None,
     note: Callable[[Step, Path | None], None] | None,
     ready: Callable[[Step], None] | None,
@@ -388,16 +389,16 @@ def _run_steps(
 ) -> SequenceResult:
     """Make the steps of a sequence on a reserved bench; see `run_sequence`."""
     recordings, missed = [], {}
-    for step in made.steps:
-        path = made.folder / f"{step.name}.arrows"
+    for step in plan.steps:
+        path = plan.folder / f"{step.name}.arrows"
         if note is not None:
             note(step, None)
         while not edge.writable(path).exists():
-            if made.is_prompted and ready is not None:
+            if plan.is_prompted and ready is not None:
                 ready(step)
-            trials = (made.folder / f"{step.name}.trial-{number}.arrows" for number in itertools.count(1))
+            trials = (plan.folder / f"{step.name}.trial-{number}.arrows" for number in itertools.count(1))
             trial = next(t for t in trials if not edge.writable(t).exists())
-            short = _run_step(made, step, trial, actuator, progress or (lambda _: None))
+            short = _run_step(plan, step, trial, actuator, progress or (lambda _: None))
             if not short:
                 trial.rename(edge.writable(path))
             elif again is None or not again(step, trial, short):

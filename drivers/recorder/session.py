@@ -12,18 +12,14 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
 from drivers.arguments import in_si
-from drivers.encoder import (
-    Encoder,
-    EncoderError,
-    ListeningTime,
-    steady_time,
-)
+from drivers.encoder import Encoder, EncoderError, ListeningTime, steady_time
 from drivers.recorder.bench import Bench, open_encoders, read_bench
 from drivers.recorder.clock import ClockEstimate
 from drivers.recorder.supervision import Supervised
@@ -171,7 +167,7 @@ class _Session:
         self.writer, self.path, self.ratio, self.epoch = writer, path, ratio, epoch
         self.live = Live({e.channel.name: ChannelState() for e in encoders})
         self._clocks = {e.channel.name: ClockEstimate() for e in encoders}
-        self._clock_said = dict.fromkeys(self._clocks, 0.0)
+        self._clock_time = dict.fromkeys(self._clocks, 0.0)
         self._clock_jumps = {name: rf.ClockJumps() for name in self._clocks}
         self._restarts = dict.fromkeys(self._clocks, 0)
         self._input: Samples | None = None
@@ -215,10 +211,10 @@ class _Session:
 
     def full(self, problem: OSError) -> RecordingError:
         """Return the error for a full disk, which states the content of the file."""
-        kept = ", ".join(f"{n} {name}" for name, n in self.writer.counts.items())
-        said = problem.strerror or problem
+        counts = ", ".join(f"{n} {name}" for name, n in self.writer.counts.items())
+        reason = problem.strerror or problem
         return RecordingError(
-            f"{self.path}: the disk is full or failed ({said}); all data written before are kept: {kept}."
+            f"{self.path}: the disk is full or failed ({reason}); all data written before are kept: {counts}."
         )
 
     def take_all(self) -> bool:
@@ -276,15 +272,15 @@ class _Session:
         name = block.channel
         reset = block.status & rf.RESET != 0
         restarts = np.flatnonzero(self._clock_jumps[name](block.time_device, block.time_host, reset))
-        said: list[Event] = []
+        events: list[Event] = []
         for part in np.split(np.arange(len(block)), restarts):
             if len(part) and part[0] in restarts:
-                said += self.clock_event(name)
+                events += self.clock_event(name)
                 self._clocks[name], self._restarts[name] = ClockEstimate(), self._restarts[name] + 1
             self._clocks[name].add(block.time_device[part], block.time_host[part])
-        if block.time_host[-1] - self._clock_said[name] >= _CLOCK_SECONDS:
-            said += self.clock_event(name)
-        return said
+        if block.time_host[-1] - self._clock_time[name] >= _CLOCK_SECONDS:
+            events += self.clock_event(name)
+        return events
 
     def clock_event(self, name: str) -> list[Event]:
         """Return the estimate of a channel's clock, as an event."""
@@ -292,7 +288,7 @@ class _Session:
         if clock is None:
             return []
         now = steady_time() - self.epoch
-        self._clock_said[name] = now
+        self._clock_time[name] = now
         return [rf.clock_event(now, name, clock, self._restarts[name])]
 
     def _jump(self, name: str) -> list[Event]:
@@ -315,6 +311,15 @@ class _Session:
         self.live.disk_free = shutil.disk_usage(Path(self.path).parent).free
 
 
+class End(TypedDict, total=False):
+    """Conditions that end a recording, see `record`; those absent or None do not."""
+
+    duration: float | None
+    samples: int | None
+    idle: float | None
+    stop: Callable[[], bool] | None
+
+
 def record_encoders(
     encoders: Sequence[Encoder],
     path: str | os.PathLike[str],
@@ -322,13 +327,10 @@ def record_encoders(
     ratio: float | None = None,
     pair: str = "",
     conditions: Mapping[str, float | str] | None = None,
-    duration: float | None = None,
-    samples: int | None = None,
-    idle: float | None = None,
-    stop: Callable[[], bool] | None = None,
     progress: Callable[[Live], None] | None = None,
+    **end: Unpack[End],
 ) -> Recorded:
-    """Record open, started encoders until one of the end conditions; see `record` for the parameters and errors.
+    """Record open, started encoders until one of the conditions `end`; see `record` for the parameters and errors.
 
     A failed channel is reported as an event, reopened until it answers, and its next sample marked; the others
     continue. At the end, also after SIGINT, SIGTERM and SIGHUP, all data waiting on buses and ports are read and
@@ -349,7 +351,7 @@ def record_encoders(
     session = _Session(encoders, writer, path, ratio, epoch)
     try:
         with interrupts() as interrupted:
-            ended = _run(session, interrupted, duration, samples, idle, stop, progress)
+            ended = _run(session, interrupted, end, progress)
             session.take_all()
             session.finish()
     finally:
@@ -369,16 +371,9 @@ def record_encoders(
     return done
 
 
-def _run(
-    session: _Session,
-    interrupted: Sequence[str],
-    duration: float | None,
-    samples: int | None,
-    idle: float | None,
-    stop: Callable[[], bool] | None,
-    progress: Callable[[Live], None] | None,
-) -> str:
+def _run(session: _Session, interrupted: Sequence[str], end: End, progress: Callable[[Live], None] | None) -> str:
     """Record until one of the end conditions, and return it; see `Recorded`."""
+    duration, samples, idle, stop = (dict[str, Any](end).get(key) for key in ("duration", "samples", "idle", "stop"))
     live, listened = session.live, ListeningTime()
     begun, heard = time.monotonic(), 0.0
     while not interrupted:
@@ -449,7 +444,7 @@ def record(
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, connection="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, bus="virtual") as bench:
     ...     wiring = bench.write_wiring("BENCH.toml")
     ...     done = drivers.record(wiring, "recorded.arrows", samples=96, idle="2 s")
     >>> done.samples

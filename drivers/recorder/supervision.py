@@ -29,7 +29,7 @@ class Supervised:
         self.failure: EncoderError | None = None
         self._events: list[Event] = []
         self._mark = 0
-        self._said = ""
+        self._reported = ""
         self._stopping = threading.Event()
         self._reopened = threading.Event()
         self._thread: threading.Thread | None = None
@@ -57,16 +57,16 @@ class Supervised:
             block = self.encoder.read(timeout)
         except EncoderError as problem:
             self.failure = problem
-            if str(problem) != self._said:  # one that opens but never delivers is reported once, not twice a second
+            if str(problem) != self._reported:  # one that opens but never delivers is reported once, not twice a second
                 self._say(f"failed and will be reopened: {problem}")
-            self._said = str(problem)
+            self._reported = str(problem)
             self._events += self.encoder.events()
             self._thread = threading.Thread(target=self._reopen, name=f"reopen {self.channel.name}", daemon=True)
             self._thread.start()
             return None
-        if block is not None and len(block) and self._said:
+        if block is not None and len(block) and self._reported:
             self._say("samples arrive again")
-            self._said = ""
+            self._reported = ""
         if block is not None and len(block) and self._mark:
             status = block.status.copy()
             status[0] |= self._mark
@@ -91,8 +91,8 @@ class Supervised:
 
     def events(self) -> list[Event]:
         """Return the events of the encoder and its supervision; see `Encoder.events`."""
-        said, self._events = self._events, []
-        return said if self.failure is not None else said + self.encoder.events()
+        events, self._events = self._events, []
+        return events if self.failure is not None else events + self.encoder.events()
 
     def _say(self, text: str) -> None:
         self._events.append(Event(steady_time(), self.channel.name, text))

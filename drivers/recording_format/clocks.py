@@ -50,13 +50,13 @@ def clock_event(time: float, channel: str, clock: Clock, restarts: int) -> Event
 
 def clocks_of(events: Iterable[Event]) -> dict[str, dict[int, Clock]]:
     """Return the last estimate of each channel's clock after each of its restarts."""
-    found: dict[str, dict[int, Clock]] = {}
+    clocks: dict[str, dict[int, Clock]] = {}
     for event in events:
         if event.text.startswith(_CLOCK):
-            said = json.loads(event.text.removeprefix(_CLOCK))
-            restarts = said.pop("restarts", 0)
-            found.setdefault(event.channel, {})[restarts] = Clock(**said)
-    return found
+            values = json.loads(event.text.removeprefix(_CLOCK))
+            restarts = values.pop("restarts", 0)
+            clocks.setdefault(event.channel, {})[restarts] = Clock(**values)
+    return clocks
 
 
 class ClockJumps:

@@ -60,7 +60,7 @@ def export(
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as bench:
     ...     done = bench.record("test.arrows")
     >>> drivers.export("test.arrows", "test.csv").rows
     96
@@ -83,8 +83,8 @@ def batches(reader: RecordingReader, progress: Progress) -> Iterator[tuple[Sampl
 def _gathered(reader: RecordingReader, events: list[Event], progress: Progress) -> Iterator[Samples]:
     """Yield each channel's samples in large blocks, and collect the events."""
     waiting: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
-    for samples, said in batches(reader, progress):
-        events.extend(said)
+    for samples, new_events in batches(reader, progress):
+        events.extend(new_events)
         blocks = waiting[samples.channel]
         blocks.append(samples)
         if sum(map(len, blocks)) >= _CHUNK:
@@ -147,7 +147,7 @@ def _netcdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
 
 def _mdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
     """Write one channel group per channel, with the time since the start as its master channel."""
-    with edge.needs_extra("bench-files", lambda said: edge.InputError(f"{path}: {said}.")):
+    with edge.needs_extra("bench-files", lambda new_events: edge.InputError(f"{path}: {new_events}.")):
         from asammdf import MDF, Signal
 
     rows, events = 0, []  # type: tuple[int, list[Event]]

@@ -29,16 +29,16 @@ def joined_batches(
     empty: Samples | None = None  # a batch of events alone
 
     def taken() -> Iterator[tuple[Samples, tuple[Event, ...]]]:
-        said = tuple(events)
+        new_events = tuple(events)
         for channel, blocks in waiting.items():
-            yield joined(channel, blocks), said
-            said = ()
-        if said and empty is not None:
-            yield empty, said
+            yield joined(channel, blocks), new_events
+            new_events = ()
+        if new_events and empty is not None:
+            yield empty, new_events
         waiting.clear()
         events.clear()
 
-    for samples, said in batches:
+    for samples, new_events in batches:
         blocks = waiting.get(samples.channel, [])
         if gathered >= JOINED_SAMPLES or (blocks and len(samples) and _columns(blocks[0]) != _columns(samples)):
             yield from taken()
@@ -48,7 +48,7 @@ def joined_batches(
             gathered += len(samples)
         else:
             empty = samples
-        events += said
+        events += new_events
     yield from taken()
 
 

@@ -50,8 +50,8 @@ class _Judged:
             return parts[0]
         return _Judged(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(_Judged)))
 
-    def after(self, place: int) -> _Judged:
-        return _Judged(*(getattr(self, f.name)[place:] for f in dataclasses.fields(self)))
+    def after(self, index: int) -> _Judged:
+        return _Judged(*(getattr(self, f.name)[index:] for f in dataclasses.fields(self)))
 
 
 class Steps:
@@ -71,7 +71,7 @@ class Steps:
         self._usual: collections.deque[float] = collections.deque(maxlen=64)
         self._jumped: tuple[int, float] | None = None
         self._judged = False  # whether the last step, which had none after it, is judged
-        self._said = False
+        self._reported = False
 
     def add(self, time: FloatArray, value: FloatArray, broken: Mask) -> tuple[Mask, list[Finding]]:
         """Return the mask of those of the next samples that follow a jump or form a spike, shape (n,), and findings.
@@ -89,39 +89,39 @@ class Steps:
             last = max(abs(float(value[0] - self._value[-1])), float(np.abs(np.diff(self._value)).max(initial=0.0)))
             if max(last, float(steps.max()), -float(steps.min())) <= 0.5 * _JUMP:  # no two are a jump apart
                 self._time, self._value, self._broken = time[-3:], value[-3:], broken[-3:]
-                self._jumped, self._said = None, False
+                self._jumped, self._reported = None, False
                 return np.zeros(value.size, np.bool_), []
         t = np.concatenate([self._time, time])
         v = np.concatenate([self._value, value])
         cut = np.concatenate([self._broken, broken])
         marks = np.zeros(v.size, np.bool_)
-        found: list[Finding] = []
+        findings: list[Finding] = []
         if v.size > 1:
             wide, off = self._off(t, v, cut)
             first = held - 1 if held and not self._judged else held
             places = np.flatnonzero(wide)
             places = places[places >= first]
-            for place in places.tolist():
-                self._mark(marks, place - held, float(off[place]), held)
-            if places.size and not self._said:
-                place = int(places[0])
+            for index in places.tolist():
+                self._mark(marks, index - held, float(off[index]), held)
+            if places.size and not self._reported:
+                index = int(places[0])
                 more = f", and {places.size - 1} more jumps" if places.size > 1 else ""
-                text = f"{self.role} jumps by {math.degrees(v[place] - v[place - 1]):.4g} deg{more}"
-                found.append(Finding(float(t[place]), (self.role,), text))
-            self._said = bool(places.size)
+                text = f"{self.role} jumps by {math.degrees(v[index] - v[index - 1]):.4g} deg{more}"
+                findings.append(Finding(float(t[index]), (self.role,), text))
+            self._reported = bool(places.size)
             self._judged = bool(wide[-1] or cut[-1]) or abs(v[-1] - v[-2]) <= 0.5 * _JUMP
         self._time, self._value, self._broken = t[-3:], v[-3:], cut[-3:]
         if self._jumped is not None:
             self._jumped = self._jumped[0] - time.size, self._jumped[1]
-        return marks[held:], found
+        return marks[held:], findings
 
     def _off(self, t: FloatArray, v: FloatArray, cut: Mask) -> tuple[Mask, FloatArray]:
         """Return the mask of samples whose step deviates from the motion or exceeds the speed, and by how much, rad."""
-        way, lasts = np.diff(v, prepend=v[0]), np.diff(t, prepend=t[0])
+        step, lasts = np.diff(v, prepend=v[0]), np.diff(t, prepend=t[0])
         judged = ~cut
         judged[0] = False
-        if self._speed is None and max(way.max(), -way.min()) <= 0.5 * _JUMP:  # no two steps are a jump apart
-            return np.zeros(v.size, np.bool_), way
+        if self._speed is None and max(step.max(), -step.min()) <= 0.5 * _JUMP:  # no two steps are a jump apart
+            return np.zeros(v.size, np.bool_), step
         self._usual.extend(lasts[judged & (lasts > 0.0)][-64:].tolist())
         usual = float(np.median(self._usual)) if self._usual else 0.0
         away = np.full((2, v.size), np.inf)
@@ -129,14 +129,14 @@ class Steps:
         for row, there in enumerate((slice(None, -1), slice(1, None))):
             here = slice(1, None) if row == 0 else slice(None, -1)
             with np.errstate(invalid="ignore", divide="ignore"):
-                scaled = np.where(lasts[there] > 0.0, way[there] / lasts[there] * lasts[here], way[there])
-            low, high = np.minimum(way[there], scaled), np.maximum(way[there], scaled)
+                scaled = np.where(lasts[there] > 0.0, step[there] / lasts[there] * lasts[here], step[there])
+            low, high = np.minimum(step[there], scaled), np.maximum(step[there], scaled)
             # With a neighbour on one side only, the drive may have reversed there.
             turns = ~judged[slice(2, None) if row == 0 else slice(None, -2)]
             turns = np.append(turns, True) if row == 0 else np.append(True, turns)
             largest = np.maximum(np.abs(low), np.abs(high))
-            away[row, here] = way[here] - np.clip(
-                way[here], np.where(turns, -largest, low), np.where(turns, largest, high)
+            away[row, here] = step[here] - np.clip(
+                step[here], np.where(turns, -largest, low), np.where(turns, largest, high)
             )
             known[row, here] = judged[there]
         nearest = np.where(np.abs(away[0]) <= np.abs(away[1]), away[0], away[1])
@@ -146,22 +146,22 @@ class Steps:
         wide = judged & decided & (np.abs(off) > _JUMP)
         if self._speed is not None:
             allowed = self._speed * np.maximum(lasts, _LATE * usual) + 2.0 * self._resolution
-            fast = judged & (np.abs(way) > allowed)
-            off = np.where(fast & ~wide, np.sign(way) * (np.abs(way) - allowed), off)
-            wide = fast | (wide & (np.abs(way) > allowed))
+            fast = judged & (np.abs(step) > allowed)
+            off = np.where(fast & ~wide, np.sign(step) * (np.abs(step) - allowed), off)
+            wide = fast | (wide & (np.abs(step) > allowed))
         return wide, off
 
-    def _mark(self, marks: Mask, place: int, off: float, held: int) -> None:
+    def _mark(self, marks: Mask, index: int, off: float, held: int) -> None:
         """Mark the sample after a jump; a jump back ends a spike, whose samples are marked instead."""
         if self._jumped is not None:
             begun, by = self._jumped
-            if place - begun <= _SPIKE and off * by < 0.0 and abs(off + by) <= max(_JUMP, 0.5 * abs(by)):
-                marks[max(0, begun + held) : place + held] = True
-                marks[place + held] = False
+            if index - begun <= _SPIKE and off * by < 0.0 and abs(off + by) <= max(_JUMP, 0.5 * abs(by)):
+                marks[max(0, begun + held) : index + held] = True
+                marks[index + held] = False
                 self._jumped = None
                 return
-        marks[max(place, 0) + held] = True
-        self._jumped = place, off
+        marks[max(index, 0) + held] = True
+        self._jumped = index, off
 
 
 class Plausibility:
@@ -216,8 +216,8 @@ class Plausibility:
             Masks of shape (n,) by role, and one finding for each new fault; it may have begun before the block.
         """
         marks: dict[str, Mask] = {}
-        found: list[Finding] = []
-        kept: dict[str, Mask] = {}
+        findings: list[Finding] = []
+        in_order: dict[str, Mask] = {}
         for role, samples in blocks.items():
             mine = marks[role] = np.zeros(len(samples), np.bool_)
             if not len(samples):
@@ -231,44 +231,46 @@ class Plausibility:
                 onward = (samples.status & (DUPLICATE | OUT_OF_ORDER) == 0) & (time > furthest[:-1])
                 whole = bool(onward.all())
             self._ends[role] = float(furthest[-1])
-            kept[role] = onward
+            in_order[role] = onward
             broken = np.asarray(samples.status & (GAP | RESET) != 0)
             part = slice(None) if whole else onward
-            jumps, said = self._steps[role].add(time[part], samples.value[part], broken[part])
+            jumps, new_findings = self._steps[role].add(time[part], samples.value[part], broken[part])
             mine[part] = jumps
-            found += said
+            findings += new_findings
             self._waiting[role].append(
                 _Judged(time if whole else time[onward], samples.value[part], broken[part], jumps)
             )
         if self._ratio is None:
-            return marks, found
+            return marks, findings
         paired = self._paired() if all(self._waiting.values()) else None
         if paired is None:
             if self._line is not None:
-                for role, mine in kept.items():
+                for role, mine in in_order.items():
                     marks[role] |= mine & self._line.still_away(role, blocks[role].value)
-            return marks, found
+            return marks, findings
         time, angles, broken, jumped = paired
         if self._line is None:
             self._line = Line(self._ratio, self._limits, 0.0 if self._shared else STAMP_SECONDS)
-        by_role, returned, said = self._line.add(time, angles, broken, jumped)
+        by_role, returned, new_findings = self._line.add(time, angles, broken, jumped)
         for role, mine in marks.items():
             if not len(mine):
                 continue
             own = blocks[role].time_host
-            place: slice | npt.NDArray[np.int64] = slice(None)
-            inside = kept[role]
+            index: slice | npt.NDArray[np.int64] = slice(None)
+            inside = in_order[role]
             if own is not time:  # most files have one time for both angles: 1.6 times as fast without a search
-                place = np.searchsorted(time, own)
-                inside = (place < time.size) & kept[role]
-                place = np.minimum(place, time.size - 1)
-            mine[inside & returned[place]] = False  # the jump was the return to the line
-            mine |= inside & by_role[role][place]
-            mine |= ~inside & kept[role] & self._line.still_away(role, blocks[role].value)
-        jumps_said = {(f.time, role) for f in found for role in f.roles}
+                index = np.searchsorted(time, own)
+                inside = (index < time.size) & in_order[role]
+                index = np.minimum(index, time.size - 1)
+            mine[inside & returned[index]] = False  # the jump was the return to the line
+            mine |= inside & by_role[role][index]
+            mine |= ~inside & in_order[role] & self._line.still_away(role, blocks[role].value)
+        reported_jumps = {(f.time, role) for f in findings for role in f.roles}
         back = set(time[returned].tolist())
-        found = [f for f in found if f.time not in back]
-        return marks, found + [f for f in said if not any((f.time, role) in jumps_said for role in f.roles)]
+        findings = [f for f in findings if f.time not in back]
+        return marks, findings + [
+            f for f in new_findings if not any((f.time, role) in reported_jumps for role in f.roles)
+        ]
 
     def _paired(self) -> tuple[FloatArray, dict[str, FloatArray], Mask, dict[str, Mask]] | None:
         """Return times at which both angles are known, the angles, gaps and jumps; later samples wait."""
@@ -301,12 +303,14 @@ class Plausibility:
         }
         broken = np.zeros(time.size, np.bool_)
         jumps = {}
-        for role, one in (("input_angle", turning), ("output_angle", driven)):
+        for role, angle_samples in (("input_angle", turning), ("output_angle", driven)):
             upto = np.concatenate([[0], passed[role]])
-            counted = np.concatenate([[0], np.cumsum(one.broken)])
-            broken |= np.diff(counted[np.minimum(upto, one.time.size)]) > 0
-            leaps = np.concatenate([[0], np.cumsum(one.jumps)])
-            jumps[role] = np.diff(leaps[np.minimum(upto, one.time.size)]) > 0
-            keep = max(int(passed[role][-1]) - (role == "input_angle" and not self._shared), one.time.size - _WAITING)
-            self._waiting[role] = [one.after(keep)] if keep < one.time.size else []
+            counted = np.concatenate([[0], np.cumsum(angle_samples.broken)])
+            broken |= np.diff(counted[np.minimum(upto, angle_samples.time.size)]) > 0
+            leaps = np.concatenate([[0], np.cumsum(angle_samples.jumps)])
+            jumps[role] = np.diff(leaps[np.minimum(upto, angle_samples.time.size)]) > 0
+            keep = max(
+                int(passed[role][-1]) - (role == "input_angle" and not self._shared), angle_samples.time.size - _WAITING
+            )
+            self._waiting[role] = [angle_samples.after(keep)] if keep < angle_samples.time.size else []
         return time, angles, broken, jumps

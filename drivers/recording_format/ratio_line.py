@@ -113,7 +113,7 @@ class Line:
         """
         marks = {role: np.zeros(time.size, np.bool_) for role in ANGLES}
         returned = np.zeros(time.size, np.bool_)
-        found: list[Finding] = []
+        findings: list[Finding] = []
         for begin, end in itertools.pairwise([0, *(i for i in np.flatnonzero(broken).tolist() if i), time.size]):
             if end == begin:
                 continue
@@ -122,11 +122,11 @@ class Line:
             turning_jumps, driven_jumps = (jumps[role][part] for role in ANGLES)
             here = _Stretch(time[part], turning, driven, turning_jumps, driven_jumps)
             parts = {role: mask[part] for role, mask in marks.items()}
-            for one in self._stretch(here, bool(broken[begin]), parts, returned[part]):
-                for role in one.roles:
-                    marks[role][:begin] |= time[:begin] >= one.time
-                found.append(one)
-        return marks, returned, found
+            for finding in self._stretch(here, bool(broken[begin]), parts, returned[part]):
+                for role in finding.roles:
+                    marks[role][:begin] |= time[:begin] >= finding.time
+                findings.append(finding)
+        return marks, returned, findings
 
     def still_away(self, role: str, values: FloatArray) -> Mask:
         """Return the mask of later values, not judged yet, that continue the present fault, shape (n,)."""
@@ -147,7 +147,7 @@ class Line:
         turned = np.diff(given.turning, prepend=given.turning[0] if before is None else before.turning) / self._ratio
         driven = np.diff(given.driven, prepend=given.driven[0] if before is None else before.driven)
         lasts = np.maximum(np.diff(time, prepend=time[0] if before is None else before.time), 1e-9)
-        runs = [self._equal(place, step, fresh=before is None) for place, step in enumerate((turned, driven))]
+        runs = [self._equal(index, step, fresh=before is None) for index, step in enumerate((turned, driven))]
         moved = np.logical_or.accumulate(turned != 0.0) | self._moved
         wide = np.where(moved, self._wide, _LOCKED * self._wide)
         speed = np.maximum(np.abs(turned), np.abs(driven)) / lasts
@@ -174,10 +174,10 @@ class Line:
                 self._begin(keep=False)
                 self._low = self._high = float(off[at])
         self._moved = bool(moved[-1])
-        for place, run in enumerate(runs):
+        for index, run in enumerate(runs):
             if run[-1] < size:
                 begun = size - 1 - int(run[-1])
-                self._stood[place] = float(time[begun]), float(off[begun])
+                self._stood[index] = float(time[begun]), float(off[begun])
         angles = float(given.turning[-1]), float(given.driven[-1])
         self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(was[-1]), *rates, bool(returned[-1]))
 
@@ -234,17 +234,17 @@ class Line:
         self._low = min(self._low, low - _FOLLOW * self._travel + slack)
         self._high = max(self._high, high + _FOLLOW * self._travel - slack)
         self._seen, self._span = self._seen + off.size, (low, high)
-        for place, (angle, last) in enumerate(((turning, before.turning), (driven, before.driven))):
+        for index, (angle, last) in enumerate(((turning, before.turning), (driven, before.driven))):
             changed = (
                 np.flatnonzero(angle[:-1] != angle[-1])[-1:] if angle[-1] == angle[-2] else np.array([off.size - 2])
             )
             if changed.size:
                 begun = int(changed[0]) + 1
-                self._runs[place], self._stood[place] = off.size - 1 - begun, (float(time[begun]), float(off[begun]))
+                self._runs[index], self._stood[index] = off.size - 1 - begun, (float(time[begun]), float(off[begun]))
             elif last == angle[-1]:
-                self._runs[place] += off.size
+                self._runs[index] += off.size
             else:
-                self._runs[place], self._stood[place] = off.size - 1, (float(time[0]), float(off[0]))
+                self._runs[index], self._stood[index] = off.size - 1, (float(time[0]), float(off[0]))
         lasts = max(float(time[-1] - time[-2]), 1e-9)
         rates = float(turning[-1] - turning[-2]) / self._ratio / lasts, float(driven[-1] - driven[-2]) / lasts
         angles = float(turning[-1]), float(driven[-1])
@@ -259,15 +259,15 @@ class Line:
         if abs(off + self._turns - was) > self._wide:
             self._turns -= round((off + self._turns - was) / turn) * turn
 
-    def _equal(self, place: int, step: FloatArray, *, fresh: bool) -> npt.NDArray[np.int64]:
+    def _equal(self, index: int, step: FloatArray, *, fresh: bool) -> npt.NDArray[np.int64]:
         """Return the number of equal samples directly before each sample, shape (n,)."""
         number = np.arange(step.size)
         changed = step != 0.0
         if fresh:
             changed[0] = True
         last = np.maximum.accumulate(np.where(changed, number, -1))
-        run = np.where(last < 0, number + 1 + self._runs[place], number - last)
-        self._runs[place] = int(run[-1])
+        run = np.where(last < 0, number + 1 + self._runs[index], number - last)
+        self._runs[index] = int(run[-1])
         return run
 
     def _sudden(
@@ -309,10 +309,10 @@ class Line:
                 leaps[:, at] = beyond(at, begun)
                 sudden[at] = abs(leaps[1, at] - leaps[0, at]) > allowed[at]
         whose = (np.abs(leaps[1]) > np.abs(leaps[0])).astype(np.int64)
-        for place, jumps in enumerate((given.turning_jumps, given.driven_jumps)):
+        for index, jumps in enumerate((given.turning_jumps, given.driven_jumps)):
             if jumps.any():
                 sudden |= jumps
-                whose[jumps] = place
+                whose[jumps] = index
         calm = np.flatnonzero(~sudden)
         rate = rates[:, calm[-1] + 1] if calm.size else first
         return sudden, whose, (float(rate[0]), float(rate[1]))
@@ -340,17 +340,17 @@ class Line:
         """Return the cause of a departure from the line; None if no line is established yet."""
         if self._seen < _SEEN:
             return None
-        stuck = [place for place in (0, 1) if runs[place][at] >= _EQUAL]
+        stuck = [index for index in (0, 1) if runs[index][at] >= _EQUAL]
         if len(stuck) == 1:
-            place = stuck[0]
-            role, other, run = ANGLES[place], ANGLES[1 - place], int(runs[place][at])
+            index = stuck[0]
+            role, other, run = ANGLES[index], ANGLES[1 - index], int(runs[index][at])
             begun = max(at - run, 0)
-            moved = abs(float((given.driven, given.turning)[place][at] - (given.driven, given.turning)[place][begun]))
-            value = float((given.turning, given.driven)[place][at])
-            before = float(off[at - run]) if at >= run else self._stood[place][1]
+            moved = abs(float((given.driven, given.turning)[index][at] - (given.driven, given.turning)[index][begun]))
+            value = float((given.turning, given.driven)[index][at])
+            before = float(off[at - run]) if at >= run else self._stood[index][1]
             self._away = _Away(before - self._wide, before + self._wide, (role,), before, value)
             marks[role][max(0, at - run + 1) : at + 1] = True
-            since = given.time[at - run + 1] if at >= run else np.nextafter(self._stood[place][0], np.inf)
+            since = given.time[at - run + 1] if at >= run else np.nextafter(self._stood[index][0], np.inf)
             text = f"{role} is constant at {math.degrees(value):.6g} deg for {run + 1} samples while {other} moves"
             if at >= run:
                 text += f" by {math.degrees(moved):.3g} deg"

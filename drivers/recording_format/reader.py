@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -14,7 +15,7 @@ import pydantic
 
 from cycloid_fmu import edge
 from drivers.recording_format.clocks import Alignment, Clock, clocks_of
-from drivers.recording_format.decoding import Batch, decoded
+from drivers.recording_format.decoding import Batch, DamagedBatchError, decoded
 from drivers.recording_format.schema import (
     COLUMNS,
     FORMAT,
@@ -31,8 +32,7 @@ from drivers.recording_format.schema import (
 )
 from drivers.recording_format.writer import END_OF_STREAM, MESSAGE
 
-_SEARCH_BYTES = 1 << 20
-_PIECE_BYTES = 1 << 22  # of the file, decoded together
+_SEARCH_BYTES, _PIECE_BYTES = 1 << 20, 1 << 22
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Recording:
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as bench:
     ...     done = bench.record("aligned.arrows")
     >>> recording = drivers.read_recording("aligned.arrows")
     >>> [c.unit for c in recording.header.channels], recording.aligned_time("torque").shape
@@ -89,8 +89,8 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header
         raise edge.InputError(f"{source}: this is an Arrow stream but not a recording; it states no format.")
     edge.check_format(text["format"], FORMAT, source)
     with edge.parsed_by_others(source, "the recording's header can't be understood"):
-        said = {name: json.loads(text[name]) for name in ("channels", "conditions", "ratio")}
-        header = pydantic.TypeAdapter(Header).validate_python({**said, "pair": text["pair"], "start": text["start"]})
+        values = {name: json.loads(text[name]) for name in ("channels", "conditions", "ratio")}
+        header = pydantic.TypeAdapter(Header).validate_python({**values, "pair": text["pair"], "start": text["start"]})
         if not all(channel.name.isprintable() for channel in header.channels):
             raise ValueError("a channel's name must be printable")
     # A header without checksum is from an early recording, unless its key is damaged.
@@ -119,7 +119,7 @@ class RecordingReader:
     header
         Channels and conditions.
     problems
-        One sentence for each problem of the file found so far.
+        One sentence for each problem of the file so far.
     complete
         Number of complete batches read.
 
@@ -175,43 +175,52 @@ class RecordingReader:
             there.
         """
         while True:
-            batches, ends = self._piece()
-            for batch, end in zip(decoded(batches, self._names), ends, strict=True):
+            for batch, end in self._piece():
                 self._offset = end
-                if (taken := self._judged(batch)) is not None:
+                if (taken := self._taken(batch)) is not None:
                     yield taken
             # Pieces stop at the end, at damage and at a batch that is not all in the piece: continue with this one.
             size = self.size
             if self._bytes(self._offset, 8) == END_OF_STREAM:
                 return
-            found = self._message(self._offset, size)
-            if found is None:
-                if growing:
-                    return
-                if not self._resume(size):
-                    if self._offset >= size and self._good_end == self._offset:
-                        self.problems.append(
-                            f"{self.source}: it was not closed; all {self.complete} batches were read."
-                        )
-                    else:
-                        self.problems.append(
-                            f"{self.source}: it is truncated or damaged after {self.complete} complete batches; "
-                            "these were read."
-                        )
-                    return
-                continue
-            data, self._offset = found
-            if data is not None and (taken := self._judged(self._decoded(data))) is not None:
-                yield taken
+            message = self._message(self._offset, size)
+            if message is not None:
+                data, self._offset = message
+                if data is not None and (taken := self._taken(data)) is not None:
+                    yield taken
+            elif growing:
+                return
+            elif not self._resume(size):
+                if self._offset >= size and self._good_end == self._offset:
+                    state = f"it was not closed; all {self.complete} batches were read."
+                else:
+                    state = f"it is truncated or damaged after {self.complete} complete batches; these were read."
+                self.problems.append(f"{self.source}: {state}")
+                return
 
-    def _judged(
-        self, decoded: tuple[int, Samples, tuple[Event, ...]] | Exception
-    ) -> tuple[Samples, tuple[Event, ...]] | None:
-        """Return the next batch, with its first sample marked after a loss; None if it is damaged."""
-        if isinstance(decoded, Exception):
-            self._left_out(decoded)
+    def _piece(self) -> Iterator[tuple[Batch, int]]:
+        """Yield the next batches that one piece of the file holds, and the byte at which each ends."""
+        begin = self._offset - len(self._preamble)
+        source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
+        with pa.ipc.open_stream(source) as reader:
+            reader.read_next_batch()
+            while True:
+                try:
+                    batch = reader.read_next_batch_with_custom_metadata()
+                except (StopIteration, ValueError, OSError, EOFError, pa.ArrowException):
+                    return
+                yield batch, begin + source.tell()
+
+    def _taken(self, data: Batch | bytes) -> tuple[Samples, tuple[Event, ...]] | None:
+        """Return a batch or that of a message, its first sample marked after a loss; None if it is damaged."""
+        try:
+            sequence, samples, events = self._decoded(data)
+        except DamagedBatchError as problem:
+            self.problems.append(f"{self.source}: batch {self._number} was left out: {problem}.")
+            self._lost = set(self._names)
+            self._number += 1
+            self._next_sequence += 1
             return None
-        sequence, samples, said = decoded
         if sequence != self._next_sequence:
             self.problems.append(
                 f"{self.source}: batch {self._number} has sequence number {sequence}, not {self._next_sequence}."
@@ -220,7 +229,7 @@ class RecordingReader:
         self._number += 1
         self._good_end, self._next_sequence = self._offset, sequence + 1
         self.complete += 1
-        return self._marked(samples), said
+        return self._marked(samples), events
 
     def _marked(self, samples: Samples) -> Samples:
         """Return samples, the first one marked if samples of the channel may be lost before it."""
@@ -230,27 +239,6 @@ class RecordingReader:
         status = samples.status.copy()
         status[0] |= GAP
         return dataclasses.replace(samples, status=status)
-
-    def _left_out(self, problem: Exception) -> None:
-        self.problems.append(f"{self.source}: batch {self._number} was left out: {problem}.")
-        self._lost = set(self._names)
-        self._number += 1
-        self._next_sequence += 1
-
-    def _piece(self) -> tuple[list[Batch], list[int]]:
-        """Return the next batches that one piece of the file holds, and the byte at which each ends."""
-        begin = self._offset - len(self._preamble)
-        source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
-        batches: list[Batch] = []
-        ends: list[int] = []
-        with pa.ipc.open_stream(source) as reader:
-            reader.read_next_batch()
-            while True:
-                try:
-                    batches.append(reader.read_next_batch_with_custom_metadata())
-                except (StopIteration, ValueError, OSError, EOFError, pa.ArrowException):
-                    return batches, ends
-                ends.append(begin + source.tell())
 
     @property
     def size(self) -> int:
@@ -280,32 +268,41 @@ class RecordingReader:
             return None
         return (self._bytes(offset, end - offset) if message.type == "record batch" else None), end
 
-    def _decoded(self, data: bytes) -> tuple[int, Samples, tuple[Event, ...]] | Exception:
-        """Return the decoded batch of a message, or the reason why it is damaged."""
+    def _decoded(self, data: Batch | bytes) -> tuple[int, Samples, tuple[Event, ...]]:
+        """Return sequence number, samples and events of a batch or message; `DamagedBatchError` if it is damaged."""
+        if not isinstance(data, bytes):
+            return decoded(data, self._names)
         try:
             with pa.ipc.open_stream(pa.BufferReader(self._preamble + data)) as reader:
                 reader.read_next_batch()
-                return next(decoded([reader.read_next_batch_with_custom_metadata()], self._names))
+                batch = reader.read_next_batch_with_custom_metadata()
         except (ValueError, OSError, pa.ArrowException, StopIteration) as problem:  # OSError: lengths beyond the end
-            return problem
+            raise DamagedBatchError(str(problem)) from problem
+        return decoded(batch, self._names)
+
+    def _is_sound(self, data: bytes) -> bool:
+        with contextlib.suppress(DamagedBatchError):
+            self._decoded(data)
+            return True
+        return False
 
     def _resume(self, size: int) -> bool:
         """Continue at the next batch with a correct CRC-32 after damage; False if there is none."""
         position = self._good_end + 8
         while position < size:
             block = self._bytes(position, _SEARCH_BYTES)
-            found = block.find(MESSAGE)
-            while found >= 0:
-                at = position + found
+            begin = block.find(MESSAGE)
+            while begin >= 0:
+                at = position + begin
                 taken = self._message(at, size) if at % 8 == 0 else None
-                if taken is not None and taken[0] is not None and not isinstance(self._decoded(taken[0]), Exception):
+                if taken is not None and taken[0] is not None and self._is_sound(taken[0]):
                     self.problems.append(
                         f"{self.source}: damaged from byte {self._good_end} on; reading continued at byte {at}."
                     )
                     self._lost = set(self._names)
                     self._offset = at
                     return True
-                found = block.find(MESSAGE, found + 1)
+                begin = block.find(MESSAGE, begin + 1)
             if len(block) < _SEARCH_BYTES:
                 break
             position += len(block) - len(MESSAGE)
@@ -333,7 +330,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as bench:
     ...     done = bench.record("read.arrows")
     >>> recording = drivers.read_recording("read.arrows")
     >>> recording.header.ratio, len(recording.samples["torque"]), recording.problems
@@ -342,8 +339,8 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     with RecordingReader(path) as reader:
         blocks: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
         events: list[Event] = []
-        for samples, said in reader.batches():
-            events.extend(said)
+        for samples, new_events in reader.batches():
+            events.extend(new_events)
             if len(samples):
                 blocks[samples.channel].append(samples)
         samples_of = {n: joined(n, b) for n, b in blocks.items()}
@@ -366,22 +363,24 @@ def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict
     events: list[Event] = []
     with RecordingReader(path) as reader:
         devices = {c.name: _clock_device(c.time_source) for c in reader.header.channels}
-        for samples, said in reader.batches():
-            events.extend(said)
+        for samples, new_events in reader.batches():
+            events.extend(new_events)
             if len(samples) and samples.channel in channels:
                 first.setdefault(samples.channel, samples)
             if len(first) == len(channels) and all(s.time_device is None for s in first.values()):
                 return {}
-    found = {name: clocks for name, clocks in clocks_of(events).items() if name in channels}
-    names = list(found)
-    for number, one in enumerate(names):
+    by_channel = {name: clocks for name, clocks in clocks_of(events).items() if name in channels}
+    names = list(by_channel)
+    for number, name in enumerate(names):
         for other in names[number + 1 :]:
-            same = devices[one] is not None and devices[one] == devices[other]
-            if same or _stamps(first[one]) & _stamps(first[other]):
-                for restarts in found[one].keys() & found[other].keys():
-                    best = min(found[one][restarts], found[other][restarts], key=lambda clock: clock.uncertainty)
-                    found[one][restarts] = found[other][restarts] = best
-    return found
+            same = devices[name] is not None and devices[name] == devices[other]
+            if same or _stamps(first[name]) & _stamps(first[other]):
+                for restarts in by_channel[name].keys() & by_channel[other].keys():
+                    best = min(
+                        by_channel[name][restarts], by_channel[other][restarts], key=lambda clock: clock.uncertainty
+                    )
+                    by_channel[name][restarts] = by_channel[other][restarts] = best
+    return by_channel
 
 
 def _clock_device(time_source: str) -> str | None:

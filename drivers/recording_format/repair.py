@@ -74,7 +74,7 @@ def repair(
     Examples
     --------
     >>> import drivers
-    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as bench:
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as bench:
     ...     done = bench.record("whole.arrows")
     >>> kept = drivers.repair("whole.arrows")
     >>> kept.channels["torque"].samples, kept.problems

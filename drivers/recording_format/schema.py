@@ -155,7 +155,7 @@ class Samples:
             If an array is not one-dimensional or not of the same length as the others.
         """
         host = np.asarray(time_host, np.float64)
-        made = cls(
+        samples = cls(
             channel,
             host,
             None if time_device is None else np.asarray(time_device, np.float64),
@@ -163,10 +163,10 @@ class Samples:
             np.asarray(value, np.float64),
             np.zeros(host.shape, np.uint8) if status is None else np.asarray(status, np.uint8),
         )
-        shapes = {name: a.shape for name in COLUMNS if (a := getattr(made, name)) is not None}
+        shapes = {name: a.shape for name in COLUMNS if (a := getattr(samples, name)) is not None}
         if len(host.shape) != 1 or len(set(shapes.values())) != 1:
             raise ValueError(f"the samples of {channel} must be one-dimensional and of equal length, not {shapes}")
-        return made
+        return samples
 
     def __len__(self) -> int:
         return len(self.time_host)
@@ -221,8 +221,8 @@ def recording_metadata(header: Header) -> dict[str, str]:
 
 def header_checksum(texts: Mapping[str, str]) -> str:
     """Return the CRC-32 of the header's texts as eight hexadecimal digits; the module's docstring defines the bytes."""
-    said = "".join(f"{key}{texts[key]}" for key in ("format", "channels", "conditions", "ratio", "pair", "start"))
-    return f"{zlib.crc32(said.encode()):08x}"
+    text = "".join(f"{key}{texts[key]}" for key in ("format", "channels", "conditions", "ratio", "pair", "start"))
+    return f"{zlib.crc32(text.encode()):08x}"
 
 
 def recording_schema(header: Header) -> pa.Schema:

@@ -126,11 +126,11 @@ class RecordingWriter:
         OSError
             If the batch can't be written; it is removed, and earlier batches stay readable.
         """
-        said = json.dumps([dataclasses.asdict(e) for e in events])
+        text = json.dumps([dataclasses.asdict(e) for e in events])
         metadata = {
             "sequence": str(self.batches),
-            "events": said,
-            "crc32": batch_checksum(self.batches, said, samples),
+            "events": text,
+            "crc32": batch_checksum(self.batches, text, samples),
         }
         batch = record_batch(samples, self._schema, self._names)
         self._whole = False

@@ -91,20 +91,22 @@ class SerialEncoder(HubEncoder[PortHub]):
         self._events.append(Event(time_host, self.name, text))
         self._pending |= status
 
-    def marked(self, kept: npt.NDArray[np.intp], lost: npt.NDArray[np.bool_], wrong: npt.NDArray[np.bool_]) -> IntArray:
-        """Return the status bits of the readings kept, shape (k,): bits of a lost reading go to the next one kept.
+    def marked(
+        self, valid: npt.NDArray[np.intp], lost: npt.NDArray[np.bool_], wrong: npt.NDArray[np.bool_]
+    ) -> IntArray:
+        """Return the status bits of the valid readings, shape (k,): bits of a lost reading go to the next valid one.
 
         Parameters
         ----------
-        kept
-            Indices of the readings kept, shape (k,).
+        valid
+            Indices of the valid readings, shape (k,).
         lost, wrong
             Masks of the readings lost, and of those with a wrong checksum, shape (n,).
         """
-        marks = np.zeros(len(kept) + 1, np.int64)
+        marks = np.zeros(len(valid) + 1, np.int64)
         # bitwise_or.at, because several losses may precede the same sample
-        np.bitwise_or.at(marks, np.searchsorted(kept, np.flatnonzero(lost)), GAP)
-        np.bitwise_or.at(marks, np.searchsorted(kept, np.flatnonzero(wrong)), GAP | CHECKSUM)
+        np.bitwise_or.at(marks, np.searchsorted(valid, np.flatnonzero(lost)), GAP)
+        np.bitwise_or.at(marks, np.searchsorted(valid, np.flatnonzero(wrong)), GAP | CHECKSUM)
         marks[0] |= self._pending
         self._pending = int(marks[-1])
         return marks[:-1]
@@ -194,8 +196,8 @@ class PolledEncoder(SerialEncoder):
                 first = int(np.flatnonzero(which)[0])
                 shown = f" (0x{exchanges[first].answer.hex()})" if exchanges[first].answer else ""
                 self.say(times[first], f"{counted(int(which.sum()), 'reading')} lost: {what}{shown}")
-        kept = np.flatnonzero(right & ~late)
-        self._lost += len(exchanges) - len(kept)
+        valid = np.flatnonzero(right & ~late)
+        self._lost += len(exchanges) - len(valid)
         noted = np.array([bool(e.note) for e in exchanges], bool)
-        status = self.marked(kept, ~there | late | noted, wrong)
-        return times[kept], [exchanges[i].answer for i in kept], status
+        status = self.marked(valid, ~there | late | noted, wrong)
+        return times[valid], [exchanges[i].answer for i in valid], status

@@ -69,7 +69,7 @@ def line_errors(port: Any) -> dict[str, int]:
         counts = _LINE_COUNTS.unpack(fcntl.ioctl(port.fileno(), _GET_LINE_COUNTS, bytes(_LINE_COUNTS.size)))
     except (OSError, AttributeError, ValueError):  # a pseudo-terminal, a socket, a URL without a descriptor
         return {}
-    return {what: counts[place] for place, what in _LINE_ERRORS.items()}
+    return {what: counts[index] for index, what in _LINE_ERRORS.items()}
 
 
 class PortHub:
@@ -79,7 +79,7 @@ class PortHub:
         self.config = config
         self.broken = False
         if refused := no_terminal(config.url):
-            raise EncoderSetupError(f"The serial port {config.place} does not open: {refused}.")
+            raise EncoderSetupError(f"The serial port {config.address} does not open: {refused}.")
         try:
             self.port = serial.serial_for_url(
                 config.url,
@@ -92,7 +92,7 @@ class PortHub:
             )
         except (serial.SerialException, ValueError, OSError) as problem:
             raise EncoderSetupError(
-                f"The serial port {config.place} does not open: {reason(problem, 'port')}."
+                f"The serial port {config.address} does not open: {reason(problem, 'port')}."
             ) from problem
         self._lock = threading.Lock()
         self._queues: dict[BlockQueue[list[Exchange]], tuple[Question, bool]] = {}
@@ -186,8 +186,8 @@ class PortHub:
         """Return a text on the losses that the driver counted since the last call, or ""."""
         before, self._errors = self._errors, line_errors(self.port)
         more = {what: count - before.get(what, count) for what, count in self._errors.items()}
-        said = ", ".join(f"{count} {what}" for what, count in more.items() if count > 0)
-        return f"the port lost bytes: {said}" if said else ""
+        text = ", ".join(f"{count} {what}" for what, count in more.items() if count > 0)
+        return f"the port lost bytes: {text}" if text else ""
 
     def _run(self) -> None:
         self._polling.wait()
@@ -217,22 +217,22 @@ class PortHub:
                                 fresh = 0 if done.late or (fresh < _FRESH and ready > _FEW_BYTES) else fresh + 1
                                 done = done._replace(late=fresh < _FRESH)
                         if stood:
-                            said = f"no reading for {stood:.3f} s: the recorder was delayed"
-                            notes.update(dict.fromkeys(queues, said))
+                            text = f"no reading for {stood:.3f} s: the recorder was delayed"
+                            notes.update(dict.fromkeys(queues, text))
                         heard = heard if asked else done
                         block = blocks[answers]
                         block.append(done._replace(note=notes.pop(answers, "")))
                         if not asked and len(done.answer) >= _BUFFER_FULL:  # the loss is after the buffered bytes
-                            said = "the port's buffer was full: bytes may be lost"
-                            notes.update({a: said for a, (_, theirs) in queues.items() if not theirs})
+                            text = "the port's buffer was full: bytes may be lost"
+                            notes.update({a: text for a, (_, theirs) in queues.items() if not theirs})
                         newest = block if asked else []
                 if newest:
                     with self._lock:
                         self._put_back(newest)
                 for answers, block in blocks.items():
                     answers.put(block, len(block))
-                if said := self._driver_note():
-                    notes.update(dict.fromkeys(queues, said))
+                if text := self._driver_note():
+                    notes.update(dict.fromkeys(queues, text))
                 if self._is_drained():
                     self._drain_from = None
                     self._drained.set()
@@ -241,7 +241,7 @@ class PortHub:
                     self._stopping.wait(BLOCK_SECONDS)
         except Exception as problem:  # nobody else sees why this thread ends
             self._failure = EncoderConnectionError(
-                f"The serial port {self.config.place} failed: {reason(problem, 'port')}."
+                f"The serial port {self.config.address} failed: {reason(problem, 'port')}."
             )
             self.broken = True
             self._drained.set()

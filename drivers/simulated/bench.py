@@ -16,17 +16,17 @@ from drivers.simulated.motion import Motion
 
 
 class SimulatedBench(abc.ABC):
-    """A bench whose thread sends a motion; a context manager, at whose end the thread ends.
+    """A bench whose thread sends a motion over its bus; a context manager, at whose end the thread ends.
 
-    `ratio` and `pair` are the defaults of `write_wiring`.
+    `description` is the `buses.SimulatedBus`; `ratio` and `pair` are the defaults of `write_wiring`.
     """
 
     ratio: float | None = None
     pair = ""
     allow: tuple[str, ...] = ()  # for its own bus, see `read_bench`
 
-    def __init__(self, motion: Motion) -> None:
-        self.motion = motion
+    def __init__(self, motion: Motion, description: Any) -> None:
+        self.motion, self.description = motion, description
         self._stopping = threading.Event()
         self._done = threading.Event()
         self._failure: Exception | None = None

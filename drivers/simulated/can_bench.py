@@ -8,7 +8,7 @@ import queue
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import can
 import numpy as np
@@ -20,6 +20,7 @@ from drivers.encoders.canopen import COUNTS_PER_TURN, HEARTBEAT_TIME, POSITION, 
 from drivers.lines import BusConfig
 from drivers.recording_format import FloatArray
 from drivers.simulated.bench import SimulatedBench
+from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.faults import NODE_FAULTS, Fault, Frame, faulty_frames
 from drivers.simulated.motion import Motion, quantised
 
@@ -52,17 +53,17 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: 
     dictionary = canopen.ObjectDictionary()
 
     def variable(name: str, index: int, kind: int, value: int, sub: int = 0) -> ODVariable:
-        made = ODVariable(name, index, sub)
-        made.data_type, made.default = kind, value
-        made.access_type = "rw" if index == HEARTBEAT_TIME else "ro"
-        return made
+        item = ODVariable(name, index, sub)
+        item.data_type, item.default = kind, value
+        item.access_type = "rw" if index == HEARTBEAT_TIME else "ro"
+        return item
 
     def record(name: str, index: int, entries: Sequence[tuple[str, int, int]]) -> None:
-        made = ODRecord(name, index)
-        made.add_member(variable("entries", index, UNSIGNED8, len(entries)))
+        item = ODRecord(name, index)
+        item.add_member(variable("entries", index, UNSIGNED8, len(entries)))
         for sub, (entry, kind, value) in enumerate(entries, 1):
-            made.add_member(variable(entry, index, kind, value, sub))
-        dictionary.add_object(made)
+            item.add_member(variable(entry, index, kind, value, sub))
+        dictionary.add_object(item)
 
     for name, index, kind, value in (
         ("device type", 0x1000, UNSIGNED32, 0x00020196),
@@ -114,20 +115,6 @@ class SimulatedCanBench(SimulatedBench):
     Once both nodes are operational, a thread sends the motion; it ends with the motion or when no node is operational.
     A node that is not operational sends nothing. On the virtual bus the frames are stamped with the motion's own time.
 
-    Parameters
-    ----------
-    motion, interface, channel, speed_factor, faults
-        See `simulate.SimulatedConnection`.
-    trigger
-        "controller": the bench sends SYNC, with a counter unless `sync_counter` is False; "sync": the bench answers
-        each SYNC of another device, such as the recorder, with the next sample; "timer": each node sends by its event
-        timer, without SYNC.
-    input_counts_per_turn, output_counts_per_turn
-        Resolution, powers of two; the 32-bit position counts turns too and rolls over.
-    clock_drift
-        Virtual and loopback bus: relative drift of the interface's own clock, which counts from power-up, against the
-        host's, > 0: fast; the default speed is then real time. None: the interface has no clock.
-
     Attributes
     ----------
     sent
@@ -138,39 +125,26 @@ class SimulatedCanBench(SimulatedBench):
         device is taken after that SYNC.
     """
 
-    def __init__(
-        self,
-        motion: Motion,
-        *,
-        interface: str = "virtual",
-        channel: str = "bench",
-        trigger: Literal["controller", "sync", "timer"] = "controller",
-        input_counts_per_turn: int = 1 << 22,
-        output_counts_per_turn: int = 1 << 25,
-        speed_factor: float | None = None,
-        clock_drift: float | None = None,
-        sync_counter: bool = True,
-        faults: Sequence[Fault] = (),
-    ) -> None:
-        super().__init__(motion)
-        self.trigger, self.faults, self.sync_counter = trigger, tuple(faults), sync_counter
+    def __init__(self, motion: Motion, description: SimulatedCan) -> None:
+        super().__init__(motion, description)
+        interface, pace = description.interface, description.speed_factor
+        channel = description.channel or ("239.74.163.2" if interface == "loopback" else "bench")
         self.bus_config, self.allow = BusConfig(interface=interface, channel=channel), (interface,)
-        self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
-        self.clock_drift, self._powered = clock_drift, time.time()
-        self._stamped = interface == "virtual" or clock_drift is not None  # by the bench, not by the kernel
-        if clock_drift is not None and speed_factor is None:
-            speed_factor = 1.0
+        self.counts_per_turn = {
+            _INPUT_NODE: description.input_counts_per_turn,
+            _OUTPUT_NODE: description.output_counts_per_turn,
+        }
+        self.trigger, self.clock_drift, self._powered = description.trigger, description.clock_drift, time.time()
+        self._stamped = interface == "virtual" or self.clock_drift is not None  # by the bench, not by the kernel
         own = 2 * math.pi / motion.run.samples_per_turn / motion.run.speed
-        self._timer = own  # on the virtual bus the stamps are the motion's time
-        if trigger == "sync":
+        if self.trigger == "sync":
             self._interval = own
-        elif speed_factor is not None:
-            self._interval = own / speed_factor
+        elif pace is not None or self.clock_drift is not None:
+            self._interval = own / (pace or 1.0)
         else:
             self._interval = 0.0 if interface == "virtual" else 1 / UDP_SAMPLES_PER_SECOND
         self._pace = self._interval / own
-        if interface != "virtual":
-            self._timer = self._interval
+        self._timer = own if interface == "virtual" else self._interval  # the virtual bus has the motion's time
         self._syncs: queue.SimpleQueue[float] = queue.SimpleQueue()  # arrival times
         self.sent = 0
         self.sent_at, self.sent_by = np.zeros((2, motion.run.samples))
@@ -242,24 +216,24 @@ class SimulatedCanBench(SimulatedBench):
             0x180 + _OUTPUT_NODE: self._positions(_OUTPUT_NODE, motion.output_angle),
             _TORQUE_ID: np.rint(motion.torque / _TORQUE_SCALE).astype("<i4"),
         }
-        for fault in self.faults:
+        for fault in self.description.faults:
             if fault.kind == "reset":  # the counter restarts at zero at the present shaft angle
                 array = payloads[fault.target]
                 array[fault.sample :] -= array[fault.sample]
         if self.trigger == "controller":
             payloads = {SYNC_ID: (np.arange(len(motion.time)) % SYNC_COUNTER_MAX + 1).astype("u1"), **payloads}
         raw = [(identifier, array.tobytes(), array.itemsize) for identifier, array in payloads.items()]
-        if not self.sync_counter:
+        if not self.description.sync_counter:
             raw = [(identifier, data, 0 if identifier == SYNC_ID else size) for identifier, data, size in raw]
         samples = (
             [(identifier, data[i * size : (i + 1) * size], stamp) for identifier, data, size in raw]
             for i, stamp in enumerate(motion.time)
         )
-        return faulty_frames(samples, self.faults)
+        return faulty_frames(samples, self.description.faults)
 
     def _send(self) -> None:
         """Send all samples: SYNC, if the bench has a controller, then the frames that it triggers."""
-        frames, at = self._frames(), {f.sample: f for f in self.faults if f.kind in NODE_FAULTS}
+        frames, at = self._frames(), {f.sample: f for f in self.description.faults if f.kind in NODE_FAULTS}
         nodes = {0x180 + number: node for number, node in self._nodes.items()}
         silent: dict[int, int] = {}
         begun, ends = time.time(), math.inf

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-import os
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Annotated, Literal, TypeAlias, get_args
+from typing import Annotated, Literal, TypeAlias
 
 import pydantic
+import pydantic.dataclasses
 
 from cycloid_fmu import edge
-
-FORMAT = "cycloid-faults/1"
 
 Kind: TypeAlias = Literal[
     "drop",
@@ -36,7 +33,7 @@ NODE_FAULTS = ("emergency", "reboot", "silence", "bus_off")
 SERIAL_FAULTS = ("mute", "half", "corrupt", "garbage", "wrong_baud", "pull")
 
 
-@dataclasses.dataclass(frozen=True)
+@pydantic.dataclasses.dataclass(frozen=True, config=pydantic.ConfigDict(extra="forbid"))
 class Fault:
     """One fault.
 
@@ -61,34 +58,10 @@ class Fault:
     """
 
     kind: Kind
-    sample: int
-    count: int = 1
-    target: int = 0
-    by: float = 0.0
-
-
-class _FaultConfig(edge.Config):
-    kind: Literal[get_args(Kind)]  # type: ignore[valid-type]
     sample: Annotated[int, pydantic.Field(ge=0)]
     count: Annotated[int, pydantic.Field(ge=1)] = 1
     target: Annotated[int, pydantic.Field(ge=0, le=0x7FF)] = 0
     by: edge.Seconds = 0.0
-
-
-class _FaultFile(edge.Config):
-    fault: list[_FaultConfig]
-
-
-def read_faults(path: str | os.PathLike[str]) -> list[Fault]:
-    """Read a `FAULTS.toml`: tables `[[fault]]` with the keys of `Fault`.
-
-    Raises
-    ------
-    edge.InputError
-        If the file is invalid; names file, table and key.
-    """
-    table = edge.toml_table(edge.read_text(path, FORMAT), FORMAT, str(path))
-    return [Fault(**f.model_dump()) for f in edge.validated(_FaultFile, table, str(path)).fault]
 
 
 Frame: TypeAlias = tuple[int, bytes, float]
@@ -104,24 +77,24 @@ def faulty_frames(frames: Iterable[list[Frame]], faults: Sequence[Fault]) -> Ite
         if not (now or late or jump):
             yield sample
             continue
-        made: list[Frame] = []
+        sent: list[Frame] = []
         held: list[Frame] = []
         for identifier, data, stamp in sample:
             frame = (identifier, data, stamp + jump)
             kind = next((f.kind for f in now if f.target == identifier and f.kind in _FRAME_FAULTS), None)
             if kind == "duplicate":
-                made += [frame, frame]
+                sent += [frame, frame]
             elif kind == "short":
-                made.append((identifier, data[:-1], frame[2]))
+                sent.append((identifier, data[:-1], frame[2]))
             elif kind == "garbage":
-                made.append((identifier, bytes((i * 37 + k * 101 + 11) % 256 for k in range(1 + i % 3)), frame[2]))
+                sent.append((identifier, bytes((i * 37 + k * 101 + 11) % 256 for k in range(1 + i % 3)), frame[2]))
             elif kind == "swap":
                 held.append(frame)  # sent after the next sample
             elif kind != "drop":
-                made.append(frame)
-        made += late
+                sent.append(frame)
+        sent += late
         late = held
-        yield made
+        yield sent
 
 
 def at_wrong_baud(data: bytes, factor: float = 0.75) -> bytes:

@@ -11,15 +11,17 @@ import select
 import struct
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 
 from cycloid_fmu import edge
 from drivers.encoders.amt21 import check_bits
+from drivers.recording_format import IntArray
 from drivers.simulated.bench import SimulatedBench
+from drivers.simulated.buses import SimulatedAmt21, SimulatedAscii, SimulatedBus, SimulatedModbus
 from drivers.simulated.faults import SERIAL_FAULTS, Fault, at_wrong_baud
 from drivers.simulated.motion import Motion, quantised
 
@@ -29,7 +31,8 @@ _BITS_PER_BYTE = 10  # with start and stop bit
 class _PtyBench(SimulatedBench):
     """A thread behind a pseudo-terminal, limited to its baud rate; its name does not change when the cable is pulled.
 
-    `url` is the port to record; `speed_factor` the speed relative to real time; `faults` see `faults.Fault`.
+    `url` is the port to record. The motion runs at its own speed times `speed_factor`; a fault's `sample` is the number
+    of the request or line, its `target` the address.
 
     Attributes
     ----------
@@ -41,13 +44,10 @@ class _PtyBench(SimulatedBench):
     _protocol: ClassVar[str]
     receive_buffer: int | None = None
 
-    def __init__(
-        self, motion: Motion, *, speed_factor: float = 1.0, baud_rate: int, faults: Sequence[Fault] = ()
-    ) -> None:
-        super().__init__(motion)
-        self.baud_rate = baud_rate
-        self._factor = speed_factor
-        self._faults = [f for f in faults if f.kind in SERIAL_FAULTS]
+    def __init__(self, motion: Motion, description: Any) -> None:
+        super().__init__(motion, description)
+        self._factor = description.speed_factor or 1.0
+        self._faults: list[Fault] = [f for f in description.faults if f.kind in SERIAL_FAULTS]
         self._begun: float | None = None
 
     def _open(self) -> None:
@@ -116,10 +116,10 @@ class _PtyBench(SimulatedBench):
             "garbage": bytes((b * 151 + 7) % 256 for b in data[::-1]) * 2,
             "wrong_baud": at_wrong_baud(data),
         }.get(kind or "", data)
-        end = time.perf_counter() + (len(sent) + after) * _BITS_PER_BYTE / self.baud_rate
-        while (left := end - time.perf_counter()) > 0:
-            if left > 1e-3:
-                time.sleep(left - 5e-4)
+        end = time.perf_counter() + (len(sent) + after) * _BITS_PER_BYTE / self.description.baud_rate
+        while (remaining := end - time.perf_counter()) > 0:
+            if remaining > 1e-3:
+                time.sleep(remaining - 5e-4)
         taken = 0
         with contextlib.suppress(OSError):
             taken = os.write(self._bench, sent[: self._room()])
@@ -136,7 +136,7 @@ class _PtyBench(SimulatedBench):
         return max(0, self.receive_buffer - int(waiting))
 
     def _connections(self, folder: Path) -> str:
-        port = f"[port.tty]\nurl = {edge.json_text(self.url)}\nbaud_rate = {self.baud_rate}\n"
+        port = f"[port.tty]\nurl = {edge.json_text(self.url)}\nbaud_rate = {self.description.baud_rate}\n"
         return port + "".join(
             f'\n[channel.{name}]\nprotocol = "{self._protocol}"\nport = "tty"\n{keys}'
             for name, keys in self._channels().items()
@@ -150,18 +150,8 @@ class _PtyBench(SimulatedBench):
         return {"stop": lambda: self.wait(0.0)}  # the recorder's polling determines the number of samples
 
 
-class SimulatedAmt21Bench(_PtyBench):
-    """A bench of two AMT21 encoders on one RS-485 line, simulated by a pseudo-terminal: record `url`.
-
-    The motion begins with the first request and runs at its own speed times `speed_factor`; each answer is the present
-    position. The torque is not on this line.
-
-    Parameters
-    ----------
-    motion, speed_factor, baud_rate, faults
-        See `_PtyBench`; a fault's `sample` is the number of the request, its `target` the address.
-    addresses, bits, multi_turn
-        Addresses of the input and output encoder; resolution, 12 or 14 bits; whether they count turns.
+class _AskedBench(_PtyBench):
+    """A bench of two encoders that answer requests with the present position; the motion begins with the first request.
 
     Attributes
     ----------
@@ -169,123 +159,114 @@ class SimulatedAmt21Bench(_PtyBench):
         Samples with which each address answered, without faulty answers, and the times of these answers, s since 1970.
     """
 
-    _protocol = "amt21"
-
-    def __init__(
-        self,
-        motion: Motion,
-        *,
-        addresses: tuple[int, int] = (0x54, 0x58),
-        bits: Literal[12, 14] = 14,
-        multi_turn: bool = False,
-        speed_factor: float = 1.0,
-        baud_rate: int = 2_000_000,
-        faults: Sequence[Fault] = (),
-    ) -> None:
-        super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
-        self.addresses, self.bits, self.multi_turn = addresses, bits, multi_turn
-        self.answered: dict[int, list[int]] = {a: [] for a in addresses}
-        self.answered_at: dict[int, list[float]] = {a: [] for a in addresses}
+    def __init__(self, motion: Motion, description: Any) -> None:
+        super().__init__(motion, description)
+        self.addresses: tuple[int, int] = description.addresses
+        self.answered: dict[int, list[int]] = {a: [] for a in self.addresses}
+        self.answered_at: dict[int, list[float]] = {a: [] for a in self.addresses}
+        self._asked = 0
 
     def _channels(self) -> dict[str, str]:
-        turns = "multi_turn = true\n" if self.multi_turn else ""
-        keys = [f"address = {address}\nbits = {self.bits}\n{turns}" for address in self.addresses]
-        return dict(zip(("input_angle", "output_angle"), keys, strict=True))
+        return dict(zip(("input_angle", "output_angle"), map(self._keys, self.addresses), strict=True))
 
-    def _run(self) -> None:
-        counts = 1 << self.bits
-        words: dict[int, list[int]] = {}
-        for address, angle in zip(self.addresses, (self.motion.input_angle, self.motion.output_angle), strict=True):
-            position = quantised(angle, counts)
-            words[address] = check_bits((position % counts << (14 - self.bits)).astype(np.uint16)).tolist()
-            if self.multi_turn:
-                words[address + 1] = check_bits((position // counts % (1 << 14)).astype(np.uint16)).tolist()
-        asked = 0
+    @abc.abstractmethod
+    def _keys(self, address: int) -> str:
+        """Return the protocol's keys in the table of the channel at this address."""
+
+    def _counts(self, counts_per_turn: int) -> dict[int, IntArray]:
+        """Return the counts of each address, without rollover, shape (n,)."""
+        angles = self.motion.input_angle, self.motion.output_angle
+        return {a: quantised(angle, counts_per_turn) for a, angle in zip(self.addresses, angles, strict=True)}
+
+    def _requests(self, longest: int) -> Iterator[bytes]:
+        """Yield what the recorder sends, up to `longest` bytes at a time; b"" in a pause."""
         while not self._stopping.is_set():
             if not select.select([self._bench], [], [], 0.05)[0]:
-                continue
-            with contextlib.suppress(OSError):
-                for question in os.read(self._bench, 64):
-                    if question not in words:
-                        continue
-                    i = self._sample()
-                    address = question & ~1
-                    whole = self._put(struct.pack("<H", words[question][i]), self._fault(asked, address), after=1)
-                    if whole and question == address:
-                        self.answered[address].append(i)
-                        self.answered_at[address].append(time.time())
-                    asked += 1
+                yield b""
+            else:
+                with contextlib.suppress(OSError):
+                    yield os.read(self._bench, longest)
+
+    def _answer(self, address: int, sample: int, data: bytes, *, after: int, position: bool = True) -> None:
+        """Send an answer, with its fault if there is one; `position`: it is the position of this sample."""
+        if self._put(data, self._fault(self._asked, address), after=after) and position:
+            self.answered[address].append(sample)
+            self.answered_at[address].append(time.time())
+        self._asked += 1
 
 
-class SimulatedModbusBench(_PtyBench):
-    """A bench of two Modbus RTU encoders on one line, simulated by a pseudo-terminal: record `url`.
+class SimulatedAmt21Bench(_AskedBench):
+    """A bench of two AMT21 encoders on one RS-485 line, see `buses.SimulatedAmt21`. The torque is not on this line."""
 
-    Each of the `devices` (addresses of input and output) holds its position, 32 bits that count turns too, in the
-    holding registers 0 and 1, high word first; any other request gets the exception "illegal data address". Motion,
-    faults, `answered` and `answered_at` are those of `SimulatedAmt21Bench`.
+    _protocol = "amt21"
+
+    def _keys(self, address: int) -> str:
+        turns = "multi_turn = true\n" if self.description.multi_turn else ""
+        return f"address = {address}\nbits = {self.description.bits}\n{turns}"
+
+    def _run(self) -> None:
+        counts_per_turn = 1 << self.description.bits
+        words: dict[int, list[int]] = {}
+        for address, counts in self._counts(counts_per_turn).items():
+            position = counts % counts_per_turn << (14 - self.description.bits)
+            words[address] = check_bits(position.astype(np.uint16)).tolist()
+            if self.description.multi_turn:
+                turns = counts // counts_per_turn % (1 << 14)
+                words[address + 1] = check_bits(turns.astype(np.uint16)).tolist()
+        for request in self._requests(64):
+            for question in request:
+                if question in words:
+                    i, address = self._sample(), question & ~1
+                    word = struct.pack("<H", words[question][i])
+                    self._answer(address, i, word, after=1, position=question == address)
+
+
+class SimulatedModbusBench(_AskedBench):
+    """A bench of two Modbus RTU encoders on one line, see `buses.SimulatedModbus`.
+
+    Each holds its position, 32 bits that count turns too, in the holding registers 0 and 1, high word first; any other
+    request gets the exception "illegal data address".
     """
 
     _protocol = "modbus"
 
-    def __init__(
-        self,
-        motion: Motion,
-        *,
-        devices: tuple[int, int] = (1, 2),
-        counts_per_turn: int = 1 << 18,
-        speed_factor: float = 1.0,
-        baud_rate: int = 115_200,
-        faults: Sequence[Fault] = (),
-    ) -> None:
+    def __init__(self, motion: Motion, description: Any) -> None:
         with edge.needs_extra("bench"):
             import pymodbus  # noqa: F401  # in the thread of `_run` the error would be lost
-        super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
-        self.devices, self.counts_per_turn = devices, counts_per_turn
-        self.answered: dict[int, list[int]] = {d: [] for d in devices}
-        self.answered_at: dict[int, list[float]] = {d: [] for d in devices}
+        super().__init__(motion, description)
 
-    def _channels(self) -> dict[str, str]:
-        keys = f"register = 0\ncounts_per_turn = {self.counts_per_turn}\nsigned = true\n"
-        angles = zip(("input_angle", "output_angle"), self.devices, strict=True)
-        return {name: f"device = {device}\n{keys}" for name, device in angles}
+    def _keys(self, address: int) -> str:
+        counts = f"counts_per_turn = {self.description.counts_per_turn}\nsigned = true\n"
+        return f"device = {address}\nregister = 0\n{counts}"
 
     def _run(self) -> None:
         from pymodbus.framer import FramerRTU
         from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
         from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadHoldingRegistersResponse
 
-        angles = (self.motion.input_angle, self.motion.output_angle)
-        words = {d: quantised(a, self.counts_per_turn) % (1 << 32) for d, a in zip(self.devices, angles, strict=True)}
-        framer = FramerRTU(DecodePDU(True))
-        asked, waiting = 0, b""
-        while not self._stopping.is_set():
-            if not select.select([self._bench], [], [], 0.05)[0]:
-                waiting = b""  # a pause ends a frame
-                continue
-            with contextlib.suppress(OSError):
-                waiting += os.read(self._bench, 256)
+        counts = self._counts(self.description.counts_per_turn)
+        framer, waiting = FramerRTU(DecodePDU(True)), b""
+        for data in self._requests(256):
+            waiting = waiting + data if data else b""  # a pause ends a frame
             used, request = framer.handleFrame(waiting, 0, 0)
             waiting = waiting[used:]
-            if request is None or request.dev_id not in words:
+            if request is None or request.dev_id not in counts:
                 continue
             answer: ModbusPDU = ExceptionResponse(request.function_code, 2, device_id=request.dev_id)
             sample = self._sample()
             read = isinstance(request, ReadHoldingRegistersRequest) and (request.address, request.count) == (0, 2)
             if read:
-                high, low = divmod(int(words[request.dev_id][sample]), 1 << 16)
-                answer = ReadHoldingRegistersResponse(registers=[high, low], dev_id=request.dev_id)
-            if self._put(framer.buildFrame(answer), self._fault(asked, request.dev_id), after=8) and read:
-                self.answered[request.dev_id].append(sample)
-                self.answered_at[request.dev_id].append(time.time())
-            asked += 1
+                words = list(divmod(int(counts[request.dev_id][sample] % (1 << 32)), 1 << 16))
+                answer = ReadHoldingRegistersResponse(registers=words, dev_id=request.dev_id)
+            self._answer(request.dev_id, sample, framer.buildFrame(answer), after=8, position=read)
 
 
 class SimulatedAsciiBench(_PtyBench):
-    """A counter that sends a line "$sequence,time,counts*checksum" for each sample, without request: record `url`.
+    """A counter that sends a line "$sequence,time,counts*checksum" for each sample, see `buses.SimulatedAscii`.
 
-    The motion begins when the port is opened. The time is the counter's own clock in microseconds, 32 bits, with the
-    relative drift `clock_drift` against the host's, > 0: fast; the checksum is NMEA 0183's; the counts are of the
-    output angle. A fault's `sample` is the number of the line; "reset": clock, numbers and counts restart at 0.
+    The motion begins when the port is opened. The time is the counter's own clock in microseconds, 32 bits; the
+    checksum is NMEA 0183's; the counts are of the output angle. The fault "reset": clock, numbers and counts restart at
+    0.
 
     Attributes
     ----------
@@ -295,26 +276,17 @@ class SimulatedAsciiBench(_PtyBench):
 
     _protocol = "ascii"
 
-    def __init__(
-        self,
-        motion: Motion,
-        *,
-        counts_per_turn: int = 360_000,
-        clock_drift: float = 0.0,
-        speed_factor: float = 1.0,
-        baud_rate: int = 921_600,
-        faults: Sequence[Fault] = (),
-    ) -> None:
-        super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
-        self._restarts = {f.sample: f for f in faults if f.kind == "reset"}
-        self._odd = {f.sample: f.kind for f in faults if f.kind in ("duplicate", "swap", "drop")}
-        self.counts_per_turn, self.clock_drift = counts_per_turn, clock_drift
+    def __init__(self, motion: Motion, description: Any) -> None:
+        super().__init__(motion, description)
+        self._line_faults = {
+            f.sample: f.kind for f in description.faults if f.kind in ("reset", "duplicate", "swap", "drop")
+        }
         self.sent: list[tuple[float, int]] = []
 
     def _channels(self) -> dict[str, str]:
         line = 'line = "${sequence},{time},{counts}*{checksum}"\nchecksum = "xor"\ntime_unit = "1 us"\n'
-        counts = f'time_modulus = {1 << 32}\ncounts_per_turn = {self.counts_per_turn}\nzero_reference = "incremental"\n'
-        return {"output_angle": line + counts}
+        counts = f"time_modulus = {1 << 32}\ncounts_per_turn = {self.description.counts_per_turn}\n"
+        return {"output_angle": f'{line}{counts}zero_reference = "incremental"\n'}
 
     def _run(self) -> None:
         times = self.motion.time / self._factor
@@ -326,33 +298,31 @@ class SimulatedAsciiBench(_PtyBench):
         since = begun + min(-time.monotonic() + time.time() for _ in range(5))
         zero = number = 0
         start = 0.0
-        held: bytes | None = None
+        swapped: list[bytes] = []
         for i, due in enumerate(times.tolist()):
             if self._stopping.wait(max(0.0, begun + due - time.monotonic())):
                 return
             now = time.monotonic() - begun  # this thread may wake late: latch the present angle
             angle = np.interp(now, times, self.motion.output_angle)
-            count = int(quantised(np.array([angle]), self.counts_per_turn)[0])
-            if i in self._restarts:
+            count = int(quantised(np.array([angle]), self.description.counts_per_turn)[0])
+            fault = self._line_faults.get(i)
+            if fault == "reset":
                 zero, number, start = count, 0, now
-            ticks = round((now - start) * (1 + self.clock_drift) * 1e6) % (1 << 32)
+            ticks = round((now - start) * (1 + self.description.clock_drift) * 1e6) % (1 << 32)
             text = f"{number},{ticks},{count - zero}".encode()
             line = b"$%b*%02X\r\n" % (text, functools.reduce(operator.xor, text, 0))
             number += 1
             self.sent.append((since + now, count - zero))
-            odd = self._odd.get(i)
-            if odd == "drop":
-                continue
-            if odd == "swap":
-                held = line
-                continue
-            for one in [line] * (1 + (odd == "duplicate")) + [held] * (held is not None):
-                self._put(one or b"", self._fault(i, 0))
-            held = None
+            if fault == "swap":
+                swapped = [line]
+            elif fault != "drop":
+                for data in [line] * (1 + (fault == "duplicate")) + swapped:
+                    self._put(data, self._fault(i, 0))
+                swapped = []
 
 
-SERIAL_BENCHES: Mapping[str, type[SimulatedAmt21Bench] | type[SimulatedModbusBench] | type[SimulatedAsciiBench]] = {
-    "amt21": SimulatedAmt21Bench,
-    "modbus": SimulatedModbusBench,
-    "ascii": SimulatedAsciiBench,
+SERIAL_BENCHES: Mapping[type[SimulatedBus], type[SimulatedAmt21Bench | SimulatedModbusBench | SimulatedAsciiBench]] = {
+    SimulatedAmt21: SimulatedAmt21Bench,
+    SimulatedModbus: SimulatedModbusBench,
+    SimulatedAscii: SimulatedAsciiBench,
 }

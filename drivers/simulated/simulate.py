@@ -5,15 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from cycloid_fmu import edge
 from drivers.arguments import in_si
 from drivers.simulated import motion as measured
 from drivers.simulated.bench import SimulatedBench
-from drivers.simulated.faults import Fault, read_faults
+from drivers.simulated.buses import SimulatedBus, SimulatedCan
 from drivers.simulated.serial_bench import SERIAL_BENCHES
 
 
@@ -64,70 +63,13 @@ class SimulatedMotion:
         return (measured.simulate_hysteresis if self.hysteresis else measured.simulate_motion)(output_angle, run)
 
 
-@dataclasses.dataclass(frozen=True)
-class SimulatedConnection:
-    """How a recorder reaches a simulated bench: by a CAN bus or a serial line.
-
-    Attributes
-    ----------
-    interface, channel, trigger
-        Interface and channel of the CAN bus in python-can ("loopback" reaches other processes on this machine,
-        "virtual" only this process), and the trigger of its encoders, see `SimulatedCanBench`; it needs the extra
-        `bench`.
-    serial
-        Encoders on a pseudo-terminal instead of CAN; "modbus" needs the extra `bench`.
-    clock_drift
-        Relative drift of the clock of the ASCII counter, or of the virtual or loopback bus, against the host's,
-        such as 50e-6, > 0: fast.
-    speed_factor
-        Speed relative to real time; None: as fast as a CAN bus permits, 1 on a serial line.
-
-    Raises
-    ------
-    edge.ArgumentError
-        If a value is invalid, or two contradict each other.
-
-    Examples
-    --------
-    >>> import drivers
-    >>> drivers.SimulatedConnection(serial="amt21", speed_factor=2.0).interface
-    'loopback'
-    """
-
-    interface: str = "loopback"
-    channel: str | None = None
-    trigger: Literal["controller", "sync", "timer"] = "controller"
-    serial: Literal["amt21", "modbus", "ascii"] | None = None
-    clock_drift: float = 0.0
-    speed_factor: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.speed_factor is not None and not self.speed_factor > 0:
-            raise edge.ArgumentError("speed_factor", "the factor must be above zero", self.speed_factor)
-        if self.serial is not None and self.serial not in SERIAL_BENCHES:
-            raise edge.ArgumentError("serial", f"it must be one of {', '.join(SERIAL_BENCHES)}", self.serial)
-        on_bus = self.serial is None and self.interface in ("virtual", "loopback")
-        if self.clock_drift and not (self.serial == "ascii" or on_bus):
-            problem = 'only serial "ascii" and the buses "virtual" and "loopback" have a clock'
-            raise edge.ArgumentError("clock_drift", problem, self.clock_drift)
-
-    def bench(self, motion: measured.Motion, faults: Sequence[Fault]) -> SimulatedBench:
-        """Return a bench that sends a motion in this way."""
-        pace = self.speed_factor or 1.0
-        if self.serial is not None:
-            options: dict[str, Any] = {"clock_drift": self.clock_drift} if self.serial == "ascii" else {}
-            return SERIAL_BENCHES[self.serial](motion, speed_factor=pace, faults=faults, **options)
+def bench_of(bus: SimulatedBus, motion: measured.Motion) -> SimulatedBench:
+    """Return the bench that sends a motion over a bus."""
+    if isinstance(bus, SimulatedCan):
         from drivers.simulated.can_bench import SimulatedCanBench  # needs the extra `bench`
 
-        return SimulatedCanBench(
-            motion,
-            interface=self.interface,
-            channel=self.channel or ("239.74.163.2" if self.interface == "loopback" else "bench"),
-            trigger=self.trigger,
-            speed_factor=self.speed_factor,
-            clock_drift=self.clock_drift or None,
-            faults=faults,
-        )
+        return SimulatedCanBench(motion, bus)
+    return SERIAL_BENCHES[type(bus)](motion, bus)
 
 
 def simulate_bench(
@@ -138,8 +80,7 @@ def simulate_bench(
     pair: str = "",
     turns: int = 39,
     motion: SimulatedMotion = SimulatedMotion(),
-    connection: SimulatedConnection | str = SimulatedConnection(),
-    faults: str | os.PathLike[str] | None = None,
+    bus: SimulatedBus | str = SimulatedCan(),
 ) -> SimulatedBench:
     """Return a bench that waits for a recorder and then sends the signals of a motion as real sensors do.
 
@@ -163,10 +104,8 @@ def simulate_bench(
         Number of crank turns; of loops with `SimulatedMotion.hysteresis`.
     motion
         Speed, direction and sampling of the crank, and noise.
-    connection
-        CAN bus or serial line, or the name of a CAN interface such as "virtual".
-    faults
-        File with a script of faults, `cycloid-faults/1`.
+    bus
+        Description of the bus, see `drivers.simulated.buses`; or the name of a CAN interface, such as "virtual".
 
     Raises
     ------
@@ -178,14 +117,13 @@ def simulate_bench(
     >>> import drivers
     >>> motion = drivers.SimulatedMotion(speed="120 rpm", noise="0.5 arcsec")
     >>> with drivers.simulate_bench(
-    ...     ratio=-39, torque="20 N*m", turns=2, motion=motion, connection="virtual"
+    ...     ratio=-39, torque="20 N*m", turns=2, motion=motion, bus="virtual"
     ... ) as bench:
     ...     done = bench.record("simulated.arrows")
     >>> done.samples["output_angle"]
     192
     """
-    if isinstance(connection, str):
-        connection = SimulatedConnection(connection)
+    described = SimulatedCan(interface=bus) if isinstance(bus, str) else bus
     if drive is None and ratio is None:
         raise edge.ArgumentError("ratio", "is missing: give a drive, or the signed ratio of an ideal one")
     stated = measured.stated_in_fmu(drive) if isinstance(drive, str | os.PathLike) else {}
@@ -200,7 +138,6 @@ def simulate_bench(
     if isinstance(drive, str | os.PathLike):
         name, drive = Path(drive).stem, measured.fmu_output_angle(drive)
     output_angle = drive or (lambda angle, _: angle / (ratio or 1.0))
-    script = read_faults(faults) if faults is not None else []
-    bench = connection.bench(motion.measured(output_angle, torque, turns), script)
+    bench = bench_of(described, motion.measured(output_angle, torque, turns))
     bench.ratio, bench.pair = ratio, pair or name
     return bench

@@ -21,8 +21,10 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.surfaces.structured import profile_wave, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation.explanation import GAIN
 from fitting.estimation.fit import Estimate, fit
 from fitting.estimation.result import FORMAT, Identification, read_lmfit_parameters
+from fitting.estimation.starts import first_sizes
 from fitting.estimation.validation import Likely, Residual, Verdict, likely_causes, verdict_of
 from fitting.model.bearings import PLAY
 from fitting.model.discrepancy import causes
@@ -43,9 +45,6 @@ from fitting.model.prior import posterior_about, posterior_of, tolerances_of
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
-
-_CREEP = 2e-6  # rad: from where the size of the zeros' creep is estimated
-_GAIN = 1.0  # of a step in the sum of squares, in units of the noise: below the fit ends
 
 
 def check_comparable(curve: Curve, drive: Drive) -> None:
@@ -99,9 +98,9 @@ def continued(
     linear = linearise(pair, observed, state)
     is_free = ~np.isfinite(observed.bench_prior)
     state.bench[is_free] = np.linalg.lstsq(observed.bench[:, is_free], left_of(observed, linear, state), rcond=None)[0]
-    groups = {**dict.fromkeys(observed.estimated, _CREEP), **sizes}
+    groups = {**first_sizes(observed), **sizes}
     estimate = fit(
-        pair, observed.with_sizes(groups), earlier.errors, state, groups, gain=_GAIN, linear=linear, known=sizes
+        pair, observed.with_sizes(groups), earlier.errors, state, groups, gain=GAIN, linear=linear, known=sizes
     )
     progress("testing the residual")
     columns = causes(pair, estimate.observed, estimate.linear)

@@ -33,7 +33,7 @@ _NAMES = {
     "speed": r"speed|drehzahl|rpm|veloc|vitesse|^n$",
 }
 _COMMANDED = r"control(?!ler)|command|cmd|set[ _-]?(point|value|torque|pos|speed|angle)|(?<![a-z])set(?![a-z])"
-_COMMANDED += r"|soll|target|demand|desired|vorgabe|consigne|(?<![a-z])ref$"
+_COMMANDED += r"|soll|target|demand|desired|vorgabe|consigne|(?<![a-z])ref$|^(position|velocity|torque)_error$"
 _ANGLE_NAMES = r"angle|winkel|pos|phi|enc|theta|rot|count|cnt|ink"
 _UNITS = {"time": "s", "torque": "N*m", "input_torque": "N*m", "temperature": "degC", "speed": "rpm"}
 _ABSENT = {
@@ -46,7 +46,7 @@ _APART = 0.02  # largest rms of the output about a straight line over the input,
 
 
 def is_commanded(one: FirstSamples) -> bool:
-    """Return whether a channel's name is that of a commanded value, which is no measurement."""
+    """Return whether a channel's name is that of a commanded value or a controller's error, which is no measurement."""
     return bool(re.search(_COMMANDED, one.channel.name, re.IGNORECASE))
 
 
@@ -132,7 +132,7 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
     looks = first_samples(file)
     if not looks:
         raise edge.InputError(" ".join([*file.problems, f"{path}: it has no numeric channel with samples."]))
-    runs = error_runs(looks)
+    runs = error_runs([one for one in looks if not is_commanded(one)])
     taken = [one for run in runs for one in (run.output_angle, run.transmission_error)]
     roles = roles_of(file, [one for one in looks if one not in taken] if runs else looks)
     if runs:  # further angles belong to none of these runs
@@ -205,9 +205,12 @@ def roles_of(file: BenchFile, looks: Sequence[FirstSamples]) -> dict[str, FirstS
     choose("speed", [o for o in left if measures(o.channel.unit, "rad/s")])
     angles = [o for o in left if measures(o.channel.unit, "rad") or o.channel.unit.lower() in _COUNTS]
     if len(angles) < 2:
-        angles = [o for o in left if re.search(_ANGLE_NAMES, o.channel.name, re.IGNORECASE) or o in angles]
+        unknown = [o for o in left if not o.channel.unit]
+        angles += [o for o in unknown if re.search(_ANGLE_NAMES, o.channel.name, re.IGNORECASE) and o not in angles]
     ins, outs = _named(angles, "input_angle"), _named(angles, "output_angle")
     ins, outs = [o for o in ins if o not in outs] or ins, [o for o in outs if o not in ins] or outs
+    if any(re.search(r"enc[a-z]*_?0", o.channel.name, re.IGNORECASE) for o in angles):
+        ins, outs = [], []  # numbered from 0, the numbers tell no shaft
     scales = [_angle_unit(o)[1] for o in angles]  # the travels are compared as angles where all units are known
     turned = {
         o.channel.name: o.travel * (1.0 if None in scales else s or 1.0) for o, s in zip(angles, scales, strict=True)

@@ -36,6 +36,28 @@ _STAMP = re.compile(_DATE_TIME + _ZONE + "?")  # ISO 8601
 _ROWS = 4 * PIECE  # rows of a Parquet file read together
 
 
+# Units of the registers of a moteus, which the CSV logger of its Python library (examples/csv_output.py) writes below
+# their names, without units. Its temperatures are those of the board and the motor, not of the drive.
+_MOTEUS = {
+    "ABS_POSITION": "rev",
+    "POWER": "W",
+    "VOLTAGE": "V",
+    **{f"{kind}_CURRENT": "A" for kind in ("Q", "D", "COMMAND_Q", "COMMAND_D")},
+    **{f"{kind}POSITION": "rev" for kind in ("", "COMMAND_", "CONTROL_", "ENCODER_0_", "ENCODER_1_", "ENCODER_2_")},
+    **{f"{kind}VELOCITY": "rev/s" for kind in ("", "COMMAND_", "CONTROL_", "ENCODER_0_", "ENCODER_1_", "ENCODER_2_")},
+    **{f"{kind}TORQUE": "N*m" for kind in ("", "COMMAND_FEEDFORWARD_", "CONTROL_")},
+    "POSITION_ERROR": "rev",
+    "VELOCITY_ERROR": "rev/s",
+    "TORQUE_ERROR": "N*m",
+}
+_REGISTER = re.compile(r"[A-Z][A-Z0-9_]*|0x[0-9a-f]{3}")
+
+
+def _is_moteus(names: Sequence[str]) -> bool:
+    """Return whether a header is that of moteus's logger: `time`, then registers by their names in capitals."""
+    return names[0] == "time" and "POSITION" in names and all(map(_REGISTER.fullmatch, names[1:]))
+
+
 def _number(decimal: str) -> str:
     """Return the pattern of numbers with a decimal mark."""
     return rf"[+-]?(?:\d+{decimal}?\d*|{decimal}\d+)(?:[eE][+-]?\d+)?"
@@ -205,6 +227,8 @@ def find_dialect(data: bytes, source: str) -> Dialect:
         named = [(name_and_unit(n)[0], u) for n, u in zip(above[-2], units_below, strict=True)]
     names = tuple(n or f"column {i + 1}" for i, (n, _) in enumerate(named))
     units = tuple(u for _, u in named)
+    if _is_moteus(names):
+        units = ("s", *(_MOTEUS.get(name, "") for name in names[1:]))
     return Dialect(encoding, delimiter, decimal, names, units, table.lines[begin], table.kinds)
 
 

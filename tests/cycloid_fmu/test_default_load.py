@@ -60,7 +60,7 @@ def test_an_fmu_runs_at_the_rated_torque_that_it_states(command, folder):
     assert command("cycloid-fmu", "build", "p.toml", "-o", "p.fmu").returncode == 0
     words = ["cycloid-fmu", "simulate", "p.fmu", "--turns", "0.1"]
     assert command(*words).stdout == command(*words, "--torque", "181 N*m").stdout
-    bench = ["cycloid-bench", "simulate", "--fmu", "p.fmu", "--turns", "2", "--bus", "virtual"]
+    bench = ["cycloid-bench", "simulate", "--fmu", "p.fmu", "--turns", "2"]
     assert command(*bench, "-o", "a.arrows").returncode == 0
     assert command(*bench, "-o", "b.arrows", "--torque", "181 N*m", "--ratio", "-39").returncode == 0
     import drivers

@@ -15,6 +15,7 @@ from drivers.recorder.bench import open_encoders
 from drivers.recorder.session import record
 from drivers.recording_format import read_recording
 from drivers.serial import port as serial_port
+from drivers.simulated.buses import SimulatedAmt21
 from drivers.simulated.faults import Fault
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAmt21Bench
@@ -52,7 +53,7 @@ def test_the_recording_is_the_commanded_motion(tmp_path, bits):
     run = SimulatedRun(torque=5.0, turns=2, samples_per_turn=200, speed=math.pi)
     motion = simulate_motion(lambda angle, torque: -angle / 39, run)
     path = tmp_path / "run.arrows"
-    with SimulatedAmt21Bench(motion, bits=bits) as bench:
+    with SimulatedAmt21Bench(motion, SimulatedAmt21(bits=bits)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         record(toml, path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
@@ -73,7 +74,7 @@ def test_a_word_with_wrong_check_bits_is_never_used_as_an_angle(tmp_path):
     motion = simulate_motion(lambda angle, torque: angle / 40, run)
     path = tmp_path / "run.arrows"
     faults = [Fault("corrupt", question) for question in (22, 24, 31)]
-    with SimulatedAmt21Bench(motion, faults=faults) as bench:
+    with SimulatedAmt21Bench(motion, SimulatedAmt21(faults=faults)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         record(toml, path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
@@ -93,7 +94,7 @@ def test_a_word_with_wrong_check_bits_is_never_used_as_an_angle(tmp_path):
 
 def test_an_address_without_an_encoder_is_named(tmp_path):
     motion = simulate_motion(lambda angle, torque: angle / 40, SimulatedRun(torque=5.0, turns=1))
-    with SimulatedAmt21Bench(motion) as bench:
+    with SimulatedAmt21Bench(motion, SimulatedAmt21()) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("address = 88", "address = 92"))
         with pytest.raises(EncoderTimeout, match="output_angle: AMT21 at address 0x5C"), open_encoders(toml):
@@ -102,7 +103,7 @@ def test_an_address_without_an_encoder_is_named(tmp_path):
 
 def test_a_missing_port_is_named(tmp_path):
     motion = simulate_motion(lambda angle, torque: angle / 40, SimulatedRun(torque=5.0, turns=1))
-    with SimulatedAmt21Bench(motion) as bench:
+    with SimulatedAmt21Bench(motion, SimulatedAmt21()) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
     toml.write_text(toml.read_text().replace(bench.url, "/dev/pts/987654"))
     with pytest.raises(EncoderSetupError, match="/dev/pts/987654"), open_encoders(toml):
@@ -112,7 +113,7 @@ def test_a_missing_port_is_named(tmp_path):
 def test_an_encoder_that_falls_silent_is_an_event(tmp_path):
     motion = simulate_motion(lambda angle, torque: angle / 40, SimulatedRun(torque=5.0, turns=1, speed=2 * math.pi))
     path = tmp_path / "run.arrows"
-    with SimulatedAmt21Bench(motion, faults=[Fault("mute", 50, 10**9, target=0x58)]) as bench:
+    with SimulatedAmt21Bench(motion, SimulatedAmt21(faults=[Fault("mute", 50, 10**9, target=0x58)])) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         record(toml, path, duration=0.6)
     recording = read_recording(path)

@@ -19,6 +19,7 @@ from drivers.can.bus import open_bus
 from drivers.lines import BusConfig
 from drivers.recorder.bench import read_bench
 from drivers.recording_format import read_recording
+from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, fmu_output_angle, simulate_motion
 
@@ -84,8 +85,6 @@ def test_simulate_record_export(tmp_path, command):
     simulated = command(
         "cycloid-bench",
         "simulate",
-        "--bus",
-        "virtual",
         "--ratio",
         "-39",
         "--torque",
@@ -114,7 +113,9 @@ def test_simulate_record_export(tmp_path, command):
 
 @needs_multicast
 def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
-    simulation = start(tmp_path, "simulate", "--ratio", "-39", "--torque", "20 N*m", "--turns", 20, "--channel", GROUP)
+    (tmp_path / "bus.toml").write_text(f'format = "cycloid-simulation/1"\n[can]\nchannel = "{GROUP}"\n')
+    words = ("--ratio", "-39", "--torque", "20 N*m", "--turns", 20, "--bus", "bus.toml")
+    simulation = start(tmp_path, "simulate", *words)
     assert "BENCH.toml" in line_of(simulation.stderr, 60)
     code, out, err = run(tmp_path, "record", "BENCH.toml", "-o", "run.arrows", "--idle", "3 s")
     simulation.communicate(timeout=60)
@@ -140,7 +141,7 @@ def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
 def test_an_interrupted_recorder_keeps_its_samples(tmp_path, number, code):
     motion = simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=20.0, turns=2000))
     path = tmp_path / "run.arrows"
-    with SimulatedCanBench(motion, interface="loopback", channel=GROUP, speed_factor=5) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="loopback", channel=GROUP, speed_factor=5)) as bench:
         bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         recorder = start(tmp_path, "record", "BENCH.toml", "-o", path)
         filled(path, 20, 60)
@@ -194,7 +195,9 @@ class Gear(Fmi2Slave):
 @pytest.fixture
 def wiring(tmp_path, bus_name):
     motion = simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=20.0, turns=1))
-    return SimulatedCanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39)
+    return SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)).write_wiring(
+        tmp_path / "BENCH.toml", ratio=-39
+    )
 
 
 @pytest.mark.parametrize(
@@ -243,7 +246,10 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
         (["simulate", "--torque", "20 N*m"], "--ratio is missing"),
         (["simulate", "--ratio", "-39"], "--torque is missing; give it: only a drive's FMU states a rated_torque."),
         (["simulate", "--torque", "20 mm", "--ratio", "-39"], '--torque = "20 mm": the unit "mm" measures'),
-        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual"], '--bus = "virtual": other proc'),
+        (
+            ["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual.toml"],
+            'virtual.toml: [can] interface = "virtual": other processes cannot reach it',
+        ),
         (["simulate", "--torque", "20 N*m", "--fmu", "BENCH.toml"], "cycloid-bench record; an FMU is needed here."),
         (["export", "BENCH.toml", "-o", "run.csv"], "cycloid-bench record; a recording is needed here."),
         (["export", "run.arrows", "-o", "run.xls"], "--output = run.xls: the name must end in .csv"),
@@ -251,6 +257,7 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
 )
 def test_bad_input_exits_2_with_one_sentence(command, wiring, arguments, said):
     before = wiring.read_text()
+    wiring.with_name("virtual.toml").write_text('format = "cycloid-simulation/1"\n[can]\ninterface = "virtual"\n')
     done = command("cycloid-bench", *arguments)
     assert done.returncode == 2
     assert said in done.stderr
@@ -282,7 +289,10 @@ def test_an_impossible_bench_is_refused_and_records_nothing(tmp_path, wiring, bu
     from drivers.recorder.session import record
 
     motion = simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=20.0, turns=1))
-    with SimulatedCanBench(motion, channel=bus_name), pytest.raises(edge.InputError) as problem:
+    with (
+        SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)),
+        pytest.raises(edge.InputError) as problem,
+    ):
         record(wiring, tmp_path / "run.arrows")
     assert said in str(problem.value)
     assert "\n" not in str(problem.value)

@@ -23,6 +23,7 @@ from drivers.recorder.bench import open_encoders, read_bench
 from drivers.recorder.session import record
 from drivers.recorder.supervision import Supervised
 from drivers.recording_format import read_recording
+from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import Fault
 from drivers.simulated.motion import SimulatedRun, simulate_motion
@@ -37,7 +38,7 @@ def ideal(angle, torque):
 def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1, samples_per_turn=100))
     path = tmp_path / "run.arrows"
-    with SimulatedCanBench(motion, channel=bus_name, trigger="sync") as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name, trigger="sync")) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         assert 'sync_period = "0.01 s"' in toml.read_text()
         record(toml, path, idle=1.0)
@@ -58,7 +59,10 @@ def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_na
 def test_event_timer_frames_have_their_own_stamps_and_the_timer_reveals_gaps(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1, samples_per_turn=100))
     path = tmp_path / "run.arrows"
-    with SimulatedCanBench(motion, channel=bus_name, trigger="timer", faults=[Fault("drop", 40, 3, 0x181)]) as bench:
+    with SimulatedCanBench(
+        motion,
+        SimulatedCan(interface="virtual", channel=bus_name, trigger="timer", faults=[Fault("drop", 40, 3, 0x181)]),
+    ) as bench:
         record(bench.write_wiring(tmp_path / "BENCH.toml"), path, idle=0.5)
     recording = read_recording(path)
     samples = recording.samples["input_angle"]
@@ -72,7 +76,9 @@ def test_an_interface_clock_is_converted_to_the_host_clock(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=3, samples_per_turn=96))
     path = tmp_path / "run.arrows"
     faults = [Fault("emergency", 100, target=0x181)]
-    with SimulatedCanBench(motion, channel=bus_name, clock_drift=300e-6, faults=faults) as bench:
+    with SimulatedCanBench(
+        motion, SimulatedCan(interface="virtual", channel=bus_name, clock_drift=300e-6, faults=faults)
+    ) as bench:
         record(bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39), path, idle=0.7)
     recording = read_recording(path)
     angle, clock = recording.samples["input_angle"], recording.clock("input_angle")

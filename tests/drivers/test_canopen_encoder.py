@@ -16,6 +16,7 @@ from drivers.lines import BusConfig
 from drivers.recorder.bench import open_encoders, read_bench
 from drivers.recorder.session import record, record_encoders
 from drivers.recording_format import read_recording
+from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import Fault
 from drivers.simulated.motion import Motion, SimulatedRun, quantised, simulate_motion
@@ -30,7 +31,7 @@ def ideal(angle, torque):
 def recorded(tmp_path, bus_name, motion, lossy=False, **options):
     """Record a motion over a virtual bus, up to its last sample or, if some are lost, until no more arrive."""
     path = tmp_path / "run.arrows"
-    with SimulatedCanBench(motion, channel=bus_name, **options) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name, **options)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39, pair="reference")
         record(toml, path, samples=None if lossy else motion.run.samples, idle=1.0 if lossy else 10.0)
         assert bench.wait(10)
@@ -124,7 +125,10 @@ def test_nodes_that_another_program_silences_are_reported_and_the_next_sample_is
     tmp_path, bus_name, command, said
 ):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=20))
-    with SimulatedCanBench(motion, channel=bus_name, speed_factor=1.0) as bench, foreign(bus_name) as other:
+    with (
+        SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name, speed_factor=1.0)) as bench,
+        foreign(bus_name) as other,
+    ):
         bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
 
         def silence():
@@ -162,7 +166,7 @@ def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
             bus.send(can.Message(arbitration_id=0x702, is_extended_id=False, data=b"\0"))
         done.set()
 
-    with SimulatedCanBench(motion, channel=bus_name, speed_factor=1.0) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name, speed_factor=1.0)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         with open_encoders(toml) as encoders:
             seen = {}
@@ -187,7 +191,7 @@ def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
 def test_the_others_continue_when_a_channel_fails(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
     path = tmp_path / "run.arrows"
-    with SimulatedCanBench(motion, channel=bus_name) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         with open_encoders(toml) as encoders:
             broken = encoders[1]
@@ -206,7 +210,7 @@ def test_the_others_continue_when_a_channel_fails(tmp_path, bus_name):
 
 def test_a_silent_node_is_named(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
-    with SimulatedCanBench(motion, channel=bus_name) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("node = 2", "node = 9"))
         with pytest.raises(EncoderTimeout, match="output_angle: node 9 on the CAN bus virtual"), open_encoders(toml):
@@ -215,7 +219,7 @@ def test_a_silent_node_is_named(tmp_path, bus_name):
 
 def test_two_channels_cannot_share_a_node(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
-    with SimulatedCanBench(motion, channel=bus_name) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("node = 2", "node = 1"))
         with pytest.raises(EncoderSetupError, match="in use by another channel"), open_encoders(toml):
@@ -224,7 +228,7 @@ def test_two_channels_cannot_share_a_node(tmp_path, bus_name):
 
 def test_a_node_that_does_not_map_its_position_is_refused(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
-    with SimulatedCanBench(motion, channel=bus_name) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         bench._nodes[2].object_dictionary[0x1A00][1].default = 0x60000010
         with pytest.raises(EncoderProtocolError, match="does not map the position") as problem, open_encoders(toml):
@@ -234,7 +238,10 @@ def test_a_node_that_does_not_map_its_position_is_refused(tmp_path, bus_name):
 
 def test_the_nodes_answer_sdo_and_nmt_according_to_cia_406(bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
-    with SimulatedCanBench(motion, channel=bus_name) as bench, canopen.Network() as network:
+    with (
+        SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)) as bench,
+        canopen.Network() as network,
+    ):
         network.NOTIFIER_CYCLE = 0.02
         network.connect(interface="virtual", channel=bus_name)
         node = network.add_node(1, canopen.ObjectDictionary())
@@ -247,7 +254,7 @@ def test_the_nodes_answer_sdo_and_nmt_according_to_cia_406(bus_name):
 
 def test_a_bench_ends_when_a_node_is_stopped(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1000))
-    with SimulatedCanBench(motion, channel=bus_name) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         done = record(toml, tmp_path / "run.arrows", samples=1000)
         assert bench.wait(10), "closing the encoders sets the nodes pre-operational"
@@ -259,7 +266,7 @@ def test_bench_counts_are_read_by_unsigned_configuration_too(tmp_path, bus_name)
     run = SimulatedRun(torque=5.0, turns=1)
     motion = simulate_motion(ideal, run)
     path = tmp_path / "run.arrows"
-    with SimulatedCanBench(motion, channel=bus_name) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("signed = true", 'signed = false\ndirection = -1\nzero = "90 deg"'))
         record(toml, path, samples=run.samples, idle=10.0)
@@ -269,7 +276,11 @@ def test_bench_counts_are_read_by_unsigned_configuration_too(tmp_path, bus_name)
 
 def test_wiring_of_a_bench_is_read_back(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0))
-    bench = read_bench(SimulatedCanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39))
+    bench = read_bench(
+        SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)).write_wiring(
+            tmp_path / "BENCH.toml", ratio=-39
+        )
+    )
     assert list(bench.channels) == ["input_angle", "output_angle", "torque"]
     assert bench.ratio == -39
 

@@ -7,7 +7,7 @@ import runpy
 import pytest
 from common import EXAMPLES
 
-from drivers import encoder
+from drivers.encoder import Encoder
 from drivers.recorder import bench
 from drivers.recorder.session import record
 from drivers.recording_format import read_recording
@@ -18,8 +18,8 @@ def test_the_documented_encoder_records(tmp_path, monkeypatch):
     code = re.search(r"<!-- encoder -->\n```python\n(.*?)```", text, re.S)[1]
     (tmp_path / "file_encoder.py").write_text(code)
     monkeypatch.syspath_prepend(str(tmp_path))
-    point = importlib.metadata.EntryPoint("file", "file_encoder:FileEncoder", encoder.ENTRY_POINTS)
-    monkeypatch.setattr(bench, "registered", lambda: importlib.metadata.EntryPoints([point]))
+    point = importlib.metadata.EntryPoint("file", "file_encoder:FileEncoder", Encoder.group)
+    monkeypatch.setattr(bench, "registered", lambda group: importlib.metadata.EntryPoints([point]).select(group=group))
     (tmp_path / "BENCH.toml").write_text(
         'format = "cycloid-bench/1"\n[channel.input_angle]\nprotocol = "file"\npath = "angle.txt"\n'
     )

@@ -23,8 +23,9 @@ from drivers.recorder.bench import open_encoders
 from drivers.recorder.session import record, record_encoders
 from drivers.recording_format import read_clocks, read_recording
 from drivers.serial import port as serial_port
+from drivers.simulated.buses import SimulatedAmt21, SimulatedAscii, SimulatedCan, read_simulation
 from drivers.simulated.can_bench import SimulatedCanBench
-from drivers.simulated.faults import Fault, at_wrong_baud, read_faults
+from drivers.simulated.faults import Fault, at_wrong_baud
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench
 from tests.drivers.test_bench_cli import ENVIRONMENT, needs_multicast
@@ -46,7 +47,9 @@ def slow_motion(turns=1, samples_per_turn=96):
 def can_recording(tmp_path, bus_name, faults, motion=None, edit=lambda text: text, idle=0.7, **options):
     motion = motion or slow_motion(2)
     path = tmp_path / "run.arrows"
-    with SimulatedCanBench(motion, channel=bus_name, faults=faults, **options) as bench:
+    with SimulatedCanBench(
+        motion, SimulatedCan(interface="virtual", channel=bus_name, faults=faults, **options)
+    ) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         toml.write_text(edit(toml.read_text()))
         done = record(toml, path, idle=idle)
@@ -83,7 +86,7 @@ def lies_on(samples, time, angle, tolerance):
 
 @needs_pty
 def test_cable_unplugged_and_plugged_in(tmp_path):
-    bench = SimulatedAmt21Bench(slow_motion(2), faults=[Fault("pull", 200, by=0.2)])
+    bench = SimulatedAmt21Bench(slow_motion(2), SimulatedAmt21(faults=[Fault("pull", 200, by=0.2)]))
     recording, done = serial_recording(tmp_path, bench)
     assert done.failures == ()
     for name in ("input_angle", "output_angle"):
@@ -105,7 +108,7 @@ def test_half_frames_garbage_and_a_wrong_baud_rate_are_never_used_as_angles(tmp_
     monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 1.0)  # a busy machine delays the simulated encoder
     motion = slow_motion(3)
     # The output hardly moves: at one in nine positions an answer at a wrong baud rate has correct check bits.
-    bench = SimulatedAmt21Bench(motion, faults=[Fault(kind, 100, 3, target=0x58)], speed_factor=0.001)
+    bench = SimulatedAmt21Bench(motion, SimulatedAmt21(faults=[Fault(kind, 100, 3, target=0x58)], speed_factor=0.001))
     recording, done = serial_recording(tmp_path, bench, samples=60)
     output = recording.samples["output_angle"]
     assert done.marks["output_angle"]["gaps"] >= 1
@@ -118,7 +121,7 @@ def test_half_frames_garbage_and_a_wrong_baud_rate_are_never_used_as_angles(tmp_
 
 def test_a_wrong_baud_rate_is_detected_at_the_start(tmp_path):
     faults = [Fault("wrong_baud", 0, 10**9)]
-    with SimulatedAmt21Bench(slow_motion(), faults=faults) as bench:
+    with SimulatedAmt21Bench(slow_motion(), SimulatedAmt21(faults=faults)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         with (
             pytest.raises(EncoderError, match=r"check bits are wrong|baud rate right"),
@@ -159,7 +162,7 @@ def test_rollover(tmp_path, bus_name):
 @needs_pty
 def test_counter_reset(tmp_path):
     motion = slow_motion(1)
-    bench = SimulatedAsciiBench(motion, faults=[Fault("reset", 50)])
+    bench = SimulatedAsciiBench(motion, SimulatedAscii(faults=[Fault("reset", 50)]))
     recording, done = serial_recording(tmp_path, bench)
     samples = recording.samples["output_angle"]
     assert done.marks["output_angle"]["resets"] == 1
@@ -242,7 +245,9 @@ def test_out_of_order(tmp_path, bus_name, trigger):
 def test_missing_duplicate_and_out_of_order_lines_are_detected_by_their_number(tmp_path):
     faults = [Fault("drop", 30), Fault("duplicate", 40), Fault("swap", 50)]
     motion = slow_motion(1)
-    _recording, done = serial_recording(tmp_path, SimulatedAsciiBench(motion, faults=faults), idle=0.5, stop=None)
+    _recording, done = serial_recording(
+        tmp_path, SimulatedAsciiBench(motion, SimulatedAscii(faults=faults)), idle=0.5, stop=None
+    )
     # The swapped pair causes a gap, where the older line is missing at first.
     assert done.marks["output_angle"]["duplicates"] == 1
     assert done.marks["output_angle"]["out of order"] == 1
@@ -253,7 +258,7 @@ def test_missing_duplicate_and_out_of_order_lines_are_detected_by_their_number(t
 @pytest.mark.parametrize("kind", ["half", "corrupt", "garbage", "wrong_baud"])
 def test_incomplete_or_wrong_lines_are_never_used_as_angles(tmp_path, kind):
     motion = slow_motion(1)
-    bench = SimulatedAsciiBench(motion, faults=[Fault(kind, 60, 2)])
+    bench = SimulatedAsciiBench(motion, SimulatedAscii(faults=[Fault(kind, 60, 2)]))
     recording, done = serial_recording(tmp_path, bench, idle=0.5, stop=None)
     samples = recording.samples["output_angle"]
     assert any(re.search("lines? lost", t) for t in texts(recording, "output_angle"))
@@ -267,12 +272,13 @@ import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 from tests.drivers.test_recording_format import HEADER, block
+from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.recorder.session import RecordingError, record
 motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=5.0, turns=1000, samples_per_turn=480))
 # At the crank's real speed the file is full only after some seconds, so that samples are acknowledged before.
-with SimulatedCanBench(motion, channel="full", speed_factor=1.0) as bench:
+with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel="full", speed_factor=1.0)) as bench:
     toml = bench.write_wiring("BENCH.toml")
     try:
         record(toml, "run.arrows", progress=lambda live: print(*live.samples.values(), flush=True))
@@ -329,7 +335,7 @@ def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills, record
     group = f"239.76.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=2000))
     for number in range(kills):
-        with SimulatedCanBench(motion, interface="loopback", channel=group, speed_factor=20) as bench:
+        with SimulatedCanBench(motion, SimulatedCan(interface="loopback", channel=group, speed_factor=20)) as bench:
             bench.write_wiring(tmp_path / "BENCH.toml")
             acknowledged, recording = kill_once(
                 tmp_path, number, int(random.integers(2, 12)), random.uniform(0.0, 2 * BLOCK_SECONDS)
@@ -352,7 +358,7 @@ def test_slow_consumer(tmp_path, bus_name, monkeypatch):
             slept.set()
             time.sleep(0.5)  # like a disk that spins up
 
-    with SimulatedCanBench(motion, channel=bus_name, speed_factor=20) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name, speed_factor=20)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         done = record(toml, path, idle=1.0, progress=sleepy)
     recording = read_recording(path)
@@ -392,7 +398,7 @@ def test_echoes_of_own_frames_are_counted_and_never_samples(tmp_path, bus_name, 
     motion = slow_motion(1)
     path = tmp_path / "run.arrows"
     channel = bus_name if interface == "virtual" else f"239.74.164.{os.getpid() % 250}"
-    with SimulatedCanBench(motion, interface=interface, channel=channel, trigger="sync") as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface=interface, channel=channel, trigger="sync")) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         with open_encoders(toml) as encoders:
             hub = encoders[0].hub
@@ -406,7 +412,7 @@ def test_echoes_of_own_frames_are_counted_and_never_samples(tmp_path, bus_name, 
 def test_a_reader_thread_that_dies_is_an_event(tmp_path, bus_name):
     motion = slow_motion(2)
     path = tmp_path / "run.arrows"
-    with SimulatedCanBench(motion, channel=bus_name, speed_factor=1.0) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name, speed_factor=1.0)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         with open_encoders(toml) as encoders:
             hub = encoders[0].hub
@@ -427,7 +433,7 @@ def test_a_reader_thread_that_dies_is_an_event(tmp_path, bus_name):
 
 
 def test_counts_per_turn_that_contradict_the_device_are_refused(tmp_path, bus_name):
-    with SimulatedCanBench(slow_motion(), channel=bus_name) as bench:
+    with SimulatedCanBench(slow_motion(), SimulatedCan(interface="virtual", channel=bus_name)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("node = 1", "node = 1\ncounts_per_turn = 4096"))
         said = "counts_per_turn = 4096 contradicts the device, which has 4194304"
@@ -435,10 +441,20 @@ def test_counts_per_turn_that_contradict_the_device_are_refused(tmp_path, bus_na
             pass
 
 
-def test_a_script_of_faults_is_read(tmp_path):
-    path = tmp_path / "faults.toml"
-    path.write_text('format = "cycloid-faults/1"\n[[fault]]\nkind = "pull"\nsample = 3\nby = "200 ms"\n')
-    assert read_faults(path) == [Fault("pull", 3, by=0.2)]
-    path.write_text('format = "cycloid-faults/1"\n[[fault]]\nkind = "earthquake"\nsample = 3\n')
-    with pytest.raises(edge.InputError, match=r"faults.toml: fault\[0\].kind = "):
-        read_faults(path)
+def test_a_simulation_is_read_with_its_bus_and_its_faults(tmp_path):
+    path = tmp_path / "simulation.toml"
+    head = 'format = "cycloid-simulation/1"\n'
+    path.write_text(head + '[amt21]\nbits = 12\n[[amt21.faults]]\nkind = "pull"\nsample = 3\nby = "200 ms"\n')
+    assert read_simulation(path) == SimulatedAmt21(bits=12, faults=[Fault("pull", 3, by=0.2)])
+    path.write_text(head)
+    assert read_simulation(path) == SimulatedCan()
+    for text, said in (
+        ('[[can.faults]]\nkind = "earthquake"\nsample = 3\n', r"simulation.toml: can.faults\[0\].kind = "),
+        ('[[can.faults]]\nkind = "pull"\nsample = 3\nbuy = 1\n', r"simulation.toml: can.faults\[0\].*buy"),
+        ("[can]\nspeed_factor = 0\n", r"simulation.toml: \[can\] speed_factor = 0"),
+        ("[can]\n[ascii]\n", "simulation.toml: it has several buses"),
+        ("[morse]\n", "morse is not a known key"),
+    ):
+        path.write_text(head + text)
+        with pytest.raises(edge.InputError, match=said):
+            read_simulation(path)

@@ -7,6 +7,7 @@ import pytest
 
 import drivers
 from cycloid_fmu import edge
+from drivers.simulated.buses import SimulatedCan
 
 COST = """
 import time
@@ -62,15 +63,14 @@ def test_errors_name_the_argument(arguments, said):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"serial": "morse"}, 'serial = "morse": it must be one of amt21'),
-        ({"serial": "amt21", "clock_drift": 1e-4}, "clock_drift = 0.0001: only"),
-        ({"interface": "socketcan", "clock_drift": 1e-4}, "clock_drift = 0.0001: only"),
-        ({"speed_factor": 0.0}, "speed_factor = 0.0: the factor"),
+        ({"trigger": "morse"}, 'trigger = "morse"'),
+        ({"interface": "socketcan", "clock_drift": 1e-4}, "clock_drift: only the buses"),
+        ({"speed_factor": 0.0}, "speed_factor = 0.0"),
     ],
 )
-def test_a_contradictory_connection_names_the_argument(arguments, said):
-    with pytest.raises(edge.ArgumentError, match=said):
-        drivers.SimulatedConnection(**arguments)
+def test_a_contradictory_bus_names_the_key(arguments, said):
+    with pytest.raises(edge.InputError, match=said):
+        SimulatedCan(**arguments)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_a_contradictory_connection_names_the_argument(arguments, said):
     ],
 )
 def test_errors_name_the_argument_of_files(tmp_path, call, said):
-    with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, connection="virtual") as bench:
+    with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, bus="virtual") as bench:
         wiring = bench.write_wiring(tmp_path / "BENCH.toml")
         with pytest.raises(edge.ArgumentError, match=said):
             call(wiring)

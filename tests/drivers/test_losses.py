@@ -29,6 +29,7 @@ from drivers.recorder.bench import open_encoders
 from drivers.recording_format import read_recording
 from drivers.serial import port as serial_port
 from drivers.serial.port import Exchange
+from drivers.simulated.buses import SimulatedAmt21, SimulatedCan
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAmt21Bench
@@ -169,7 +170,7 @@ def test_frames_after_the_end_are_not_lost(hub):
 def test_frames_in_another_format_are_other_frames(tmp_path, bus_name):
     """A 29-bit identifier of the same number or a CAN FD frame is no sample; the DBC states which frames are."""
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=5.0, turns=1))
-    with SimulatedCanBench(motion, channel=bus_name) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         (tmp_path / "torque.dbc").write_text(
             (tmp_path / "torque.dbc").read_text().replace(f"BO_ {0x2A0}", f"BO_ {0x2A0 | 1 << 31}")
@@ -384,7 +385,7 @@ def test_losses_counted_by_a_serial_driver_are_an_event_and_a_gap(monkeypatch):
         return real(descriptor, request, *given)
 
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=1))
-    with SimulatedAmt21Bench(motion) as bench:
+    with SimulatedAmt21Bench(motion, SimulatedAmt21()) as bench:
         config = Amt21Config(protocol="amt21", port="p")
         with Amt21Encoder("input_angle", config, PortConfig(url=bench.url)) as encoder:
             assert serial_port.line_errors(encoder.hub.port) == {}
@@ -409,7 +410,7 @@ def test_a_closed_terminal_leaves_a_complete_recording(tmp_path):
         os.setsid()
         fcntl.ioctl(theirs, termios.TIOCSCTTY, 0)
 
-    with SimulatedCanBench(motion, interface="loopback", channel=group, speed_factor=5) as bench:
+    with SimulatedCanBench(motion, SimulatedCan(interface="loopback", channel=group, speed_factor=5)) as bench:
         bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         recorder = subprocess.Popen(
             [sys.executable, "-m", "drivers.cli", "record", "BENCH.toml", "-o", "run.arrows"],

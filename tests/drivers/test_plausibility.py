@@ -14,6 +14,7 @@ import drivers
 from drivers import recording_format as rf
 from drivers.live_page.server import Watcher
 from drivers.recording_format import ANGLES, GAP, IMPLAUSIBLE, Limits, Plausibility, Samples, read_recording
+from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.motion import SimulatedRun, simulate_hysteresis, simulate_motion
 
 ARCMIN = math.pi / 10800
@@ -235,7 +236,7 @@ def test_a_stuck_encoder_is_recorded_as_it_came_and_judged_by_evaluation_and_pag
         torque=20.0,
         ratio=-39.0,
         turns=30,
-        connection=drivers.SimulatedConnection("virtual", bus_name, trigger),
+        bus=SimulatedCan(interface="virtual", channel=bus_name, trigger=trigger),
     ) as bench:
         done = bench.record(tmp_path / "run.arrows")
     recording = read_recording(done.path)
@@ -259,7 +260,7 @@ def test_a_clean_simulated_run_has_no_mark(tmp_path, bus_name, trigger, hysteres
         ratio=-39.0,
         turns=2,
         motion=drivers.SimulatedMotion(200, speed=4 * math.pi, noise=1e-6, hysteresis=hysteresis),
-        connection=drivers.SimulatedConnection("virtual", bus_name, trigger),
+        bus=SimulatedCan(interface="virtual", channel=bus_name, trigger=trigger),
     ) as bench:
         done = bench.record(tmp_path / "run.arrows")
     assert all("implausible" not in channel["marks"] for channel in Watcher(done.path).refresh()["channels"])
@@ -267,7 +268,7 @@ def test_a_clean_simulated_run_has_no_mark(tmp_path, bus_name, trigger, hysteres
 
 def test_the_limits_are_stated_in_the_bench_file_and_in_the_recording(tmp_path, bus_name):
     with drivers.simulate_bench(
-        torque=1.0, ratio=-39.0, turns=1, connection=drivers.SimulatedConnection("virtual", bus_name)
+        torque=1.0, ratio=-39.0, turns=1, bus=SimulatedCan(interface="virtual", channel=bus_name)
     ) as bench:
         wiring = bench.write_wiring(tmp_path / "BENCH.toml")
         text = wiring.read_text().replace("[conditions]", 'largest_deviation = "20 arcmin"\n\n[conditions]')

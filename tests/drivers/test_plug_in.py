@@ -14,7 +14,7 @@ from common import EXAMPLES
 import drivers
 import drivers.encoders
 from cycloid_fmu import edge
-from drivers.encoder import ENTRY_POINTS, Encoder, protocols
+from drivers.encoder import Encoder, protocols
 from drivers.recorder.bench import read_bench
 from drivers.recording_format import GAP
 
@@ -29,12 +29,9 @@ class CounterConfig(AngleConfig):
 class Counter(Encoder):
     configuration = CounterConfig
 
-    def __init__(self, name, config):
-        self.name, self.config, self.count = name, config, config.begin
-
-    @classmethod
-    def from_config(cls, name, config, wiring):
-        return cls(name, config)
+    def __init__(self, name, config, line=None):
+        super().__init__(name, config, line)
+        self.count = config.begin
 
     def __enter__(self):
         self.channel = channel_of(self.name, self.config, identity="rig", time_source="host clock: the call")
@@ -65,7 +62,7 @@ def installed(tmp_path, monkeypatch):
         folder = site / f"{name}-1.0.dist-info"
         folder.mkdir()
         (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-        (folder / "entry_points.txt").write_text(f"[{ENTRY_POINTS}]\n{protocol} = {value}\n")
+        (folder / "entry_points.txt").write_text(f"[{Encoder.group}]\n{protocol} = {value}\n")
         importlib.invalidate_caches()
 
     yield install
@@ -91,7 +88,7 @@ def test_an_installed_package_provides_an_encoder(tmp_path, installed, command):
 
 
 def test_the_package_s_own_protocols_are_registered_the_same_way():
-    own = {e.value for e in metadata.distribution("cycloid-fmu").entry_points if e.group == ENTRY_POINTS}
+    own = {e.value for e in metadata.distribution("cycloid-fmu").entry_points if e.group == Encoder.group}
     for module in pkgutil.iter_modules(drivers.encoders.__path__):
         loaded = importlib.import_module(f"drivers.encoders.{module.name}")
         classes = [c for c in vars(loaded).values() if inspect.isclass(c) and c.__module__ == loaded.__name__]
@@ -194,7 +191,7 @@ def test_a_plug_in_s_table_is_checked_as_the_others_are(tmp_path, guide, old, ne
 def test_a_table_that_another_package_has_is_refused(tmp_path, installed, guide):
     line = (
         "from drivers.lines import LineConfig\nclass Other(LineConfig):\n    kind = 'udp'\n    noun = 'x'\n"
-        "    place = property(lambda self: 'x')\nCounter.line = Other\n"
+        "    address = property(lambda self: 'x')\nCounter.line = Other\n"
     )
     installed("other_rig", "other", "other_rig:Counter", ENCODER + line)
     (tmp_path / "BENCH.toml").write_text(guide[0] + '[channel.torque]\nprotocol = "other"\n')

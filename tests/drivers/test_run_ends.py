@@ -16,6 +16,7 @@ from drivers.encoder import EncoderSetupError
 from drivers.recorder import in_use
 from drivers.recorder.bench import read_bench
 from drivers.recorder.in_use import Claims
+from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from tests.drivers.test_bench_cli import ENVIRONMENT, needs_multicast
@@ -36,7 +37,7 @@ def until(condition, seconds=20.0):
 def bench(tmp_path, bus_name):
     """A bench on a virtual bus with nodes not started; its wiring is in the folder."""
     motion = simulate_motion(lambda angle, torque: angle / -39, SimulatedRun(torque=20.0, turns=200))
-    made = SimulatedCanBench(motion, channel=bus_name, speed_factor=1.0)
+    made = SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name, speed_factor=1.0))
     made.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
     with made:
         yield made
@@ -72,9 +73,7 @@ with Claims() as claims:
 @needs_multicast
 def test_a_second_recording_of_a_bus_is_refused_and_the_first_one_stays_whole(tmp_path, monkeypatch):
     monkeypatch.setattr(in_use, "WAIT_SECONDS", 0.2)
-    made = drivers.simulate_bench(
-        ratio=-39, torque=20.0, turns=20, connection=drivers.SimulatedConnection(speed_factor=1.0)
-    )
+    made = drivers.simulate_bench(ratio=-39, torque=20.0, turns=20, bus=SimulatedCan(speed_factor=1.0))
     with made, futures.ThreadPoolExecutor(1) as threads:
         wiring, path = made.write_wiring(tmp_path / "BENCH.toml"), tmp_path / "first.arrows"
         refused = threading.Event()

@@ -19,9 +19,10 @@ from common import EXAMPLES
 from cycloid_fmu import edge
 from drivers.lines import BusConfig
 from drivers.recorder import bench
-from drivers.recorder.actuator import ENTRY_POINTS, Actuator, ActuatorConfig
+from drivers.recorder.actuator import Actuator, ActuatorConfig
 from drivers.recorder.sequence import read_sequence, run_sequence, shortfalls
 from drivers.recording_format import read_recording
+from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_hysteresis, simulate_motion
 
@@ -49,12 +50,9 @@ class Motor(Actuator):
     configuration, line = MotorConfig, BusConfig
     noted: ClassVar[list[str]] = []
 
-    def __init__(self, config, line):
-        self.config, self.channel, self.benches = config, line.channel, contextlib.ExitStack()
-
-    @classmethod
-    def from_config(cls, config, wiring):
-        return cls(config, wiring.line(BusConfig, config.bus, "[actuator]"))
+    def __init__(self, name, config, line):
+        super().__init__(name, config, line)
+        self.channel, self.benches = line.channel, contextlib.ExitStack()
 
     def __enter__(self):
         self.noted.append("open")
@@ -65,7 +63,9 @@ class Motor(Actuator):
         options = {"hysteresis": True, "samples_per_turn": 4000} if step.is_hysteresis else {"speed": step.speed}
         turns = int(step.turns + (0 if step.is_hysteresis else self.config.more))
         made = moved(torque=step.torque, turns=turns, direction=step.direction, **options)
-        self.benches.enter_context(SimulatedCanBench(made, channel=self.channel, speed_factor=1.0))
+        self.benches.enter_context(
+            SimulatedCanBench(made, SimulatedCan(interface="virtual", channel=self.channel, speed_factor=1.0))
+        )
 
     def cycle(self, step):
         self.noted.append("cycle")
@@ -81,9 +81,9 @@ class Motor(Actuator):
 @pytest.fixture
 def motor(monkeypatch, wiring):
     """The bench file with an `[actuator]`, whose plug-in is registered."""
-    point = importlib.metadata.EntryPoint("motor", f"{__name__}:Motor", ENTRY_POINTS)
+    point = importlib.metadata.EntryPoint("motor", f"{__name__}:Motor", Actuator.group)
     points = importlib.metadata.EntryPoints([*importlib.metadata.entry_points(group="cycloid.encoders"), point])
-    monkeypatch.setattr(bench, "registered", lambda group="cycloid.encoders": points.select(group=group))
+    monkeypatch.setattr(bench, "registered", lambda group: points.select(group=group))
     monkeypatch.setattr(Motor, "noted", [])
     wiring.write_text(wiring.read_text() + '[actuator]\nprotocol = "motor"\nbus = "can0"\n')
     return wiring
@@ -92,7 +92,9 @@ def motor(monkeypatch, wiring):
 @pytest.fixture
 def wiring(tmp_path, bus_name):
     motion = simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=20.0, turns=1))
-    return SimulatedCanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39)
+    return SimulatedCanBench(motion, SimulatedCan(interface="virtual", channel=bus_name)).write_wiring(
+        tmp_path / "BENCH.toml", ratio=-39
+    )
 
 
 def test_a_driven_sequence_records_every_step_and_stops_the_bench_after_each(command, tmp_path, motor):
@@ -142,7 +144,9 @@ def test_the_bench_is_stopped_at_every_end_of_a_run(tmp_path, motor, monkeypatch
 def test_a_bench_that_runs_by_itself_is_waited_for(command, tmp_path, wiring, bus_name):
     one_way = SEQUENCE.replace('"forward", "backward"', '"forward"')
     (tmp_path / "sequence.toml").write_text(one_way + 'wait = "0.5 s"\n')
-    with SimulatedCanBench(moved(torque=20.0, turns=4), channel=bus_name, speed_factor=8.0):
+    with SimulatedCanBench(
+        moved(torque=20.0, turns=4), SimulatedCan(interface="virtual", channel=bus_name, speed_factor=8.0)
+    ):
         begun = time.monotonic()
         run = command("cycloid-bench", "run", "sequence.toml")
         assert time.monotonic() - begun > 0.5
@@ -155,10 +159,10 @@ def test_the_documented_actuator_sends_each_step_s_torque_and_speed(tmp_path, mo
     code = re.search(r"<!-- actuator -->\n```python\n(.*?)```", text, re.S)[1]
     (tmp_path / "brake.py").write_text(code)
     monkeypatch.syspath_prepend(str(tmp_path))
-    point = importlib.metadata.EntryPoint("brake", "brake:Brake", ENTRY_POINTS)
+    point = importlib.metadata.EntryPoint("brake", "brake:Brake", Actuator.group)
     amt21 = importlib.metadata.entry_points(group="cycloid.encoders").select(name="amt21")
     points = importlib.metadata.EntryPoints([*amt21, point])
-    monkeypatch.setattr(bench, "registered", lambda group="cycloid.encoders": points.select(group=group))
+    monkeypatch.setattr(bench, "registered", lambda group: points.select(group=group))
     controller, line = pty.openpty()
     tty.setraw(line)
     (tmp_path / "BENCH.toml").write_text(
@@ -167,8 +171,7 @@ def test_the_documented_actuator_sends_each_step_s_torque_and_speed(tmp_path, mo
     )
     (tmp_path / "sequence.toml").write_text(SEQUENCE + '[hysteresis]\ntorque = "100 N*m"\n')
     sequence = read_sequence(tmp_path / "sequence.toml")
-    cls, config = sequence.bench.actuator
-    with cls.from_config(config, sequence.bench.wiring) as brake:
+    with sequence.bench.new_actuator() as brake:
         for step in sequence.steps:
             brake.set(step)
         brake.cycle(sequence.steps[-1])
@@ -192,7 +195,9 @@ class Person:
         if isinstance(now, str):
             return now + "\n"
         self.benches.close()  # the bench of the previous step is switched off
-        self.benches.enter_context(SimulatedCanBench(now, channel=self.bus_name, speed_factor=8.0))
+        self.benches.enter_context(
+            SimulatedCanBench(now, SimulatedCan(interface="virtual", channel=self.bus_name, speed_factor=8.0))
+        )
         return "\n"
 
 

@@ -33,6 +33,7 @@ from drivers.recorder.session import record
 from drivers.recording_format import read_recording
 from drivers.serial import port as serial_port
 from drivers.serial.port import Exchange
+from drivers.simulated.buses import SimulatedAmt21, SimulatedAscii, SimulatedModbus
 from drivers.simulated.faults import Fault
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench, SimulatedModbusBench
@@ -123,7 +124,10 @@ def test_modbus_errors_are_reported_at_the_start(modbus_line):
 
 def test_the_simulated_modbus_bench_is_read_by_the_client_of_pymodbus():
     motion = simulate_motion(lambda a, t: -a / 39 + 0.5, SimulatedRun(torque=0.0, turns=1, speed=1e-6))
-    with SimulatedModbusBench(motion) as bench, ModbusSerialClient(bench.url, baudrate=115200, timeout=1) as client:
+    with (
+        SimulatedModbusBench(motion, SimulatedModbus()) as bench,
+        ModbusSerialClient(bench.url, baudrate=115200, timeout=1) as client,
+    ):
         found = [client.read_holding_registers(0, count=2, device_id=d).registers for d in (1, 2)]
         refused = client.read_holding_registers(7, count=2, device_id=2)
     position = round(0.5 / (2 * math.pi) * (1 << 18))
@@ -137,7 +141,7 @@ def test_a_modbus_line_is_recorded_without_a_wrong_angle(tmp_path, kind, monkeyp
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=1, samples_per_turn=200))
     path = tmp_path / "run.arrows"
     faults = [] if kind is None else [Fault(kind, 20, 2, target=2)]
-    with SimulatedModbusBench(motion, faults=faults) as bench:
+    with SimulatedModbusBench(motion, SimulatedModbus(faults=faults)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         done = record(toml, path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
@@ -173,7 +177,7 @@ def test_lines_are_the_commanded_motion_and_their_clock_is_known(tmp_path):
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=2, samples_per_turn=200))
     path = tmp_path / "run.arrows"
     drift = 0.01  # a counter without a crystal; the delay of all lines by a busy machine is far smaller
-    with SimulatedAsciiBench(motion, clock_drift=drift) as bench:
+    with SimulatedAsciiBench(motion, SimulatedAscii(clock_drift=drift)) as bench:
         record(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     samples = recording.samples["output_angle"]
@@ -246,7 +250,7 @@ def test_a_multi_turn_encoder_counts_turns_that_readings_missed(tmp_path):
         lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=40, samples_per_turn=500, speed=40 * math.pi)
     )
     path = tmp_path / "run.arrows"
-    with SimulatedAmt21Bench(motion, multi_turn=True, faults=[Fault("mute", 400, 1, 0x54)]) as bench:
+    with SimulatedAmt21Bench(motion, SimulatedAmt21(multi_turn=True, faults=[Fault("mute", 400, 1, 0x54)])) as bench:
         done = record(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
     samples = read_recording(path).samples["input_angle"]
     assert done.marks["input_angle"]["resets"] >= 1, "it turned by more than half a turn unseen"
@@ -363,7 +367,7 @@ def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path, monkeypatch)
                     connection.sendall(b"".join(manager.escape(line.read(1024))))
                 rates.append(line.baudrate)
 
-    with SimulatedAmt21Bench(motion, bits=14) as bench:
+    with SimulatedAmt21Bench(motion, SimulatedAmt21(bits=14)) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         toml.write_text(toml.read_text().replace(bench.url, f"rfc2217://127.0.0.1:{server.getsockname()[1]}"))
         thread = threading.Thread(target=serve, args=(bench.url,), daemon=True)
@@ -387,7 +391,7 @@ def test_no_answer_and_invalid_answers_are_distinguished(tmp_path, monkeypatch):
     for kind, kind_of_error in (("mute", EncoderTimeout), ("wrong_baud", EncoderProtocolError)):
         folder = tmp_path / kind
         folder.mkdir()
-        with SimulatedAsciiBench(motion, faults=[Fault(kind, 0, 10**9)]) as bench:
+        with SimulatedAsciiBench(motion, SimulatedAscii(faults=[Fault(kind, 0, 10**9)])) as bench:
             toml = bench.write_wiring(folder / "BENCH.toml")
             with pytest.raises(kind_of_error, match="is the baud rate right"), open_encoders(toml):
                 pass

@@ -19,9 +19,11 @@ import pytest
 
 from drivers import recording_format as rf
 from drivers.recording_format import read_recording
+from drivers.simulated.buses import SimulatedAmt21, SimulatedAscii, SimulatedCan, SimulatedModbus
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
-from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench, SimulatedModbusBench
+from drivers.simulated.serial_bench import SimulatedAsciiBench
+from drivers.simulated.simulate import bench_of
 from tests.drivers.test_bench_cli import ENVIRONMENT, filled, needs_multicast
 
 STOPS = int(os.environ.get("CYCLOID_STOPS", "100"))
@@ -132,7 +134,10 @@ def can_case(folder, bus, case, stops, record_property):
     if bus == "socketcan" and "clock_drift" in options:
         return  # its stamps are the kernel's
     sent = motion(100 if options.get("trigger") == "sync" else 500)
-    with prompt(), SimulatedCanBench(sent, interface=bus, channel=BUSES[bus], speed_factor=1.0, **options) as bench:
+    with (
+        prompt(),
+        SimulatedCanBench(sent, SimulatedCan(interface=bus, channel=BUSES[bus], speed_factor=1.0, **options)) as bench,
+    ):
         bench.write_wiring(folder / "BENCH.toml", ratio=-39)
         seed = list(CAN).index(case)
         recording, told, start = recorded_over_stops(
@@ -197,7 +202,7 @@ LINES = {
 @pytest.mark.slow(30)
 @pytest.mark.parametrize("case", LINES)
 def test_random_stops_with_a_device_that_sends(tmp_path, case, record_property):
-    with prompt(), SimulatedAsciiBench(motion(500)) as bench:
+    with prompt(), SimulatedAsciiBench(motion(500), SimulatedAscii()) as bench:
         bench.receive_buffer = SERIAL_BUFFER
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         toml.write_text(toml.read_text().replace(LINES["number and clock"], LINES[case]))
@@ -218,10 +223,10 @@ def test_random_stops_with_a_device_that_sends(tmp_path, case, record_property):
 
 
 @pytest.mark.slow(30)
-@pytest.mark.parametrize("kind", [SimulatedAmt21Bench, SimulatedModbusBench])
+@pytest.mark.parametrize("kind", [SimulatedAmt21(), SimulatedModbus()])
 def test_random_stops_with_polled_devices(tmp_path, kind, record_property):
     sent = motion(1000)  # so that a single-turn encoder turns several times in a gap
-    with prompt(), kind(sent) as bench:
+    with prompt(), bench_of(kind, sent) as bench:
         bench.receive_buffer = SERIAL_BUFFER
         bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         recording, told, start = recorded_over_stops(tmp_path, bench, STOPS, 7)
@@ -243,4 +248,4 @@ def test_random_stops_with_polled_devices(tmp_path, kind, record_property):
         last = int(np.median(nearest[-30:] + np.arange(30)[::-1]))
         total += last - first + 1 - len(samples)
     assert_told(sum(told.values()), total)
-    record_property(f"{kind.__name__}: stops, answers lost, told", f"{STOPS}, {total}, {sum(told.values())}")
+    record_property(f"{type(kind).__name__}: stops, answers lost, told", f"{STOPS}, {total}, {sum(told.values())}")

@@ -101,7 +101,7 @@ def test_a_recorded_loop_is_no_curve(tmp_path):
         torque=200.0,
         turns=2,
         motion=drivers.SimulatedMotion(400, noise="0.1 arcsec", hysteresis=True),
-        connection="virtual",
+        bus="virtual",
     ) as bench:
         bench.record(tmp_path / "loop.arrows")
     with pytest.raises(edge.InputError) as problem:

@@ -648,3 +648,38 @@ def test_small_loops_have_the_gap_of_a_second_evaluation(tmp_path, name):
     assert figure.count == 5
     apart = abs(figure.value - np.radians(expected["value"]))
     assert apart < np.hypot(figure.uncertainty, np.radians(expected["u95"]))
+
+
+def moteus_log(path, crank, output, torque, *, period=0.005):
+    """The log of moteus's own CSV writer: registers by name, no units; each encoder counts its own turn from 0 to 1."""
+    names = "MODE POSITION VELOCITY TORQUE Q_CURRENT VOLTAGE TEMPERATURE FAULT CONTROL_TORQUE POSITION_ERROR"
+    lines = [",".join(["time", *names.split(), "ENCODER_0_POSITION", "ENCODER_1_POSITION"])]
+    for i, (a, b) in enumerate(zip(crank / (2 * np.pi), output / (2 * np.pi), strict=True)):
+        measured = [10, a, 1.0, torque, torque / 0.2, 24.0, 31.0, 0, 99.0, 0.001 * np.sin(i), a % 1.0, b % 1.0]
+        lines.append(",".join(map(str, [i * period, *measured])))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_the_log_of_a_moteus_goes_to_its_curve_and_maps(command, tmp_path, made):
+    """With an encoder on each shaft. The units are the registers', the ratio is that of the angles."""
+    files = []
+    for load in (20.0, 200.0):
+        crank, output = turned(made, load, each=48)
+        files.append(moteus_log(tmp_path / f"{load:g}.csv", crank, output, load).name)
+    assert command("cycloid-fit", "inspect", files[0], "-o", "map.toml").returncode == 0
+    mapping = read_mapping(tmp_path / "map.toml")
+    turning, driven = mapping.input_angle, mapping.output_angle
+    assert turning.column in ("POSITION", "ENCODER_0_POSITION"), "both are of the motor"
+    assert (driven.column, turning.unit, driven.unit) == ("ENCODER_1_POSITION", "rev", "rev")
+    assert (mapping.ratio, mapping.time.unit, mapping.torque.column) == (RATIO, "s", "TORQUE")
+    curve = command("cycloid-fit", "curve", *files, "--mapping", "map.toml", "-o", "curves.nc")
+    assert curve.returncode == 0, curve.stderr
+    (first, _) = fitting.read_recordings([tmp_path / name for name in files], mapping=tmp_path / "map.toml")
+    (measured,) = fitting.curves(first, RATIO)
+    crank, output = turned(made, 20.0, each=48)
+    error = output - crank / RATIO
+    shown = np.interp(crank, measured.input_angle - measured.input_angle[0], measured.transmission_error)
+    assert np.std(shown - error) < 2.0 * NOISE
+    maps = command("cycloid-fit", "maps", *files, "--mapping", "map.toml", "-o", "maps.nc")
+    assert maps.returncode == 0, maps.stderr

@@ -22,7 +22,7 @@ def recorded(tmp_path):
     def run(pair):
         path = tmp_path / "run.arrows"
         with drivers.simulate_bench(
-            ratio=PAIR.ratio, pair=pair, torque=20.0, turns=9, motion=drivers.SimulatedMotion(24), connection="virtual"
+            ratio=PAIR.ratio, pair=pair, torque=20.0, turns=9, motion=drivers.SimulatedMotion(24), bus="virtual"
         ) as bench:
             bench.record(path)
         return fitting.read_recordings(path)
