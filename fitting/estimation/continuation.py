@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
@@ -23,7 +24,7 @@ from cycloid_fmu.surfaces.structured import profile_wave, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.explanation import GAIN
 from fitting.estimation.fit import Estimate, fit
-from fitting.estimation.result import FORMAT, Identification, read_lmfit_parameters
+from fitting.estimation.result import FORMAT, Identification, read_lmfit_parameters, result_of
 from fitting.estimation.starts import first_sizes
 from fitting.estimation.validation import Likely, Residual, Verdict, likely_causes, verdict_of
 from fitting.model.bearings import PLAY
@@ -106,6 +107,28 @@ def continued(
     columns = causes(pair, estimate.observed, estimate.linear)
     likely = likely_causes(Residual(estimate), columns, Likely({}, {}, ()))
     return estimate, verdict_of(estimate, likely), sizes
+
+
+def refuse_with_prior(**given: object) -> None:
+    """Refuse arguments that are not None: the fit that is the prior has decided on the unknowns."""
+    for name, value in given.items():
+        if value is not None:
+            raise edge.ArgumentError(name, "can't be given with prior, whose fit has decided on the unknowns")
+
+
+def identified(
+    curves: Sequence[Curve],
+    earlier: Posterior,
+    profiled: Sequence[str],
+    bootstrap: int,
+    form: float,
+    progress: Callable[[str], None],
+) -> Identification:
+    """Return the result of `continued`; the arguments are those of `fitting.identify`, the form in m."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        estimate, verdict, sizes = continued(curves, earlier, progress)
+        form = 0.0 if estimate.observed.profile else form
+        return result_of(estimate, verdict, None, sizes, profiled, bootstrap, (), form, progress)
 
 
 def _sizes(earlier: Posterior) -> dict[str, float]:

@@ -25,7 +25,7 @@ from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import DEVIATIONS, surface_of_pair
 from fitting.arguments import positive
-from fitting.estimation.continuation import continued, earlier_of
+from fitting.estimation.continuation import earlier_of, identified, refuse_with_prior
 from fitting.estimation.explanation import GAIN, Explained, Explanation, observed_with
 from fitting.estimation.fit import TURNS, Estimate, fit
 from fitting.estimation.held_out import Prediction, is_mispredicted, kept_back
@@ -141,13 +141,8 @@ def identify(
         )
     _check(curves, bootstrap, profiled, [*errors_of(pair), *usual.profile])
     if prior is not None:
-        if tolerances is not None or parameters is not None:
-            name = "parameters" if parameters is not None else "tolerances"
-            raise edge.ArgumentError(name, "can't be given with prior, whose fit has decided on the unknowns")
-        with threadpool_limits(limits=1, user_api="blas"):
-            estimate, verdict, sizes = continued(curves, earlier_of(prior, drive), progress)
-            shape = 0.0 if estimate.observed.profile else shape
-            return result_of(estimate, verdict, None, sizes, profiled, bootstrap, (), shape, progress)
+        refuse_with_prior(tolerances=tolerances, parameters=parameters)
+        return identified(curves, earlier_of(prior, drive), profiled, bootstrap, shape, progress)
     if parameters is not None:
         checked(parameters, names_of(pair, observed_with(curves, pair, usual)))
         usual = dataclasses.replace(usual, constraints=Constraints.of(parameters))
@@ -172,13 +167,17 @@ def identify(
         raise edge.InputError(
             "the equations of the fit are singular, as for curves without noise; add some to simulated ones."
         ) from None
-    single = [name for name in DEVIATIONS if getattr(drive.surface, name) is not None]
-    if single:
-        beside.append(
-            f"The drive's surface holds form of single elements ({', '.join(single)}); it is not part of the fit."
-        )
+    beside += _form_notes(drive)
     stated = tolerances if isinstance(tolerances, Tolerances) else None
     return dataclasses.replace(result, notes=(*result.notes, *beside), tolerances=stated)
+
+
+def _form_notes(drive: Drive) -> list[str]:
+    """Return a note on form of single elements, which is not part of a fit."""
+    single = [name for name in DEVIATIONS if getattr(drive.surface, name) is not None]
+    if not single:
+        return []
+    return [f"The drive's surface holds form of single elements ({', '.join(single)}); it is not part of the fit."]
 
 
 def parameters(
