@@ -51,6 +51,10 @@ def identify(
             help="Unknowns to hold, bound, tie or free, as lmfit.Parameters.dump writes them.",
         ),
     ] = None,
+    prior: Annotated[
+        Path | None,
+        typer.Option(metavar="LAST.json", help="Go on from this fit of the drive: its posterior is the prior."),
+    ] = None,
     bootstrap: Annotated[int, typer.Option(min=0, help="Number of bootstrap resamples of output turns.")] = 0,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -77,6 +81,7 @@ def identify(
             bootstrap=bootstrap,
             form=form,
             parameters=None if parameters is None else read_parameters(parameters),
+            prior=prior,
             progress=progress,
         )
     notes = list(result.notes)

@@ -40,6 +40,7 @@ from fitting.model.constraints import Constraints
 from fitting.model.first_stage import share_of, turned
 from fitting.model.losses import BENCH_HYSTERESIS, curve_sensitivity, is_coefficient, unknown_coefficients
 from fitting.model.near_drive import NearDrive
+from fitting.model.posterior import Posterior
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
@@ -64,6 +65,8 @@ _OTHER_LOAD = 1.2  # times the smallest load: one at which wind-up differs from 
 FRICTION_SHARE = 0.002  # of the largest torque
 LOOP_FRICTION_PER_LOAD = 0.5  # growth of a loop's friction with load: measured drives have up to 0.7
 _SELF_LOCKING = 0.95  # largest growth in the model: from 1 on a drive does not unload
+LOST_MOTION = "lost motion"
+"""Branch of points whose second half is taken from the first, as one measurement of the mean difference."""
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance; a softer chain is a cause of misfit, whose size is found
 KNOWN_SIZES = {
     DISC_PHASE: 10e-6,
@@ -134,6 +137,11 @@ class Observations:
         Usual size of the chain's compliance, rad/(N·m): a small share of the gear pair's own.
     constraints
         What a user has decided of the unknowns.
+    earlier
+        What earlier measurements have told of the unknowns.
+    form
+        Derivatives by the orders of `profile`, shape (points, orders), rad/m; None: those of the model, which has none
+        on bearings.
     """
 
     curves: tuple[Curve, ...]
@@ -155,6 +163,8 @@ class Observations:
     first_stage: FirstStage | None = None
     chain_prior: float = 0.0
     constraints: Constraints | None = None
+    earlier: Posterior | None = None
+    form: Array | None = None
 
     @property
     def running(self) -> list[int]:
@@ -165,6 +175,27 @@ class Observations:
     def of_loops(self) -> NDArray[np.bool_]:
         """Which points are of loops, shape (points,)."""
         return np.concatenate([np.full(c.input_angle.size, bool(c.branch)) for c in self.curves])
+
+    @property
+    def of_lost_motions(self) -> NDArray[np.bool_]:
+        """Which points are of lost motions, shape (points,)."""
+        return np.concatenate([np.full(c.input_angle.size, c.branch == LOST_MOTION) for c in self.curves])
+
+    def rows_of_curves(self, rows: Array) -> list[Array]:
+        """Return the rows of each curve from all rows of a fit."""
+        sizes = [1 if c.branch == LOST_MOTION else c.input_angle.size for c in self.curves]
+        return np.split(rows, np.cumsum(sizes)[:-1])
+
+    def rows(self, points: Array) -> Array:
+        """Return the rows of a fit from its points, the first axis: each lost motion is one row, a mean difference."""
+        if not any(c.branch == LOST_MOTION for c in self.curves):
+            return points
+        parts = np.split(points, self.ends)
+        for number, curve in enumerate(self.curves):
+            if curve.branch == LOST_MOTION:
+                first, second = np.split(parts[number], 2)
+                parts[number] = (first - second).mean(axis=0, keepdims=True)
+        return np.concatenate(parts)
 
     @property
     def torque(self) -> Array:
@@ -274,6 +305,7 @@ class Observations:
             weight=self.weight[every],
             bench=self.bench[every],
             ripple=None if self.ripple is None else self.ripple[every],
+            form=None if self.form is None else self.form[every],
         )
 
     def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Observations:
@@ -288,6 +320,7 @@ class Observations:
             bench=self.bench[part],
             give=None if self.give is None else self.give[list(numbers)],
             ripple=None if self.ripple is None else self.ripple[part],
+            form=None if self.form is None else self.form[part],
         )
 
 
@@ -298,6 +331,7 @@ def observations(
     profile: Mapping[str, float] | None = None,
     first_stage: FirstStage | None = None,
     constraints: Constraints | None = None,
+    earlier: Posterior | None = None,
 ) -> Observations:
     """Return curves as observations of a pair.
 
@@ -313,7 +347,7 @@ def observations(
         Orders of the profile deviation to consider too, with their prior sizes, m.
     first_stage
         First stage of the curves, which are over the angle of ideal cranks (`fitting.model.first_stage.of_cranks`).
-    constraints
+    constraints, earlier
         As in `Observations`.
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
@@ -393,6 +427,7 @@ def observations(
         first_stage=first_stage,
         chain_prior=priors[-1],
         constraints=constraints,
+        earlier=earlier,
     )
 
 
@@ -556,7 +591,8 @@ def linearised_curve(
     The model is the exact one, or near a drive the linearised one, without the crank's zero and form.
     """
     curve = observed.curves[number]
-    against = -float(curve.direction) * np.sign(curve.ratio)
+    # The torques of a lost motion are those at the flanks: they include friction.
+    against = -float(curve.direction) * np.sign(curve.ratio) * (curve.branch != LOST_MOTION)
     torque, least = observed.torque_of(number), _LEAST_TORQUE * curve.torque
     growth = min(state.loop_friction_per_load, _SELF_LOCKING) if curve.branch else 0.0
     # M = T ± (F_0 + mu |M|) at the flanks.
@@ -592,7 +628,9 @@ def linearised_curve(
         by_crank = np.zeros_like(model)
     jacobian = each @ displacement_columns(pair, observed.errors)
     profiles = [i for i, name in enumerate(observed.errors) if profile_wave(name, 1) is not None]
-    if profiles and around is None and pair.supports is None:
+    if profiles and observed.form is not None:
+        jacobian[:, profiles] = np.split(observed.form, observed.ends)[number]
+    elif profiles and around is None and pair.supports is None:
         of_form = [observed.errors[i] for i in profiles]
         jacobian[:, profiles] = form_sensitivity(DriveValue(pair, surface), model, at + w, of_form)
     scatter = scatter_columns(pair, each)

@@ -18,10 +18,10 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from drivers.recording_format import GAP
 from fitting.arguments import check_ratio
-from fitting.recordings.cleaning import Block
-from fitting.recordings.plausible import PlausibleBlocks
-from fitting.recordings.recording import Recording, RecordingStream
-from fitting.recordings.sources import Source, each_source, open_source
+from fitting.readers.recording import Recording, RecordingStream
+from fitting.readers.sources import Source, each_source, open_source
+from fitting.samples.block import Block
+from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.unaveraged import Steps
 
