@@ -246,3 +246,21 @@ def test_what_does_not_use_bodies_refuses_them():
         cy.Drive(SOFT_CRANKS).analyze(20.0, angles=2, slices=3)
     with pytest.raises(cy.InputError, match="needs \\[supports\\]"):
         SMALL.replace(supports=None, bodies={"disc": DISC})
+
+
+def test_a_profile_has_the_holes_of_its_elastic_disc(tmp_path):
+    """Bores, hole in the middle and fans, whose corners are tangent: the area of a fan by its arcs is that of a fan."""
+    pair = parse_pair((CASES / "rv-fan-windows.toml").read_text(), "rv-fan-windows")
+    sharp = pair.bodies.disc.windows[0].replace(corner_radius=None)
+    pair = pair.replace(bodies=pair.bodies.replace(disc=pair.bodies.disc.replace(windows=(sharp,))))
+    made = cy.Drive(pair).profile()
+    assert sorted(made.hole_radius.tolist()) == pytest.approx([12e-3, 12.5e-3, 12.5e-3, 12.5e-3])
+    assert len(made.windows) == sharp.count
+    for start, bulge in made.windows:
+        end, angle = np.roll(start, -1), 4.0 * np.arctan(bulge)
+        round_ = np.abs(angle) > 1e-9
+        radius = np.abs(end - start)[round_] / (2.0 * np.sin(0.5 * np.abs(angle[round_])))
+        beside = 0.5 * radius**2 * (angle - np.sin(angle))[round_]
+        area = 0.5 * (np.conj(start) * end).imag.sum() + beside.sum()
+        fan = sharp.half_angle * (sharp.outer_radius**2 - sharp.inner_radius**2)
+        assert area == pytest.approx(fan, rel=1e-9)
