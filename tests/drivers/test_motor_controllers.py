@@ -144,7 +144,7 @@ def test_an_odrive_that_is_not_set_up_to_send_is_one_sentence(tmp_path, bus_name
 
 
 @contextlib.contextmanager
-def moteus(bus_name, node, odd=()):
+def moteus(bus_name, node, odd=(), *, interface="virtual"):
     """A controller that replies to reads of float32 registers from 0x001 on, as the multiplex protocol states it."""
     registers = {1: TURNS, 2: SPEED, 3: 0.125 * CURRENT, 4: CURRENT}
     queries, done = [], threading.Event()
@@ -165,7 +165,7 @@ def moteus(bus_name, node, odd=()):
                 data = b"\x31" + data[1:]  # an error of a read
             bus.send(can.Message(arbitration_id=node << 8, is_extended_id=node > 7, is_fd=True, data=data))
 
-    with can.Bus(interface="virtual", channel=bus_name, fd=True) as bus:
+    with can.Bus(interface=interface, channel=bus_name, fd=True) as bus:
         thread = threading.Thread(target=run)
         thread.start()
         try:
