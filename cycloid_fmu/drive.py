@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.bodies import Bodies
     from cycloid_fmu.geometry.first_stage import FirstStage
+    from cycloid_fmu.joint.document import Joint
     from cycloid_fmu.losses.figures import LossFigures
     from cycloid_fmu.losses.heat import Heat
     from cycloid_fmu.motion import Motion
@@ -69,6 +70,16 @@ def _torques(given: Any, pair: Pair) -> list[float]:
     if given is None:
         return [pair.rated_load()]
     return [_torque(one) for one in ([given] if isinstance(given, str) or np.ndim(given) == 0 else given)]
+
+
+def _crank_angles(angles: int, turns: int = 1) -> Array:
+    """Return crank angles evenly spaced over whole turns from 0, end excluded, rad."""
+    return np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
+
+
+def _cores(workers: int | None = None) -> int:
+    """Return the number of workers, by default one per core."""
+    return workers or os.cpu_count() or 1
 
 
 def _requirements(given: Requirements | str | os.PathLike[str]) -> Requirements:
@@ -219,14 +230,14 @@ class Drive(DriveValue):
         from cycloid_fmu.analysis import analyze
 
         if crank_angle is None:
-            crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
+            crank_angle = _crank_angles(angles, turns)
         return analyze(
             self,
             _torques(torque, self.pair),
             crank_angle,
             slices,
             with_elements=slices is not None,
-            workers=workers or os.cpu_count() or 1,
+            workers=_cores(workers),
             progress=progress,
         )
 
@@ -282,9 +293,9 @@ class Drive(DriveValue):
         return figures(
             self,
             _torques(torque, self.pair),
-            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
+            _crank_angles(angles, turns),
             speed,
-            workers=workers or os.cpu_count() or 1,
+            workers=_cores(workers),
             progress=progress,
         )
 
@@ -351,8 +362,8 @@ class Drive(DriveValue):
         return heat(
             self,
             turning,
-            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
-            workers=workers or os.cpu_count() or 1,
+            _crank_angles(angles, turns),
+            workers=_cores(workers),
             progress=progress,
         )
 
@@ -463,8 +474,8 @@ class Drive(DriveValue):
             self,
             stated,
             [] if torque is None else _torques(torque, self.pair),
-            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False),
-            workers=workers or os.cpu_count() or 1,
+            _crank_angles(angles, turns),
+            workers=_cores(workers),
             progress=progress,
         )
 
@@ -578,7 +589,7 @@ class Drive(DriveValue):
         from cycloid_fmu.supports.figures import bearing_loads
 
         loads = _torques(torque, self.pair)
-        crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
+        crank_angle = _crank_angles(angles, turns)
         found = solve(self, loads, crank_angle, with_play=False)
         return bearing_loads(self.pair, found)
 
@@ -630,7 +641,7 @@ class Drive(DriveValue):
         from cycloid_fmu.supports.transmission import LAWS
 
         if crank_angle is None:
-            crank_angle = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
+            crank_angle = _crank_angles(angles)
         known = names_of(self.pair) + (list(LAWS) if self.pair.supports is not None else [])
         names = list(errors) if errors is not None else known
         for name in names:
@@ -733,7 +744,7 @@ class Drive(DriveValue):
         if requirements is not None:
             study = yields.with_requirements(study, _requirements(requirements))
         check_study(study, "pair", "tolerances")
-        return yields.conduct(study, workers=workers or os.cpu_count() or 1, progress=progress)
+        return yields.conduct(study, workers=_cores(workers), progress=progress)
 
     def sweep(
         self,
@@ -797,7 +808,7 @@ class Drive(DriveValue):
 
         speed = _quantity("crank_speed", crank_speed, "rad/s")
         sweep = Sweep(self, vary_of(vary), tuple(_torques(torque, self.pair)), angles, turns, speed)
-        return conduct(sweep, output, workers=workers or os.cpu_count() or 1, progress=progress)
+        return conduct(sweep, output, workers=_cores(workers), progress=progress)
 
     def wear(
         self,
@@ -854,7 +865,7 @@ class Drive(DriveValue):
             loads,
             crank_turns,
             source,
-            workers=workers or os.cpu_count() or 1,
+            workers=_cores(workers),
             progress=progress,
         )
 
@@ -1023,12 +1034,87 @@ class Drive(DriveValue):
                 interface=interface,
                 fmi_version=fmi_version,
                 largest_torque=largest_torque,
-                workers=os.cpu_count() or 1,
+                workers=_cores(),
             )
         else:
             from cycloid_fmu.fmu.build import build_fmu
 
             build_fmu(self, path, interface=interface, fmi_version=fmi_version)
+
+    def joint(
+        self,
+        *,
+        files: Sequence[str | os.PathLike[str]] = (),
+        stated: Mapping[str, Any] | None = None,
+        tolerances: Tolerances | str | os.PathLike[str] | None = None,
+        draws: int | None = None,
+        seed: int = 0,
+        orders: int = 5,
+        angles: int | None = None,
+        series_compliance: float | str = 0.0,
+        motor_speed: float | str = 100.0,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda drives: None,
+    ) -> Joint:
+        """Return the drive as a joint of a robot simulator: play, stiffness, orders, friction, each with its origin.
+
+        Parameters
+        ----------
+        files
+            Files with numbers that replace the drive's own: stated or measured ones (cycloid-joint-figures/1), figures
+            of a loop (`cycloid-fit metrics -o`), friction (cycloid-friction/1, or `cycloid-fit friction -o` as JSON).
+        stated
+            Numbers by dotted name, such as `{"rotor_inertia": "1e-4 kg*m^2"}`, which replace those of the files.
+        tolerances
+            Tolerances, or their file, within which drives are drawn; without them from the covariance of a fit.
+        draws, seed
+            Number of draws, by default 100 where there are tolerances or a fit; and their seed.
+        orders
+            Number of orders of the transmission error, and of the play, that are kept.
+        angles
+            Crank angles over one turn of the output; None for as many as the orders need.
+        series_compliance
+            Compliance in series with the drive, rad/(N·m) or text; 0 for that up to a catalogue's stiffness.
+        motor_speed
+            Speed of the motor at which the efficiencies of `[losses]` are taken, rad/s or text with a unit.
+        workers, progress
+            Number of threads; function called with 1 for each drive that was just solved.
+
+        Returns
+        -------
+        cycloid_fmu.joint.document.Joint
+            The joint; `cycloid_fmu.joint.files.write_files` writes it for a simulator.
+
+        Raises
+        ------
+        edge.InputError
+            If the drive has no rated torque, a file can't be read or a number is out of range.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+        ...     rated_torque="181 N*m",
+        ... )
+        >>> joint = cy.Drive(pair).replace(offset="-20 um").joint(angles=90)
+        >>> round(joint.numbers["play"]["value"] * cy.ARCSEC), joint.numbers["rotor_inertia"]["reason"]
+        (95, 'not stated; a pair file has no motor')
+        """
+        from cycloid_fmu.joint.of_parts import Settings, joint_of
+
+        settings = Settings(
+            tolerances=None if tolerances is None else _tolerances(tolerances),
+            draws=draws,
+            seed=seed,
+            orders=orders,
+            angles=angles,
+            series_compliance=_quantity("series_compliance", series_compliance, "rad/(N*m)"),
+            speed=_quantity("motor_speed", motor_speed, "rad/s"),
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
+        return joint_of(self, files, stated, settings)
 
     def compensator(
         self,
@@ -1123,7 +1209,7 @@ class Drive(DriveValue):
             temperatures=between,
             series_compliance=series_compliance,
             torque_share=torque_share,
-            workers=workers or os.cpu_count() or 1,
+            workers=_cores(workers),
             tolerances=None if tolerances is None else _tolerances(tolerances),
             total=total,
             progress=progress,

@@ -40,7 +40,7 @@ wide = np.linspace(-2.0, 2.0, 1200)
 unloaded = loaded_contacts(problem, wide, NO_LOAD)
 for k in np.unique(unloaded.pin):
     touching = unloaded.angle[unloaded.pin == k]
-    axes[0].plot(wide[touching], unloaded.deviation[touching] * cy.ARCSEC, lw=1.5)
+    axes[0].plot(wide[touching], unloaded.transmission_error[touching] * cy.ARCSEC, lw=1.5)
 axes[0].set(xlabel="crank angle [rad]", ylabel="TE [arcsec]", xlim=(-0.5, 0.5))
 axes[0].set_title("4: unloaded, a colour for each pin that touches")
 for error in drive.analyze([-200.0, -400.0, -800.0], crank_angle=wide).transmission_error:
@@ -92,7 +92,7 @@ for axis in axes:
 figure.savefig("wear_study.png", dpi=150)
 
 touching_first = loaded_contacts(problem, theta, NO_LOAD)
-own = touching_first.deviation * cy.ARCSEC
+own = touching_first.transmission_error * cy.ARCSEC
 free = dataclasses.replace(run.model, law=run.model.law.replace(pins="free"))
 even = progress.wear_rate(free, free.surface).depth.pin.max() * TURNS
 span = np.ptp(loaded.phase)

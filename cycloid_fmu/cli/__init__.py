@@ -13,6 +13,7 @@ app = commands.command_line(
         "draw",
         "surface",
         "build",
+        "joint",
         "inspect",
         "simulate",
         "compare",

@@ -5,7 +5,7 @@ gear, T(α) = R e^{iα} - e e^{i z_p α}: so the gap of a pin is the signed dist
 pin's radius, and its foot on T and on the flank are the same α (docs/theory/contact.md; turned by -90° so that
 tooth 0 begins at +x). A point is a complex number in the comments and a pair (x, y) in the code.
 
-The unknown is x, the output's deviation from the ideal drive: gear angle -θ/z_c + x with the pin ring fixed, or ring
+The unknown is x, the output's transmission error: gear angle -θ/z_c + x with the pin ring fixed, or ring
 angle θ/z_p + x with the gear held. Torque is what the environment puts on the output; force times arm balances it.
 
 Each module is one step, under the headings of that page: the problem (`problem`), where disc, pins and teeth are
@@ -19,7 +19,7 @@ The angle θ of the formulas is `crank_angle`; where a disc's own crank is meant
 
 from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.energy import crank_side, elastic_energy, press
-from cycloid_fmu.contact.equilibrium import behind_compliance, equilibrium
+from cycloid_fmu.contact.equilibrium import behind_compliance, carried, equilibrium
 from cycloid_fmu.contact.hertz import half_width, hertz
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing
 from cycloid_fmu.contact.local_frame import LocalFrame, local_frame
@@ -50,6 +50,7 @@ __all__ = [
     "Problem",
     "Rows",
     "behind_compliance",
+    "carried",
     "compiled",
     "contact_rows",
     "crank_side",

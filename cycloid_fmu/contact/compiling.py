@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, cast, overload
 
 import numpy as np
@@ -22,6 +23,9 @@ from cycloid_fmu.edge.kernels import kept_njit
 Array = NDArray[np.float64]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_ROOMS = [Path(__file__).parents[1] / room for room in ("contact", "supports", "losses")]
+# Of all kernels: numba looks at the file of a function alone, and what it calls lies in others.
+SOURCES = tuple(sorted((s.stat().st_mtime_ns, s.name) for room in _ROOMS for s in room.glob("*.py")))
 
 try:
     if os.environ.get("CYCLOID_PLAIN_NUMBA", "0") not in ("", "0"):
@@ -64,7 +68,7 @@ def compiled_function(function: _Function, inline: bool) -> _Function:
     if config.DISABLE_JIT:
         return function
     if internals is not None:
-        return internals.compiled_function(function, inline)
+        return internals.compiled_function(function, inline, SOURCES)
     return cast(
         _Function, kept_njit(error_model="numpy", nogil=True, forceinline=inline, no_cfunc_wrapper=True)(function)
     )

@@ -6,7 +6,14 @@ import math
 
 from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.equilibrium import behind_compliance, load, rotational_stiffness
-from cycloid_fmu.contact.local_frame import crank_motion, displaced, local_frame
+from cycloid_fmu.contact.local_frame import (
+    crank_motion,
+    gap_gradient,
+    local_frame,
+    output_motion,
+    projected_stiffness,
+    torque_by_shift,
+)
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows
@@ -32,17 +39,18 @@ def crank_side(problem: Problem, crank_angle: float, x: float, contacts: Rows) -
         if force <= 0.0:
             continue
         local = local_frame(problem, crank_angle, x, contacts, row)
-        vx, vy = crank_motion(problem, local)
-        wx, wy = (0.0, 0.0) if problem.ring else (vy, -vx)
-        crank_torque -= force * (vx * local.normal_x + vy * local.normal_y)
-        coupling += displaced(contact, local, vx, vy, wx, wy)
+        along, (u, v) = gap_gradient(local), crank_motion(problem, local)
+        crank_torque -= force * (along.gap[0] * u + along.gap[1] * v)
+        by_position = projected_stiffness(contact, local, along, output_motion(problem, local))
+        by_u, by_v = torque_by_shift(problem, contact, local, by_position)
+        coupling += by_u * u + by_v * v
         stiffness += rotational_stiffness(contact)
     return crank_torque, -coupling / stiffness if stiffness > 0.0 else math.nan
 
 
 @compiled
 def elastic_energy(problem: Problem, crank_angle: float, x: float, contacts: Rows) -> tuple[float, float, float]:
-    """Energy stored in the contacts, with its derivatives, from rows solved at deviation x.
+    """Energy stored in the contacts, with its derivatives, from rows solved at transmission error x.
 
     A contact stores U = ½Fδ - ¼κF² for Hertz's law δ = κF(H - ln F) (κ as in `hertz`), and ∂U/∂κ_c = ½F/k ∂F/∂κ_c by
     the flank's curvature κ_c, which moves with the foot. The torques F L of `equilibrium` and `crank_side` leave the
@@ -62,12 +70,11 @@ def elastic_energy(problem: Problem, crank_angle: float, x: float, contacts: Row
         if force <= 0.0:
             continue
         local = local_frame(problem, crank_angle, x, contacts, row)
-        vx, vy = crank_motion(problem, local)
-        normal = vx * local.normal_x + vy * local.normal_y
-        tangent = vy * local.normal_x - vx * local.normal_y
+        along, (u, v) = gap_gradient(local), crank_motion(problem, local)
         bending = 0.5 * force * contact.force_by_curvature * contact.curvature_rate / contact.stiffness
         energy -= 0.5 * force * contact.gap + 0.25 * kappa * force * force
-        by_angle += bending * tangent * local.foot - force * normal
+        by_angle += bending * local.foot * (along.slide[0] * u + along.slide[1] * v)
+        by_angle -= force * (along.gap[0] * u + along.gap[1] * v)
         by_rotation += bending * contact.foot_rate + force * contact.arm
     return energy, by_angle, by_rotation
 
@@ -76,20 +83,20 @@ def elastic_energy(problem: Problem, crank_angle: float, x: float, contacts: Row
 def press(
     problem: Problem, crank_angle: float, flange: float, compliance: float, x: float, contacts: Rows, cold: bool
 ) -> tuple[float, float, float, float, float]:
-    """Solve the contacts with the flange held at a deviation, behind a compliance in series.
+    """Solve the contacts with the flange held at a transmission error, behind a compliance in series.
 
     Parameters
     ----------
     problem, crank_angle, x, contacts, cold
         As in `equilibrium`.
     flange, compliance
-        Deviation of the flange (rad), compliance between it and the contacts (rad/(N·m), 0 where there is none).
+        Transmission error of the flange (rad), and the compliance between it and the contacts (rad/(N·m), 0 without).
 
     Returns
     -------
     x, stiffness, energy, by_angle, by_rotation
-        Deviation (rad) and stiffness (N·m/rad) of the contacts; stored energy (J), the series compliance's included,
-        and its derivatives by crank and flange (N·m).
+        Transmission error (rad) and stiffness (N·m/rad) of the contacts; stored energy (J), with that of the series
+        compliance, and its derivatives by crank and flange (N·m).
     """
     if compliance == 0.0:
         place(problem, crank_angle, flange, contacts, cold, CLEAR, BOUNDED)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from cycloid_fmu.contact.compiling import Array, compiled
-from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
-from cycloid_fmu.contact.lanes import LANES, on_stack, vectors
+from cycloid_fmu.contact.hertz import APPROACHED, hertz_in_lanes
+from cycloid_fmu.contact.lanes import LANES, Lanes, on_stack, vectors
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, touching_count
@@ -63,7 +63,7 @@ def _press(
 ) -> tuple[float, float]:
     torque = stiffness = 0.0
     touching = touching_count(contacts)
-    group = on_stack(PRESSED)
+    group = on_stack(APPROACHED)
     pins = pin_radius.size
     for first in range(0, touching, LANES):
         filled = min(LANES, touching - first)
@@ -75,12 +75,29 @@ def _press(
         hertz_in_lanes(group, filled, width, compliance_gear, compliance_pin, largest_log_radius, seat_compliance)
         for lane in range(filled):
             contact = contacts[int(contacts[first + lane].touching)]
-            contact.force, contact.stiffness = group.force[lane], group.stiffness[lane]
-            contact.force_by_curvature = group.by_curvature[lane]
+            write_pressed(contact, group, lane)
             if contact.force > 0.0:
                 torque += contact.force * contact.arm
                 stiffness += rotational_stiffness(contact)
     return torque, stiffness
+
+
+@compiled(inline=True)
+def write_pressed(contact: np.record, group: Lanes, lane: int) -> None:
+    """Write what Hertz's law gives of a contact in a lane."""
+    contact.force, contact.stiffness = group.force[lane], group.stiffness[lane]
+    contact.force_by_curvature = group.force_by_curvature[lane]
+
+
+@compiled
+def carried(contacts: Rows) -> float:
+    """Torque that solved contacts carry, N·m: force times arm, summed over the rows."""
+    torque = 0.0
+    for row in range(contacts.shape[0]):
+        contact = contacts[row]
+        if contact.force > 0.0:
+            torque += contact.force * contact.arm
+    return torque
 
 
 @compiled
@@ -95,7 +112,7 @@ def to_touch(contacts: Rows, crank_angle: float, x: float, direction: float) -> 
         gap, arm, rate = contact.gap, contact.arm, contact.arm_rate
         if not gap < math.inf:
             continue
-        since = x - contact.deviation
+        since = x - contact.transmission_error
         gap -= since * (arm + 0.5 * since * rate)
         if contact.crank_angle != crank_angle:
             gap += (crank_angle - contact.crank_angle) * contact.gap_by_crank
@@ -115,7 +132,7 @@ def touched_after(gap: float, arm: float, rate: float) -> float:
 def equilibrium(
     problem: Problem, crank_angle: float, torque: float, x: float, contacts: Rows, cold: bool
 ) -> tuple[float, float]:
-    """Deviation at which the contacts balance a torque (other than zero, where there is play).
+    """Transmission error at which the contacts balance a torque (other than zero, where there is play).
 
     Parameters
     ----------
@@ -126,7 +143,7 @@ def equilibrium(
     torque
         Torque of the environment on the output, N·m.
     x
-        Starting deviation, rad.
+        Starting transmission error, rad.
     contacts
         Contact rows, overwritten with the solution.
     cold
@@ -135,7 +152,7 @@ def equilibrium(
     Returns
     -------
     x, stiffness
-        Deviation (rad) and its torsional stiffness (N·m/rad).
+        Transmission error (rad) and its torsional stiffness (N·m/rad).
     """
     return _balance(problem, crank_angle, torque, 1.0, 0.0, 0.0, x, contacts, cold)
 
@@ -144,7 +161,7 @@ def equilibrium(
 def behind_compliance(
     problem: Problem, crank_angle: float, flange: float, compliance: float, x: float, contacts: Rows, cold: bool
 ) -> tuple[float, float]:
-    """Deviation ξ of the contacts when the flange stands at ξ + c M(ξ); returns ξ and the contacts' stiffness."""
+    """Transmission error ξ of the contacts with the flange at ξ + c M(ξ); returns ξ and the contacts' stiffness."""
     return _balance(problem, crank_angle, 0.0, compliance, flange, 1.0, x, contacts, cold)
 
 
@@ -204,7 +221,7 @@ def _move(teeth: int, ring: bool, step: float, x: float, contacts: Rows) -> None
         follow(contact, step)
         contact.foot += step * contact.foot_rate - conjugate
         contact.place += step * contact.foot_rate
-        contact.deviation = x
+        contact.transmission_error = x
 
 
 @compiled(inline=True)

@@ -9,13 +9,13 @@ from cycloid_fmu.contact.compiling import compiled
 from cycloid_fmu.contact.lanes import Lanes, lanes_of, logarithm, vectors
 
 _FORCE_STEP = 1e-5  # of the force: Halley's last step; the next one would be a fiftieth of its cube, or less
-PRESSED = lanes_of(
+APPROACHED = lanes_of(
     "approach",
     "curvature",
     "pin_radius",
     "force",
     "stiffness",
-    "by_curvature",
+    "force_by_curvature",
     "guess",
     "target",
     "h",
@@ -170,8 +170,8 @@ def hertz_in_lanes(
     Parameters
     ----------
     group
-        `PRESSED`, with each contact's approach, curvature, pin radius and first guess of the force; without an approach
-        all three become 0.
+        `APPROACHED`, with each contact's approach, curvature, pin radius and first guess of the force; without an
+        approach all three become 0.
     """
     lanes = vectors(filled)
     for lane in range(lanes):
@@ -205,11 +205,11 @@ def hertz_in_lanes(
         group.force[lane] = force if pressed else 0.0
         softness = 1.0 / (q - 1.0)
         group.stiffness[lane] = softness / kappa if pressed else 0.0
-        group.by_curvature[lane] = -group.force[lane] * group.bending[lane] * softness
+        group.force_by_curvature[lane] = -group.force[lane] * group.bending[lane] * softness
     if bent > 0:
         for lane in range(lanes):
             if (group.approach[lane] > 0.0) & (group.q[lane] < 3.0 + series):
-                group.force[lane], group.stiffness[lane], group.by_curvature[lane] = hertz(
+                group.force[lane], group.stiffness[lane], group.force_by_curvature[lane] = hertz(
                     group.approach[lane],
                     group.curvature[lane],
                     group.pin_radius[lane],

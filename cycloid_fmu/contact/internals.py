@@ -10,7 +10,6 @@ import contextlib
 import functools
 import gc
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from filelock import FileLock, Timeout
@@ -42,13 +41,14 @@ from cycloid_fmu.edge.kernels import kept_njit
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _LONGEST_TURN = 60.0  # s: of another process, until a kernel is compiled here as well
-_ROOMS = [Path(__file__).parents[1] / room for room in ("contact", "supports", "losses")]
-_SOURCES = tuple(sorted((s.stat().st_mtime_ns, s.name) for room in _ROOMS for s in room.glob("*.py")))
+_Sources = tuple[tuple[int, str], ...]
 
 
-def compiled_function(function: _Function, inline: bool) -> _Function:
-    """Compile a kernel for Python's calls, kept on disk, and for other kernels as a part of them."""
-    entry = functools.cache(lambda: _entry(function))  # at the first call: most kernels are called by others alone
+def compiled_function(function: _Function, inline: bool, sources: _Sources) -> _Function:
+    """Compile a kernel for Python's calls, kept on disk for these sources, and for other kernels as a part of them."""
+    entry = functools.cache(
+        lambda: _entry(function, sources)
+    )  # at the first call: most kernels are called by others alone
     options = {"error_model": "numpy", "forceinline": inline, "pipeline_class": _PartCompiler, "_nrt": False}
     part = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
 
@@ -62,10 +62,10 @@ def compiled_function(function: _Function, inline: bool) -> _Function:
     return cast(_Function, called)
 
 
-def _entry(function: Callable[..., Any]) -> Any:
+def _entry(function: Callable[..., Any], sources: _Sources) -> Any:
     kernel = kept_njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
     if kernel._cache.cache_path is not None:
-        _Compilation(kernel)
+        _Compilation(kernel, sources)
     return kernel
 
 
@@ -79,13 +79,20 @@ class _Compilation:
 
     _waits = True  # for other processes, of all kernels
 
-    def __init__(self, kernel: Any) -> None:
+    def __init__(self, kernel: Any, sources: _Sources) -> None:
         cache = kernel._cache
         self._compile, self._cache = kernel.compile, cache
         self._turn: FileLock | None = None
-        # numba looks at the file of the kernel alone; what it calls lies in others.
-        cache._cache_file._source_stamp = (*cache._cache_file._source_stamp, _SOURCES)
+        cache._cache_file._source_stamp = (*cache._cache_file._source_stamp, sources)
+        self._index, cache._cache_file._load_index = cache._cache_file._load_index, self._known
         cache.load_overload, kernel.compile = self._load, self.compile
+
+    def _known(self) -> Any:
+        """Return what is on disk; nothing where it is of an earlier version, with types that are gone since."""
+        try:
+            return self._index()
+        except (AttributeError, ImportError):
+            return {}
 
     def compile(self, signature: Any) -> Any:
         """Take the kernel from its file or compile it."""

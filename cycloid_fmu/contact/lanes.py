@@ -13,7 +13,7 @@ import math
 from typing import Any, cast
 
 import numpy as np
-from numba.core import cgutils, config, types
+from numba import config, types
 from numba.extending import intrinsic
 
 from cycloid_fmu.contact.compiling import compiled
@@ -56,7 +56,10 @@ def _on_stack(typing: Any, dtype: Any) -> Any:
         with builder.goto_entry_block():
             memory = builder.alloca(context.get_data_type(signature.return_type))
             memory.align = 64
-            cgutils.memset(builder, memory, context.get_constant(types.intp, size), 0)
+            byte, length = context.get_value_type(types.uint8), context.get_constant(types.intp, size)
+            fill = builder.module.declare_intrinsic("llvm.memset", (byte.as_pointer(), length.type))
+            start = builder.bitcast(memory, byte.as_pointer())
+            builder.call(fill, [start, byte(0), length, context.get_constant(types.boolean, False)])
         return memory
 
     return dtype.dtype(dtype), lower

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.transmission import carried, check_balance
+from cycloid_fmu.contact.transmission import check_balance
 
 Array = NDArray[np.float64]
 
@@ -19,8 +19,8 @@ class LoadedContacts:
 
     Attributes
     ----------
-    crank_angle, deviation
-        Shape (angles,): rad, and the output's deviation, the loaded transmission error, rad.
+    crank_angle, transmission_error
+        Shape (angles,): rad, and the transmission error under load, rad.
     angle, disc, slice_, pin, tooth
         Indices: crank angle, disc, slice, pin, and the tooth touched.
     phase
@@ -40,7 +40,7 @@ class LoadedContacts:
     """
 
     crank_angle: Array
-    deviation: Array
+    transmission_error: Array
     angle: NDArray[np.int64]
     disc: NDArray[np.int64]
     slice_: NDArray[np.int64]
@@ -83,20 +83,20 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     """
     if torque == 0.0:
         raise ValueError("torque = 0: without load no contact carries any; it must not be zero")
-    deviation = np.empty(crank_angle.size)
+    transmission_error = np.empty(crank_angle.size)
     table = np.empty((crank_angle.size, contact.contact_rows(drive).size), contact.ROW)
-    contact.sweep_contacts(drive, crank_angle, torque, deviation, table)
-    check_balance(torque, carried(table))
+    contact.sweep_contacts(drive, crank_angle, torque, transmission_error, table)
+    check_balance(torque, np.array([contact.carried(rows) for rows in table]))
     angle, row = np.nonzero(table["force"] > 0.0)
-    held = table[angle, row]
+    loaded = table[angle, row]
     pins, teeth = drive.teeth + 1, drive.teeth
     disc, slice_, pin = np.unravel_index(row // 2, (drive.crank_phase.size, drive.centre_x.size, pins))
-    theta, x = crank_angle[angle], deviation[angle]
-    crank = theta + drive.crank_phase[disc]
-    ring = theta / pins + x if drive.ring else np.zeros(theta.size)
+    angle_of_crank, x = crank_angle[angle], transmission_error[angle]
+    crank = angle_of_crank + drive.crank_phase[disc]
+    ring = angle_of_crank / pins + x if drive.ring else np.zeros(x.size)
     gear = -drive.crank_phase[disc] / teeth if drive.ring else x - crank / teeth
     pitch = 2.0 * np.pi / teeth
-    alpha = held["place"]
+    alpha = loaded["place"]
     tooth = np.floor(alpha / pitch).astype(np.int64)
     place, tooth = alpha - tooth * pitch, tooth % teeth
     # Flank and normal in the gear's frame: a curve parallel to the generating path (docs/theory/contact.md).
@@ -104,17 +104,17 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
     normal = np.exp(1j * alpha) * (1.0 - wave * pins / drive.circle_radius)
     normal /= np.abs(normal)
     flank = (drive.circle_radius - wave) * np.exp(1j * alpha) - drive.generating_radius * normal
-    turned = np.exp(1j * (gear + drive.tooth_turn[disc, tooth]))
+    turn = np.exp(1j * (gear + drive.tooth_turn[disc, tooth]))
     axis = (drive.pin_x + 1j * drive.pin_y)[pin] * np.exp(1j * ring)
     centre = drive.eccentricity * np.exp(1j * crank) + (drive.centre_x + 1j * drive.centre_y)[slice_]
     inwards = -np.exp(1j * (2.0 * np.pi * pin / pins + ring))
-    force, both = held["force"], drive.compliance_gear + drive.compliance_pin
-    radius = 1.0 / np.maximum(np.abs(1.0 / drive.pin_radius[pin] + held["curvature"]), 1e-9)
-    half = np.sqrt(4.0 * force * radius * both / (np.pi * drive.slice_width))
+    force, compliance = loaded["force"], drive.compliance_gear + drive.compliance_pin
+    radius = 1.0 / np.maximum(np.abs(1.0 / drive.pin_radius[pin] + loaded["curvature"]), 1e-9)
+    half = np.sqrt(4.0 * force * radius * compliance / (np.pi * drive.slice_width))
     phase = 2.0 * np.pi * pin / pins + ring - crank
     return LoadedContacts(
         crank_angle,
-        deviation,
+        transmission_error,
         angle,
         disc,
         slice_,
@@ -122,21 +122,21 @@ def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -
         tooth,
         (phase + np.pi) % (2.0 * np.pi) - np.pi,
         place,
-        np.angle((flank * turned - axis + centre) / inwards),
+        np.angle((flank * turn - axis + centre) / inwards),
         force,
-        held["arm"],
-        -held["gap"],
+        loaded["arm"],
+        -loaded["gap"],
         half,
         2.0 * force / (np.pi * half * drive.slice_width),
         radius,
         axis - centre,
-        normal * turned,
-        held["curvature"],
+        normal * turn,
+        loaded["curvature"],
     )
 
 
 def contact_ratio(contacts: LoadedContacts) -> float:
     """Mean number of pins of disc 0 in contact, 1: the length of a pin's mesh under load over the pin pitch."""
-    mine = contacts.disc == 0
-    pairs = np.unique(np.stack([contacts.angle[mine], contacts.pin[mine]]), axis=1)
+    first = contacts.disc == 0
+    pairs = np.unique(np.stack([contacts.angle[first], contacts.pin[first]]), axis=1)
     return float(pairs.shape[1]) / contacts.crank_angle.size

@@ -1,4 +1,4 @@
-"""A contact seen from the housing: how its torque changes where the pin's axis is displaced."""
+"""A contact seen from the housing, and how its force changes with the position of the gear."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cycloid_fmu.contact.rows import Rows, disc_slice_pin
 
 
 class LocalFrame(NamedTuple):
-    """One contact seen from the housing: what turns a displacement of the pin's axis into changes of gap and arm."""
+    """One contact seen from the housing: directions, levers and curvatures at its foot."""
 
     disc: int
     slice: int
@@ -40,105 +40,36 @@ class LocalFrame(NamedTuple):
     turning: float  # rotation of the normal against the foot's radius for each metre of slide
 
 
-class FlankFrame(NamedTuple):
-    """The part of a `LocalFrame` that follows from foot and axis, its fields named as there; for contacts in lanes."""
-
-    normal_x: float
-    normal_y: float
-    slide: float
-    bend: float
-    speed: float
-    foot: float
-    facing: float
-    leaning: float
-    turning: float
-
-
-@compiled(inline=True)
-def flank_frame(
-    problem: Problem, alpha: float, angle: float, lever_x: float, lever_y: float, distance: float
-) -> FlankFrame:
-    """Frame of a contact.
-
-    Parameters
-    ----------
-    alpha, angle
-        The foot's parameter around the gear and its radius' direction in the housing, rad.
-    lever_x, lever_y
-        As in `LocalFrame`, m.
-    distance
-        Of the pin's axis from the generating path, > 0 outside, m.
-    """
-    s, c = sine_cosine(problem.teeth * alpha)
-    ez = problem.generating_eccentricity * (problem.teeth + 1)
-    bx, by = problem.circle_radius - ez * c, -ez * s
-    speed = math.sqrt(bx * bx + by * by)
-    facing, leaning = bx / speed, by / speed
-    sa, ca = sine_cosine(angle)
-    nx, ny = ca * facing - sa * leaning, sa * facing + ca * leaning
-    kappa = path_curvature(problem.circle_radius, problem.generating_eccentricity, problem.teeth, bx, speed)
-    stretch = 1.0 + kappa * distance
-    slide = (1.0 if problem.ring else -1.0) * (lever_x * nx + lever_y * ny)
-    return FlankFrame(
-        nx, ny, slide, kappa / stretch, speed, 1.0 / (speed * stretch), facing, leaning, (kappa - 1.0 / speed) / stretch
-    )
-
-
-@compiled(inline=True)
-def levers(
-    problem: Problem,
-    pin_x: float,
-    pin_y: float,
-    sr: float,
-    cr: float,
-    sc: float,
-    cc: float,
-    centre_x: float,
-    centre_y: float,
-) -> tuple[float, float, float, float]:
-    """Lever and place from the gear's centre of a pin's axis, as in `LocalFrame`.
-
-    Parameters
-    ----------
-    pin_x, pin_y
-        The axis in the ring's frame, m.
-    sr, cr, sc, cc
-        Sine and cosine of the ring's rotation and of the crank's angle.
-    centre_x, centre_y
-        Displacement of the gear's centre, m.
-    """
-    axis_x, axis_y = pin_x * cr - pin_y * sr, pin_x * sr + pin_y * cr
-    gear_x = axis_x - problem.eccentricity * cc - centre_x
-    gear_y = axis_y - problem.eccentricity * sc - centre_y
-    lever_x, lever_y = (axis_x, axis_y) if problem.ring else (gear_x, gear_y)
-    return lever_x, lever_y, gear_x, gear_y
-
-
 @compiled
 def local_frame(problem: Problem, crank_angle: float, x: float, contacts: Rows, row: int) -> LocalFrame:
-    """Local frame of a row that was solved at crank angle θ and deviation x."""
+    """Local frame of a row that was solved at crank angle θ and transmission error x."""
     disc, slice_, pin = disc_slice_pin(problem, row)
     crank, ring, gear = poses(problem, crank_angle, x, disc)
     place = pin * 2.0 * math.pi / (problem.teeth + 1)
     alpha = place + (crank - ring) / problem.teeth + contacts[row].foot
-    tooth = math.floor(alpha * problem.teeth / (2.0 * math.pi)) % problem.teeth
+    whole = np.floor(alpha * problem.teeth / (2.0 * math.pi))
+    tooth = int(whole - problem.teeth * np.floor(whole / problem.teeth))
+    # The pin's axis from the ring's centre and from the gear's.
     sr, cr = 0.0, 1.0
     if problem.ring:
         sr, cr = sine_cosine(ring)
     sc, cc = sine_cosine(crank)
-    lx, ly, gx, gy = levers(
-        problem,
-        problem.pin_x[pin],
-        problem.pin_y[pin],
-        sr,
-        cr,
-        sc,
-        cc,
-        problem.centre_x[slice_] + problem.shift_x[disc],
-        problem.centre_y[slice_] + problem.shift_y[disc],
-    )
-    distance = contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius
-    seen = flank_frame(problem, alpha, alpha + gear + problem.tooth_turn[disc, tooth], lx, ly, distance)
+    axis_x = problem.pin_x[pin] * cr - problem.pin_y[pin] * sr
+    axis_y = problem.pin_x[pin] * sr + problem.pin_y[pin] * cr
+    gear_x = axis_x - problem.eccentricity * cc - problem.centre_x[slice_] - problem.shift_x[disc]
+    gear_y = axis_y - problem.eccentricity * sc - problem.centre_y[slice_] - problem.shift_y[disc]
+    lever_x, lever_y = (axis_x, axis_y) if problem.ring else (gear_x, gear_y)
+    # The path at the foot, and the normal in the housing's frame.
+    s, c = sine_cosine(problem.teeth * alpha)
+    ez = problem.generating_eccentricity * (problem.teeth + 1)
+    bx, by = problem.circle_radius - ez * c, -ez * s
+    speed = math.sqrt(bx * bx + by * by)
+    per_speed = 1.0 / speed
+    facing, leaning = bx * per_speed, by * per_speed
+    sa, ca = sine_cosine(alpha + gear + problem.tooth_turn[disc, tooth])
+    nx, ny = ca * facing - sa * leaning, sa * facing + ca * leaning
+    kappa = path_curvature(problem.circle_radius, problem.generating_eccentricity, problem.teeth, bx, speed)
+    per_stretch = 1.0 / (1.0 + kappa * (contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius))
     return LocalFrame(
         disc,
         slice_,
@@ -148,119 +79,120 @@ def local_frame(problem: Problem, crank_angle: float, x: float, contacts: Rows, 
         place + ring,
         cc,
         sc,
-        seen.normal_x,
-        seen.normal_y,
-        lx,
-        ly,
-        gx,
-        gy,
-        seen.slide,
-        seen.bend,
-        seen.speed,
-        seen.foot,
-        seen.facing,
-        seen.leaning,
-        seen.turning,
+        nx,
+        ny,
+        lever_x,
+        lever_y,
+        gear_x,
+        gear_y,
+        slide=(1.0 if problem.ring else -1.0) * (lever_x * nx + lever_y * ny),
+        bend=kappa * per_stretch,
+        speed=speed,
+        foot=per_speed * per_stretch,
+        facing=facing,
+        leaning=leaning,
+        turning=(kappa - per_speed) * per_stretch,
     )
-
-
-class Carrying(NamedTuple):
-    """Fields of a contact row that say how its torque changes; for contacts in lanes."""
-
-    force: float
-    stiffness: float
-    force_by_curvature: float
-    curvature_rate: float
-    arm: float
-
-
-@compiled(inline=True)
-def displaced(
-    contact: np.record | Carrying, local: LocalFrame | FlankFrame, vx: float, vy: float, wx: float, wy: float
-) -> float:
-    """Change of the contact's torque when its pin's axis moves by v relative to the gear.
-
-    w is v's own change with the output's rotation. The torque is F L, so its change is dF L + F dL, with
-    dL = -(n·w + (t·P_x)(t·v) κ/(1 + κ s)).
-    """
-    normal = vx * local.normal_x + vy * local.normal_y
-    tangent = vy * local.normal_x - vx * local.normal_y
-    turned = wx * local.normal_x + wy * local.normal_y
-    mixed = turned + local.slide * tangent * local.bend
-    curved = contact.force_by_curvature * contact.curvature_rate * tangent * local.foot
-    return float((curved - contact.stiffness * normal) * contact.arm - contact.force * mixed)
 
 
 @compiled
 def crank_motion(problem: Problem, local: LocalFrame) -> tuple[float, float]:
-    """Motion of the pin's axis relative to the gear for each radian of the crank, m.
+    """Motion of the gear's centre for each radian of the crank, m."""
+    return -problem.eccentricity * local.crank_y, problem.eccentricity * local.crank_x
 
-    The gear's centre moves by e i e^{iθ}, so the pin's axis by the opposite of it.
-    """
-    return problem.eccentricity * local.crank_y, -problem.eccentricity * local.crank_x
+
+Vector = tuple[float, float, float]
+"""Along the shift (u, v) of the gear's centre, m, and the gear's rotation y, rad."""
 
 
 class GapGradient(NamedTuple):
     """Derivatives of a contact's gap, and of the sliding of the pin's axis along the flank, by the gear's position.
 
-    The position is the shift (u, v) of the gear's centre, m, and the gear's rotation y, rad; sliding is positive along
-    ẑ × n, counter-clockwise.
+    Sliding is positive along ẑ × n, counter-clockwise; both are 1 for the shift and m for the rotation.
     """
 
-    gap_u: float  # 1
-    gap_v: float
-    gap_y: float  # m
-    slide_u: float
-    slide_v: float
-    slide_y: float
+    gap: Vector
+    slide: Vector
 
 
 @compiled
 def gap_gradient(local: LocalFrame) -> GapGradient:
     """Derivatives of a contact's gap and sliding by the position of the gear."""
     nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
-    return GapGradient(-nx, -ny, nx * py - ny * px, ny, -nx, -(nx * px + ny * py))
-
-
-class ContactStiffness(NamedTuple):
-    """Derivatives of -F ∂g/∂(u, v, y), the forces and moment that hold the gear against one contact, by (u, v, y).
-
-    The first letter is that of the force, the second that of the position; N/m, N and N·m.
-    """
-
-    uu: float
-    uv: float
-    uy: float
-    vu: float
-    vv: float
-    vy: float
-    yu: float
-    yv: float
-    yy: float
+    return GapGradient((-nx, -ny, nx * py - ny * px), (ny, -nx, -(nx * px + ny * py)))
 
 
 @compiled
-def contact_stiffness(contact: np.record, local: LocalFrame, at: GapGradient) -> ContactStiffness:
-    """Stiffness of one contact against shift and rotation of the gear.
-
-    The force grows by the approach, turns with the normal as the axis slides over the bent flank, and changes with the
-    flank's curvature at the foot; the rotation turns the lever of the pin's axis as well.
-    """
-    force, k = contact.force, contact.stiffness
-    bent = force * local.bend
+def force_fall(contact: np.record, local: LocalFrame, along: GapGradient) -> Vector:
+    """Fall of a contact's force with the gear's position, by the approach and by the flank's curvature at the foot."""
     curved = contact.force_by_curvature * contact.curvature_rate * local.foot
-    # What the gap's derivatives by u, v and y change the force by, N/m and N.
-    fu = k * at.gap_u - curved * at.slide_u
-    fv = k * at.gap_v - curved * at.slide_v
-    fy = k * at.gap_y - curved * at.slide_y
-    return ContactStiffness(
-        fu * at.gap_u - bent * at.slide_u * at.slide_u,
-        fv * at.gap_u - bent * at.slide_u * at.slide_v,
-        fy * at.gap_u - bent * at.slide_u * at.slide_y - force * at.slide_u,
-        fu * at.gap_v - bent * at.slide_v * at.slide_u,
-        fv * at.gap_v - bent * at.slide_v * at.slide_v,
-        fy * at.gap_v - bent * at.slide_v * at.slide_y - force * at.slide_v,
-        fu * at.gap_y - bent * at.slide_y * at.slide_u - force * at.slide_u,
-        fv * at.gap_y - bent * at.slide_y * at.slide_v - force * at.slide_v,
-        fy * at.gap_y - bent * at.slide_y * at.slide_y - force * at.slide_y,
+    gap, slide, k = along.gap, along.slide, contact.stiffness
+    return k * gap[0] - curved * slide[0], k * gap[1] - curved * slide[1], k * gap[2] - curved * slide[2]
+
+
+Stiffness = tuple[Vector, Vector, Vector]
+"""Derivatives of the forces and the moment that hold the gear against a contact, one row for each, by (u, v, y)."""
+
+
+@compiled
+def turning_stiffness(force: float, local: LocalFrame, along: GapGradient) -> Stiffness:
+    """Stiffness of a force (N) that turns with the contact's normal, and whose lever turns with the gear."""
+    bent, (su, sv, sy) = force * local.bend, along.slide
+    tu, tv, ty = -bent * su, -bent * sv, -bent * sy - force
+    return (
+        (tu * su, tv * su, ty * su),
+        (tu * sv, tv * sv, ty * sv),
+        (tu * sy - force * su, tv * sy - force * sv, ty * sy),
     )
+
+
+@compiled
+def contact_stiffness(contact: np.record, local: LocalFrame, along: GapGradient) -> Stiffness:
+    """Stiffness of one contact against shift and rotation of the gear: of -F ∂g/∂(u, v, y); N/m, N and N·m."""
+    fu, fv, fy = force_fall(contact, local, along)
+    gu, gv, gy = along.gap
+    tu, tv, ty = turning_stiffness(contact.force, local, along)
+    return (
+        (fu * gu + tu[0], fv * gu + tu[1], fy * gu + tu[2]),
+        (fu * gv + tv[0], fv * gv + tv[1], fy * gv + tv[2]),
+        (fu * gy + ty[0], fv * gy + ty[1], fy * gy + ty[2]),
+    )
+
+
+@compiled
+def projection(weights: Vector, along: Vector) -> float:
+    """Sum of the products of two vectors."""
+    return weights[0] * along[0] + weights[1] * along[1] + weights[2] * along[2]
+
+
+@compiled
+def projected_stiffness(contact: np.record, local: LocalFrame, along: GapGradient, weights: Vector) -> Vector:
+    """Weighted sum of the rows of `contact_stiffness`: how a combination of the forces changes with the position."""
+    fu, fv, fy = force_fall(contact, local, along)
+    closing, sliding = projection(weights, along.gap), projection(weights, along.slide)
+    (su, sv, sy), turned = along.slide, local.bend * sliding + weights[2]
+    force = contact.force
+    return (
+        fu * closing - force * su * turned,
+        fv * closing - force * sv * turned,
+        fy * closing - force * (sy * local.bend + 1.0) * sliding,
+    )
+
+
+@compiled
+def output_motion(problem: Problem, local: LocalFrame) -> Vector:
+    """Motion of the gear against the pins for each radian of the output: its rotation, or the ring's backwards."""
+    if problem.ring:
+        return local.lever_y - local.gear_y, local.gear_x - local.lever_x, -1.0
+    return 0.0, 0.0, 1.0
+
+
+@compiled
+def torque_by_shift(problem: Problem, contact: np.record, local: LocalFrame, along: Vector) -> tuple[float, float]:
+    """Change of the contact's torque on the output where the gear's centre is shifted.
+
+    `along` is its stiffness projected on `output_motion`. A ring turns about its own centre, from which the gear's
+    shift moves what the torque is about.
+    """
+    lever = contact.force if problem.ring else 0.0
+    return along[0] - lever * local.normal_y, along[1] + lever * local.normal_x

@@ -1,4 +1,4 @@
-"""Every pin's contact at a crank angle θ and a deviation x of the output."""
+"""Every pin's contact at a crank angle θ and a transmission error x."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ PLACED = lanes_of(
 def place(
     problem: Problem, crank_angle: float, x: float, contacts: Rows, cold: bool, clear: float, bounded: float
 ) -> None:
-    """Solve the contact of every pin at a crank angle and a deviation x, into `contacts`.
+    """Solve the contact of every pin at a crank angle and a transmission error x, into `contacts`.
 
     The steps have the headings of docs/theory/contact.md: pins that stay clear are left; the others are placed by the
     foot of their axis and what it gives, side by side (`feet_in_lanes`) or alone, where there may be two teeth at a
@@ -118,8 +118,8 @@ def place(
                 if row >= end:
                     continue
             contacts[first].nearest = 0.0
-            few = slices >= 8 and not rough and not (follows and contacts[first].crank_angle == crank_angle)
-            if few:
+            interpolates = slices >= 8 and not rough and not (follows and contacts[first].crank_angle == crank_angle)
+            if interpolates:
                 _solve_group(problem, flank, crank_angle, x, contacts, group)
                 listed = group.listed
                 for fifth in range(5):
@@ -180,7 +180,9 @@ def _place_pin(
         _solve_alone(problem, crank_angle, x, contacts, row, cold, group)
         return
     contact, lane = contacts[row], group.filled
-    start = conjugate_point(pose, problem.teeth, pin) + contact.foot + contact.foot_rate * (x - contact.deviation)
+    start = (
+        conjugate_point(pose, problem.teeth, pin) + contact.foot + contact.foot_rate * (x - contact.transmission_error)
+    )
     group.row[lane] = row
     group.start[lane] = start + contact.foot_by_crank * (crank_angle - contact.crank_angle)
     axis = pin_axis(pose, problem.pin_x[pin], problem.pin_y[pin], problem.centre_x[slice_], problem.centre_y[slice_])
@@ -283,13 +285,13 @@ def feet_in_lanes(group: Lanes, eccentricity: float, teeth: int, ring: bool) -> 
         speed = math.sqrt(state.path_x * state.path_x + state.path_y * state.path_y)
         distance = (state.apart_x * state.path_x + state.apart_y * state.path_y) / speed
         converged = (state.slope < 0.0) & (abs(state.value) * speed < -_FEET_STEP * state.slope)
-        begun = (tooth.lower <= start) & (start <= tooth.upper)
-        followed = (abs(alpha - start) < _NEIGHBOUR * pitch) & (tooth.lower <= alpha) & (alpha <= tooth.upper)
+        inside = (tooth.lower <= start) & (start <= tooth.upper)
+        near_start = (abs(alpha - start) < _NEIGHBOUR * pitch) & (tooth.lower <= alpha) & (alpha <= tooth.upper)
         # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the foot is
         # so close to the root that the step between the two teeth decides.
         beyond_step = abs(alpha - tooth.root) > group.root_margin[lane]
         single = (not tooth.near) | ((distance < group.root_radius[lane]) & beyond_step)
-        group.alone[lane] = group.alone[lane] if converged & begun & followed & single else 1.0
+        group.alone[lane] = group.alone[lane] if converged & inside & near_start & single else 1.0
         alpha = min(max(alpha, group.number[lane] * pitch + _END), (group.number[lane] + 1.0) * pitch - _END)
         offset = Offset(group.offset_x[lane], group.offset_y[lane], group.crank_x[lane], group.crank_y[lane])
         solved = contact_at(flank, offset, group.pin_radius[lane], alpha - group.conjugate_point[lane], alpha, state)
@@ -297,6 +299,23 @@ def feet_in_lanes(group: Lanes, eccentricity: float, teeth: int, ring: bool) -> 
         group.gap[lane], group.arm[lane], group.arm_rate[lane] = solved.gap, solved.arm, solved.arm_rate
         group.curvature[lane], group.curvature_rate[lane] = solved.curvature, solved.curvature_rate
         group.gap_by_crank[lane], group.foot_by_crank[lane] = solved.gap_by_crank, solved.foot_by_crank
+
+
+@compiled(inline=True)
+def solved_in(group: Lanes, lane: int) -> Contact:
+    """Return what the foot in a lane gives."""
+    return Contact(
+        group.foot[lane],
+        group.place[lane],
+        group.foot_rate[lane],
+        group.gap[lane],
+        group.arm[lane],
+        group.arm_rate[lane],
+        group.curvature[lane],
+        group.curvature_rate[lane],
+        group.gap_by_crank[lane],
+        group.foot_by_crank[lane],
+    )
 
 
 @compiled
@@ -319,20 +338,9 @@ def _solve_in_lanes(
             continue
         row = int(group.row[lane])
         contact, across = contacts[row], contacts[row + 1]
-        solved = Contact(
-            group.foot[lane],
-            group.place[lane],
-            group.foot_rate[lane],
-            group.gap[lane],
-            group.arm[lane],
-            group.arm_rate[lane],
-            group.curvature[lane],
-            group.curvature_rate[lane],
-            group.gap_by_crank[lane],
-            group.foot_by_crank[lane],
-        )
+        solved = solved_in(group, lane)
         write_contact(contact, solved, crank_angle, x)
-        across.crank_angle, across.deviation, across.gap, across.foot = crank_angle, x, math.inf, math.nan
+        across.crank_angle, across.transmission_error, across.gap, across.foot = crank_angle, x, math.inf, math.nan
         _list_touching(contacts, row, raised, group)
         contact.bounded_for = 0.0
         if solved.gap - raised > CLEAR:
@@ -399,7 +407,7 @@ def _solve_alone(
     offset = Offset(axis.centre_x, axis.centre_y, pose.crank_x, pose.crank_y)
     contact, across = contacts[row], contacts[row + 1]
     qx, qy = on_tooth(axis.x, axis.y, tooth.turn)
-    start = conjugate + contact.foot + contact.foot_rate * (x - contact.deviation)
+    start = conjugate + contact.foot + contact.foot_rate * (x - contact.transmission_error)
     start += contact.foot_by_crank * (crank_angle - contact.crank_angle)
     if cold or not tooth.lower <= start <= tooth.upper:
         # Near a root the way downhill from the conjugate point may miss the contact farther in.
@@ -407,7 +415,7 @@ def _solve_alone(
     has_foot, alpha, state = foot(qx, qy, start, tooth.lower, tooth.upper, R, e, teeth)
     distance = math.inf
     start_beyond = conjugate + across.foot
-    contact.deviation = across.deviation = x
+    contact.transmission_error = across.transmission_error = x
     contact.crank_angle = across.crank_angle = crank_angle
     contact.gap = across.gap = math.inf
     contact.foot = across.foot = math.nan
@@ -498,7 +506,7 @@ def _stays_clear(
 ) -> bool:
     """Whether a pin whose gap was solved elsewhere is certainly farther than `clear` from both teeth."""
     contact, across = contacts[row], contacts[row + 1]
-    since, turned = abs(crank_angle - contact.crank_angle), abs(x - contact.deviation)
+    since, turned = abs(crank_angle - contact.crank_angle), abs(x - contact.transmission_error)
     if since > contact.bounded_for or turned > _TURNED:
         return False
     # From where a row is, `to_touch` predicts it to second order: beside an edge that may err far more than the bound.
@@ -545,7 +553,7 @@ def _interpolated(contacts: Rows, first: int, stride: int, slices: int, crank_an
         contact.curvature_rate = wa * a.curvature_rate + wb * b.curvature_rate + wc * c.curvature_rate
         contact.gap_by_crank = wa * a.gap_by_crank + wb * b.gap_by_crank + wc * c.gap_by_crank
         contact.foot_by_crank = wa * a.foot_by_crank + wb * b.foot_by_crank + wc * c.foot_by_crank
-        contact.deviation = across.deviation = x
+        contact.transmission_error = across.transmission_error = x
         contact.crank_angle = across.crank_angle = crank_angle
         across.gap, across.foot = math.inf, math.nan
         contact.force = contact.stiffness = across.force = across.stiffness = 0.0

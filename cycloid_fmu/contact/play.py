@@ -38,12 +38,12 @@ def play(problem: Problem, crank_angle: float, x: float, contacts: Rows, cold: b
     problem, crank_angle, contacts, cold
         As in `equilibrium`.
     x
-        Starting deviation, rad.
+        Starting transmission error, rad.
 
     Returns
     -------
     low, high, interference
-        Deviations (rad) between which the output is free, and the interference (m, ≥ 0). Below `TOUCHING` of
+        Transmission errors (rad) between which the output is free, and the interference (m, ≥ 0). Below `TOUCHING` of
         interference both ends are the same; where there is no free position they are NaN.
     """
     lowest, highest = -math.inf, math.inf
@@ -130,5 +130,5 @@ def touch_rate(problem: Problem, crank_angle: float, x: float, contacts: Rows, d
     if touching < 0:
         return math.nan
     local = local_frame(problem, crank_angle, x, contacts, touching)
-    vx, vy = crank_motion(problem, local)
-    return (vx * local.normal_x + vy * local.normal_y) / contacts[touching].arm
+    u, v = crank_motion(problem, local)
+    return -(u * local.normal_x + v * local.normal_y) / contacts[touching].arm

@@ -64,7 +64,7 @@ class Tooth(NamedTuple):
 
 @compiled(inline=True)
 def disc_pose(problem: Problem, eccentricity: float, crank_angle: float, x: float, disc: int) -> DiscPose:
-    """Where a disc and the pin ring are at a crank angle and deviation x, on a crank of an eccentricity (m)."""
+    """Where a disc and the pin ring are at a crank angle and transmission error, on a crank of an eccentricity (m)."""
     crank, ring, gear = poses(problem, crank_angle, x, disc)
     s, c = sine_cosine(gear)
     ring_sine, ring_cosine = sine_cosine(ring - gear)

@@ -131,7 +131,7 @@ class Drives(NamedTuple):
 
 @compiled(inline=True)
 def poses(problem: Problem, crank_angle: float, x: float, disc: int) -> tuple[float, float, float]:
-    """Crank angle of a disc and the rotations of ring and gear, at disc 0's crank angle θ and deviation x, rad."""
+    """Crank angle of a disc and rotations of ring and gear, at disc 0's crank angle and transmission error x, rad."""
     phase = problem.crank_phase[disc]
     if problem.ring:
         return crank_angle + phase, crank_angle / (problem.teeth + 1) + x, -phase / problem.teeth

@@ -7,7 +7,7 @@ are ordered by disc, slice and pin (`disc_slice_pin`). A kernel takes `contacts[
 Field              Unit  Meaning
 ================== ===== ==========================================================================================
 foot               rad   foot of the pin's axis on the nominal flank, from the conjugate point; NaN without contact
-foot_rate          1     its derivative by the deviation x
+foot_rate          1     its derivative by the transmission error x
 gap                m     distance of pin and flank, < 0 where they are pressed together; infinite without contact
 arm                m     -∂gap/∂x; force times arm is torque on the output
 arm_rate           m/rad the arm's derivative by x
@@ -16,7 +16,7 @@ curvature_rate     1/m   its derivative by the profile parameter, for each radia
 force              N     Hertz's force; 0 where the row carries none
 stiffness          N/m   its derivative by the approach
 force_by_curvature N·m   its derivative by the flank's curvature
-deviation          rad   x at which the row was solved
+transmission_error rad   x at which the row was solved
 place              rad   profile parameter of the contact; other than the foot's where deviations move the contact
 crank_angle        rad   θ at which the row was solved
 gap_by_crank       m/rad the gap's derivative by θ; NaN with deviations, where it reaches no farther than an element
@@ -37,30 +37,19 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from cycloid_fmu.contact.compiling import compiled
+from cycloid_fmu.contact.gap import Contact
+from cycloid_fmu.contact.lanes import record_of
 from cycloid_fmu.contact.problem import Problem
 
-_FIELDS = (
-    "foot",
-    "foot_rate",
-    "gap",
-    "arm",
-    "arm_rate",
-    "curvature",
-    "curvature_rate",
-    "force",
-    "stiffness",
-    "force_by_curvature",
-    "deviation",
-    "place",
-    "crank_angle",
-    "gap_by_crank",
-    "foot_by_crank",
-    "fall",
-    "bounded_for",
-    "nearest",
-    "touching",
+SOLVED = Contact._fields
+"""What a foot gives."""
+PRESSED = ("force", "stiffness", "force_by_curvature")
+"""What Hertz's law gives."""
+ROW = record_of(
+    *SOLVED,
+    *PRESSED,
+    *("transmission_error", "crank_angle", "fall", "bounded_for", "nearest", "touching"),
 )
-ROW = np.dtype((np.record, [(name, np.float64) for name in _FIELDS]))  # a record, so that `.gap` works in Python too
 Rows = NDArray[np.void]
 
 
@@ -86,10 +75,12 @@ def touching_count(contacts: Rows) -> int:
 def disc_slice_pin(problem: Problem, row: int) -> tuple[int, int, int]:
     """Disc, slice and pin of a row."""
     pins, slices = problem.pin_x.size, problem.centre_x.size
-    return row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
+    ring = row // 2 // pins
+    disc = ring // slices
+    return disc, ring - disc * slices, row // 2 - ring * pins
 
 
 @compiled(inline=True)
 def is_solved_at(contact: np.record, crank_angle: float, x: float) -> bool:
-    """Whether a row was solved at this very crank angle and deviation, not left from elsewhere."""
-    return bool(contact.deviation == x and contact.crank_angle == crank_angle)
+    """Whether a row was solved at this very crank angle and transmission error, not left from elsewhere."""
+    return bool(contact.transmission_error == x and contact.crank_angle == crank_angle)

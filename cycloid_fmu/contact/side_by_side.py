@@ -2,7 +2,7 @@
 
 The drive that is solved tells at each crank angle how far the pins of a drive near it are from their flanks: to first
 order in the errors' displacements, and how much second order can be. Pins that are clear for certain are left out, so
-that few contacts are solved: five of 40. What is solved is exact; the drive beside it only says what need not be
+that few contacts are solved: five of 40. What is solved is exact; the solved drive only says what need not be
 solved, and where to begin. What a drive gives does not depend on the others.
 """
 
@@ -15,16 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.contact.compiling import Array, compiled
-from cycloid_fmu.contact.equilibrium import LINEAR_STEP, by_rates, follow, rotational_stiffness, touched_after
-from cycloid_fmu.contact.gap import Flank
-from cycloid_fmu.contact.hertz import PRESSED, hertz_in_lanes
+from cycloid_fmu.contact.equilibrium import (
+    LINEAR_STEP,
+    by_rates,
+    follow,
+    rotational_stiffness,
+    touched_after,
+    write_pressed,
+)
+from cycloid_fmu.contact.gap import Flank, write_contact
+from cycloid_fmu.contact.hertz import APPROACHED, hertz_in_lanes
 from cycloid_fmu.contact.lanes import LANES, lanes_of, on_stack, record_of, vectors
 from cycloid_fmu.contact.local_frame import gap_gradient, local_frame
-from cycloid_fmu.contact.placement import PLACED, enter, enter_flank, feet_in_lanes, place
+from cycloid_fmu.contact.placement import PLACED, enter, enter_flank, feet_in_lanes, place, solved_in
 from cycloid_fmu.contact.play import ROTATION_STEP
 from cycloid_fmu.contact.pose import conjugate_point, disc_pose, pin_axis
 from cycloid_fmu.contact.problem import Drives, Problem
-from cycloid_fmu.contact.rows import contact_rows
+from cycloid_fmu.contact.rows import ROW, Rows, contact_rows
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CENTRE_X,
@@ -42,18 +49,18 @@ _SURE = 2e-7  # m: what is left to a gap for another foot, and for the rotation 
 _REACHED = 1e-7  # rad: a play's last step, to second order
 _PLACED = 12  # times that contacts are placed before the drive is solved alone
 _ITERATIONS = 30
-_SOUGHT, _MOVED, _FOUND, _ALONE = range(4)  # states of a drive
-_BEND_MORE = 3.0  # over the pin's radius: beside a contact's curvature, for what changes it
+_SOUGHT, _MOVED, _SETTLED, _ALONE = range(4)  # states of a drive
+_BEND_MORE = 3.0  # over the pin's radius: added to a contact's curvature, for what changes it
 
-_BESIDE = lanes_of("gap", "beyond", "along", "spread", "thicker")
+_LINEAR = lanes_of("gap", "beyond", "along", "spread", "thicker")
 """Of each contact, for drives side by side, m: gap and how far errors displace the pin along the flank, both at the
-rotation of the drive beside them, by how much less the next tooth's gap may be and how much farther another foot may be
+rotation of the solved drive, by how much less the next tooth's gap may be and how much farther another foot may be
 displaced, and what is thicker."""
 
 
 GUIDE = record_of(
     # fields of a contact row
-    *("gap", "arm", "arm_rate", "foot", "foot_rate"),
+    *("gap", "arm", "arm_rate", "foot", "foot_rate", "curvature"),
     # without the bend along the flank, which counts together with what errors displace along it
     "rigid_arm_rate",
     # the gap's second derivative along the flank at most, 1/m; infinite where the gap is not smooth
@@ -89,31 +96,32 @@ class Guide(NamedTuple):
         Number of the first crank angle.
     rows
         `GUIDE` records, shape (angles, contacts), of each disc, slice and pin.
-    deviation
+    transmission_error
         Rotation at which they were solved, shape (angles,), rad.
     """
 
     first: int
     rows: NDArray[np.void]
-    deviation: Array
+    transmission_error: Array
 
 
 @compiled
-def guide_rows(problem: Problem, crank_angles: Array, deviation: Array, rows: NDArray[np.void]) -> None:
+def guide_rows(problem: Problem, crank_angles: Array, transmission_error: Array, rows: NDArray[np.void]) -> None:
     """Overwrite the rows of a `Guide`, shape (angles, contacts), with the contacts of a solved drive."""
     contacts = contact_rows(problem)
     teeth = problem.teeth
     for i in range(crank_angles.size):
-        place(problem, crank_angles[i], deviation[i], contacts, i == 0, math.inf, math.inf)
+        place(problem, crank_angles[i], transmission_error[i], contacts, i == 0, math.inf, math.inf)
         for k in range(rows.shape[1]):
             guide, row = rows[i, k], 2 * k
             if contacts[row + 1].gap < contacts[row].gap:
                 row += 1
             contact = contacts[row]
-            local = local_frame(problem, crank_angles[i], deviation[i], contacts, row)
+            local = local_frame(problem, crank_angles[i], transmission_error[i], contacts, row)
             c, s = math.cos(local.direction), math.sin(local.direction)
             nx, ny = local.normal_x, local.normal_y
             guide.gap, guide.arm, guide.arm_rate = contact.gap, contact.arm, contact.arm_rate
+            guide.curvature = contact.curvature
             # Without the bend along the flank, which counts together with what errors displace along it.
             guide.rigid_arm_rate = contact.arm_rate + local.slide * local.slide * local.bend
             # Where a pin has a foot on both teeth, or on the other one, its gap is not smooth.
@@ -125,7 +133,7 @@ def guide_rows(problem: Problem, crank_angles: Array, deviation: Array, rows: ND
             guide.crank_along = nx * local.crank_y - ny * local.crank_x
             guide.facing, guide.leaning = local.facing, local.leaning
             by_position = gap_gradient(local)
-            guide.turn, guide.turn_along, guide.slide = by_position.gap_y, by_position.slide_y, local.slide
+            guide.turn, guide.turn_along, guide.slide = by_position.gap[2], by_position.slide[2], local.slide
             along = local.around * teeth / (2.0 * math.pi)
             along -= math.floor(along)
             other = (local.tooth + (1 if along > 0.5 else -1)) % teeth if not 0.2 < along < 0.8 else local.tooth
@@ -138,26 +146,23 @@ _GAPS = lanes_of("gap")
 _DRIVE = record_of(
     # state; where contacts were placed, and ends of the bracket, rad; what the forces give
     *("state", "placed", "low", "high", "torque", "stiffness", "count"),
-    # of the last crank angles: by how much they differ from the drive beside, how far beyond the first touch the last
+    # of the last crank angles: by how much they differ from the solved drive, how far beyond the first touch the last
     # one was, by how much two first guesses missed it, and how many were solved in a row
     *("changed", "changed_before", "changed_first", "beyond", "touch_missed", "line_missed", "solved"),
-)
-_NEAR = record_of(
-    *("contact", "gap", "arm", "arm_rate", "foot_rate", "curvature", "curvature_rate", "pin_radius"),
-    *("force", "stiffness", "force_by_curvature"),
 )
 
 
 class Memory(NamedTuple):
     """Memory of drives side by side."""
 
-    errors: Array  # their displacements from the drive beside them, shape (displacements, lanes)
-    beside: NDArray[np.void]  # `_BESIDE` of each contact
+    errors: Array  # their displacements from the solved drive, shape (displacements, lanes)
+    linear: NDArray[np.void]  # `_LINEAR` of each contact
     gaps: NDArray[np.void]  # of one contact, m, shape (1,)
-    x: Array  # deviation, shape (lanes,), rad
-    touch: Array  # rotation from the drive beside them to the first touch, shape (lanes,), rad
+    x: Array  # transmission error, shape (lanes,), rad
+    touch: Array  # rotation from the solved drive to the first touch, shape (lanes,), rad
     drives: NDArray[np.void]  # `_DRIVE` of each
-    near: NDArray[np.void]  # `_NEAR` of each contact that may touch, as rows have it, shape (drives, contacts)
+    near: Rows  # contacts that may touch, shape (drives, contacts)
+    number: Indices  # of each of them among all of its drive
     listed_drive: Indices  # drives and near contacts that go through lanes
     listed: Indices
 
@@ -170,12 +175,13 @@ def memory(contacts: int, errors: Array) -> Memory:
     listed_drive, listed = np.zeros((2, drives * contacts), np.int64)
     return Memory(
         lanes,
-        np.zeros(contacts, _BESIDE),
+        np.zeros(contacts, _LINEAR),
         np.zeros(1, _GAPS),
         np.zeros(LANES),
         np.zeros(LANES),
         np.zeros(drives, _DRIVE),
-        np.zeros((drives, contacts), _NEAR),
+        np.zeros((drives, contacts), ROW),
+        np.zeros((drives, contacts), np.int64),
         listed_drive,
         listed,
     )
@@ -183,20 +189,20 @@ def memory(contacts: int, errors: Array) -> Memory:
 
 @compiled
 def _displace(rows: NDArray[np.void], pins: int, work: Memory) -> None:
-    """Gaps of drives, and how far errors displace pins along their flanks, at the rotation of the drive beside them."""
+    """Gaps of drives, and how far errors displace pins along their flanks, at the rotation of the solved drive."""
     errors = work.errors
     # A larger circle displaces another foot, at most a pitch away, in another direction.
     step = 2.0 * math.pi / (pins - 1)
     radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
     teeth = BODY_COUNT + 3 * pins
     for k in range(rows.shape[0]):
-        guide, pin, beside = rows[k], k % pins, work.beside[k]
+        guide, pin, linear = rows[k], k % pins, work.linear[k]
         tooth, beyond = teeth + int(guide.tooth), teeth + int(guide.beyond)
         a, b, nx, ny, height = guide.radial, guide.tangential, guide.normal_x, guide.normal_y, guide.height
         gap, turn, crank, facing = guide.gap, guide.turn, guide.crank, guide.facing
         # In two loops, because the compiler gives up where it must compare too many arrays.
         for j in range(vectors(work.drives.size)):
-            beside.gap[j] = (
+            linear.gap[j] = (
                 gap
                 + a * errors[radial + pin, j]
                 + b * errors[tangential + pin, j]
@@ -204,7 +210,7 @@ def _displace(rows: NDArray[np.void], pins: int, work: Memory) -> None:
                 + turn * errors[tooth, j]
             )
         for j in range(vectors(work.drives.size)):
-            beside.gap[j] += (
+            linear.gap[j] += (
                 errors[PIN_GENERATING, j]
                 - facing * errors[CIRCLE_GENERATING, j]
                 - crank * errors[CRANK_THROW, j]
@@ -214,12 +220,12 @@ def _displace(rows: NDArray[np.void], pins: int, work: Memory) -> None:
         turn_along, crank_along, leaning = guide.turn_along, guide.crank_along, guide.leaning
         for j in range(vectors(work.drives.size)):
             turned, further = errors[tooth, j], errors[beyond, j] - errors[tooth, j]
-            beside.thicker[j] = errors[radius + pin, j] - errors[PIN_GENERATING, j]
-            beside.beyond[j] = min(turn * further, 0.0)
-            beside.along[j] = a * errors[tangential + pin, j] - b * errors[radial + pin, j] + turn_along * turned
-            beside.spread[j] = abs(turn_along * further) + step * abs(errors[CIRCLE_GENERATING, j])
+            linear.thicker[j] = errors[radius + pin, j] - errors[PIN_GENERATING, j]
+            linear.beyond[j] = min(turn * further, 0.0)
+            linear.along[j] = a * errors[tangential + pin, j] - b * errors[radial + pin, j] + turn_along * turned
+            linear.spread[j] = abs(turn_along * further) + step * abs(errors[CIRCLE_GENERATING, j])
         for j in range(vectors(work.drives.size)):
-            beside.along[j] += (
+            linear.along[j] += (
                 ny * (errors[CENTRE_X, j] + height * errors[TILT_X, j])
                 - nx * (errors[CENTRE_Y, j] + height * errors[TILT_Y, j])
                 + leaning * errors[CIRCLE_GENERATING, j]
@@ -228,17 +234,17 @@ def _displace(rows: NDArray[np.void], pins: int, work: Memory) -> None:
 
 
 @compiled
-def _least_gaps(guide: np.record, beside: np.record, at: float, work: Memory) -> int:
+def _least_gaps(guide: np.record, linear: np.record, reference: float, work: Memory) -> int:
     """Gaps that a contact has at least where the drives are; returns how many of them are not above `_SURE`."""
     gaps, near = work.gaps[0], 0
-    bend, known = guide.bend, guide.gap
+    bend, gap_of_guide = guide.bend, guide.gap
     arm, rate, slide = guide.arm, guide.rigid_arm_rate, guide.slide
     for j in range(vectors(work.drives.size)):
-        x = work.x[j] - at
-        gap, thicker = beside.gap[j] + beside.beyond[j] - x * (arm + 0.5 * x * rate), beside.thicker[j]
-        moved = abs(beside.along[j] + slide * x) + beside.spread[j]
-        away = gap + thicker - known
-        certain = known - thicker - math.sqrt(moved * moved + away * away)
+        x = work.x[j] - reference
+        gap, thicker = linear.gap[j] + linear.beyond[j] - x * (arm + 0.5 * x * rate), linear.thicker[j]
+        moved = abs(linear.along[j] + slide * x) + linear.spread[j]
+        away = gap + thicker - gap_of_guide
+        certain = gap_of_guide - thicker - math.sqrt(moved * moved + away * away)
         # Errors turn with the output, so that x times them comes in their way's direction.
         second = gap - (bend * moved + abs(x)) * moved if bend * moved < _BENT else -1.0
         least = max(certain, second)
@@ -248,8 +254,8 @@ def _least_gaps(guide: np.record, beside: np.record, at: float, work: Memory) ->
 
 
 @compiled
-def _list(rows: NDArray[np.void], at: float, work: Memory) -> None:
-    """List contacts that may touch, beside a drive that is solved at `at`, of drives sought or moved."""
+def _list(rows: NDArray[np.void], reference: float, work: Memory) -> None:
+    """List contacts that may touch, near a drive that is solved at `reference`, of drives sought or moved."""
     gaps, drives, sought = work.gaps[0], work.drives, work.listed_drive
     size = 0
     for j in range(drives.size):
@@ -258,31 +264,31 @@ def _list(rows: NDArray[np.void], at: float, work: Memory) -> None:
             sought[size] = j
             size += 1
     for k in range(rows.shape[0]):
-        if _least_gaps(rows[k], work.beside[k], at, work) == 0:
+        if _least_gaps(rows[k], work.linear[k], reference, work) == 0:
             continue
         for j in sought[:size]:
             if gaps.gap[j] > _SURE:
                 continue
-            near = work.near[j, int(drives[j].count)]
+            count = int(drives[j].count)
             # A force of the last crank angle begins the next one's.
-            if near.contact != k:
-                near.force = 0.0
-            near.contact, near.gap = k, gaps.gap[j]
+            if work.number[j, count] != k:
+                work.near[j, count].force = 0.0
+            work.number[j, count], work.near[j, count].gap = k, gaps.gap[j]
             drives[j].count += 1.0
 
 
 @compiled
 def _first_touch(rows: NDArray[np.void], direction: float, work: Memory) -> None:
-    """Rotation of each drive from the one beside it at which its first flank touches, to first order."""
+    """Rotation of each drive from the solved one at which its first flank touches, to first order."""
     touch = work.touch
     for j in range(touch.size):
         touch[j] = math.inf
     for k in range(rows.shape[0]):
-        arm, rate, beside = rows[k].arm * direction, rows[k].arm_rate, work.beside[k]
+        arm, rate, linear = rows[k].arm * direction, rows[k].arm_rate, work.linear[k]
         if arm <= 0.0:
             continue
         for j in range(vectors(work.drives.size)):
-            gap = beside.gap[j]
+            gap = linear.gap[j]
             inside = arm * arm + 2.0 * rate * gap
             root = 2.0 * gap / (arm + math.sqrt(max(inside, 0.0)))
             touch[j] = min(touch[j], root if inside > 0.0 else math.inf)
@@ -290,13 +296,13 @@ def _first_touch(rows: NDArray[np.void], direction: float, work: Memory) -> None
 
 @compiled
 def _place(
-    problem: Problem, drives: Drives, rows: NDArray[np.void], at: float, crank_angle: float, work: Memory
+    problem: Problem, drives: Drives, rows: NDArray[np.void], reference: float, crank_angle: float, work: Memory
 ) -> None:
     """Place the contacts that may touch, of the drives that were sought or moved."""
     pins, slices, teeth = problem.teeth + 1, problem.slice_z.size, problem.teeth
     e = problem.generating_eccentricity
     listed_drive, listed = work.listed_drive, work.listed
-    _list(rows, at, work)
+    _list(rows, reference, work)
     size = 0
     for j in range(work.drives.size):
         if work.drives[j].state > _MOVED:
@@ -311,7 +317,7 @@ def _place(
         filled = min(LANES, size - first)
         for lane in range(filled):
             j = listed_drive[first + lane]
-            k = int(work.near[j, listed[first + lane]].contact)
+            k = work.number[j, listed[first + lane]]
             pin, slice_ = k % pins, k // pins % slices
             if j != drive or k // (pins * slices) != disc:
                 drive, disc = j, k // (pins * slices)
@@ -324,7 +330,9 @@ def _place(
                 drives.centre_x[j, slice_],
                 drives.centre_y[j, slice_],
             )
-            group.start[lane] = conjugate_point(pose, teeth, pin) + rows[k].foot + rows[k].foot_rate * (work.x[j] - at)
+            group.start[lane] = (
+                conjugate_point(pose, teeth, pin) + rows[k].foot + rows[k].foot_rate * (work.x[j] - reference)
+            )
             enter(group, pose, axis, drives.tooth_turn[j, disc], teeth, pin)
             group.pin_radius[lane] = drives.pin_radius[j, pin]
             enter_flank(group, lane, flank, drives.root_phase[j], drives.root_margin[j])
@@ -334,18 +342,20 @@ def _place(
             j, n = listed_drive[first + lane], listed[first + lane]
             if group.alone[lane] > 0.0:
                 work.drives[j].state = _ALONE
-            near = work.near[j, n]
-            near.gap, near.arm, near.arm_rate = group.gap[lane], group.arm[lane], group.arm_rate[lane]
-            near.curvature, near.curvature_rate = group.curvature[lane], group.curvature_rate[lane]
-            near.foot_rate, near.pin_radius = group.foot_rate[lane], group.pin_radius[lane]
+            write_contact(work.near[j, n], solved_in(group, lane), crank_angle, work.x[j])
 
 
 @compiled
 def _press(
-    work: Memory, width: float, compliance_gear: float, compliance_pin: float, largest_log_radius: float
+    pin_radius: Array,
+    work: Memory,
+    width: float,
+    compliance_gear: float,
+    compliance_pin: float,
+    largest_log_radius: float,
 ) -> None:
     """Forces of the drives that are sought, their torque and stiffness."""
-    listed_drive, listed = work.listed_drive, work.listed
+    listed_drive, listed, pins = work.listed_drive, work.listed, pin_radius.shape[1]
     size = 0
     for j in range(work.drives.size):
         if work.drives[j].state != _SOUGHT:
@@ -357,7 +367,7 @@ def _press(
                 size += 1
             else:
                 work.near[j, n].force = 0.0
-    group = on_stack(PRESSED)
+    group = on_stack(APPROACHED)
     for first in range(0, size, LANES):
         filled = min(LANES, size - first)
         for lane in range(vectors(filled)):
@@ -365,16 +375,12 @@ def _press(
             j, n = listed_drive[last], listed[last]
             near = work.near[j, n]
             group.approach[lane], group.curvature[lane] = -near.gap, near.curvature
-            group.pin_radius[lane], group.force[lane] = near.pin_radius, near.force
+            group.pin_radius[lane], group.force[lane] = pin_radius[j, work.number[j, n] % pins], near.force
         hertz_in_lanes(group, filled, width, compliance_gear, compliance_pin, largest_log_radius, 0.0)
         for lane in range(filled):
             j, n = listed_drive[first + lane], listed[first + lane]
             near = work.near[j, n]
-            near.force, near.stiffness, near.force_by_curvature = (
-                group.force[lane],
-                group.stiffness[lane],
-                group.by_curvature[lane],
-            )
+            write_pressed(near, group, lane)
             work.drives[j].torque += near.force * near.arm
             work.drives[j].stiffness += rotational_stiffness(near)
 
@@ -405,29 +411,29 @@ def _balance(work: Memory, torque: float, near: float) -> int:
     """
     sought = 0
     for j in range(work.drives.size):
-        one = work.drives[j]
-        if one.state != _SOUGHT:
+        drive = work.drives[j]
+        if drive.state != _SOUGHT:
             continue
-        x, stiffness = work.x[j], one.stiffness
-        short = torque - one.torque
+        x, stiffness = work.x[j], drive.stiffness
+        short = torque - drive.torque
         if short > 0.0:
-            one.low = x
+            drive.low = x
         else:
-            one.high = x
+            drive.high = x
         step = short / stiffness if stiffness > 0.0 else math.inf
-        if stiffness <= 0.0 or (one.torque * torque < 0.0 and abs(step) < LINEAR_STEP):
+        if stiffness <= 0.0 or (drive.torque * torque < 0.0 and abs(step) < LINEAR_STEP):
             direction = math.copysign(1.0, short)
             step = direction * (max(_touch(work, j, direction), 0.0) + 1e-6)
         step = min(max(step, -1e-3), 1e-3)
         if abs(step) < LINEAR_STEP:
             _move(work, j, step)
-            one.state = _FOUND
+            drive.state = _SETTLED
             continue
-        if not one.low < x + step < one.high:
-            step = 0.5 * (one.low + one.high) - x
-        if abs(x + step - one.placed) > near:
+        if not drive.low < x + step < drive.high:
+            step = 0.5 * (drive.low + drive.high) - x
+        if abs(x + step - drive.placed) > near:
             work.x[j] = x + step
-            one.state = _MOVED
+            drive.state = _MOVED
         else:
             _move(work, j, step)
             sought += 1
@@ -435,33 +441,33 @@ def _balance(work: Memory, torque: float, near: float) -> int:
 
 
 @compiled
-def _begin(rows: NDArray[np.void], at: float, direction: float, work: Memory) -> None:
-    """Deviations to begin from: the first touch, moved by as much as at the last crank angle, or the parabola.
+def _begin(rows: NDArray[np.void], reference: float, direction: float, work: Memory) -> None:
+    """Transmission errors to begin from: the first touch, moved by as much as at the last crank angle, or the parabola.
 
     The parabola goes through what errors changed at the last three crank angles. A drive takes what was nearer at the
-    last one.
+    last drive.
     """
     _first_touch(rows, direction, work)
     for j in range(work.drives.size):
-        one = work.drives[j]
-        touch = at + direction * work.touch[j]
-        by_touch = touch + one.beyond
+        drive = work.drives[j]
+        touch = reference + direction * work.touch[j]
+        by_touch = touch + drive.beyond
         by_line = by_touch
-        if one.solved > 2:
-            by_line = at + 3.0 * (one.changed - one.changed_before) + one.changed_first
-        work.x[j] = by_line if one.line_missed < one.touch_missed else by_touch
+        if drive.solved > 2:
+            by_line = reference + 3.0 * (drive.changed - drive.changed_before) + drive.changed_first
+        work.x[j] = by_line if drive.line_missed < drive.touch_missed else by_touch
         # Until the crank angle is solved.
-        one.beyond, one.touch_missed, one.line_missed = touch, by_touch, by_line
-        one.state = _SOUGHT
-        one.low, one.high = -math.inf, math.inf
+        drive.beyond, drive.touch_missed, drive.line_missed = touch, by_touch, by_line
+        drive.state = _SOUGHT
+        drive.low, drive.high = -math.inf, math.inf
 
 
 @compiled
-def _end(one: np.record, x: float, at: float) -> None:
-    one.solved += 1.0
-    one.beyond = x - one.beyond
-    one.touch_missed, one.line_missed = abs(x - one.touch_missed), abs(x - one.line_missed)
-    one.changed_first, one.changed_before, one.changed = one.changed_before, one.changed, x - at
+def _end(drive: np.record, x: float, reference: float) -> None:
+    drive.solved += 1.0
+    drive.beyond = x - drive.beyond
+    drive.touch_missed, drive.line_missed = abs(x - drive.touch_missed), abs(x - drive.line_missed)
+    drive.changed_first, drive.changed_before, drive.changed = drive.changed_before, drive.changed, x - reference
 
 
 @compiled
@@ -469,20 +475,25 @@ def _settle(
     problem: Problem,
     drives: Drives,
     rows: NDArray[np.void],
-    at: float,
+    reference: float,
     crank_angle: float,
     torque: float,
     work: Memory,
 ) -> None:
     """Balance the torque."""
     for _ in range(_PLACED):
-        _place(problem, drives, rows, at, crank_angle, work)
+        _place(problem, drives, rows, reference, crank_angle, work)
         for j in range(work.drives.size):
             if work.drives[j].state == _MOVED:
                 work.drives[j].state = _SOUGHT
         for _ in range(_ITERATIONS):
             _press(
-                work, problem.slice_width, problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius
+                drives.pin_radius,
+                work,
+                problem.slice_width,
+                problem.compliance_gear,
+                problem.compliance_pin,
+                problem.largest_log_radius,
             )
             if _balance(work, torque, by_rates(problem.circle_radius)) == 0:
                 break
@@ -504,7 +515,7 @@ def sweep_drives(
     guide: Guide,
     crank_angles: Array,
     torque: float,
-    deviation: Array,
+    transmission_error: Array,
     stiffness: Array,
     pressure: Array,
 ) -> None:
@@ -513,37 +524,37 @@ def sweep_drives(
     Parameters
     ----------
     problem, guide
-        The drive beside them, and its contacts.
+        The solved drive, and its contacts.
     drives, work
         The drives, and their memory, which holds the crank angles before.
     crank_angles, torque
         Crank angles, shape (angles,), rad; N·m, not 0.
-    deviation, stiffness, pressure
+    transmission_error, stiffness, pressure
         Overwritten, shape (drives, angles): rad, N·m/rad, and the largest contact pressure (Pa); NaN where a drive has
         to be solved alone.
     """
     pins, count = problem.teeth + 1, work.drives.size
     stress = 1.0 / (math.pi * problem.slice_width * (problem.compliance_gear + problem.compliance_pin))
-    for number in range(guide.deviation.size):
-        i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
+    for number in range(guide.transmission_error.size):
+        i, rows, reference = guide.first + number, guide.rows[number], guide.transmission_error[number]
         _displace(rows, pins, work)
-        _begin(rows, at, math.copysign(1.0, torque), work)
-        _settle(problem, drives, rows, at, crank_angles[i], torque, work)
+        _begin(rows, reference, math.copysign(1.0, torque), work)
+        _settle(problem, drives, rows, reference, crank_angles[i], torque, work)
         for j in range(count):
-            one = work.drives[j]
-            if one.state != _FOUND:
-                deviation[j, i] = stiffness[j, i] = pressure[j, i] = math.nan
+            drive = work.drives[j]
+            if drive.state != _SETTLED:
+                transmission_error[j, i] = stiffness[j, i] = pressure[j, i] = math.nan
                 # The next crank angle begins from its first touch, and so do those whose parabola this one is part of.
-                one.beyond, one.solved = 0.0, 0
+                drive.beyond, drive.solved = 0.0, 0
                 continue
-            deviation[j, i], stiffness[j, i] = work.x[j], one.stiffness
+            transmission_error[j, i], stiffness[j, i] = work.x[j], drive.stiffness
             largest = 0.0
-            for n in range(int(one.count)):
-                near = work.near[j, n]
-                largest = max(largest, near.force * max(abs(1.0 / near.pin_radius + near.curvature), 1e-9))
+            for n in range(int(drive.count)):
+                near, radius = work.near[j, n], drives.pin_radius[j, work.number[j, n] % pins]
+                largest = max(largest, near.force * max(abs(1.0 / radius + near.curvature), 1e-9))
             # p = 2F/(πab), as in `load_sharing`
             pressure[j, i] = math.sqrt(largest * stress)
-            _end(one, work.x[j], at)
+            _end(drive, work.x[j], reference)
 
 
 @compiled
@@ -551,7 +562,7 @@ def _reach(
     problem: Problem,
     drives: Drives,
     rows: NDArray[np.void],
-    at: float,
+    reference: float,
     crank_angle: float,
     direction: float,
     work: Memory,
@@ -559,18 +570,18 @@ def _reach(
     """Find the end of the play in a direction (±1)."""
     _first_touch(rows, direction, work)
     for j in range(work.drives.size):
-        work.x[j], work.drives[j].state = at + direction * work.touch[j], _SOUGHT
+        work.x[j], work.drives[j].state = reference + direction * work.touch[j], _SOUGHT
     for _ in range(_PLACED):
-        _place(problem, drives, rows, at, crank_angle, work)
+        _place(problem, drives, rows, reference, crank_angle, work)
         moved = 0
         for j in range(work.drives.size):
-            one = work.drives[j]
-            if one.state > _MOVED:
+            drive = work.drives[j]
+            if drive.state > _MOVED:
                 continue
             step = min(_touch(work, j, direction), 1e-3)
             work.x[j] += direction * step
-            one.state = _FOUND if abs(step) < _REACHED else _MOVED
-            moved += 1 if one.state == _MOVED else 0
+            drive.state = _SETTLED if abs(step) < _REACHED else _MOVED
+            moved += 1 if drive.state == _MOVED else 0
         if moved == 0:
             break
 
@@ -591,15 +602,15 @@ def sweep_play_of_drives(
     `sweep_play`, NaN where a drive has to be solved alone.
     """
     pins, count = problem.teeth + 1, work.drives.size
-    for number in range(guide.deviation.size):
-        i, rows, at = guide.first + number, guide.rows[number], guide.deviation[number]
+    for number in range(guide.transmission_error.size):
+        i, rows, reference = guide.first + number, guide.rows[number], guide.transmission_error[number]
         _displace(rows, pins, work)
-        _reach(problem, drives, rows, at, crank_angles[i], -1.0, work)
+        _reach(problem, drives, rows, reference, crank_angles[i], -1.0, work)
         for j in range(count):
-            low[j, i] = work.x[j] if work.drives[j].state == _FOUND else math.nan
-        _reach(problem, drives, rows, at, crank_angles[i], 1.0, work)
+            low[j, i] = work.x[j] if work.drives[j].state == _SETTLED else math.nan
+        _reach(problem, drives, rows, reference, crank_angles[i], 1.0, work)
         for j in range(count):
-            high[j, i] = work.x[j] if work.drives[j].state == _FOUND else math.nan
+            high[j, i] = work.x[j] if work.drives[j].state == _SETTLED else math.nan
             # Without errors and modification the ends are the same but for rounding.
             if not low[j, i] < high[j, i] + 2.0 * ROTATION_STEP:
                 low[j, i] = high[j, i] = math.nan

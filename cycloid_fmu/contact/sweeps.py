@@ -27,13 +27,13 @@ class LoadedSweep(NamedTuple):
 
     Attributes
     ----------
-    deviation, stiffness, contact_count, max_contact_pressure
+    transmission_error, stiffness, contact_count, max_contact_pressure
         Shape (torques, angles): x (rad), N·m/rad, pins in contact, Pa.
     pin_force, pin_pressure
         Shape (torques, angles, discs, pins): N, Pa.
     """
 
-    deviation: Array
+    transmission_error: Array
     stiffness: Array
     contact_count: NDArray[np.int64]
     max_contact_pressure: Array
@@ -57,11 +57,14 @@ def sweep(
 ) -> None:
     """Solve crank angles `first` to `last`, each from its neighbours' solutions, which may be at the same angle.
 
+    The steps have the headings of docs/theory/contact.md: the play; at each torque from one crank angle to the next the
+    equilibrium, or the middle of the play without a torque; load sharing; and the pressure of elements.
+
     Parameters
     ----------
     crank_angles, torques
-        Crank angles (rad), shape (angles,); torques (N·m), shape (torques, angles), at 0 the deviation is the middle of
-        the play.
+        Crank angles (rad), shape (angles,); torques (N·m), shape (torques, angles), at 0 the transmission error is the
+        middle of the play.
     with_play, low, high, gap
         Whether to solve the play, and what it is written to, as in `sweep_play`.
     loaded, lines
@@ -71,44 +74,64 @@ def sweep(
     if with_play:
         _solve_play(problem, crank_angles, first, last, low, high, gap, contact_rows(problem), contact_rows(problem))
     for k in range(torques.shape[0]):
-        contacts = contact_rows(problem)
-        deviation, stiffness = loaded.deviation[k], loaded.stiffness[k]
-        x = 0.0
+        contacts, x = contact_rows(problem), 0.0
+        transmission_error, stiffness = loaded.transmission_error[k], loaded.stiffness[k]
         for i in range(first, last):
-            cold, torque = i == first, torques[k, i]
-            if torque == 0.0:
-                start, end, _ = play(problem, crank_angles[i], x, contacts, cold)
+            cold = i == first
+            if torques[k, i] == 0.0:
+                x, free = _middle_of_play(problem, crank_angles[i], x, contacts, cold)
                 cold = False
-                if not math.isnan(start):
-                    x = 0.5 * (start + end)
+                if free:
                     # What nothing presses stays as it was handed over: 0.
-                    deviation[i], stiffness[i], loaded.max_contact_pressure[k, i] = x, 0.0, 0.0
+                    transmission_error[i], stiffness[i], loaded.max_contact_pressure[k, i] = x, 0.0, 0.0
                     continue
-            x = _ahead(crank_angles, deviation, first, i)
-            if i > first and crank_angles[i] == crank_angles[i - 1] and stiffness[i - 1] > 0.0:
-                # 1.4 times as fast where the torque alone changes.
-                x += min(max((torque - torques[k, i - 1]) / stiffness[i - 1], -_FARTHEST), _FARTHEST)
-            x, stiffness[i] = equilibrium(problem, crank_angles[i], torque, x, contacts, cold)
-            deviation[i] = x
+            x = _from_neighbours(crank_angles, torques[k], transmission_error, stiffness, first, i)
+            x, stiffness[i] = equilibrium(problem, crank_angles[i], torques[k, i], x, contacts, cold)
+            transmission_error[i] = x
             count, pressure = load_sharing(problem, contacts, loaded.pin_force[k, i], loaded.pin_pressure[k, i])
             loaded.contact_count[k, i], loaded.max_contact_pressure[k, i] = count, pressure
             write_contact_lines(problem, lines, k, i, crank_angles[i], x, contacts)
 
 
 @compiled
-def _ahead(crank_angles: Array, deviation: Array, first: int, i: int) -> float:
-    """Deviation to start a crank angle from: on the parabola through the last three, where these are as near."""
-    x = float(deviation[i - 1]) if i > first else 0.0
+def _middle_of_play(problem: Problem, crank_angle: float, x: float, contacts: Rows, cold: bool) -> tuple[float, bool]:
+    """Middle of the play, and whether there is a free position; without one, x as it was."""
+    low, high, _ = play(problem, crank_angle, x, contacts, cold)
+    free = not math.isnan(low)
+    return 0.5 * (low + high) if free else x, free
+
+
+@compiled
+def _from_neighbours(
+    crank_angles: Array, torques: Array, transmission_error: Array, stiffness: Array, first: int, i: int
+) -> float:
+    """Transmission error to start an equilibrium from, by those of the crank angles before it."""
+    x = _ahead(crank_angles, transmission_error, first, i)
+    if i > first and crank_angles[i] == crank_angles[i - 1] and stiffness[i - 1] > 0.0:
+        # 1.4 times as fast where the torque alone changes.
+        x += min(max((torques[i] - torques[i - 1]) / stiffness[i - 1], -_FARTHEST), _FARTHEST)
+    return x
+
+
+@compiled
+def _ahead(crank_angles: Array, transmission_error: Array, first: int, i: int) -> float:
+    """Transmission error to start from: on the parabola through those of the last three crank angles if as near."""
+    x = float(transmission_error[i - 1]) if i > first else 0.0
     if i > first + 1 and abs(crank_angles[i] - crank_angles[i - 1]) < 1.5 * abs(
         crank_angles[i - 1] - crank_angles[i - 2]
     ):
         step, last = crank_angles[i] - crank_angles[i - 1], crank_angles[i - 1] - crank_angles[i - 2]
-        slope = (x - deviation[i - 2]) / last
+        slope = (x - transmission_error[i - 2]) / last
         x += slope * step
         before = crank_angles[i - 2] - crank_angles[i - 3] if i > first + 2 else 0.0
         # Where the crank turned back, two of the three angles may be the same.
         if last * before > 0.0 and abs(last) < 1.5 * abs(before):
-            x += step * (step + last) * (slope - (deviation[i - 2] - deviation[i - 3]) / before) / (last + before)
+            x += (
+                step
+                * (step + last)
+                * (slope - (transmission_error[i - 2] - transmission_error[i - 3]) / before)
+                / (last + before)
+            )
     return x
 
 
@@ -141,16 +164,16 @@ def _solve_play(
     at_high: Rows,
 ) -> None:
     """Solve the play as `sweep_play`; rows at both ends are memory."""
-    followed = False
+    neighbouring = False
     for i in range(first, last):
         cold = i == first or math.isnan(low[i - 1])
         x = 0.0 if cold else 0.5 * (low[i - 1] + high[i - 1])
         if problem.deviations is None and not cold:
-            low[i] = end_from_neighbour(problem, crank_angles[i], low[i - 1], at_low, not followed, -1.0)
-            high[i] = end_from_neighbour(problem, crank_angles[i], high[i - 1], at_high, not followed, 1.0)
+            low[i] = end_from_neighbour(problem, crank_angles[i], low[i - 1], at_low, not neighbouring, -1.0)
+            high[i] = end_from_neighbour(problem, crank_angles[i], high[i - 1], at_high, not neighbouring, 1.0)
             # Without errors and modification the ends are the same but for rounding.
-            followed = low[i] < high[i] + 2.0 * ROTATION_STEP
-            if followed:
+            neighbouring = low[i] < high[i] + 2.0 * ROTATION_STEP
+            if neighbouring:
                 if low[i] > high[i]:
                     low[i] = high[i] = 0.5 * (low[i] + high[i])
                 gap[i] = 0.0
@@ -160,33 +183,37 @@ def _solve_play(
 
 
 @compiled
-def sweep_contacts(problem: Problem, crank_angles: Array, torque: float, deviation: Array, table: Rows) -> None:
+def sweep_contacts(
+    problem: Problem, crank_angles: Array, torque: float, transmission_error: Array, table: Rows
+) -> None:
     """Solve crank angles at one torque and keep every contact row.
 
     Parameters
     ----------
     crank_angles, torque
         Crank angles (rad), shape (angles,); torque (N·m), not 0.
-    deviation, table
+    transmission_error, table
         Overwritten: x (rad), shape (angles,); `contact_rows` of each angle, shape (angles, rows).
     """
     contacts = contact_rows(problem)
     for i in range(crank_angles.size):
-        x, _ = equilibrium(problem, crank_angles[i], torque, _ahead(crank_angles, deviation, 0, i), contacts, i == 0)
-        deviation[i] = x
+        x, _ = equilibrium(
+            problem, crank_angles[i], torque, _ahead(crank_angles, transmission_error, 0, i), contacts, i == 0
+        )
+        transmission_error[i] = x
         table[i] = contacts
 
 
 @compiled
 def sweep_crank_side(
-    problem: Problem, crank_angles: Array, deviation: Array, crank_torque: Array, output_rate: Array
+    problem: Problem, crank_angles: Array, transmission_error: Array, crank_torque: Array, output_rate: Array
 ) -> None:
-    """Write what `crank_side` returns at solved deviations (rad), shapes (angles,); 0 and NaN where nothing touches."""
+    """Write what `crank_side` returns at transmission errors (rad), shapes (angles,); 0 and NaN without contact."""
     contacts = contact_rows(problem)
     for i in range(crank_angles.size):
-        place(problem, crank_angles[i], deviation[i], contacts, i == 0, CLEAR, BOUNDED)
+        place(problem, crank_angles[i], transmission_error[i], contacts, i == 0, CLEAR, BOUNDED)
         load(problem, contacts)
-        crank_torque[i], output_rate[i] = crank_side(problem, crank_angles[i], deviation[i], contacts)
+        crank_torque[i], output_rate[i] = crank_side(problem, crank_angles[i], transmission_error[i], contacts)
 
 
 @compiled
@@ -194,34 +221,36 @@ def sweep_sensitivities(
     problem: Problem,
     crank_angles: Array,
     torque: Array,
-    deviation: Array,
+    transmission_error: Array,
     each: Array,
     by_angle: Array,
     by_torque: Array,
 ) -> None:
-    """Solve every crank angle at its torque, with the derivatives of the deviation.
+    """Solve every crank angle at its torque, with the derivatives of the transmission error.
 
     Parameters
     ----------
     crank_angles, torque
         Crank angles (rad) and the torque at each (N·m, not 0), shape (angles,).
-    deviation, each, by_angle, by_torque
+    transmission_error, each, by_angle, by_torque
         Overwritten: x (rad), shape (angles,); rows of `sensitivities`, shape (angles, displacements); the output
         angle's derivatives by crank angle (1) and torque (rad/(N·m)), shape (angles,).
     """
     contacts = contact_rows(problem)
     for i in range(crank_angles.size):
-        x, _ = equilibrium(problem, crank_angles[i], torque[i], _ahead(crank_angles, deviation, 0, i), contacts, i == 0)
-        deviation[i] = x
+        x, _ = equilibrium(
+            problem, crank_angles[i], torque[i], _ahead(crank_angles, transmission_error, 0, i), contacts, i == 0
+        )
+        transmission_error[i] = x
         stiffness, by_angle[i] = derivatives(problem, crank_angles[i], x, contacts, each[i])
         by_torque[i] = 1.0 / stiffness
 
 
 @compiled
 def sweep_flank_sensitivities(
-    problem: Problem, crank_angles: Array, deviation: Array, places: Array, waves: Array, out: Array
+    problem: Problem, crank_angles: Array, transmission_error: Array, places: Array, waves: Array, out: Array
 ) -> None:
-    """Derivatives of solved deviations at constant torque by normal deviations that all teeth share.
+    """Derivatives of solved transmission errors at constant torque by normal deviations that all teeth share.
 
     A flank that is higher by f at the contact takes f from the gap. Where f rises along the flank the arm grows by f'
     times the foot's rate, and the contact lies up the rise, where the curvature is another
@@ -229,8 +258,8 @@ def sweep_flank_sensitivities(
 
     Parameters
     ----------
-    crank_angles, deviation
-        Crank angles and the solved deviations there, shape (angles,), rad.
+    crank_angles, transmission_error
+        Crank angles and the solved transmission errors there, shape (angles,), rad.
     places, waves
         Profile parameters from one root to the next, shape (points,), rad, and deviations there, > 0 material added,
         linear between them, shape (waves, points), m for each unit.
@@ -240,7 +269,7 @@ def sweep_flank_sensitivities(
     contacts = contact_rows(problem)
     pitch = 2.0 * math.pi / problem.teeth
     for i in range(crank_angles.size):
-        place(problem, crank_angles[i], deviation[i], contacts, i == 0, math.inf, BOUNDED)
+        place(problem, crank_angles[i], transmission_error[i], contacts, i == 0, math.inf, BOUNDED)
         load(problem, contacts)
         stiffness = 0.0
         for wave in range(waves.shape[0]):
@@ -254,7 +283,7 @@ def sweep_flank_sensitivities(
             after = min(max(int(np.searchsorted(places, along)), 1), places.size - 1)
             width = places[after] - places[after - 1]
             share = (along - places[after - 1]) / width
-            local = local_frame(problem, crank_angles[i], deviation[i], contacts, row)
+            local = local_frame(problem, crank_angles[i], transmission_error[i], contacts, row)
             stretch = 1.0 / (local.speed * local.foot)
             # Second derivative of the axis' distance from the flank along it.
             bend = local.speed / local.foot * (1.0 - problem.generating_radius * local.bend * stretch)

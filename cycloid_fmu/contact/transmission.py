@@ -45,8 +45,8 @@ class Transmission:
     pin_force, pin_pressure
         Shape (torques, angles, discs, pins): N, Pa.
     play_low, play_high, backlash, interference
-        Shape (angles,): deviations between which the output is free (rad), their difference (rad; NaN without a free
-        position), and by how much there is none (m).
+        Shape (angles,): transmission errors between which the output is free (rad), their difference (rad; NaN without
+        a free position), and by how much there is none (m).
     slice_force, slice_direction
         Shape (torques, angles, discs, pins, slices), or size 0: the instantaneous contact lines as force in each slice
         (N) and direction of the contact about the pin's axis from that to the pin circle's centre (rad).
@@ -116,11 +116,11 @@ def mesh_of(drive: DriveValue, slices: int = 1) -> contact.Problem:
     """
     pair, surface = drive.pair, drive.surface
     warm, z = pair.at_temperature, _heights(pair, slices)
-    made, stray = _made_of(pair, drive.displacements)
+    dimensions, stray = _dimensions_of(pair, drive.displacements)
     # Form is added here, because not every drive has it.
     stray += sum(float(np.abs(d).max()) for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
     return contact.Problem(
-        **_made(pair, made, stray, z),
+        **_error_fields(pair, dimensions, stray, z),
         generating_eccentricity=warm.eccentricity,
         teeth=pair.gear_teeth,
         ring=pair.output == "ring",
@@ -154,11 +154,11 @@ def meshes_of(pair: Pair, vectors: Array, slices: int = 1) -> contact.Drives:
     edge.InputError
         If a drive is impossible.
     """
-    made, stray = _made_of(pair, displacements_of(pair, vectors), 1)
-    return contact.Drives(**_made(pair, made, stray, _heights(pair, slices)))
+    dimensions, stray = _dimensions_of(pair, displacements_of(pair, vectors), 1)
+    return contact.Drives(**_error_fields(pair, dimensions, stray, _heights(pair, slices)))
 
 
-def _made_of(pair: Pair, displaced: Mapping[str, Any], leading: int = 0) -> tuple[dict[str, Any], Any]:
+def _dimensions_of(pair: Pair, displaced: Mapping[str, Any], leading: int = 0) -> tuple[dict[str, Any], Any]:
     """Dimensions and `_stray` of a drive, or of many in a leading axis, from the displacements by its errors."""
     modified = {name: value + displaced[name] for name, value in _modification(pair).items()}
     return dimensions_of(pair, displaced), _stray(pair, {**displaced, **modified}, leading)
@@ -175,30 +175,30 @@ def _modification(pair: Pair) -> dict[str, float]:
     }
 
 
-def _made(pair: Pair, made: Mapping[str, Any], stray: Any, z: Array) -> dict[str, Any]:
+def _error_fields(pair: Pair, dimensions: Mapping[str, Any], stray: Any, z: Array) -> dict[str, Any]:
     """Fields of the contact problem of a drive, or of many in a leading axis, that its errors change."""
     warm = pair.at_temperature
-    angle = 2.0 * np.pi * np.arange(pair.pins) / pair.pins + made["pin_tangential"] / warm.pin_circle_radius
-    circle = np.asarray(made["generating_circle_radius"])
-    spread = np.ptp(made["tooth_turn"], axis=-1).max(axis=-1)
-    found = {
+    angle = 2.0 * np.pi * np.arange(pair.pins) / pair.pins + dimensions["pin_tangential"] / warm.pin_circle_radius
+    circle = np.asarray(dimensions["generating_circle_radius"])
+    spread = np.ptp(dimensions["tooth_turn"], axis=-1).max(axis=-1)
+    numbers = {
         "circle_radius": circle,
-        "generating_radius": np.asarray(made["generating_pin_radius"]),
-        "eccentricity": np.asarray(made["crank_throw"]),
+        "generating_radius": np.asarray(dimensions["generating_pin_radius"]),
+        "eccentricity": np.asarray(dimensions["crank_throw"]),
         "stray": np.asarray(stray),
         "root_phase": _root_phase(warm, np.asarray(stray), circle),
         "root_margin": 1e-6 + 1.5 * warm.pin_circle_radius * spread,
     }
     if circle.ndim == 0:
-        found = {name: float(value) for name, value in found.items()}
+        numbers = {name: float(value) for name, value in numbers.items()}
     centre_x, centre_y, tilt_x, tilt_y = (
-        np.asarray(made[name])[..., None] for name in ("centre_x", "centre_y", "tilt_x", "tilt_y")
+        np.asarray(dimensions[name])[..., None] for name in ("centre_x", "centre_y", "tilt_x", "tilt_y")
     )
-    return found | {
-        "pin_x": made["pin_radial"] * np.cos(angle),
-        "pin_y": made["pin_radial"] * np.sin(angle),
-        "pin_radius": made["pin_radius"],
-        "tooth_turn": np.ascontiguousarray(made["tooth_turn"]),
+    return numbers | {
+        "pin_x": dimensions["pin_radial"] * np.cos(angle),
+        "pin_y": dimensions["pin_radial"] * np.sin(angle),
+        "pin_radius": dimensions["pin_radius"],
+        "tooth_turn": np.ascontiguousarray(dimensions["tooth_turn"]),
         "centre_x": centre_x + tilt_x * z,
         "centre_y": centre_y + tilt_y * z,
     }
@@ -238,27 +238,27 @@ def _pins_of(values: Array, z: Array, face_width: float) -> Array:
 
 
 def _flank_points(drive: DriveValue, elements: int) -> tuple[Array, Array, Array, Array, Array]:
-    """Parameters, points and normals of tooth 0's ends and its elements' middles on the flank that was made."""
+    """Parameters, points and normals of tooth 0's ends and its elements' middles on the flank as generated."""
     pair = drive.pair
     alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
     warm = pair.at_temperature
     errors, drawn = drive.displacements, warm.modification
-    made = warm.replace(
+    generating = warm.replace(
         isometric=drawn.isometric + errors["generating_pin_radius"],
         offset=drawn.offset + errors["generating_circle_radius"],
     )
-    (x, y), (nx, ny) = flank_points(made, alpha), flank_normals(made, alpha)
+    (x, y), (nx, ny) = flank_points(generating, alpha), flank_normals(generating, alpha)
     return alpha, x, y, nx, ny
 
 
-def _across_width(deviation: Array, z: Array, face_width: float) -> Array:
+def _across_width(values: Array, z: Array, face_width: float) -> Array:
     """Values at heights z of elements along the last axis, linear between the elements' middles."""
-    count = deviation.shape[-1]
+    count = values.shape[-1]
     place = np.clip((z / face_width + 0.5) * count - 0.5, 0.0, count - 1.0)
     low = np.minimum(place.astype(int), max(count - 2, 0))
     high = np.minimum(low + 1, count - 1)
     share = place - low
-    return np.asarray((1.0 - share) * deviation[..., low] + share * deviation[..., high])
+    return np.asarray((1.0 - share) * values[..., low] + share * values[..., high])
 
 
 def _stray(pair: Pair, displaced: Mapping[str, Any], leading: int = 0) -> Any:
@@ -287,10 +287,10 @@ def _root_phase(pair: Pair, stray: Array, circle: Array) -> Array:
     speed = (circle / g.gear_teeth)[..., None] * np.sqrt(1.0 + k * k - 2.0 * k * np.cos(phase))
     path = np.cumsum(0.5 * (speed[..., 1:] + speed[..., :-1]) * np.diff(phase), axis=-1)
     path = np.concatenate([np.zeros((*circle.shape, 1)), path], axis=-1)
-    found = np.empty(circle.shape)
+    root_phase = np.empty(circle.shape)
     for drive in np.ndindex(circle.shape):
-        found[drive] = np.interp(reach[drive], path[drive], phase)
-    return found
+        root_phase[drive] = np.interp(reach[drive], path[drive], phase)
+    return root_phase
 
 
 def _contiguous(values: ArrayLike) -> Array:
@@ -302,12 +302,6 @@ def along_sweep(torques: Array, angles: Array) -> Array:
     """Return torques (N·m), shape (torques,) or (torques, angles), at every crank angle, shape (torques, angles)."""
     each = torques if torques.ndim == 2 else torques[:, None]
     return np.array(np.broadcast_to(each, (each.shape[0], angles.size)))
-
-
-def carried(contacts: contact.Rows) -> Array:
-    """Torque that contacts carry, N·m: force times arm, summed over the rows, shape (..., rows), of each."""
-    force, arm = contacts["force"], contacts["arm"]
-    return np.asarray(np.sum(np.where(force > 0.0, force * arm, 0.0), axis=-1))
 
 
 def balances(torque: ArrayLike, balance: ArrayLike) -> NDArray[np.bool_]:
@@ -357,7 +351,7 @@ def check_falling(drive: contact.Problem, crank_angle: Array, torque: Array, fal
     rows = contact.contact_rows(drive)
     for i in doubtful:
         contact.equilibrium(drive, crank_angle[i], torque[i], 0.0, rows, True)
-        check_balance(torque[i], carried(rows))
+        check_balance(torque[i], contact.carried(rows))
 
 
 def empty_lines(drive: DriveValue, slices: int, places: tuple[int, ...]) -> contact.ContactLines:
@@ -379,7 +373,7 @@ def empty_lines(drive: DriveValue, slices: int, places: tuple[int, ...]) -> cont
 
 
 def no_lines(torques: int) -> contact.ContactLines:
-    """Return what stands for contact lines where none are kept."""
+    """Return what stands for contact lines where none are contact_lines."""
     slices, elements = np.zeros((torques, 0, 0, 0, 0), np.float32), np.zeros((torques, 0, 0, 0, 0))
     none = np.empty(0)
     return contact.ContactLines(slices, slices, elements, elements.reshape(torques, 0, 0, 0), none, none, none)
@@ -407,40 +401,39 @@ def solve(drive: DriveValue, torque: Array, crank_angle: Array, options: Options
     torques, angles = _contiguous(torque), _contiguous(crank_angle)
     at_angles = along_sweep(torques, angles)
     loads, places = at_angles.shape, (*at_angles.shape, pair.discs, pair.pins)
-    found, low, high, gap = _unsolved(problem, loads)
-    deviation, stiffness, pressure = found.deviation, found.stiffness, found.max_contact_pressure
+    loaded, low, high, gap = _unsolved(problem, loads)
     lines = empty_lines(drive, slices, places) if options.with_elements else None
     merging = threading.Lock()
 
     def part(first: int, last: int) -> None:
         # Parts that are solved at once each raise pressures of their own.
-        mine = lines and lines._replace(
+        part_lines = lines and lines._replace(
             gear_pressure=np.zeros_like(lines.gear_pressure), pin_pressure=np.zeros_like(lines.pin_pressure)
         )
-        contact.sweep(problem, angles, at_angles, first, last, options.with_play, low, high, gap, found, mine)
-        if lines is not None and mine is not None:
+        contact.sweep(problem, angles, at_angles, first, last, options.with_play, low, high, gap, loaded, part_lines)
+        if lines is not None and part_lines is not None:
             with merging:
-                np.maximum(lines.gear_pressure, mine.gear_pressure, out=lines.gear_pressure)
-                np.maximum(lines.pin_pressure, mine.pin_pressure, out=lines.pin_pressure)
+                np.maximum(lines.gear_pressure, part_lines.gear_pressure, out=lines.gear_pressure)
+                np.maximum(lines.pin_pressure, part_lines.pin_pressure, out=lines.pin_pressure)
 
     def result(done: slice) -> Transmission:
-        kept = lines or no_lines(loads[0])
+        contact_lines = lines or no_lines(loads[0])
         return Transmission(
             torques,
             angles[done],
-            deviation[:, done],
-            stiffness[:, done],
-            found.contact_count[:, done],
-            pressure[:, done],
-            found.pin_force[:, done],
-            found.pin_pressure[:, done],
+            loaded.transmission_error[:, done],
+            loaded.stiffness[:, done],
+            loaded.contact_count[:, done],
+            loaded.max_contact_pressure[:, done],
+            loaded.pin_force[:, done],
+            loaded.pin_pressure[:, done],
             low[done],
             high[done],
             gap[done],
-            kept.slice_force[:, done],
-            kept.slice_direction[:, done],
-            kept.gear_pressure,
-            kept.pin_pressure,
+            contact_lines.slice_force[:, done],
+            contact_lines.slice_direction[:, done],
+            contact_lines.gear_pressure,
+            contact_lines.pin_pressure,
         )
 
     try:
@@ -448,7 +441,7 @@ def solve(drive: DriveValue, torque: Array, crank_angle: Array, options: Options
     except Stopped as stopped:
         raise Interrupted(result(slice(0, stopped.finished))) from None
     for k in range(loads[0]):
-        check_falling(problem, angles, at_angles[k], stiffness[k] <= 0.0)
+        check_falling(problem, angles, at_angles[k], loaded.stiffness[k] <= 0.0)
     return result(slice(None))
 
 
@@ -462,11 +455,11 @@ class Swept(NamedTuple):
 
 
 def _unsolved(problem: contact.Problem, loads: tuple[int, ...]) -> Swept:
-    deviation, stiffness, pressure = (np.full(loads, np.nan) for _ in range(3))
+    transmission_error, stiffness, pressure = (np.full(loads, np.nan) for _ in range(3))
     # In one array, which the allocator keeps for the next sweep: 1.15 times as fast where sweeps are repeated.
     pin_force, pin_pressure = np.zeros((2, *loads, problem.crank_phase.size, problem.pin_x.size))
     loaded = contact.LoadedSweep(
-        deviation, stiffness, np.zeros(loads, dtype=np.int64), pressure, pin_force, pin_pressure
+        transmission_error, stiffness, np.zeros(loads, dtype=np.int64), pressure, pin_force, pin_pressure
     )
     return Swept(loaded, *(np.full(loads[1], np.nan) for _ in range(3)))
 
@@ -476,21 +469,10 @@ def solve_problem(problem: contact.Problem, torque: Array, crank_angle: Array, *
 
     Whether contacts balance the torques is not checked (`check_falling`).
     """
-    found = _unsolved(problem, torque.shape)
-    contact.sweep(
-        problem,
-        crank_angle,
-        torque,
-        0,
-        crank_angle.size,
-        with_play,
-        found.low,
-        found.high,
-        found.interference,
-        found.loaded,
-        None,
-    )
-    return found
+    swept = _unsolved(problem, torque.shape)
+    ends, loaded = (swept.low, swept.high, swept.interference), swept.loaded
+    contact.sweep(problem, crank_angle, torque, 0, crank_angle.size, with_play, *ends, loaded, None)
+    return swept
 
 
 class Interrupted(KeyboardInterrupt):
@@ -532,11 +514,13 @@ def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: in
     """
     problem = rigid_problem(drive, slices)
     angles, torques = _contiguous(crank_angle), _contiguous(torque)
-    each = np.empty((angles.size, displacement_size(drive.pair)))
-    deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
-    contact.sweep_sensitivities(problem, angles, torques, deviation, each, by_angle, by_torque)
+    by_displacement = np.empty((angles.size, displacement_size(drive.pair)))
+    transmission_error, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
+    contact.sweep_sensitivities(problem, angles, torques, transmission_error, by_displacement, by_angle, by_torque)
     check_falling(problem, angles, torques, ~(by_torque > 0.0))
-    return Sensitivity(deviation, each, by_angle - 1.0 / drive.pair.ratio, by_torque, np.zeros((angles.size, 0)))
+    return Sensitivity(
+        transmission_error, by_displacement, by_angle - 1.0 / drive.pair.ratio, by_torque, np.zeros((angles.size, 0))
+    )
 
 
 def form_sensitivity(
@@ -548,10 +532,10 @@ def form_sensitivity(
 ) -> Array:
     """Derivatives of a solved transmission error by orders of the profile deviation, shape (angles, names), rad/m."""
     pair, surface = drive.pair, drive.surface
-    angles, deviation = _contiguous(crank_angle), _contiguous(transmission_error)
+    angles, transmission_error = _contiguous(crank_angle), _contiguous(transmission_error)
     elements = PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
     places = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
     waves = np.pad(np.array([profile_wave(name, elements) for name in names]), ((0, 0), (1, 1)), "edge")
-    found = np.empty((angles.size, len(names)))
-    contact.sweep_flank_sensitivities(rigid_problem(drive, slices), angles, deviation, places, waves, found)
-    return found
+    by_order = np.empty((angles.size, len(names)))
+    contact.sweep_flank_sensitivities(rigid_problem(drive, slices), angles, transmission_error, places, waves, by_order)
+    return by_order

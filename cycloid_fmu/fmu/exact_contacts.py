@@ -9,18 +9,17 @@ from __future__ import annotations
 import ctypes
 import functools
 import math
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import carray, cfunc, typeof, types
-from numba.core import cgutils
 from numba.experimental import structref
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
+from cycloid_fmu.contact.compiling import SOURCES
 from cycloid_fmu.contact.load_sharing import load_sharing
 from cycloid_fmu.contact.transmission import UNBALANCED, rigid_problem
 from cycloid_fmu.drive_value import DriveValue
@@ -92,10 +91,10 @@ structref.define_proxy(_Box, _BoxType, ["contacts"])
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _address(context: Any, box: Any) -> Any:
-    """Address of a box."""
+    """Address of a box: the one member of its value points to what it holds."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = cgutils.create_struct_proxy(signature.args[0])(context, builder, value=arguments[0]).meminfo
+        pointer = builder.extract_value(arguments[0], 0)
         return builder.ptrtoint(pointer, context.get_value_type(types.intp))
 
     return types.intp(box), code
@@ -107,9 +106,8 @@ def _box_at(context: Any, address: Any, kind: Any) -> Any:
     box = _KINDS[kind.literal_value]
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        proxy = cgutils.create_struct_proxy(box)(context, builder)
-        proxy.meminfo = builder.inttoptr(arguments[0], proxy.meminfo.type)
-        value = proxy._getvalue()
+        empty = context.get_constant_undef(box)
+        value = builder.insert_value(empty, builder.inttoptr(arguments[0], empty.type.elements[0]), 0)
         context.nrt.incref(builder, box, value)
         return value
 
@@ -124,14 +122,6 @@ def _boxed(contacts: Any) -> _Box:
 @compiled
 def _address_of(box: Any) -> int:
     return int(_address(box))
-
-
-@compiled
-def _carried(rows: Rows) -> float:
-    torque = 0.0
-    for row in range(rows.shape[0]):
-        torque += rows[row].force * rows[row].arm
-    return torque
 
 
 # Long as each operation is a few lines.
@@ -158,7 +148,7 @@ def _solve_mesh(mesh: _Mesh, operation: int, crank_angle: float, a: float, b: fl
         x, stiffness = contact.equilibrium(drive, crank_angle, a, x, rows, cold)
         result[0], result[1], result[2] = x, stiffness, a
         falling = a != 0.0 and not stiffness > 0.0  # as with worn flanks, or if nothing can balance the torque
-        if not math.isfinite(x) or (falling and not abs(_carried(rows) - a) <= UNBALANCED * abs(a)):
+        if not math.isfinite(x) or (falling and not abs(contact.carried(rows) - a) <= UNBALANCED * abs(a)):
             numbers[_COLD] = 1.0
             return _UNBALANCED
         numbers[_X] = x
@@ -176,7 +166,7 @@ def _solve_mesh(mesh: _Mesh, operation: int, crank_angle: float, a: float, b: fl
     elif operation == SOLVE_HOLD:
         numbers[_COLD] = 0.0
         x, stiffness = contact.behind_compliance(drive, crank_angle, a, b, x, rows, cold)
-        result[0], result[1], result[2] = x, stiffness, _carried(rows)
+        result[0], result[1], result[2] = x, stiffness, contact.carried(rows)
         numbers[_X] = x
     elif operation == SOLVE_PLAY:
         low, high, interference = contact.play(drive, crank_angle, x, mesh.play_rows, numbers[_PLAY_COLD] != 0.0)
@@ -227,11 +217,16 @@ def _ends(floating: _OnBearings, crank_angle: float) -> tuple[float, float]:
 
 
 @compiled
-def _touch_rate(floating: _OnBearings, crank_angle: float, side: float) -> float:
-    """dφ_b/dθ at the end of the play on a side."""
-    before = _end(floating, crank_angle - _CRANK_STEP, side)[0]
-    after = _end(floating, crank_angle + _CRANK_STEP, side)[0]
-    return float((after - before) / (2.0 * _CRANK_STEP) - 1.0 / floating.stands[0].drive.teeth)
+def _touch_rates(floating: _OnBearings, crank_angle: float, side: float) -> tuple[float, float]:
+    """dφ_b/dθ at the end of the play on a side, and where the tangent there begins, to some 1e-6.
+
+    Without play the two ends cross: tangents then begin at their own ends, but the play's end is the middle.
+    """
+    i = 1 if side > 0.0 else 0
+    before, began = _ends(floating, crank_angle - _CRANK_STEP)[i], _end(floating, crank_angle - _CRANK_STEP, side)[0]
+    after, begins = _ends(floating, crank_angle + _CRANK_STEP)[i], _end(floating, crank_angle + _CRANK_STEP, side)[0]
+    ideal, wide = 1.0 / floating.stands[0].drive.teeth, 2.0 * _CRANK_STEP
+    return float((after - before) / wide - ideal), float((begins - began) / wide - ideal)
 
 
 @compiled
@@ -303,8 +298,8 @@ def _solve_on_bearings(
         if side == 0.0:
             result[0], result[1] = results[energy.CRANK_TORQUE], rate
         else:
-            end = _touch_rate(floating, crank_angle, side)
-            bent = share * (rate - end)
+            end, own = _touch_rates(floating, crank_angle, side)
+            bent = share * (rate - own)
             result[0], result[1] = -torque * (end + 0.5 * bent), end + bent
     elif operation == SOLVE_PRESS:
         status = _solve_pressed(floating, crank_angle, a, b, _PRESSED_CENTRING, result)
@@ -329,7 +324,7 @@ def _solve_on_bearings(
         result[0], result[1] = _ends(floating, crank_angle)
         return _SOLVED if math.isfinite(result[0]) else _UNBALANCED
     elif operation == SOLVE_TOUCH:
-        result[0] = _touch_rate(floating, crank_angle, b)
+        result[0] = _touch_rates(floating, crank_angle, b)[0]
     else:
         _share_load(floating, crank_angle, result)
     return _SOLVED
@@ -338,11 +333,6 @@ def _solve_on_bearings(
 _SIGNATURE = types.int64(
     types.intp, types.int64, types.float64, types.float64, types.float64, types.CPointer(types.float64)
 )
-_ROOT = Path(__file__).parents[1]
-_FOLDERS = [_ROOT / name for name in ("contact", "supports")]
-_SOURCES = repr(sorted((s.stat().st_mtime_ns, s.name) for folder in _FOLDERS for s in folder.glob("*.py")))
-
-
 _KINDS: dict[str, Any] = {}  # types of boxes by their names
 
 
@@ -350,7 +340,7 @@ _KINDS: dict[str, Any] = {}  # types of boxes by their names
 def _callback(box: Any, on_bearings: bool) -> Any:
     """Return the C function of a type of box; what numba compiles is kept on disk until the kernels' sources change."""
     # numba distinguishes what it keeps by the values that a function encloses, which must be the same in each process.
-    kind, sources = str(box), _SOURCES
+    kind, sources = str(box), repr(SOURCES)
     _KINDS[kind] = box
 
     def solve_mesh(address: int, operation: int, crank_angle: float, a: float, b: float, result: Any) -> int:

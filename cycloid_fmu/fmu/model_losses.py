@@ -1,8 +1,9 @@
 """Losses of an FMU from the friction that a pair file states, solved in the balance of the drive.
 
-Friction at the contacts and bearings goes into Modelica's loss table, drags of both shafts that do not depend on the
-lubricant into the friction of the flanges. Whatever the lubricant does depends on speed times viscosity alone, so the
-table is over the speed at one viscosity, and the FMU looks it up at the speed times ν(T)/ν_ref (docs/theory/fmu.md).
+Friction at the contacts and bearings goes into Modelica's loss table, its change over the crank angle into orders of
+that angle, drags of both shafts that do not depend on the lubricant into the friction of the flanges. Whatever the
+lubricant does depends on speed times viscosity alone, so the table is over the speed at one viscosity, and the FMU
+looks it up at the speed times ν(T)/ν_ref (docs/theory/fmu.md).
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive_value import DriveValue
-from cycloid_fmu.fmu.constants import INPUT_STRIBECK_SPEED
+from cycloid_fmu.fmu.constants import INPUT_STRIBECK_SPEED, MOST_RIPPLE_ORDERS
 from cycloid_fmu.fmu.friction_file import Friction
-from cycloid_fmu.fmu.variables import FRICTIONLESS, LOSSLESS, Interface, LossRow
+from cycloid_fmu.fmu.variables import FRICTIONLESS, LOSSLESS, Interface, LossRipple, LossRow
 from cycloid_fmu.geometry.losses import Drag, Losses, Lubricant
 from cycloid_fmu.losses.heat import at_oil_temperature
 from cycloid_fmu.losses.solver import losses_of, solve, sun_rate
@@ -35,6 +36,8 @@ _COMPARED = (0.1, 0.45, 1.0)  # of the rated torque
 _ANGLES = 37  # of one crank turn: no common divisor with numbers of pins near it
 _CLOSE = 2e-3  # of the load's torque at flange_a: largest change of a row that is not inserted
 _MOST_ROWS = 32
+_RIPPLE_ANGLES = 8  # for each pin
+_LEAST_RIPPLE = 1e-4  # of the load's torque at flange_a: smaller orders are left out
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,8 @@ class ModelLosses:
         The same at single crank angles.
     loads, temperatures
         Smallest and largest of those compared, N·m on the output and K.
+    ripple
+        As `loss_ripple` of an `Interface`; None where the losses do not change over the crank angle.
     from_table
         Names of `friction_values.VALUES` whose geometric mean was taken.
     """
@@ -64,20 +69,26 @@ class ModelLosses:
     angle_deviation: float
     loads: tuple[float, float]
     temperatures: tuple[float, float]
+    ripple: LossRipple | None = None
     from_table: tuple[str, ...] = ()
 
     @property
     def summary(self) -> str:
-        """What was computed, and how well it agrees: two sentences, each on its line."""
+        """What was computed, how well it agrees, and what does not follow the temperature, each on its line."""
         low, high = (kelvin - 273.15 for kelvin in self.temperatures)
         means = f" with the geometric means of {', '.join(map(repr, self.from_table))}" if self.from_table else ""
+        orders = f"{0 if self.ripple is None else len(self.ripple.orders)} orders of the crank angle"
         warm = "" if low == high else f", {low:.4g} to {high:.4g} °C"
+        # The difference printed includes their change.
+        clearances = (
+            "" if low == high else "\nClearances and play do not follow the temperature: they are those of the file."
+        )
         return (
-            f"losses from [losses]{means}, {len(self.rows)} rows of the loss table; for {self.loads[0]:.4g} to "
-            f"{self.loads[1]:.4g} N·m, up to {LARGEST_SPEED * 30.0 / math.pi:.4g} rpm{warm}.\n"
+            f"losses from [losses]{means}, {len(self.rows)} rows of the loss table, {orders}; for "
+            f"{self.loads[0]:.4g} to {self.loads[1]:.4g} N·m, up to {LARGEST_SPEED * 30.0 / math.pi:.4g} rpm{warm}.\n"
             "The torque at flange_a differs from that with friction in the balance by at most "
             f"{100.0 * self.mean_deviation:.2g} % of the load's, at single crank angles by "
-            f"{100.0 * self.angle_deviation:.2g} %."
+            f"{100.0 * self.angle_deviation:.2g} %.{clearances}"
         )
 
 
@@ -102,7 +113,8 @@ def with_model_losses(interface: Interface, drive: DriveValue) -> tuple[Interfac
         return interface, None
     found = model_losses(drive)
     names = ("input_friction", "output_friction", "lubricant")
-    return dataclasses.replace(interface, losses=found.rows, **{name: getattr(found, name) for name in names}), found
+    values = {name: getattr(found, name) for name in names}
+    return dataclasses.replace(interface, losses=found.rows, loss_ripple=found.ripple, **values), found
 
 
 def model_losses(drive: DriveValue) -> ModelLosses:
@@ -129,6 +141,7 @@ def model_losses(drive: DriveValue) -> ModelLosses:
         0.0,
         (SHARES[0] * model.rated, model.rated),
         (0.0, 0.0),
+        _ripple(drive),
         tuple(sorted(set(losses.from_table.values()))),
     )
     return _compared(model, found)
@@ -156,11 +169,11 @@ def table_torque(rows: tuple[LossRow, ...], speed: float, asked: Array) -> Array
 class _Model:
     """The drive with friction in its balance, without the drags that an FMU has at its flanges."""
 
-    def __init__(self, drive: DriveValue) -> None:
+    def __init__(self, drive: DriveValue, angles: int = _ANGLES) -> None:
         self.drive, self.losses, self.rate, self.ratio = drive, losses_of(drive), sun_rate(drive), abs(drive.ratio)
         self.rated = drive.pair.rated_load("the pair")
         self.loads = self.rated * np.array(SHARES)
-        self.angles = np.linspace(0.0, 2.0 * math.pi, _ANGLES, endpoint=False)
+        self.angles = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
         drags = {
             "input_drag": self.losses.input_drag.replace(viscous=0.0),
             "output_drag": Drag(churning=self.losses.output_drag.churning),
@@ -245,6 +258,32 @@ def _rows(model: _Model) -> tuple[LossRow, ...]:
     return tuple(rows[speed] for speed in sorted(rows))
 
 
+def _ripple(drive: DriveValue) -> LossRipple | None:
+    """Return the change of the losses over a crank turn at the loads of `SHARES`, at a tenth of the largest speed.
+
+    It is what the balance loses more than the line through its means, at the torque of the teeth at each angle.
+    """
+    model, speed = _Model(drive, _RIPPLE_ANGLES * drive.pair.pins), 0.1 * LARGEST_SPEED
+    row, smooth, turn = (model.row(speed),), _with_losses(drive, Losses()), math.copysign(1.0, model.rate)
+    parts = np.empty((2, 2, len(SHARES), model.angles.size // 2 + 1), np.complex128)
+    for direction, drives in itertools.product((1, -1), (True, False)):
+        loads = direction * model.loads if drives else -direction * model.loads
+        asked = model.input_torque(smooth, loads, direction, 0.0)
+        more = model.input_torque(model.contacts, loads, direction, speed) - table_torque(row, speed, asked)
+        spectrum = 2.0 * np.fft.rfft(more) / model.angles.size
+        parts[int((direction * turn > 0.0) != drives), int(not drives)] = spectrum.conj()
+    teeth = model.loads / model.ratio
+    largest = (np.abs(parts) / teeth[:, None]).max(axis=(0, 1, 2))
+    largest[[0, -1]] = 0.0
+    orders = np.sort(np.argsort(-largest)[:MOST_RIPPLE_ORDERS])
+    orders = orders[largest[orders] > _LEAST_RIPPLE]
+    if orders.size == 0:
+        return None
+    chosen = parts[..., orders]
+    both = np.stack([chosen.real, chosen.imag], axis=-1).tolist()
+    return LossRipple(orders=tuple(orders.tolist()), loads=tuple(teeth.tolist()), parts=both)
+
+
 def _range(drive: DriveValue) -> tuple[float, float]:
     """Return the lowest and the highest temperature that the model is compared at, K."""
     lubricant, thermal = losses_of(drive).lubricant, drive.pair.thermal
@@ -308,16 +347,29 @@ def _differences(
     smooth = model.input_torque(_with_losses(model.drive, Losses()), loads, direction, 0.0)
     thinning, off = _thinning(model.losses.lubricant, kelvin), list[Array]()
     for speed in (0.0, INPUT_STRIBECK_SPEED, 0.1 * LARGEST_SPEED, LARGEST_SPEED):
-        of_fmu = _of_fmu(model, found, smooth, direction * loads, speed, thinning)
+        drag = found.output_friction.coulomb + found.output_friction.viscous * speed / model.ratio
+        asked = smooth * (1.0 + drag / (direction * loads))[:, None]
+        of_fmu = _of_fmu(model, found, asked, direction, speed * thinning) + found.input_friction.viscous * speed
         off.append(model.input_torque(warm, loads, direction, speed) - of_fmu)
     return np.array(off) / (np.abs(loads) / model.ratio)[:, None]
 
 
-def _of_fmu(model: _Model, found: ModelLosses, smooth: Array, loads: Array, speed: float, thinning: float) -> Array:
-    """Return the FMU's torque at flange_a in the direction of its motion, shape (loads, angles), N·m.
+def _of_fmu(model: _Model, found: ModelLosses, asked: Array, direction: int, reduced: float) -> Array:
+    """Return the torque at flange_a with the losses of an FMU, shape (loads, angles), N·m.
 
-    `smooth` is that without friction; `loads` are above 0 where the drive drives, N·m.
+    Parameters
+    ----------
+    asked
+        That of the teeth; both in the direction of the flange's motion.
+    direction
+        Of the crank's rotation.
+    reduced
+        Speed of flange_a, rad/s, times the lubricant's viscosity over the stated one.
     """
-    drag = found.output_friction.coulomb + found.output_friction.viscous * speed / model.ratio
-    asked = smooth * (1.0 + drag / loads)[:, None]
-    return table_torque(found.rows, speed * thinning, asked) + found.input_friction.viscous * speed
+    lost = table_torque(found.rows, reduced, asked) - asked
+    if found.ripple is not None:
+        turn = direction * math.copysign(1.0, model.rate)
+        for k, mean in enumerate(asked.mean(axis=1).tolist()):
+            lost[k] = np.maximum(lost[k] + found.ripple.torque(model.angles, turn * mean, mean > 0.0), 0.0)
+    needed: Array = asked + lost
+    return needed

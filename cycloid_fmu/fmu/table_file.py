@@ -30,7 +30,7 @@ from cycloid_fmu.fmu.resource_file import (
     sealed,
     variable_bytes,
 )
-from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
+from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, LossRipple, Variable
 from cycloid_fmu.geometry.first_stage import FirstStage
 
 if TYPE_CHECKING:
@@ -198,7 +198,14 @@ def _head(
     offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
     body = bytearray(struct.pack("<I", offered) + variable_bytes(variables.values(), _field))
     stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)[:4]
-    return body + struct.pack("<7d", *numbers, *stage)
+    return body + struct.pack("<7d", *numbers, *stage) + _ripple(interface.loss_ripple)
+
+
+def _ripple(ripple: LossRipple | None) -> bytes:
+    if ripple is None:
+        return struct.pack("<2I", 0, 0)
+    numbers = np.concatenate([ripple.orders, ripple.loads, np.ravel(ripple.parts)])
+    return struct.pack("<2I", len(ripple.orders), len(ripple.loads)) + numbers.astype("<f8").tobytes()
 
 
 def _field(variable: Variable) -> int:

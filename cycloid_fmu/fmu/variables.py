@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.edge import Config
@@ -31,7 +32,44 @@ INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
 LossRow = tuple[float, float, float, float, float]  # of Modelica's `LossyGear.lossTable`
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
 FRICTIONLESS = Friction()
-ADDED: dict[str, type[Config]] = {"lubricant": Lubricant, "thermal": Thermal}
+
+
+class LossRipple(Config):
+    """What losses take more than their mean at a crank angle: a torque at `flange_a`, N·m.
+
+    Attributes
+    ----------
+    orders
+        Of the crank's turn.
+    loads
+        Torques of the teeth at `flange_a` at which it is stated, N·m, ascending; it is linear from none without load to
+        the first and between them.
+    parts
+        Cosine and sine part, N·m, shape (2, 2, loads, orders, 2): by the sign of that torque, positive first, and by
+        which flange drives, `flange_a` first.
+    """
+
+    orders: tuple[int, ...]
+    loads: tuple[float, ...]
+    parts: tuple[tuple[tuple[tuple[tuple[float, float], ...], ...], ...], ...]
+
+    def torque(self, crank_angle: NDArray[np.float64], load: float, drives: bool) -> NDArray[np.float64]:
+        """Return the torque at crank angles (rad), N·m, as `fmu/clockwork/losses.c` has it.
+
+        `load` is the torque of the teeth at `flange_a`, N·m, and `drives` whether this flange does.
+        """
+        parts = np.array(self.parts[int(load < 0.0)][int(not drives)])
+        from_none = np.concatenate([np.zeros((1, *parts.shape[1:])), parts])
+        loads = (0.0, *self.loads)
+        cosine, sine = (
+            [np.interp(abs(load), loads, of_order) for of_order in part.T] for part in np.moveaxis(from_none, 2, 0)
+        )
+        turn = np.multiply.outer(crank_angle, self.orders)
+        torque: NDArray[np.float64] = np.cos(turn) @ cosine + np.sin(turn) @ sine
+        return torque
+
+
+ADDED: dict[str, type[Config]] = {"lubricant": Lubricant, "thermal": Thermal, "loss_ripple": LossRipple}
 """Values of an `Interface` that the resources of an FMU contain only if they are stated."""
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
 # Attributes of the models for variables with a different name.
@@ -125,6 +163,8 @@ class Interface:
         Friction at `flange_a`, where it adds to the losses, and at `flange_b` (`friction_file.Friction`).
     lubricant
         With it the losses are those of the table at |w| times its viscosity over that at its own temperature.
+    loss_ripple
+        What they take more or less at a crank angle, made from `[losses]` with them.
     thermal
         With its capacity, which must be stated, the temperature of the oil is a state of the FMU, which has a heat
         port. None for that of a pair with `[losses]`, if it states a capacity.
@@ -152,6 +192,7 @@ class Interface:
     output_friction: Friction = FRICTIONLESS
     lubricant: Lubricant | None = None
     thermal: Thermal | None = None
+    loss_ripple: LossRipple | None = None
 
     @property
     def laws(self) -> tuple[Law, Law]:

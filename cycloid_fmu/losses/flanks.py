@@ -67,5 +67,5 @@ def flank_friction(pair: Pair, losses: Losses, speed: Array, force: Array, crank
 
 def coefficient_at_speed(pair: Pair, losses: Losses) -> float:
     """Return the ratio of friction to normal force of flanks on pins without its rise towards rest."""
-    one = np.ones(1)
-    return float(flank_friction(pair, losses, one, one, math.inf).force[0])
+    unit = np.ones(1)
+    return float(flank_friction(pair, losses, unit, unit, math.inf).force[0])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import gap_gradient
+from cycloid_fmu.contact.local_frame import force_fall, gap_gradient
 from cycloid_fmu.geometry.losses import PARTS
 from cycloid_fmu.supports.balance import Load, assemble, settling
 from cycloid_fmu.supports.joints import (
@@ -160,22 +160,14 @@ def _add_flanks(
         f = sliding_friction(law, rubbing.direction, radius, speed, force)
         loss[FLANK + (TURNING if f.turns else SLIDING)] += abs(f.amplitude * f.speed)
         along = gap_gradient(local)
+        fall, gap, (slide_u, slide_v, slide_y) = force_fall(contact_, local, along), along.gap, along.slide
         # Friction acts at the point of contact, which slides with the gear's rotation as well.
-        slide_y = along.slide_y + distance
-        curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
-        at = FIRST_DISC + 3 * local.disc
-        residual[at] -= f.amplitude * along.slide_u
-        residual[at + 1] -= f.amplitude * along.slide_v
-        residual[at + 2] -= f.amplitude * slide_y
-        for j in range(3):
-            gap_j = along.gap_u if j == 0 else (along.gap_v if j == 1 else along.gap_y)
-            slide_j = along.slide_u if j == 0 else (along.slide_v if j == 1 else along.slide_y)
-            pressed = f.slope * (contact_.stiffness * gap_j - curved * slide_j)
-            turned = f.amplitude * local.bend * slide_j
-            rigid = f.amplitude if j == 2 else 0.0
-            jacobian[at, at + j] += pressed * along.slide_u + (turned + rigid) * along.gap_u
-            jacobian[at + 1, at + j] += pressed * along.slide_v + (turned + rigid) * along.gap_v
-            jacobian[at + 2, at + j] += pressed * slide_y + turned * along.gap_y
+        acting, at = (slide_u, slide_v, slide_y + distance), FIRST_DISC + 3 * local.disc
+        for i in range(3):
+            residual[at + i] -= f.amplitude * acting[i]
+            for j in range(3):
+                turned = local.bend * along.slide[j] + (1.0 if i < 2 and j == 2 else 0.0)
+                jacobian[at + i, at + j] += f.slope * fall[j] * acting[i] + f.amplitude * turned * gap[i]
 
 
 @compiled

@@ -21,7 +21,15 @@ from cycloid_fmu.losses.sweeps import slope_of, sweep_rubbing
 from cycloid_fmu.supports import transmission as stage
 from cycloid_fmu.supports.assembly import bodies_of, kinds_of
 from cycloid_fmu.supports.joints import work_of
-from cycloid_fmu.supports.transmission import OnBearings, assembly_of, empty, of_part, problem_of, results
+from cycloid_fmu.supports.transmission import (
+    OnBearings,
+    assembly_of,
+    empty,
+    of_part,
+    problem_of,
+    results,
+    with_own_discs,
+)
 
 Array = NDArray[np.float64]
 _PART = 64  # crank angles that one thread solves at a time
@@ -224,24 +232,23 @@ def solve(
     pair, rubbing = drive.pair, rubbing_of(drive, direction, crank_speed)
     angles, at_angles = np.array(crank_angle, dtype=float), along_sweep(np.asarray(torque, dtype=float), crank_angle)
     slices = slices or drive.slices
-    found = empty(pair, len(at_angles), angles.size)
-    loss = np.zeros((*found.steps.shape, len(PARTS)))
+    solutions = empty(pair, len(at_angles), angles.size)
+    loss = np.zeros((*solutions.steps.shape, len(PARTS)))
     if near is not None:
-        found.place[:] = near
+        solutions.place[:] = near
     assembly, mesh = assembly_of(drive), problem_of(drive, slices)
 
     def part(start: int, last: int) -> None:
-        shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
-        problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
+        problem = with_own_discs(mesh)
         for k, torques in enumerate(at_angles):
-            here, unknowns = of_part(found, np.s_[k, start:last]), found.place.shape[-1]
+            part_of_sweep, unknowns = of_part(solutions, np.s_[k, start:last]), solutions.place.shape[-1]
             sweep_rubbing(
                 problem,
                 assembly,
                 angles[start:last],
                 torques[start:last],
                 rubbing,
-                here,
+                part_of_sweep,
                 loss[k, start:last],
                 work_of(assembly),
                 slope_of(unknowns),
@@ -249,20 +256,27 @@ def solve(
             )
 
     solve_in_parts(part, angles.size, _PART, workers, lambda size: progress(size * len(at_angles)))
-    jammed = found.steps == 0
+    jammed = solutions.steps == 0
     if jammed.any():
         # Only a torque that the drive carries without friction can jam it.
         load, angle = np.argwhere(jammed)[0]
         stage.solve(drive.stage, at_angles[load, angle : angle + 1], angles[angle : angle + 1], Options(slices, False))
-    for values in (*found[1:4], found.max_contact_pressure, found.pin_force, found.pin_pressure, found.force, loss):
+    for values in (
+        *solutions[1:4],
+        solutions.max_contact_pressure,
+        solutions.pin_force,
+        solutions.pin_pressure,
+        solutions.force,
+        loss,
+    ):
         values[jammed] = np.nan
     rate = sun_rate(drive)
     drag = losses_of(drive).input_drag.torque(rate * crank_speed, losses_of(drive).thinning)
     loss[..., DRAG_INPUT] = np.where(jammed, np.nan, drag * abs(rate))
-    of_input = found.crank_torque
+    of_input = solutions.crank_torque
     if drive.first_stage is not None:
         factor = np.where(direction * of_input > 0.0, 1.0 / (1.0 - rubbing.loss), 1.0 - rubbing.loss)
         of_input = -of_input * drive.first_stage.sun_share * factor
     of_input = of_input + math.copysign(drag, rate) * direction
-    motion = results(pair, np.asarray(torque, dtype=float), angles, at_angles, found)
-    return Rubbed(direction, crank_speed, motion, found.place, loss, of_input, rate)
+    motion = results(pair, np.asarray(torque, dtype=float), angles, at_angles, solutions)
+    return Rubbed(direction, crank_speed, motion, solutions.place, loss, of_input, rate)

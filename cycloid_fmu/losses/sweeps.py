@@ -8,7 +8,7 @@ import numpy as np
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import gap_gradient
+from cycloid_fmu.contact.local_frame import gap_gradient, projection
 from cycloid_fmu.losses.rubbing import (
     ARM,
     CONSTANT,
@@ -29,10 +29,10 @@ from cycloid_fmu.losses.rubbing import (
     through_first_stage,
     write_sliding,
 )
-from cycloid_fmu.supports.balance import NEIGHBOUR, Load, solve_transposed, torsional_stiffness
+from cycloid_fmu.supports.balance import Load, solve_transposed
 from cycloid_fmu.supports.bearing import CENTRING
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, reaction
-from cycloid_fmu.supports.sweeps import Found
+from cycloid_fmu.supports.sweeps import Solutions, follow_neighbours, write_solution
 
 
 def slope_of(unknowns: int) -> Slope:
@@ -47,7 +47,7 @@ def sweep_rubbing(
     crank_angles: Array,
     torques: Array,
     rubbing: Rubbing,
-    results: Found,
+    results: Solutions,
     loss: Array,
     work: Work,
     slope: Slope,
@@ -68,17 +68,14 @@ def sweep_rubbing(
     q = work.place
     for i in range(crank_angles.size):
         crank_angle = crank_angles[i]
-        step = abs(crank_angle - crank_angles[i - 1]) if i > 0 else math.inf
-        solved = i > 0 and results.steps[i - 1] > 0
+        follows = False
         if near:
             for k in range(q.size):
                 q[k] = results.place[i, k]
             work.moved[0] = math.inf
-        elif i > 1 and solved and step < 1.5 * abs(crank_angles[i - 1] - crank_angles[i - 2]) < NEIGHBOUR:
-            share = (crank_angle - crank_angles[i - 1]) / (crank_angles[i - 1] - crank_angles[i - 2])
-            for k in range(q.size):
-                q[k] += share * (q[k] - results.place[i - 2, k])
-        cold = not near and not (solved and step < NEIGHBOUR)
+        elif i > 0 and results.steps[i - 1] > 0:
+            follows = follow_neighbours(crank_angles, results.place, i, q)
+        cold = not (near or follows)
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
         results.steps[i] = settle_rubbing(
             problem, assembly, crank_angle, pull, contacts, work, (rubbing, slope, loss[i]), cold
@@ -86,18 +83,10 @@ def sweep_rubbing(
         if results.steps[i] == 0:
             work.moved[0] = math.inf
             continue
-        for k in range(q.size):
-            results.place[i, k] = q[k]
-        results.crank_torque[i] = assemble_rubbing(
-            problem, assembly, crank_angle, pull, contacts, work, (rubbing, slope, loss[i])
-        )
-        results.stiffness[i] = torsional_stiffness(problem, assembly, work)
-        for number in range(assembly.joints.size):
-            joint = assembly.joints[number]
-            d = displacement(assembly, joint, work)
-            results.force[i, number] = reaction(assembly, joint, d, 0.0).force
-        count, pressure = contact.load_sharing(problem, contacts, results.pin_force[i], results.pin_pressure[i])
-        results.contact_count[i], results.max_contact_pressure[i] = count, pressure
+        # With all forces at the solved place again, of which the crank's torque with friction is one.
+        crank_torque = assemble_rubbing(problem, assembly, crank_angle, pull, contacts, work, (rubbing, slope, loss[i]))
+        write_solution(problem, assembly, contacts, work, results, i)
+        results.crank_torque[i] = crank_torque
 
 
 @compiled
@@ -132,9 +121,9 @@ def _add_flanks(problem: Problem, crank_angle: float, contacts: Rows, work: Work
         radius = problem.pin_radius[local.pin]
         distance = contacts[row].gap + radius
         f = sliding_friction(law, rubbing.direction, radius, flank_speed(problem, local, distance), force)
-        at, along = FIRST_DISC + 3 * local.disc, gap_gradient(local)
-        sliding = along.slide_u * row_[at] + along.slide_v * row_[at + 1]
-        sliding += (along.slide_y + distance) * row_[at + 2]
+        at = FIRST_DISC + 3 * local.disc
+        weights = (row_[at], row_[at + 1], row_[at + 2])
+        sliding = projection(weights, gap_gradient(local).slide) + distance * row_[at + 2]
         _by_coefficients(law, f, force, False, sliding, radius, out[FLANK_LAW])
 
 

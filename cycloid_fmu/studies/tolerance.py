@@ -363,15 +363,15 @@ def _slices(study: Study) -> int:
 
 def _figures_side_by_side(study: Study, surfaces: Sequence[ErrorSurface]) -> Array:
     near = _near_drives(study.pair, study.torque, study.angles, study.turns, _slices(study))
-    drives = near.made(np.array([displacement_vector(study.pair, surface) for surface in surfaces]))
+    drives = near.displaced(np.array([displacement_vector(study.pair, surface) for surface in surfaces]))
     loads = len(study.torque)
     solutions = [near.loaded(k, drives) for k in range(loads)]
     has_rated = study.pair.rated_torque is not None
     backlash, interference = near.play(loads + 2 * has_rated, drives)
     free = np.where(np.isnan(backlash), 0.0, backlash)
     found: dict[str, Any] = {
-        "angular_transmission_error": [np.ptp(deviation, axis=1) for deviation, _ in solutions],
-        "mean_transmission_error": [deviation.mean(axis=1) for deviation, _ in solutions],
+        "angular_transmission_error": [np.ptp(error, axis=1) for error, _ in solutions],
+        "mean_transmission_error": [error.mean(axis=1) for error, _ in solutions],
         "max_contact_pressure": [pressure.max(axis=1) for _, pressure in solutions],
         "mean_backlash": free.mean(axis=1),
         "backlash": free.max(axis=1),

@@ -75,28 +75,18 @@ def _place_discs(problem: Problem, assembly: Assembly, crank_angle: float, conta
 @compiled
 def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work) -> None:
     """Add the pins' forces on the discs and the derivatives of these forces."""
-    residual, jacobian = work.residual, work.jacobian
     for row in range(contacts.shape[0]):
-        contact_ = contacts[row]
-        force = contact_.force
+        force = contacts[row].force
         if force <= 0.0:
             continue
         local = contact.local_frame(problem, crank_angle, work.place[0], contacts, row)
         along = gap_gradient(local)
-        stiffness = contact_stiffness(contact_, local, along)
+        stiffness = contact_stiffness(contacts[row], local, along)
         at = FIRST_DISC + 3 * local.disc
-        residual[at] -= force * along.gap_u
-        residual[at + 1] -= force * along.gap_v
-        residual[at + 2] -= force * along.gap_y
-        jacobian[at, at] += stiffness.uu
-        jacobian[at, at + 1] += stiffness.uv
-        jacobian[at, at + 2] += stiffness.uy
-        jacobian[at + 1, at] += stiffness.vu
-        jacobian[at + 1, at + 1] += stiffness.vv
-        jacobian[at + 1, at + 2] += stiffness.vy
-        jacobian[at + 2, at] += stiffness.yu
-        jacobian[at + 2, at + 1] += stiffness.yv
-        jacobian[at + 2, at + 2] += stiffness.yy
+        for i in range(3):
+            work.residual[at + i] -= force * along.gap[i]
+            for j in range(3):
+                work.jacobian[at + i, at + j] += stiffness[i][j]
 
 
 @compiled

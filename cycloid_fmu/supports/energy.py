@@ -15,7 +15,7 @@ import numpy as np
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.load_sharing import load_sharing
-from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
+from cycloid_fmu.contact.local_frame import contact_stiffness, crank_motion, gap_gradient, projection
 from cycloid_fmu.supports.balance import HELD, Load, settle, solve_transposed
 from cycloid_fmu.supports.joints import (
     FIRST_DISC,
@@ -72,19 +72,16 @@ def _mesh(
         along = gap_gradient(local)
         stiffness = contact_stiffness(contact_, local, along)
         # Motion of the disc with the crank at fixed unknowns.
-        u, v, y = -drive.eccentricity * local.crank_y, drive.eccentricity * local.crank_x, -1.0 / drive.teeth
+        motion = (*crank_motion(drive, local), -1.0 / drive.teeth)
         energy += -0.5 * force * (contact_.gap + drive.seat_gap) - 0.25 * kappa * force * force
-        turning -= force * (along.gap_u * u + along.gap_v * v + along.gap_y * y)
+        turning -= force * projection(motion, along.gap)
         curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
         bending = 0.5 * force * curved / contact_.stiffness
-        bent_by += bending * (along.slide_u * u + along.slide_v * v + along.slide_y * y)
+        bent_by += bending * projection(motion, along.slide)
         at = FIRST_DISC + 3 * local.disc
-        by_energy[at] += bending * along.slide_u
-        by_energy[at + 1] += bending * along.slide_v
-        by_energy[at + 2] += bending * along.slide_y
-        by_angle[at] += stiffness.uu * u + stiffness.uv * v + stiffness.uy * y
-        by_angle[at + 1] += stiffness.vu * u + stiffness.vv * v + stiffness.vy * y
-        by_angle[at + 2] += stiffness.yu * u + stiffness.yv * v + stiffness.yy * y
+        for i in range(3):
+            by_energy[at + i] += bending * along.slide[i]
+            by_angle[at + i] += projection(motion, stiffness[i])
     return energy, turning, bent_by
 
 
@@ -137,7 +134,7 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
         by_energy[i] = by_angle[i] = 0.0
     of_mesh, mesh_turning, bending = _mesh(drive, crank_angle, q[0], rows, by_energy, by_angle)
     of_joints, joints_turning = _joints(assembly, pull.centring, work, by_angle)
-    by_theta = mesh_turning + joints_turning
+    by_crank = mesh_turning + joints_turning
     # Rows of the inverse for the carrier's rotation and for b, without the flange's spring.
     work.jacobian[0, 0] -= spring
     for i in range(n):
@@ -147,7 +144,7 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
     if not (solve_transposed(drive, assembly, work, row, HELD) and solve_transposed(drive, assembly, work, bent, HELD)):
         return 0
     share = spring / (1.0 + spring * row[0])
-    rate, energy_rate = 0.0, by_theta + bending
+    rate, energy_rate = 0.0, by_crank + bending
     for i in range(n):
         rate -= row[i] * by_angle[i]
         energy_rate -= (bent[i] - row[i] * share * bent[0]) * by_angle[i]
@@ -156,7 +153,7 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
     out[X], out[STIFFNESS] = q[0], 1.0 / row[0]
     out[ENERGY] = of_mesh + of_joints + (0.5 * (flange - q[0]) ** 2 * spring if spring > 0.0 else 0.0)
     out[BY_FLANGE], out[BY_ANGLE] = by_flange, energy_rate + by_flange / teeth
-    out[CRANK_TORQUE], out[RATE], out[TORQUE] = by_theta + carried / teeth, rate - 1.0 / teeth, carried
+    out[CRANK_TORQUE], out[RATE], out[TORQUE] = by_crank + carried / teeth, rate - 1.0 / teeth, carried
     return steps
 
 

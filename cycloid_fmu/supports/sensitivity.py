@@ -11,13 +11,8 @@ from typing import NamedTuple
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
-from cycloid_fmu.contact.sensitivity import (
-    BODY_COUNT,
-    CIRCLE_GENERATING,
-    PIN_GENERATING,
-    larger_circle,
-)
+from cycloid_fmu.contact.local_frame import crank_motion, gap_gradient, projected_stiffness, projection
+from cycloid_fmu.contact.sensitivity import add_by_pins_and_flanks
 from cycloid_fmu.supports.balance import Load, assemble, solve_transposed
 from cycloid_fmu.supports.bearing import CENTRING, by_clearance
 from cycloid_fmu.supports.joints import (
@@ -75,40 +70,17 @@ class Derivatives(NamedTuple):
 def _add_mesh(problem: Problem, crank_angle: float, contacts: Rows, work: Work, out: Array) -> float:
     """Subtract λ·∂r/∂p for the displacements of pins and flanks; return λ·∂r/∂θ."""
     row, turning = work.step, 0.0
-    teeth = problem.teeth
-    pins = teeth + 1
-    radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
-    pitch = BODY_COUNT + 3 * pins
-    e = problem.eccentricity
     for number in range(contacts.shape[0]):
         contact_ = contacts[number]
-        force = contact_.force
-        if force <= 0.0:
+        if contact_.force <= 0.0:
             continue
         local = contact.local_frame(problem, crank_angle, work.place[0], contacts, number)
-        disc, pin = local.disc, local.pin
-        along = gap_gradient(local)
-        stiffness = contact_stiffness(contact_, local, along)
-        at = FIRST_DISC + 3 * disc
-        lu, lv, ly = row[at], row[at + 1], row[at + 2]
-        # Projection of λ on the gap and on the pin's sliding along the flank.
-        closing = lu * along.gap_u + lv * along.gap_v + ly * along.gap_y
-        sliding = lu * along.slide_u + lv * along.slide_v + ly * along.slide_y
-        # Rotating or shifting a flank is rotating or shifting the disc, λ·∂r/∂(u, v, y) of this contact; shifting a pin
-        # is shifting the disc back.
-        by_u = lu * stiffness.uu + lv * stiffness.vu + ly * stiffness.yu
-        by_v = lu * stiffness.uv + lv * stiffness.vv + ly * stiffness.yv
-        by_y = lu * stiffness.uy + lv * stiffness.vy + ly * stiffness.yy
-        c, s = math.cos(local.direction), math.sin(local.direction)
-        out[radial + pin] += c * by_u + s * by_v
-        out[tangential + pin] += -s * by_u + c * by_v
-        out[radius + pin] += contact_.stiffness * closing
-        out[PIN_GENERATING] -= contact_.stiffness * closing
-        distance = contact_.gap + problem.pin_radius[pin] - problem.generating_radius
-        pressed, turned = larger_circle(problem, contact_, distance, local)
-        out[CIRCLE_GENERATING] += pressed * closing + force * turned * sliding
-        out[pitch + disc * teeth + local.tooth] -= by_y
-        turning += -e * local.crank_y * by_u + e * local.crank_x * by_v - by_y / teeth
+        along, at = gap_gradient(local), FIRST_DISC + 3 * local.disc
+        weights = (row[at], row[at + 1], row[at + 2])
+        by_position = projected_stiffness(contact_, local, along, weights)
+        by_force, by_normal = projection(weights, along.gap), contact_.force * projection(weights, along.slide)
+        add_by_pins_and_flanks(problem, contact_, local, by_position, by_force, by_normal, out)
+        turning += projection((*crank_motion(problem, local), -1.0 / problem.teeth), by_position)
     return turning
 
 
@@ -164,7 +136,7 @@ def sweep_supported_sensitivities(
     results: Derivatives,
     work: Work,
 ) -> bool:
-    """Write the derivatives of the deviation at given solutions; return False if one is singular.
+    """Write the derivatives of the transmission error at given solutions; return False if one is singular.
 
     Parameters
     ----------

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, compiled
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.load_sharing import write_contact_lines
 from cycloid_fmu.supports.balance import NEIGHBOUR, Load, settle, torsional_stiffness
 from cycloid_fmu.supports.bearing import CENTRING
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, displacement, eccentric, reaction
 
 
-class Found(NamedTuple):
+class Solutions(NamedTuple):
     """Results of a sweep, SI; the first axis is the crank angle. `force` is of each joint, shape (angles, joints)."""
 
     steps: NDArray[np.int64]
@@ -44,12 +44,36 @@ def _forces(assembly: Assembly, work: Work, force: Array) -> float:
 
 
 @compiled
+def follow_neighbours(crank_angles: Array, place: Array, i: int, q: Array) -> bool:
+    """Move the last unknowns in line with those of two crank angles before; return whether they are near enough."""
+    step = abs(crank_angles[i] - crank_angles[i - 1]) if i > 0 else math.inf
+    if i > 1 and step < 1.5 * abs(crank_angles[i - 1] - crank_angles[i - 2]) < NEIGHBOUR:
+        share = (crank_angles[i] - crank_angles[i - 1]) / (crank_angles[i - 1] - crank_angles[i - 2])
+        for k in range(q.size):
+            q[k] += share * (q[k] - place[i - 2, k])
+    return step < NEIGHBOUR
+
+
+@compiled
+def write_solution(
+    problem: Problem, assembly: Assembly, contacts: Rows, work: Work, results: Solutions, i: int
+) -> None:
+    """Write the balance at a crank angle: unknowns, stiffness, forces of the joints and the load sharing."""
+    for k in range(work.place.size):
+        results.place[i, k] = work.place[k]
+    results.stiffness[i] = torsional_stiffness(problem, assembly, work)
+    results.crank_torque[i] = _forces(assembly, work, results.force[i])
+    count, pressure = contact.load_sharing(problem, contacts, results.pin_force[i], results.pin_pressure[i])
+    results.contact_count[i], results.max_contact_pressure[i] = count, pressure
+
+
+@compiled
 def sweep_supported(
     problem: Problem,
     assembly: Assembly,
     crank_angles: Array,
     torques: Array,
-    results: Found,
+    results: Solutions,
     work: Work,
     lines: contact.ContactLines,
 ) -> None:
@@ -58,19 +82,10 @@ def sweep_supported(
     q = work.place
     for i in range(crank_angles.size):
         crank_angle = crank_angles[i]
-        step = abs(crank_angle - crank_angles[i - 1]) if i > 0 else math.inf
-        if i > 1 and step < 1.5 * abs(crank_angles[i - 1] - crank_angles[i - 2]) < NEIGHBOUR:
-            share = (crank_angle - crank_angles[i - 1]) / (crank_angles[i - 1] - crank_angles[i - 2])
-            for k in range(q.size):
-                q[k] += share * (q[k] - results.place[i - 2, k])
+        follows = follow_neighbours(crank_angles, results.place, i, q)
         pull = Load(torques[i], 0.0, 0.0, CENTRING)
-        results.steps[i] = settle(problem, assembly, crank_angle, pull, contacts, work, None, not step < NEIGHBOUR)
-        for k in range(q.size):
-            results.place[i, k] = q[k]
-        results.stiffness[i] = torsional_stiffness(problem, assembly, work)
-        results.crank_torque[i] = _forces(assembly, work, results.force[i])
-        count, pressure = contact.load_sharing(problem, contacts, results.pin_force[i], results.pin_pressure[i])
-        results.contact_count[i], results.max_contact_pressure[i] = count, pressure
+        results.steps[i] = settle(problem, assembly, crank_angle, pull, contacts, work, None, not follows)
+        write_solution(problem, assembly, contacts, work, results, i)
         if lines.slice_force.size > 0:
             write_contact_lines(problem, lines, 0, i, crank_angle, q[0], contacts)
 

@@ -19,7 +19,7 @@ from cycloid_fmu.supports import bearing
 from cycloid_fmu.supports.assembly import add_by_displacements, by_kind, joint_list, kinds_of
 from cycloid_fmu.supports.joints import Assembly, work_of
 from cycloid_fmu.supports.sensitivity import PARAMETERS, Derivatives, sweep_supported_sensitivities
-from cycloid_fmu.supports.sweeps import Found, sweep_interference, sweep_supported
+from cycloid_fmu.supports.sweeps import Solutions, sweep_interference, sweep_supported
 from cycloid_fmu.surfaces.structured import displacement_size
 
 Array = NDArray[np.float64]
@@ -41,11 +41,11 @@ def problem_of(drive: DriveValue, slices: int = 1) -> Problem:
     assert supports is not None
     seat = supports.pin_seat
     compliance = 0.0 if seat.stiffness_per_width is None else 1.0 / (seat.stiffness_per_width * mesh.slice_width)
-    none = np.zeros(slices)
+    centre = np.zeros(slices)
     return mesh._replace(
         eccentricity=pair.eccentricity,
-        centre_x=none,
-        centre_y=none.copy(),
+        centre_x=centre,
+        centre_y=centre.copy(),
         seat_gap=0.5 * seat.clearance,
         seat_compliance=compliance,
     )
@@ -64,7 +64,7 @@ class OnBearings(Transmission):
     disc_shift_x, disc_shift_y
         Shift of each disc's centre from its ideal position, shape (torques, angles, discs), m.
     disc_turn
-        Rotation of each disc relative to the output's deviation, shape (torques, angles, discs), rad.
+        Rotation of each disc relative to the output's transmission error, shape (torques, angles, discs), rad.
     turning_arm_force
         Force of each turning arm, shape (torques, angles, discs, cranks), N; one crank with output rollers.
     crank_bearing_force
@@ -84,14 +84,14 @@ class OnBearings(Transmission):
     output_roller_force: Array
 
 
-def empty(pair: Pair, loads: int, angles: int) -> Found:
+def empty(pair: Pair, loads: int, angles: int) -> Solutions:
     """Return zeros for the results of a sweep."""
     supports = pair.supports
     assert supports is not None
     discs, cranks = pair.discs, supports.cranks
     grid = (loads, angles)
     pins = (*grid, discs, pair.pins)
-    return Found(
+    return Solutions(
         steps=np.zeros(grid, dtype=np.int64),
         place=np.zeros((*grid, 3 + 3 * discs + 2 * cranks)),
         stiffness=np.zeros(grid),
@@ -104,9 +104,9 @@ def empty(pair: Pair, loads: int, angles: int) -> Found:
     )
 
 
-def of_part(found: Found, part: Any) -> Found:
+def of_part(solutions: Solutions, part: Any) -> Solutions:
     """Return the results at some indices, as views."""
-    return Found(*(array[part] for array in cast(tuple[Any, ...], found)))
+    return Solutions(*(array[part] for array in cast(tuple[Any, ...], solutions)))
 
 
 def solve(drive: DriveValue, torque: Array, crank_angle: Array, options: Options) -> Transmission:
@@ -121,26 +121,28 @@ def solve(drive: DriveValue, torque: Array, crank_angle: Array, options: Options
         return transmission.solve(drive, torque, crank_angle, options)
     pair, torques, angles = drive.pair, np.array(torque, dtype=float), np.array(crank_angle, dtype=float)
     at_angles = transmission.along_sweep(torques, angles)
-    rest = [0.0, *play_loads(pair)] if options.with_play or 0.0 in at_angles else []
-    at_angles = np.concatenate([transmission.along_sweep(np.array(rest), angles), at_angles])
+    play = [0.0, *play_loads(pair)] if options.with_play or 0.0 in at_angles else []
+    at_angles = np.concatenate([transmission.along_sweep(np.array(play), angles), at_angles])
 
     lines = transmission.no_lines(len(torques))
     if options.with_elements:
         places = (len(torques), angles.size, pair.discs, pair.pins)
         lines = transmission.empty_lines(drive, options.slices, places)
-    found = empty(pair, len(at_angles), angles.size)
+    solutions = empty(pair, len(at_angles), angles.size)
 
     def result(done: slice) -> OnBearings:
-        kept = lines._replace(slice_force=lines.slice_force[:, done], slice_direction=lines.slice_direction[:, done])
-        of_done = of_part(found, np.s_[:, done])
-        _clear_centred(of_done, at_angles[:, done])
-        interference = np.full(of_done.steps.shape[1], np.nan)
-        if rest:
-            interference = _interference(problem_of(drive, options.slices), angles[done], of_done)
-        return results(pair, torques, angles[done], at_angles[:, done], of_done, len(rest), kept, interference)
+        finished = lines._replace(
+            slice_force=lines.slice_force[:, done], slice_direction=lines.slice_direction[:, done]
+        )
+        of_angles = of_part(solutions, np.s_[:, done])
+        _clear_centred(of_angles, at_angles[:, done])
+        interference = np.full(of_angles.steps.shape[1], np.nan)
+        if play:
+            interference = _interference(problem_of(drive, options.slices), angles[done], of_angles)
+        return results(pair, torques, angles[done], at_angles[:, done], of_angles, len(play), finished, interference)
 
     try:
-        _solve(drive, at_angles, angles, found, options, len(rest), lines)
+        _solve(drive, at_angles, angles, solutions, options, len(play), lines)
     except Stopped as stopped:
         raise Interrupted(result(slice(0, stopped.finished))) from None
     return result(slice(None))
@@ -150,49 +152,52 @@ def _solve(
     drive: DriveValue,
     torques: Array,
     angles: Array,
-    found: Found,
+    solutions: Solutions,
     options: Options,
     first: int = 0,
     lines: ContactLines | None = None,
 ) -> None:
     """Find solutions at every torque, shape (torques, angles); contact lines of the torques from `first` on."""
-    pair = drive.pair
     merging, none = threading.Lock(), transmission.no_lines(1)
     assembly = assembly_of(drive)
     mesh = problem_of(drive, options.slices)
 
     def part(start: int, last: int) -> None:
-        # Each thread needs its own discs.
-        shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
-        problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
+        problem = with_own_discs(mesh)
         for k, torque in enumerate(torques):
-            here = of_part(found, np.s_[k, start:last])
+            part_of_sweep = of_part(solutions, np.s_[k, start:last])
             work = work_of(assembly)
-            mine = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
-            sweep_supported(problem, assembly, angles[start:last], torque[start:last], here, work, mine)
+            part_lines = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
+            sweep_supported(problem, assembly, angles[start:last], torque[start:last], part_of_sweep, work, part_lines)
             if lines is not None and k >= first:
                 with merging:
                     gear, pin = lines.gear_pressure[k - first], lines.pin_pressure[k - first]
-                    np.maximum(gear, mine.gear_pressure[0], out=gear)
-                    np.maximum(pin, mine.pin_pressure[0], out=pin)
+                    np.maximum(gear, part_lines.gear_pressure[0], out=gear)
+                    np.maximum(pin, part_lines.pin_pressure[0], out=pin)
 
     solve_in_parts(
         part, angles.size, _PART, options.workers, lambda size: options.progress(size * (len(torques) - first))
     )
     for k, torque in enumerate(torques):
-        if not found.steps[k].all():
-            at = int(np.argmin(found.steps[k]))
+        if not solutions.steps[k].all():
+            at = int(np.argmin(solutions.steps[k]))
             raise _unbalanced(torque[at], angles[at])
+
+
+def with_own_discs(mesh: Problem) -> Problem:
+    """Return the mesh with places of the discs that one thread overwrites."""
+    shift_x, shift_y, turn = np.zeros((3, mesh.shift_x.size))
+    return mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
 
 
 def _lines_of(lines: ContactLines, load: int, angles: slice) -> ContactLines:
     """Return the lines of one torque at some angles, with separate pressures for each thread."""
-    one = np.s_[load : load + 1]
+    torque = np.s_[load : load + 1]
     return lines._replace(
-        slice_force=lines.slice_force[one, angles],
-        slice_direction=lines.slice_direction[one, angles],
-        gear_pressure=np.zeros_like(lines.gear_pressure[one]),
-        pin_pressure=np.zeros_like(lines.pin_pressure[one]),
+        slice_force=lines.slice_force[torque, angles],
+        slice_direction=lines.slice_direction[torque, angles],
+        gear_pressure=np.zeros_like(lines.gear_pressure[torque]),
+        pin_pressure=np.zeros_like(lines.pin_pressure[torque]),
     )
 
 
@@ -212,22 +217,26 @@ def play_loads(pair: Pair) -> list[float]:
     return [-PLAY_LOAD * pair.rated_torque, PLAY_LOAD * pair.rated_torque]
 
 
-def _clear_centred(found: Found, torques: Array) -> None:
+def _clear_centred(solutions: Solutions, torques: Array) -> None:
     """Set to zero what only the centring springs press where there is no torque, shape (torques, angles)."""
-    free = (torques == 0.0) & (found.pin_force.max(axis=(-1, -2)) <= _CENTRED)
-    for pressed in (found.pin_force, found.pin_pressure, found.contact_count, found.max_contact_pressure):
+    free = (torques == 0.0) & (solutions.pin_force.max(axis=(-1, -2)) <= _CENTRED)
+    for pressed in (
+        solutions.pin_force,
+        solutions.pin_pressure,
+        solutions.contact_count,
+        solutions.max_contact_pressure,
+    ):
         pressed[free] = 0
 
 
-def _interference(mesh: Problem, angles: Array, found: Found) -> Array:
+def _interference(mesh: Problem, angles: Array, solutions: Solutions) -> Array:
     """Return the interference, shape (angles,), m, of a sweep whose first torque is 0."""
     interference = np.zeros(angles.size)
-    shift_x, shift_y, turn = (np.zeros_like(mesh.shift_x) for _ in range(3))
     sweep_interference(
-        mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn),
+        with_own_discs(mesh),
         angles,
-        np.ascontiguousarray(found.place[0]),
-        found.pin_force[0].max(axis=(-1, -2)),
+        np.ascontiguousarray(solutions.place[0]),
+        solutions.pin_force[0].max(axis=(-1, -2)),
         interference,
     )
     return interference
@@ -238,7 +247,7 @@ def results(
     torques: Array,
     angles: Array,
     at_angles: Array,
-    found: Found,
+    solutions: Solutions,
     first: int = 0,
     lines: ContactLines | None = None,
     interference: Array | None = None,
@@ -249,7 +258,7 @@ def results(
     ----------
     torques, angles, at_angles
         As for `solve`, and the torques at each angle, shape (torques, angles).
-    found
+    solutions
         Solutions at `at_angles`.
     first
         3 if no torque and the play's two torques precede the others, otherwise 0: without a play.
@@ -258,43 +267,43 @@ def results(
     """
     lines = transmission.no_lines(len(torques)) if lines is None else lines
     interference = np.full(angles.size, np.nan) if interference is None else interference
-    deviation, stiffness = found.place[..., 0], found.stiffness
+    transmission_error, stiffness = solutions.place[..., 0], solutions.stiffness
     low = high = np.full(angles.size, np.nan)
     preload = count = None
     if first:
         # The ends of the play are where the tangents at a small torque in either direction reach zero torque. Without
         # clearance but with errors every position stores energy, yet the output still moves freely.
-        ends = deviation[1:3] - at_angles[1:3] / stiffness[1:3]
+        ends = transmission_error[1:3] - at_angles[1:3] / stiffness[1:3]
         middle = ends.mean(axis=0)
         low, high = np.minimum(ends[0], middle), np.maximum(ends[1], middle)
-        deviation = np.where(at_angles == 0.0, middle, deviation)
+        transmission_error = np.where(at_angles == 0.0, middle, transmission_error)
         stiffness = np.where((at_angles == 0.0) & (interference == 0.0), 0.0, stiffness)
-        preload, count = found.pin_force[0].max(axis=(-1, -2)), found.contact_count[0].copy()
-    kept = of_part(found, np.s_[first:])
-    discs, force = pair.discs, {kind.name: force for kind, force in by_kind(kinds_of(pair), kept.force)}
+        preload, count = solutions.pin_force[0].max(axis=(-1, -2)), solutions.contact_count[0].copy()
+    loaded = of_part(solutions, np.s_[first:])
+    discs, force = pair.discs, {kind.name: force for kind, force in by_kind(kinds_of(pair), loaded.force)}
     return OnBearings(
         torques,
         angles,
-        deviation[first:],
+        transmission_error[first:],
         stiffness[first:],
-        kept.contact_count,
-        kept.max_contact_pressure,
-        kept.pin_force,
-        kept.pin_pressure,
+        loaded.contact_count,
+        loaded.max_contact_pressure,
+        loaded.pin_force,
+        loaded.pin_pressure,
         low,
         high,
         interference,
         *lines[:4],
         preload=preload,
         preload_count=count,
-        disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
-        disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
-        disc_turn=kept.place[..., 5 : 3 + 3 * discs : 3] - kept.place[..., :1],
+        disc_shift_x=loaded.place[..., 3 : 3 + 3 * discs : 3],
+        disc_shift_y=loaded.place[..., 4 : 3 + 3 * discs : 3],
+        disc_turn=loaded.place[..., 5 : 3 + 3 * discs : 3] - loaded.place[..., :1],
         turning_arm_force=force["turning_arm"],
         crank_bearing_force=force["crank_shaft"],
         main_bearing_force=force["main"],
         output_roller_force=force["output_roller"],
-        crank_torque=kept.crank_torque,
+        crank_torque=loaded.crank_torque,
     )
 
 
@@ -314,21 +323,21 @@ def sensitivity(drive: DriveValue, torque: Array, crank_angle: Array, slices: in
     if drive.pair.supports is None:
         return transmission.sensitivity(drive, torque, crank_angle, slices)
     pair, angles, at_angles = drive.pair, np.array(crank_angle, dtype=float), np.array(torque, dtype=float)
-    found = empty(pair, 1, angles.size)
-    _solve(drive, at_angles[None], angles, found, Options(slices))
+    solutions = empty(pair, 1, angles.size)
+    _solve(drive, at_angles[None], angles, solutions, Options(slices))
     assembly = assembly_of(drive)
-    each = np.zeros((angles.size, displacement_size(pair)))
-    by_joint = np.zeros((*found.force.shape[1:], len(PARAMETERS)))
+    by_displacement = np.zeros((angles.size, displacement_size(pair)))
+    by_joint = np.zeros((*solutions.force.shape[1:], len(PARAMETERS)))
     by_angle, by_torque = (np.zeros(angles.size) for _ in range(2))
     if not sweep_supported_sensitivities(
         problem_of(drive, slices),
         assembly,
         angles,
         at_angles,
-        found.place[0],
-        Derivatives(each, by_joint, by_angle, by_torque),
+        solutions.place[0],
+        Derivatives(by_displacement, by_joint, by_angle, by_torque),
         work_of(assembly),
     ):
         raise _unbalanced(float(at_angles[0]), angles[0])
-    laws = add_by_displacements(pair, by_joint, each)
-    return Sensitivity(found.place[0, :, 0].copy(), each, by_angle, by_torque, laws)
+    laws = add_by_displacements(pair, by_joint, by_displacement)
+    return Sensitivity(solutions.place[0, :, 0].copy(), by_displacement, by_angle, by_torque, laws)

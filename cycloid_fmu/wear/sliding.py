@@ -83,7 +83,7 @@ def velocities(drive: contact.Problem, contacts: LoadedContacts) -> Velocities:
     along the flank by w·t/(1 + R_rp/ρ_c); the sliding is w·t minus the pin's own rotation.
     """
     teeth = drive.teeth
-    rate = np.gradient(contacts.deviation, contacts.crank_angle)[contacts.angle]
+    rate = np.gradient(contacts.transmission_error, contacts.crank_angle)[contacts.angle]
     ring = 1.0 / (teeth + 1) + rate if drive.ring else np.zeros(rate.size)
     gear = np.zeros(rate.size) if drive.ring else rate - 1.0 / teeth
     crank = contacts.crank_angle[contacts.angle] + drive.crank_phase[contacts.disc]

@@ -19,10 +19,10 @@ from fitting.model.prior import tolerances_of
 
 Array = NDArray[np.float64]
 
-_SINGULAR = 1e16  # condition number of equations without information, as from curves without noise
+_SINGULAR = 1e16  # condition number of equations without information, as from curves without noise: 1/epsilon
 _WIDE, _WIDEST = 2.0, 4  # times as wide for a form of the flanks: from where a note names it, and how many
 LAG_NAME = f"{MISFIT}_{LAG}_0"
-_TOLD = 0.1  # share of a bearing's variance that the data must take away for it to be told
+_RESOLVED = 0.1  # share of a bearing's variance that the data must take away: less does not separate it from the errors
 
 
 def moved_by_held(fit: Estimate, names: Sequence[str]) -> Array:
@@ -116,7 +116,7 @@ def bearings_found(
             else (max(value - reach, 0.0), value + reach)
         )
         share = max(1.0 - (sigma / before) ** 2, 0.0)
-        why = None if share > _TOLD else "these curves do not separate it from the errors"
+        why = None if share > _RESOLVED else "these curves do not separate it from the errors"
         found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
     return found
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.surfaces.structured import structured_value
-from fitting.estimation.fit import Estimate
-from fitting.model.observations import linearise
+from fitting.estimation.fit import Estimate, fit
 from fitting.model.unknowns import possible
 
 if TYPE_CHECKING:
@@ -95,9 +94,6 @@ def as_lmfit(parameters: Mapping[str, Confirmed]) -> lmfit.Parameters:
 def confirmed(estimate: Estimate, gain: float) -> Estimate:
     """Take the last step of a fit, with its noise and scatter; return the fit there, or as it was if that is better.
 
-    It is an undamped Gauss-Newton step within the bounds: an unknown at a bound that would go beyond stays
-    there.
-
     Parameters
     ----------
     estimate
@@ -105,17 +101,20 @@ def confirmed(estimate: Estimate, gain: float) -> Estimate:
     gain
         A step with a smaller predicted gain of the sum of squares in units of the noise is not taken.
     """
-    first = dataclasses.replace(estimate, misfit=estimate.misfit_with_priors)
-    vector, posterior = first.vector, first.posterior
-    posterior = posterior.holding(first.unknowns.is_stuck(vector, posterior.slope))
-    if posterior.slope @ posterior.mean < gain:
-        return first
-    state = first.unknowns.state(first.unknowns.within(vector + posterior.mean))
-    then = dataclasses.replace(first, state=state, linear=linearise(first.pair, first.observed, state))
-    best = min(first, dataclasses.replace(then, misfit=then.misfit_with_priors), key=lambda one: one.misfit)
-    return dataclasses.replace(
-        best, evaluations=first.evaluations + 1, unlikelihood=first.unlikelihood + best.misfit - first.misfit
+    end = fit(
+        estimate.pair,
+        estimate.observed,
+        estimate.chosen,
+        estimate.state,
+        estimate.scatter,
+        gain=gain,
+        linear=estimate.linear,
+        evaluations=1,
+        estimated=False,
+        damping=0.0,
     )
+    evaluations = estimate.evaluations + end.evaluations
+    return dataclasses.replace(end, evaluations=evaluations, disagreeing=estimate.disagreeing)
 
 
 def stated(estimate: Estimate) -> tuple[dict[str, Confirmed], Array]:

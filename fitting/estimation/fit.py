@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import structured_value
 from fitting.model.gaussian import Evidence, Gaussian
 from fitting.model.near_drive import NearDrive
 from fitting.model.observations import (
@@ -41,8 +42,11 @@ from fitting.model.unknowns import NO_SCATTER, Unknowns
 
 Array = NDArray[np.float64]
 
-OUTLYING = 6.0  # robust standard deviations from the fit
+OUTLYING = 6.0  # robust standard deviations from the fit; noise alone has one such sample in 5e8
 EVALUATIONS = 60  # of one fit, which needs ten to thirty
+_FIRST_DAMPING, _UNDAMPED = 1e-3, 1e-9  # shares of the information; the smaller one changes no step
+_DAMPED, _DAMPING_STEP = 1e-2, 10.0  # at least after a step without gain, and the factor from one step to the next
+_AS_PROMISED = 0.5  # of the promised gain: after a step that brings more the damping falls
 _LITTLE = 4.0  # times the gain at which a fit ends: a smaller promise that a step did not keep is not pursued
 _PATIENCE = 3  # steps in a row that may bring less than they should, at the curves' corners
 TURNS = 3  # fewer do not say how they scatter
@@ -126,6 +130,23 @@ class Estimate:
         """Distribution of the unknowns in their scale, as distances from where the fit ended."""
         along = self.unknowns.along(self.vector)
         return self.evidence.posterior(self.precision, self.vector, self.unknowns.names, along)
+
+    @cached_property
+    def unlikelihood_of_all(self) -> float:
+        """-2 log of the restricted likelihood if all errors, fitted or held, have their tolerance as prior.
+
+        Unlike `unlikelihood` it ranks fits with different errors.
+        """
+        unknowns = Unknowns(self.pair, self.observed, self.observed.errors)
+        precision, seen = unknowns.precision(self.scatter), self.observed.weight[self.observed.weight > 0.0]
+        precision[unknowns.errors] = 1.0
+        stated = [structured_value(unknowns.prior, n) for n in self.observed.errors]
+        away = unknowns.vector(self.state)
+        away[unknowns.errors] -= stated / unknowns.scale[unknowns.errors]
+        posterior = Evidence.of(unknowns.columns(self.observed, self.linear)).posterior(precision)
+        weight = float(np.log(precision).sum() + 2.0 * np.log(seen).sum())
+        own = self.misfit - float(self.precision @ self.vector**2) + float(precision @ away**2)
+        return own + posterior.log_determinant - weight
 
     @property
     def misfit_with_priors(self) -> float:
@@ -220,6 +241,7 @@ def fit(
     evaluations: int = EVALUATIONS,
     estimated: bool = True,
     known: Mapping[str, float] | None = None,
+    damping: float = _FIRST_DAMPING,
 ) -> Estimate:
     """Fit errors, bench and scatter to observations.
 
@@ -245,87 +267,123 @@ def fit(
         Whether the noise and the scatter's deviations are estimated as well.
     known
         Standard deviations of patterns that are not estimated, m.
+    damping
+        Share of the information by which the first step is damped.
     """
+    known = {**{n: v for n, v in KNOWN_SIZES.items() if n in scatter_parts(pair)}, **(known or {})}
     unknowns = Unknowns(pair, observed, chosen)
-    begun = unknowns.vector(state)
-    vector = unknowns.within(begun)
-    linear = linear if np.array_equal(vector, begun) else None
-    known = {**{n: v for n, v in KNOWN_SIZES.items() if n in unknowns.parts}, **(known or {})}
-    scatter = {**scatter, **known}
-    limit = np.full(len(observed.curves), np.inf)
-    now = _evaluated(unknowns, vector, observed, limit, around, linear)
-    limit = _limits(now)
-    if estimated:
-        observed, now = _at_noise(observed, now, now.scale**2)
-        limit = np.full_like(limit, OUTLYING)
-    damping, done, idle, settled, tried = 1e-3, 1 if linear is None else 0, 0, not estimated, False
+    descent = _Descent(unknowns, observed, state, {**scatter, **known}, known, gain, around, linear)
+    descent.run(evaluations, estimated, damping)
+    return descent.end()
 
-    def at_variances() -> None:
+
+class _Descent:
+    """Steps of a fit, with their damping, and the noise and sizes estimated between them."""
+
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        observed: Observations,
+        state: State,
+        sizes: dict[str, float],
+        known: Mapping[str, float],
+        gain: float,
+        around: Sequence[NearDrive] | None,
+        linear: Linear | None,
+    ) -> None:
+        self.unknowns, self.observed = unknowns, observed
+        self.sizes, self.known, self.gain, self.around = sizes, known, gain, around
+        start = unknowns.vector(state)
+        self.vector = unknowns.within(start)
+        linear = linear if np.array_equal(self.vector, start) else None
+        self.limit = np.full(len(observed.curves), np.inf)
+        self.normal = _evaluated(unknowns, self.vector, observed, self.limit, around, linear)
+        self.limit = _limits(self.normal)
+        self.evaluations = 1 if linear is None else 0
+
+    def run(self, evaluations: int, is_estimated: bool, damping: float) -> None:
+        """Take steps until one promises less than the gain, or several in a row bring less than they should."""
+        if is_estimated:
+            self.observed, self.normal = _at_noise(self.observed, self.normal, self.normal.scale**2)
+            self.limit = np.full_like(self.limit, OUTLYING)
+        idle, is_settled, is_tried = 0, not is_estimated, False
+        while self.evaluations < evaluations:
+            precision, posterior = self._posterior()
+            misfit = self._misfit(self.normal, precision, self.vector)
+            # An unknown at its bound that would go beyond it stays there for this step.
+            posterior = posterior.holding(self.unknowns.is_stuck(self.vector, posterior.slope))
+            scale = self.unknowns.scale
+            low, high = self.unknowns.low / scale - self.vector, self.unknowns.high / scale - self.vector
+            step = posterior.damped(damping).bounded(low, high)
+            promised = posterior.gain(step)
+            if promised < self.gain and is_settled:
+                return
+            if promised < self.gain and not is_tried:
+                # At the optimum noise and scatter settle without another evaluation of the model.
+                is_settled, is_tried = self._settle(promised), True
+                self.limit = _limits(self.normal)
+                continue
+            step = self.unknowns.within(self.vector + step) - self.vector
+            self.evaluations += 1
+            try:
+                then = _evaluated(self.unknowns, self.vector + step, self.observed, self.limit, self.around)
+            except edge.InputError:
+                # So far away no contacts balance the load.
+                damping = max(_DAMPING_STEP * damping, _DAMPED)
+                continue
+            gained = misfit - self._misfit(then, precision, self.vector + step)
+            idle = idle + 1 if gained < self.gain else 0
+            if gained > 0.0:
+                self.vector, self.normal, is_tried = self.vector + step, then, False
+                damping = max(damping / _DAMPING_STEP, _UNDAMPED) if gained > _AS_PROMISED * promised else damping
+                if is_estimated:
+                    is_settled = self._settle(promised)
+                self.limit = _limits(self.normal)
+            else:
+                damping = max(_DAMPING_STEP * damping, _DAMPED)
+            # Near the optimum the curves' corners absorb small promised gains, here and in the next steps. Ending here
+            # saves 3 of 6 evaluations of the exact fit; six curves of 720 points are identified 1.35 times as fast.
+            is_near = is_settled and promised < _LITTLE * min(self.gain, 1.0)
+            if idle > (0 if is_near else _PATIENCE):
+                return
+
+    def _posterior(self) -> tuple[Array, Gaussian]:
+        precision, along = self.unknowns.precision(self.sizes), self.unknowns.along(self.vector)
+        return precision, self.normal.total.posterior(precision, self.vector, along=along)
+
+    def _misfit(self, normal: _Normal, precision: Array, vector: Array) -> float:
+        outlying = float(normal.square.sum() + normal.outlying @ self.limit**2)
+        return outlying + float(precision @ vector**2)
+
+    def _settle(self, promised: float) -> bool:
         """Let noise and scatter settle on the model at hand, in one round or, near the optimum, in many."""
-        nonlocal observed, now, scatter, settled
-        ahead = np.zeros_like(vector)
-        for _ in range(_ROUNDS if promised < _LINEAR * observed.measured.size else 1):
-            observed, now, scatter, settled = _variances(
-                unknowns, observed, now, scatter, vector, ahead, known, _SETTLED * max(gain, 1.0)
+        ahead, is_settled = np.zeros_like(self.vector), False
+        little = _SETTLED * max(self.gain, 1.0)
+        for _ in range(_ROUNDS if promised < _LINEAR * self.observed.measured.size else 1):
+            self.observed, self.normal, self.sizes, is_settled = _variances(
+                self.unknowns, self.observed, self.normal, self.sizes, self.vector, ahead, self.known, little
             )
-            if settled:
+            if is_settled:
                 break
-            ahead = now.total.posterior(unknowns.precision(scatter), vector, along=unknowns.along(vector)).mean
+            ahead = self._posterior()[1].mean
+        return is_settled
 
-    while done < evaluations:
-        precision = unknowns.precision(scatter)
-        misfit = _misfit(now, limit) + float(precision @ vector**2)
-        posterior = now.total.posterior(precision, vector, along=unknowns.along(vector))
-        # An unknown at its bound that would go beyond it stays there for this step.
-        posterior = posterior.holding(unknowns.is_stuck(vector, posterior.slope))
-        damped = posterior.damped(damping)
-        step = damped.bounded(unknowns.low / unknowns.scale - vector, unknowns.high / unknowns.scale - vector)
-        promised = posterior.gain(step)
-        if promised < gain and settled:
-            break
-        if promised < gain and not tried:
-            # At the optimum noise and scatter settle without another evaluation of the model.
-            at_variances()
-            limit, tried = _limits(now), True
-            continue
-        step = unknowns.within(vector + step) - vector
-        done += 1
-        try:
-            then = _evaluated(unknowns, vector + step, observed, limit, around)
-        except edge.InputError:
-            # So far away no contacts balance the load.
-            damping = max(10.0 * damping, 1e-2)
-            continue
-        gained = misfit - _misfit(then, limit) - float(precision @ (vector + step) ** 2)
-        idle = idle + 1 if gained < gain else 0
-        if gained > 0.0:
-            vector, now, tried = vector + step, then, False
-            damping = max(0.1 * damping, 1e-9) if gained > 0.5 * promised else damping
-            if estimated:
-                at_variances()
-            limit = _limits(now)
-        else:
-            damping = max(10.0 * damping, 1e-2)
-        # Near the optimum the curves' corners absorb small promised gains, here and in the next steps. Ending here
-        # saves 3 of 6 evaluations of the exact fit; six curves of 720 points are identified 1.35 times as fast.
-        if idle > (0 if settled and promised < _LITTLE * min(gain, 1.0) else _PATIENCE):
-            break
-    misfit = _misfit(now, limit) + float(precision @ vector**2)
-    seen = observed.weight[observed.weight > 0.0]
-    information = now.total.posterior(precision, along=unknowns.along(vector)).log_determinant
-    unlikelihood = misfit + information - float(np.log(precision).sum() + 2.0 * np.log(seen).sum())
-    state, linear = unknowns.state(vector), joined(now.linears)
-    off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, limit)
-    observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight)).with_sizes(scatter)
-    return Estimate(pair, observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
+    def end(self) -> Estimate:
+        """Return where the steps ended."""
+        unknowns, observed, sizes = self.unknowns, self.observed, self.sizes
+        precision, posterior = self._posterior()
+        misfit = self._misfit(self.normal, precision, self.vector)
+        seen = observed.weight[observed.weight > 0.0]
+        unlikelihood = misfit + posterior.log_determinant - float(np.log(precision).sum() + 2.0 * np.log(seen).sum())
+        state, linear = unknowns.state(self.vector), joined(self.normal.linears)
+        off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, self.limit)
+        observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight)).with_sizes(sizes)
+        chosen = tuple(unknowns.chosen)
+        return Estimate(unknowns.pair, observed, chosen, state, sizes, linear, misfit, unlikelihood, self.evaluations)
 
 
 def _each_point(observed: Observations, values: Array) -> Array:
     return np.repeat(values, [c.input_angle.size for c in observed.curves])
-
-
-def _misfit(normal: _Normal, limit: Array) -> float:
-    return float(normal.square.sum() + normal.outlying @ limit**2)
 
 
 def _at_noise(observed: Observations, normal: _Normal, variance: Array) -> tuple[Observations, _Normal]:

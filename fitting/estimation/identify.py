@@ -25,26 +25,16 @@ from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import DEVIATIONS, surface_of_pair
 from fitting.arguments import positive
-from fitting.estimation.explaining import MisfitSearch
-from fitting.estimation.fit import OUTLYING, TURNS, Estimate, fit
+from fitting.estimation.explanation import GAIN, Explained, Explanation, observed_with
+from fitting.estimation.fit import TURNS, Estimate, fit
+from fitting.estimation.held_out import Prediction, is_mispredicted, kept_back
 from fitting.estimation.minimisation import default_parameters, names_of
-from fitting.estimation.result import Identification, is_uneven, result_of
-from fitting.estimation.starting import GAIN, described_by, fitted, observed_with, started
-from fitting.estimation.validation import (
-    HeldOut,
-    mispredicted,
-    yardsticks,
-)
+from fitting.estimation.result import Identification, result_of
+from fitting.estimation.starts import descriptions
+from fitting.estimation.validation import HeldOut, mispredicted
 from fitting.model.constraints import Constraints, checked
-from fitting.model.discs import other_descriptions
 from fitting.model.loops import observed_curves, on_the_curves_zero
-from fitting.model.observations import (
-    CREEP,
-    errors_of,
-    left_of,
-    linearise,
-    observations,
-)
+from fitting.model.observations import errors_of
 from fitting.model.prior import Prior, prior_of, tolerances_of
 from fitting.recordings.sources import Source
 from fitting.transmission_error.curve import Curve
@@ -54,8 +44,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another, and not explained
-_TOLD_APART = 10.0  # of -2 log likelihood: a description that is less likely by more is excluded, 150 to 1
+_EXCLUDED = 10.0  # of -2 log likelihood: a description that is less likely by more is excluded, 150 to 1
 
 
 def identify(
@@ -140,65 +129,26 @@ def identify(
         beside.append(
             f"On bearings the form of the flanks is not fitted: the intervals allow for {shape * 1e6:.2g} µm."
         )
-    if bootstrap < 0:
-        raise edge.ArgumentError("bootstrap", "it must not be below zero", bootstrap)
-    for curve in curves if bootstrap else ():
-        turns = 0 if curve.each_turn is None else len(curve.each_turn)
-        if turns < TURNS and not curve.branch:
-            raise edge.InputError(
-                f"{curve.source}: it has {turns} output turns; at least {TURNS} are needed to draw turns again."
-            )
-    for name in profiled:
-        if name not in (errors := [*errors_of(pair), *prior.profile]):
-            near = edge.did_you_mean(name, errors).rstrip("?") or f"one of {', '.join(errors)}"
-            raise edge.ArgumentError("profiled", f"it is not an error of this drive; {near}", name)
-    decided = None
+    _check(curves, bootstrap, profiled, [*errors_of(pair), *prior.profile])
     if parameters is not None:
         checked(parameters, names_of(pair, observed_with(curves, pair, prior)))
-        decided = Constraints.of(parameters)
+        prior = dataclasses.replace(prior, constraints=Constraints.of(parameters))
         pair = _stating(pair, {n: p.value for n, p in parameters.items() if n in errors_of(pair)})
-    errors_alone = None if decided is None else decided.only([*errors_of(pair), *prior.profile])
+    shape = 0.0 if prior.profile else shape
     try:
         # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
         with threadpool_limits(limits=1, user_api="blas"):
-            kept, start = kept_back(running) if held_out else (), None
-            predicted = None
-            rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
-            if kept:
-                progress("fitting without the held-out curves")
-                # One to first order is enough, a third of the work: where it predicts badly the whole fit has the say.
-                # Recordings are numbered anew there, so nothing of the bench is decided.
-                start, prior, _ = started(rest, pair, dataclasses.replace(prior, constraints=errors_alone), progress)
-                predicted = _predicted(pair, start, [running[i] for i in kept])
-                if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):
-                    start = None
-            prior = dataclasses.replace(prior, constraints=decided)
-            shape = 0.0 if prior.profile else shape
             # The model on bearings fits no form: intervals allow for it, and the verdict does not name it.
             cause = 0.0 if pair.supports is not None else shape
-            explained = MisfitSearch([*running, *loops], pair, cause, progress).validated(start, prior)
-            found, verdict = explained.found, explained.verdict
-            shape = 0.0 if found.observed.profile else shape
-            if predicted is not None and verdict.state == "explained" and _is_mispredicted(predicted):
-                # The first fit may have ended beside its best optimum, which the whole one has found.
-                progress("fitting without the held-out curves, from there")
-                alone = dataclasses.replace(explained.known, constraints=errors_alone)
-                predicted = _predicted(pair, fitted(rest, pair, found, alone, progress), [running[i] for i in kept])
-                verdict = mispredicted(verdict, predicted) if _is_mispredicted(predicted) else verdict
-            found, others = _described_otherwise(pair, found, explained.known, progress)
-            verdict = dataclasses.replace(verdict, descriptions=1 + len(others), disagreeing=found.disagreeing)
+            prediction = Prediction(pair, running, loops, kept_back(running) if held_out else (), progress)
+            explained, predicted = _explained(prediction, prior, cause)
+            estimate, others = _described_otherwise(explained, progress)
+            verdict = dataclasses.replace(
+                explained.verdict, descriptions=1 + len(others), disagreeing=estimate.disagreeing
+            )
+            shape = 0.0 if estimate.observed.profile else shape
             result = result_of(
-                pair,
-                found,
-                verdict,
-                predicted,
-                prior.scatter,
-                profiled,
-                bootstrap,
-                GAIN,
-                others,
-                shape,
-                progress,
+                estimate, verdict, predicted, prior.scatter, profiled, bootstrap, others, shape, progress
             )
     except np.linalg.LinAlgError:
         raise edge.InputError(
@@ -293,72 +243,57 @@ def _stating(pair: Pair, values: Mapping[str, float]) -> Pair:
     return pair.replace(errors={KINDS[name].file_key: stated.errors[name] for name in own}) if own else pair
 
 
-def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
-    """Choose the held-out curves to be predicted: a load between others, or a direction of the smallest.
-
-    Empty where fewer than three curves were measured.
-    """
-    if len(curves) < 3:
-        return ()
-    sizes = np.array([abs(c.torque) for c in curves])
-    order = np.argsort(sizes)
-    # Torques within a twentieth of one another are one load.
-    groups = np.split(order, np.flatnonzero(np.diff(sizes[order]) > 0.05 * sizes.max()) + 1)
-    if len(groups) >= 3:
-        return tuple(int(i) for i in groups[len(groups) // 2])
-    return (int(order[0]),)
+def _explained(prediction: Prediction, prior: Prior, form: float) -> tuple[Explained, HeldOut | None]:
+    """The best explanation of all curves, and the prediction of those that are held out."""
+    start, predicted = prediction.start(prior) if prediction.numbers else (None, None)
+    curves = [*prediction.running, *prediction.loops]
+    explained = Explanation(curves, prediction.pair, prior, prediction.progress, form, start).explain()
+    if predicted is not None and explained.verdict.state == "explained" and is_mispredicted(predicted):
+        # The first fit may have ended beside its best optimum, which the whole one has found.
+        predicted = prediction.again(explained)
+        if is_mispredicted(predicted):
+            explained = dataclasses.replace(explained, verdict=mispredicted(explained.verdict, predicted))
+    return explained, predicted
 
 
 def _described_otherwise(
-    pair: Pair, found: Estimate, known: Prior, progress: Callable[[str], None]
+    explained: Explained, progress: Callable[[str], None]
 ) -> tuple[Estimate, tuple[Estimate, ...]]:
     """The same drive with each disc as the first: the description to report, and others that the curves do not exclude.
 
     Descriptions give the same curves; only the prior separates them. The one nearest to the errors of the pair file is
     reported.
     """
-    prior, every = surface_of_pair(pair), [found]
+    end, known = explained.estimate, explained.hypothesis.prior.scatter
+    pair, every = end.pair, [end]
     # On bearings the positions of the cranks distinguish the discs.
-    for surface in () if pair.supports is not None else other_descriptions(pair, found.state.surface):
+    for state in () if pair.supports is not None else descriptions(pair, end):
         progress("describing the drive from another disc")
-        state = described_by(pair, found, surface)
-        every.append(fit(pair, found.observed, found.chosen, state, found.scatter, gain=GAIN, known=known.scatter))
-    least = min(one.unlikelihood for one in every)
-    every = [one for one in every if one.unlikelihood - least < _TOLD_APART]
-    sizes = tolerances_of(found.chosen, found.observed.profile)
+        every.append(fit(pair, end.observed, end.chosen, state, end.scatter, gain=GAIN, known=known))
+    least = min(each.unlikelihood for each in every)
+    every = [each for each in every if each.unlikelihood - least < _EXCLUDED]
+    sizes, stated = tolerances_of(end.chosen, end.observed.profile), surface_of_pair(pair)
 
-    def distance(one: Estimate) -> float:
-        off = [structured_value(one.state.surface, n) - structured_value(prior, n) for n in found.chosen]
-        return round(float(np.sum((np.array(off) / sizes) ** 2)), 1)
+    def distance(estimate: Estimate) -> float:
+        surface = estimate.state.surface
+        off = np.array([structured_value(surface, n) - structured_value(stated, n) for n in end.chosen])
+        return round(float(np.sum((off / sizes) ** 2)), 1)
 
     first, *others = sorted(every, key=distance)
-    return dataclasses.replace(first, disagreeing=found.disagreeing), tuple(others)
+    return dataclasses.replace(first, disagreeing=end.disagreeing), tuple(others)
 
 
-def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
-    """Residuals of curves that were not fitted; their own zeros and drifts cannot be predicted."""
-    observed = observations(curves, pair, first_stage=fit.observed.first_stage)
-    known = dict(zip(fit.observed.bench_names, fit.state.bench, strict=True))
-    own = np.array(
-        [n.startswith("output_angle_drift") or not (n in known or n.startswith(CREEP)) for n in observed.bench_names]
-    )
-    if not all(c.common_zero for c in (*curves, *fit.observed.curves)):
-        own |= np.array([n.startswith("output_angle_offset") for n in observed.bench_names])
-    predictable = ~own & ~np.array([n.startswith(CREEP) for n in observed.bench_names])
-    bench = np.array([known[n] if shared else 0.0 for n, shared in zip(observed.bench_names, predictable, strict=True)])
-    state = dataclasses.replace(fit.state, bench=bench)
-    left = left_of(observed, linearise(pair, observed, state), state)
-    # What single samples far off do to the rms is not the model's.
-    scale = 1.4826 * float(np.median(np.abs(left - np.median(left))))
-    inside = np.abs(left - np.median(left)) < OUTLYING * scale
-    columns = observed.bench[inside][:, own]
-    left = left[inside] - columns @ np.linalg.lstsq(columns, left[inside], rcond=None)[0]
-    loads = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
-    counted = np.zeros(inside.size)
-    counted[inside] = left
-    yardstick = yardsticks(dataclasses.replace(observed, weight=inside.astype(float)), counted)
-    return HeldOut(loads, float(np.sqrt(np.mean(left**2))), float(np.sqrt(np.mean(yardstick**2))))
-
-
-def _is_mispredicted(predicted: HeldOut) -> bool:
-    return predicted.residual > _MISPREDICTED * predicted.noise
+def _check(curves: Sequence[Curve], bootstrap: int, profiled: Sequence[str], errors: Sequence[str]) -> None:
+    """Refuse a bootstrap of too few turns, and profiles of what is no error."""
+    if bootstrap < 0:
+        raise edge.ArgumentError("bootstrap", "it must not be below zero", bootstrap)
+    for curve in curves if bootstrap else ():
+        turns = 0 if curve.each_turn is None else len(curve.each_turn)
+        if turns < TURNS and not curve.branch:
+            raise edge.InputError(
+                f"{curve.source}: it has {turns} output turns; at least {TURNS} are needed to draw turns again."
+            )
+    for name in profiled:
+        if name not in errors:
+            near = edge.did_you_mean(name, errors).rstrip("?") or f"one of {', '.join(errors)}"
+            raise edge.ArgumentError("profiled", f"it is not an error of this drive; {near}", name)

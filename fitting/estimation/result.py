@@ -41,12 +41,14 @@ from fitting.estimation.allowances import (
 from fitting.estimation.confirmation import Confirmed, as_lmfit, confirmed, lmfit_states, stated, with_covariance
 from fitting.estimation.effects import Effect, effects_of
 from fitting.estimation.effects import as_json as effect_as_json
+from fitting.estimation.explanation import GAIN
 from fitting.estimation.fit import Estimate, allowed_radius, freedom, turn_bootstrap
 from fitting.estimation.minimisation import Search
 from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, parameter_as_json, withheld
 from fitting.estimation.realised import GAUGE, Realised, realised
 from fitting.estimation.run_out import RunOut, run_outs_of
-from fitting.estimation.validation import HeldOut, Verdict, with_run_out
+from fitting.estimation.starts import is_uneven
+from fitting.estimation.validation import SAME_LOAD, HeldOut, Verdict, with_run_out
 from fitting.model.bearings import (
     pair_with,
 )
@@ -79,9 +81,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 FORMAT = "cycloid-identification/1"
 
-_LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
 _ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
-_TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
+_ENOUGH = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
+_WHOLE_TURN = 0.95  # of an output turn: curves of less do not see every pin with every tooth
 _AT_BOUND = 1e-3  # of the bound: the last step ends so close beside it
 
 
@@ -222,12 +224,6 @@ class Identification:
             temporary.write_text(edge.json_text(as_json(self)), encoding="utf-8")
 
 
-def is_uneven(fit: Estimate) -> bool:
-    """Whether a curve's noise is larger than that of the others, as in a fit that missed the best minimum."""
-    noises = fit.noises[fit.observed.running]
-    return bool(noises.max() > _LEFT * np.median(noises))
-
-
 def inflation_of(residuals: Sequence[Array]) -> float:
     """Ratio of the standard error of a mean of these residuals to that of white noise of the same size.
 
@@ -246,14 +242,12 @@ def inflation_of(residuals: Sequence[Array]) -> float:
 
 
 def result_of(
-    pair: Pair,
     fit: Estimate,
     verdict: Verdict,
     predicted: HeldOut | None,
     known: Mapping[str, float],
     profiled: Sequence[str],
     bootstrap: int,
-    gain: float,
     others: Sequence[Estimate],
     form: float,
     progress: Callable[[str], None],
@@ -262,17 +256,16 @@ def result_of(
 
     Parameters
     ----------
-    pair, fit, verdict, predicted
-        The nominal pair, the end of its fit, whether it explains the curves, and the prediction of held-out curves.
+    fit, verdict, predicted
+        The end of the fit, whether it explains the curves, and the prediction of held-out curves.
     known, profiled, bootstrap, progress
         `scatter` and the others of `fitting.estimation.identify.identify`.
-    gain
-        Gain of a step at which the fit ends, as in `fitting.estimation.fit.fit`.
     others
         Fits of the same curves with another disc as the first.
     form
         Expected size of each order of a form that all flanks share, standard deviation, m: intervals allow for it.
     """
+    pair = fit.pair
     if PIN_RADIUS not in known:
         fit = dataclasses.replace(fit, scatter={**fit.scatter, PIN_RADIUS: allowed_radius(fit)})
     names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
@@ -284,7 +277,7 @@ def result_of(
     search, decided = Search(dataclasses.replace(fit, observed=observed)), observed.constraints
     if decided is None and not profiled:
         # Loading lmfit takes as much processor time as a third of a fit of six recordings.
-        search = Search(confirmed(search.start, gain))
+        search = Search(confirmed(search.start, GAIN))
     optimum = search.start if decided is None and not profiled else search.end
     found, every = stated(optimum)
     fit = dataclasses.replace(optimum, observed=fit.observed)
@@ -489,11 +482,11 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
         if n in ("pin_radial", "pin_tangential") and fit.scatter[n] > NO_SCATTER
     )
     seen = sum(np.unique(np.rint(c.input_angle / (2.0 * np.pi) * _ANGLES) % _ANGLES).size for c in curves)
-    if seen < _TOLD * unknown:
+    if seen < _ENOUGH * unknown:
         notes.append(
             f"The curves contain {seen} crank angles in total, too few for the {unknown} displacements of single "
             f"pins: the fit may miss the best optimum; record at least "
-            f"{math.ceil(_TOLD * unknown / len(curves))} samples a crank turn, not in step with it."
+            f"{math.ceil(_ENOUGH * unknown / len(curves))} samples a crank turn, not in step with it."
         )
     return notes
 
@@ -509,7 +502,7 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict, run_out: Sequence[RunOut
             "angles of pins and teeth count from an unknown one."
         )
     sizes = np.array([abs(c.torque) for c in curves])
-    if np.ptp(sizes) < 0.05 * sizes.max():
+    if np.ptp(sizes) < SAME_LOAD * sizes.max():
         notes.append(
             f"There is one load only, {sizes.mean():.4g} N·m: compliance elsewhere cannot be separated from "
             "clearances; record a second one, ten times smaller."
@@ -524,7 +517,7 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict, run_out: Sequence[RunOut
         )
     for curve in curves:
         turns = float(np.ptp(curve.input_angle)) / (2.0 * np.pi * abs(curve.ratio))
-        if turns < 0.95:
+        if turns < _WHOLE_TURN:
             notes.append(
                 f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are resolved less well."
             )

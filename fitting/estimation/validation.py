@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 FALSE_ALARM = 2e-3  # how often a test alarms where there is nothing, all that it looks at together
 _MORE = 1.15  # times the yardstick: a larger residual counts as more than noise
 _SEEN = 1e-3  # of a column's square outside the span of the errors; below it a cause is not separable from them
-_TOLD = 0.02  # of what curves tell of the fit's unknowns: what they alone tell is not held against others
+_SHARED = 0.02  # of what curves show of the fit's unknowns: directions that they alone show can't contradict others
 _ORDERS = 12  # most orders that are named
 _HIGHEST = 4096  # order of the output that is looked at
 _REPEATED = 100  # points of a curve with several turns from which its noise is estimated
@@ -38,6 +38,8 @@ _WHOLE = 0.15  # of the resolution of the turns: an order so near a whole number
 _PULLED = {"chain_compliance": "compliance", "friction_torque": "friction"}  # the cause, where it is far from its prior
 _FREE = 0.9  # of a prior's variance: if more of it is left, the data do not show how far the unknown is from the prior
 _NAMED = 4  # causes and orders that a sentence names
+_STEADY = 0.2  # of a point's standard error: what the scatter of its samples' angles may add to it
+SAME_LOAD = 0.05  # of the largest torque: loads that differ by less are the same
 
 
 @dataclass(frozen=True)
@@ -227,7 +229,7 @@ class Residual:
         own = columns.T @ columns
         size = np.sqrt(np.maximum(np.diag(own), 1e-12 * np.diag(own).max()))
         spread = own - own @ self.posterior.solve(own)
-        square, count, _ = truncated(columns.T @ self.left[part], spread, size, _TOLD)
+        square, count, _ = truncated(columns.T @ self.left[part], spread, size, _SHARED)
         return float(special.chdtrc(max(count, 1), square))
 
 
@@ -290,7 +292,7 @@ def yardsticks(observed: Observations, left: Array) -> Array:
         curve, part = observed.curves[number], parts[number]
         slope = np.abs(np.gradient(curve.transmission_error, curve.input_angle)) if part.size > 2 else np.zeros(1)
         spread = np.zeros(1) if curve.angle_variance is None else np.sqrt(curve.angle_variance)
-        told = np.isfinite(curve.standard_error) & (slope * spread < 0.2 * curve.standard_error)
+        told = np.isfinite(curve.standard_error) & (slope * spread < _STEADY * curve.standard_error)
         if np.count_nonzero(told) > _REPEATED:
             scatter = (curve.standard_error * observed.weight[part])[told]
             found.append(float(np.sqrt(np.mean(scatter**2))))
@@ -320,14 +322,18 @@ def peak(observed: Observations, left: Array) -> float | None:
     return float(round(order)) if abs(order - round(order)) * turns < _WHOLE and round(order) else order
 
 
+def by_load(torque: Array) -> list[NDArray[np.int64]]:
+    """Return which curves have the same load, the smallest first."""
+    sizes = np.abs(torque)
+    order = np.argsort(sizes)
+    return np.split(order, np.flatnonzero(np.diff(sizes[order]) > SAME_LOAD * sizes.max()) + 1)
+
+
 def groups_of(observed: Observations) -> dict[str, list[int]]:
     """Curves with a common load or direction, in words, if there are others to compare with."""
     running = observed.running
     torque = np.array([observed.curves[i].torque for i in running])
-    sizes = np.abs(torque)
-    order = np.argsort(sizes)
-    loads = np.split(order, np.flatnonzero(np.diff(sizes[order]) > 0.05 * sizes.max()) + 1)
-    found = {f"{sizes[one].mean():.4g} N·m": [running[i] for i in one] for one in loads}
+    found = {f"{np.abs(torque[one]).mean():.4g} N·m": [running[i] for i in one] for one in by_load(torque)}
     if len(found) < 2:
         found = {}
     ways = {

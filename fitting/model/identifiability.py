@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
 from fitting.model.gaussian import Evidence, Gaussian
 from fitting.model.observations import ORDERS, Linear, Observations
@@ -80,6 +81,26 @@ def chosen_errors(pair: Pair, observed: Observations, linear: Linear, sizes: Map
     unknowns = Unknowns(pair, observed, observed.errors)
     told = Evidence.of(unknowns.columns(observed, linear))
     return chosen_from(unknowns, observed, told.posterior(unknowns.precision(sizes)))
+
+
+def chosen_of(pair: Pair, observed: Observations, linear: Linear) -> list[str]:
+    """Choose the errors to fit: those that observations resolve, as far as a user has not decided.
+
+    Without the scatter of single pins and teeth, which widens the intervals: a scatter that has absorbed held errors
+    would keep them held, and fitted errors of nearly the same effect would absorb the rest.
+
+    Raises
+    ------
+    edge.InputError
+        If it is none.
+    """
+    chosen, decided = chosen_errors(pair, observed, linear, {}), observed.constraints
+    if decided is not None:
+        own = {*decided.free, *decided.ties}
+        chosen = [n for n in observed.errors if n in own or (n in chosen and n not in decided.held)]
+    if not chosen:
+        raise edge.InputError("the data resolve none of the structured errors; record more loads or more turns.")
+    return chosen
 
 
 def chosen_from(unknowns: Unknowns, observed: Observations, posterior: Gaussian) -> list[str]:

@@ -8,15 +8,13 @@ drive. What is left out is how errors change normals and curvatures.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.analysis import solve
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, contact_rows, hertz, local_frame, place
+from cycloid_fmu.contact import ROW, Array, Problem, compiled, hertz
 from cycloid_fmu.contact.equilibrium import LINEAR_STEP, touched_after
-from cycloid_fmu.contact.local_frame import gap_gradient
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CENTRE_X,
@@ -27,29 +25,13 @@ from cycloid_fmu.contact.sensitivity import (
     TILT_X,
     TILT_Y,
 )
+from cycloid_fmu.contact.side_by_side import GUIDE, guide_rows
 from cycloid_fmu.contact.transmission import rigid_problem
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.structured import displacement_vector
 
 _ITERATIONS = 60
 _COLUMNS = 11  # displacements that change a contact's gap: those of the bodies, of its pin and of its tooth
-
-
-def _records(*names: str, more: Sequence[tuple[str, type, tuple[int]]] = ()) -> np.dtype[np.void]:
-    return np.dtype((np.record, [*((name, np.float64) for name in names), *more]))
-
-
-_SOLVED = _records(
-    "gap",
-    "arm",
-    "arm_rate",
-    "curvature",
-    "pin_radius",
-    more=[("column", np.int64, (_COLUMNS,)), ("rate", np.float64, (_COLUMNS,))],
-)
-"""A contact of the solved drive, with the gap's derivatives by the columns of a displacement vector."""
-_PRESSED = _records("gap", "arm", "force", "stiffness")
-"""A contact of a drive near it: gap at the solved drive's rotation; arm, force and stiffness at its own."""
 
 
 class NearDrive:
@@ -73,9 +55,9 @@ class NearDrive:
     def __init__(self, drive: DriveValue, torque: float, angles: Array) -> None:
         pair = drive.pair
         self._problem, self._errors = rigid_problem(drive, 1), displacement_vector(pair, drive.surface)
-        self._deviation = solve(drive, [torque], angles, 1, with_play=False).transmission_error[0].copy()
-        self._contacts = np.zeros((angles.size, pair.discs * pair.pins), _SOLVED)
-        _contacts_of(self._problem, angles, self._deviation, self._contacts)
+        self._transmission_error = solve(drive, [torque], angles, 1, with_play=False).transmission_error[0].copy()
+        self._guide = np.zeros((angles.size, pair.discs * pair.pins), GUIDE)
+        guide_rows(self._problem, angles, self._transmission_error, self._guide)
 
     def sensitivities(self, errors: Array, torque: Array) -> tuple[Array, Array, Array]:
         """Return the transmission error of one drive to first order, and its derivatives.
@@ -96,53 +78,36 @@ class NearDrive:
         by_torque
             Shape (angles,), rad/(N·m).
         """
-        angles, contacts = self._contacts.shape
-        deviation, by_torque, each = np.empty(angles), np.empty(angles), np.zeros((angles, errors.size))
+        angles, contacts = self._guide.shape
+        transmission_error, by_torque, each = np.empty(angles), np.empty(angles), np.zeros((angles, errors.size))
         _sweep(
             self._problem,
-            self._contacts,
-            self._deviation,
+            self._guide,
+            self._transmission_error,
             errors - self._errors,
             torque,
-            np.zeros(contacts, _PRESSED),
-            deviation,
+            np.zeros(contacts, ROW),
+            transmission_error,
             each,
             by_torque,
         )
-        return deviation, each, by_torque
+        return transmission_error, each, by_torque
 
 
 @compiled
-def _contacts_of(problem: Problem, thetas: Array, deviation: Array, found: NDArray[np.void]) -> None:
-    """Overwrite the contacts of a solved drive, shape (angles, contacts): of each pin the nearer one of two."""
-    contacts = contact_rows(problem)
-    for i in range(thetas.size):
-        place(problem, thetas[i], deviation[i], contacts, i == 0, math.inf, math.inf)
-        for k in range(found.shape[1]):
-            _write_contact(problem, thetas[i], deviation[i], contacts, k, found[i, k])
+def _columns(guide: np.record, pin: int, pins: int) -> tuple[int, ...]:
+    """Columns of a displacement vector that change the gap of a contact."""
+    of_pin, of_tooth = BODY_COUNT + pin, BODY_COUNT + 3 * pins + int(guide.tooth)
+    bodies = (CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING)
+    return (*bodies, of_pin, of_pin + pins, of_pin + 2 * pins, of_tooth)
 
 
 @compiled
-def _write_contact(problem: Problem, theta: float, x: float, contacts: Rows, k: int, one: np.record) -> None:
-    row = 2 * k + 1 if contacts[2 * k + 1].gap < contacts[2 * k].gap else 2 * k
-    contact, local = contacts[row], local_frame(problem, theta, x, contacts, row)
-    c, s = math.cos(local.direction), math.sin(local.direction)
-    nx, ny, height, pins = local.normal_x, local.normal_y, problem.slice_z[local.slice], problem.teeth + 1
-    one.gap, one.arm, one.arm_rate, one.curvature = contact.gap, contact.arm, contact.arm_rate, contact.curvature
-    one.pin_radius = problem.pin_radius[local.pin]
-    pin = BODY_COUNT + local.pin
-    tooth = BODY_COUNT + 3 * pins + local.disc * problem.teeth + local.tooth
-    columns = (
-        *(CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING),
-        *(pin, pin + pins, pin + 2 * pins, tooth),
-    )
-    crank, turn = nx * local.crank_x + ny * local.crank_y, gap_gradient(local).gap_y
-    rates = (
-        *(-nx, -ny, -nx * height, -ny * height, -crank, 1.0, -local.facing),
-        *(nx * c + ny * s, ny * c - nx * s, -1.0, turn),
-    )
-    for at in range(_COLUMNS):
-        one.column[at], one.rate[at] = columns[at], rates[at]
+def _rates(guide: np.record) -> tuple[float, ...]:
+    """Derivatives of the gap of a contact by its `_columns`."""
+    nx, ny, height = guide.normal_x, guide.normal_y, guide.height
+    bodies = (-nx, -ny, -nx * height, -ny * height, -guide.crank, 1.0, -guide.facing)
+    return (*bodies, guide.radial, guide.tangential, -1.0, guide.turn)
 
 
 @compiled
@@ -150,16 +115,16 @@ def _load(problem: Problem, contacts: NDArray[np.void], moved: float, pressed: N
     """Press the contacts of a drive rotated by `moved` from the solved one; return torque and stiffness."""
     torque = stiffness = 0.0
     for k in range(contacts.size):
-        one, near = contacts[k], pressed[k]
-        near.arm = one.arm + moved * one.arm_rate
-        approach = moved * (one.arm + 0.5 * moved * one.arm_rate) - near.gap
+        guide, near = contacts[k], pressed[k]
+        near.arm = guide.arm + moved * guide.arm_rate
+        approach = moved * (guide.arm + 0.5 * moved * guide.arm_rate) - near.gap
         if approach <= 0.0:
             near.force = 0.0
             continue
         near.force, near.stiffness, _ = hertz(
             approach,
-            one.curvature,
-            one.pin_radius,
+            guide.curvature,
+            problem.pin_radius[k % problem.pin_radius.size],
             problem.slice_width,
             problem.compliance_gear,
             problem.compliance_pin,
@@ -167,7 +132,7 @@ def _load(problem: Problem, contacts: NDArray[np.void], moved: float, pressed: N
             near.force,
         )
         torque += near.force * near.arm
-        stiffness += near.stiffness * near.arm * near.arm + near.force * one.arm_rate
+        stiffness += near.stiffness * near.arm * near.arm + near.force * guide.arm_rate
     return torque, stiffness
 
 
@@ -215,32 +180,33 @@ def _sweep(
     errors: Array,
     torque: Array,
     pressed: NDArray[np.void],
-    deviation: Array,
+    transmission_error: Array,
     each: Array,
     by_torque: Array,
 ) -> None:
-    """Solve a drive whose displacements differ by `errors`, with the derivatives of its deviation.
+    """Solve a drive whose displacements differ by `errors`, with the derivatives of its transmission_error.
 
     Parameters
     ----------
     contacts, solved
-        Of the solved drive: contacts (angles, contacts) and deviation, shape (angles,), rad.
+        Of the solved drive: contacts (angles, contacts) and transmission_error, shape (angles,), rad.
     pressed
         Memory, shape (contacts,), zeros.
-    deviation, each, by_torque
+    transmission_error, each, by_torque
         Overwritten, as `NearDrive.sensitivities` returns them; `each` is zeros.
     """
-    moved = 0.0
+    moved, pins = 0.0, problem.pin_x.size
     for i in range(solved.size):
         for k in range(pressed.size):
-            one = contacts[i, k]
-            pressed[k].gap = one.gap
+            columns, rates = _columns(contacts[i, k], k % pins, pins), _rates(contacts[i, k])
+            pressed[k].gap = contacts[i, k].gap
             for at in range(_COLUMNS):
-                pressed[k].gap += one.rate[at] * errors[one.column[at]]
+                pressed[k].gap += rates[at] * errors[columns[at]]
         moved, stiffness = _balance(problem, contacts[i], torque[i], moved, pressed)
-        deviation[i], by_torque[i] = solved[i] + moved, 1.0 / stiffness
+        transmission_error[i], by_torque[i] = solved[i] + moved, 1.0 / stiffness
         for k in range(pressed.size):
             if pressed[k].force > 0.0:
-                one, share = contacts[i, k], pressed[k].stiffness * pressed[k].arm / stiffness
+                columns, rates = _columns(contacts[i, k], k % pins, pins), _rates(contacts[i, k])
+                share = pressed[k].stiffness * pressed[k].arm / stiffness
                 for at in range(_COLUMNS):
-                    each[i, one.column[at]] += share * one.rate[at]
+                    each[i, columns[at]] += share * rates[at]

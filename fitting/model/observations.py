@@ -60,7 +60,7 @@ RADIUS_SPREAD = 0.3e-6  # m: usual of single pins' radii, as a sort of rollers i
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
 _OTHER_LOAD = 1.2  # times the smallest load: one at which wind-up differs from play
-FRICTION_SHARE, SOFT_FRICTION_SHARE = 0.002, 0.02  # of the largest torque; where hysteresis is unknown too
+FRICTION_SHARE = 0.002  # of the largest torque
 LOOP_FRICTION_PER_LOAD = 0.5  # growth of a loop's friction with load: measured drives have up to 0.7
 _SELF_LOCKING = 0.95  # largest growth in the model: from 1 on a drive does not unload
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance; a softer chain is a cause of misfit, whose size is found
@@ -131,8 +131,6 @@ class Observations:
         First stage, for curves of a whole reducer.
     chain_prior
         Usual size of the chain's compliance, rad/(N·m): a small share of the gear pair's own.
-    soft_chain
-        Whether the sizes of the chain's compliance and hysteresis are estimated, as far as the curves separate them.
     constraints
         What a user has decided of the unknowns.
     """
@@ -155,7 +153,6 @@ class Observations:
     bearing_lowest: Array = field(default_factory=lambda: np.zeros(0))
     first_stage: FirstStage | None = None
     chain_prior: float = 0.0
-    soft_chain: bool = False
     constraints: Constraints | None = None
 
     @property
@@ -193,10 +190,11 @@ class Observations:
     def estimated(self) -> dict[str, slice]:
         """Groups of the bench's nuisances whose common size the fit estimates.
 
-        Creeping zeros, causes of misfit, and compliance and hysteresis of the chain between the encoders.
+        Creeping zeros, causes of misfit, and compliance and hysteresis of the chain between the encoders as far as the
+        curves separate these from the drive's play.
         """
         groups: dict[str, slice] = {}
-        of_chain = self._of_chain if self.soft_chain else set()
+        of_chain = self._of_chain
         for i, name in enumerate(self.bench_names):
             if name.startswith((CREEP, MISFIT)):
                 group = name.rpartition("_")[0]
@@ -296,7 +294,6 @@ def observations(
     noise: Sequence[float] | None = None,
     profile: Mapping[str, float] | None = None,
     first_stage: FirstStage | None = None,
-    soft_chain: bool = False,
     constraints: Constraints | None = None,
 ) -> Observations:
     """Return curves as observations of a pair.
@@ -313,7 +310,7 @@ def observations(
         Orders of the profile deviation to consider too, with their prior sizes, m.
     first_stage
         First stage of the curves, which are over the angle of ideal cranks (`fitting.model.first_stage.of_cranks`).
-    soft_chain, constraints
+    constraints
         As in `Observations`.
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
@@ -383,7 +380,7 @@ def observations(
         bench=np.array(columns).T,
         bench_prior=np.array(priors),
         fit_crank=not all(c.known_index for c in curves),
-        friction_prior=(SOFT_FRICTION_SHARE if soft_chain else FRICTION_SHARE) * largest,
+        friction_prior=FRICTION_SHARE * largest,
         with_loops=any(c.branch for c in curves),
         errors=(*errors_of(pair), *(profile or {})),
         profile=profile or {},
@@ -392,7 +389,6 @@ def observations(
         bearing_lowest=lowest_of(pair, first_stage),
         first_stage=first_stage,
         chain_prior=priors[-1],
-        soft_chain=soft_chain,
         constraints=constraints,
     )
 

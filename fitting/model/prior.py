@@ -39,8 +39,6 @@ class Prior:
         Standard deviations of the orders of the profile deviation common to all teeth; only the named ones are fitted.
     first_stage
         First stage before the pair, as drawn.
-    soft_chain
-        Whether compliance and hysteresis between the encoders may be far above the usual ones.
     constraints
         What a user has decided of the unknowns.
     """
@@ -48,7 +46,6 @@ class Prior:
     scatter: Mapping[str, float] = field(default_factory=dict)
     profile: Mapping[str, float] = field(default_factory=dict)
     first_stage: FirstStage | None = None
-    soft_chain: bool = False
     constraints: Constraints | None = None
 
 

@@ -255,7 +255,7 @@ def _assert_left_pins_clear(seed, teeth, k, size, step, sign, output):
         contact.place(drive, theta, x, kept, False, clear, math.inf)
         contact.place(drive, theta, x, anew, True, math.inf, math.inf)
         smallest = np.minimum(anew["gap"][::2], anew["gap"][1::2])
-        left = (kept["crank_angle"][::2] != theta) | (kept["deviation"][::2] != x)
+        left = (kept["crank_angle"][::2] != theta) | (kept["transmission_error"][::2] != x)
         assert (smallest[left] > 0.8 * clear).all()  # by rotation a gap is foretold to second order
         solved = ~left & (smallest < clear)
         again = np.minimum(kept["gap"][::2], kept["gap"][1::2])[solved]
@@ -582,7 +582,7 @@ def test_compiled_code_is_kept_until_a_file_of_the_room_changes(monkeypatch, tmp
         return sum(kernel.dispatcher().stats.cache_hits.values())
 
     assert [loaded(), loaded()] == [0, 1]
-    monkeypatch.setattr(internals, "_SOURCES", (*internals._SOURCES, (1, "changed.py")))
+    monkeypatch.setattr(compiling, "SOURCES", (*compiling.SOURCES, (1, "changed.py")))
     assert [loaded(), loaded()] == [0, 1]
 
 

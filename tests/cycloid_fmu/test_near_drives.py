@@ -60,7 +60,7 @@ def drawn(pair, random, largest, few):
 def compare(pair, surfaces, torque, angles, slices=1):
     """Where drives interfere an equilibrium can depend on where the search begins: it is one of those found alone."""
     exact = NearDrives(DriveValue(pair, nominal_surface(pair)), [(torque, angles), (0.0, angles)], slices)
-    made = exact.made(np.array([displacement_vector(pair, s) for s in surfaces]))
+    made = exact.displaced(np.array([displacement_vector(pair, s) for s in surfaces]))
     deviation, pressure = exact.loaded(0, made)
     backlash, interference = exact.play(1, made)
     for j, surface in enumerate(surfaces):
@@ -132,7 +132,7 @@ def test_gaps_and_feet_move_as_displacements_say(name):
     pair, angle, random = PAIRS[name], np.array([0.7]), np.random.default_rng(1)
     exact = NearDrives(DriveValue(pair, nominal_surface(pair)), [(100.0, angle)], 1)
     guide = next(exact._along(0))
-    x = guide.deviation[0]
+    x = guide.transmission_error[0]
     before = placed(pair, ErrorSurface(pair), angle[0], x)
     problem = rigid_problem(DriveValue(pair, ErrorSurface(pair)))
     for kind in KINDS_OF_RIGID:
@@ -140,17 +140,17 @@ def test_gaps_and_feet_move_as_displacements_say(name):
             continue
         surface = ErrorSurface(pair, {kind.name: 1e-6 * random.uniform(0.5, 1.0, kind.shape(pair))})
         after = placed(pair, surface, angle[0], x)
-        work = side_by_side.memory(len(guide.rows[0]), exact.made(displacement_vector(pair, surface)[None]).errors)
+        work = side_by_side.memory(len(guide.rows[0]), exact.displaced(displacement_vector(pair, surface)[None]).errors)
         side_by_side._displace(guide.rows[0], pair.pins, work)
         for row in range(0, len(before), 2):
-            beside, frame = work.beside[row // 2], contact.local_frame(problem, angle[0], x, before, row)
+            linear, frame = work.linear[row // 2], contact.local_frame(problem, angle[0], x, before, row)
             # Far from roots, where a micrometre is little beside the curvature radius.
             if abs(frame.bend) < 2e3 and before[row].gap < 1.0 and after[row].gap < 1.0:
                 # Beside a root the nearer of two teeth counts.
-                assert beside.gap[0] + beside.beyond[0] <= after[row].gap + 5e-9
-                assert beside.gap[0] == pytest.approx(after[row].gap, abs=5e-9)
+                assert linear.gap[0] + linear.beyond[0] <= after[row].gap + 5e-9
+                assert linear.gap[0] == pytest.approx(after[row].gap, abs=5e-9)
                 assert after[row].foot - before[row].foot == pytest.approx(
-                    beside.along[0] * frame.foot, abs=1e-8 * abs(frame.foot)
+                    linear.along[0] * frame.foot, abs=1e-8 * abs(frame.foot)
                 )
 
 
@@ -167,10 +167,10 @@ def test_what_a_drive_gives_does_not_depend_on_the_others(name):
     angles, random = np.linspace(0.0, 2.0 * np.pi, 90), np.random.default_rng(3)
     exact = NearDrives(DriveValue(pair, nominal_surface(pair)), [(181.0, angles), (0.0, angles)], 1)
     errors = np.array([displacement_vector(pair, drawn(pair, random, 5e-6, False)) for _ in range(70)])
-    made = exact.made(errors)
+    made = exact.displaced(errors)
     together = (*exact.loaded(0, made), *exact.play(1, made))
     for some in (slice(0, 1), slice(33, 34), slice(5, 12), slice(20, 69)):
-        made = exact.made(errors[some])
+        made = exact.displaced(errors[some])
         for one, every in zip((*exact.loaded(0, made), *exact.play(1, made)), together, strict=True):
             assert np.array_equal(one, every[some], equal_nan=True)
 
@@ -180,7 +180,7 @@ def test_what_no_drive_can_be_is_refused():
     thin = ErrorSurface(DRIVE, {"pin_radius_deviation": np.where(np.arange(40) == 3, -1e-3, 0.0)})
     thinner = 3.1 * displacement_vector(DRIVE, thin)
     with pytest.raises(edge.InputError, match=r"a pin's radius is -0\.1 mm; it must stay above zero"):
-        exact.made(np.array([0.0 * thinner, thinner]))
+        exact.displaced(np.array([0.0 * thinner, thinner]))
 
 
 def test_guides_in_parts(monkeypatch):
@@ -190,13 +190,13 @@ def test_guides_in_parts(monkeypatch):
 
     def solved():
         exact = NearDrives(DriveValue(DRIVE, nominal_surface(DRIVE)), [(181.0, angles), (0.0, angles)], 1)
-        made = exact.made(errors)
+        made = exact.displaced(errors)
         return *exact.loaded(0, made), *exact.play(1, made)
 
     whole = solved()
-    monkeypatch.setattr(near_drives, "_GUIDE", 7 * 40 * side_by_side.GUIDE.itemsize)
+    monkeypatch.setattr(near_drives, "_GUIDE_BYTES", 7 * 40 * side_by_side.GUIDE.itemsize)
     parts = solved()
-    monkeypatch.setattr(near_drives, "_KEPT", 3 * 7 * 40 * side_by_side.GUIDE.itemsize)
+    monkeypatch.setattr(near_drives, "_CACHE_BYTES", 3 * 7 * 40 * side_by_side.GUIDE.itemsize)
     for one, part, again in zip(whole, parts, solved(), strict=True):
         assert part == pytest.approx(one, rel=1e-9, abs=1e-14, nan_ok=True)
         assert np.array_equal(again, part, equal_nan=True)

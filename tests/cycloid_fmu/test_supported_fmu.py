@@ -71,6 +71,24 @@ def test_both_torques_are_derivatives_of_the_stored_energy(case, compliance, bac
     assert pressed >= 2
 
 
+@pytest.mark.parametrize("backlash_on", [True, False])
+@pytest.mark.parametrize(("crank_angle", "has_play"), [(0.45, False), (0.3, False), (0.6, True), (0.9, True)])
+def test_the_output_s_speed_is_the_rate_of_its_angle_below_the_load_of_the_play(crank_angle, has_play, backlash_on):
+    """Also where there is no play because the ends cross that the drive's own tangents give."""
+    model, near = kinematic_drive(drive("cranks-rollers-clearance")), 1e-4
+    model.torque, model.backlash_on, model.crank_speed = 0.5 * PLAY_LOAD * model.pair.rated_torque, backlash_on, 1.0
+
+    def output_angle(place):
+        model.crank_angle = place
+        model.advance()
+        return model.output_angle
+
+    rate = (output_angle(crank_angle + near) - output_angle(crank_angle - near)) / (2.0 * near)
+    output_angle(crank_angle)
+    assert (model.backlash > 0.0) == (has_play and backlash_on)
+    assert model.output_speed == pytest.approx(rate, abs=3e-6)
+
+
 @pytest.mark.parametrize("case", NAMES)
 def test_it_is_the_quasi_static_drive_seen_from_both_flanges(case):
     """The energy's torque and the balance's differ by the term of moving curvature; inside the play by nothing."""

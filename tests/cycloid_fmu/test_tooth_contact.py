@@ -118,7 +118,7 @@ def test_as_the_torque_vanishes_the_contact_that_carries_it_is_the_first_to_touc
         error, pin = first_touch(unloaded_error(pair, surface, theta, side), side)
         assert contact_ratio(found) < 1.1
         assert (found.pin[np.searchsorted(found.angle, np.arange(60))] == pin).mean() > 0.95
-        np.testing.assert_allclose(found.deviation, error, atol=1e-3 * ARCSEC)
+        np.testing.assert_allclose(found.transmission_error, error, atol=1e-3 * ARCSEC)
 
 
 def test_an_unmodified_pair_touches_at_every_pin_of_its_side():
@@ -138,7 +138,7 @@ def test_figures_of_the_wear_pair_loaded(torque, error, pressure, least, most):
     found = loaded_contacts(
         rigid_problem(DriveValue(pair, nominal_surface(pair))), np.arange(200) / 200 * PITCH, torque
     )
-    assert found.deviation.mean() / ARCSEC == pytest.approx(error, abs=0.002)
+    assert found.transmission_error.mean() / ARCSEC == pytest.approx(error, abs=0.002)
     assert found.pressure.max() == pytest.approx(pressure, rel=0.003)
     count = np.bincount(found.angle)
     assert (count.min(), count.max()) == (least, most)
@@ -171,7 +171,7 @@ def test_loaded_contacts_are_those_of_the_sweep(keys, torque):
     np.add.at(force, (found.angle, found.disc, found.pin), found.force)
     np.testing.assert_allclose(force, sweep.pin_force[0], rtol=1e-6, atol=1e-6)
     assert found.pressure.max() == pytest.approx(sweep.max_contact_pressure.max(), rel=1e-6)
-    np.testing.assert_allclose(found.deviation, sweep.transmission_error[0], atol=1e-12)
+    np.testing.assert_allclose(found.transmission_error, sweep.transmission_error[0], atol=1e-12)
     # The arm is that of the normal about the centre of the output's rotation.
     if not drive.ring:
         arm = (found.pin_axis * np.conj(found.normal)).imag

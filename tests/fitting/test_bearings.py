@@ -20,12 +20,11 @@ from cycloid_fmu.supports.assembly import kinds_of
 from cycloid_fmu.supports.bearing import push
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.estimation import explaining
-from fitting.estimation.explaining import MisfitSearch
+from fitting.estimation import explanation
+from fitting.estimation.explanation import Explanation, observed_with
 from fitting.estimation.fit import fit
 from fitting.estimation.identify import identify
 from fitting.estimation.plan import planned_curve
-from fitting.estimation.starting import observed_with
 from fitting.model.bearings import lowest_of, pair_with, unknown_bearings
 from fitting.model.discs import other_descriptions
 from fitting.model.loops import observed_curves, play_of
@@ -238,18 +237,18 @@ def test_a_fit_that_ended_in_the_drive_s_mirror_finds_the_drive(monkeypatch):
     curves = observed_curves(runs, Drive(pair))
     observed = observed_with(curves, pair, Prior())
     # Far from the noise no search among the minima nearby follows.
-    monkeypatch.setattr(explaining, "_BESIDE", 0.0)
+    monkeypatch.setattr(explanation, "_BESIDE", 0.0)
     # Where a search has gone that saw the mirror first.
     (mirror,) = other_descriptions(pair, surface.replace(pair=pair.nominal))
     nothing = np.zeros(spread_of(pair, {}).size)
     state = State(with_structured(surface_of_pair(pair), structured_of(mirror, values)), nothing, np.zeros(0))
     state = dataclasses.replace(state, bench=np.zeros(observed.bench.shape[1]))
     start = fit(pair, observed, list(values), state, {}, gain=8.0, evaluations=12)
-    search = MisfitSearch(curves, pair, 0.0, lambda step: None)
-    found = search.validated(start, Prior())
+    found = Explanation(curves, pair, Prior(), lambda step: None, origin=start).explain()
     assert found.verdict.state == "explained"
-    plain = with_scatter(found.found.state.surface, -found.found.state.scatter)
-    largest = max((n for n in values if "_1_" in n and n in found.found.chosen), key=lambda n: abs(values[n]))
+    end = found.estimate
+    plain = with_scatter(end.state.surface, -end.state.scatter)
+    largest = max((n for n in values if "_1_" in n and n in end.chosen), key=lambda n: abs(values[n]))
     assert structured_value(plain, largest) == pytest.approx(values[largest], abs=0.4 * abs(values[largest]))
 
 

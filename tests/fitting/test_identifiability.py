@@ -17,7 +17,7 @@ from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.estimation import starting
+from fitting.estimation import starts
 from fitting.estimation.ensemble import ensemble
 from fitting.estimation.identify import identify, kept_back
 from fitting.estimation.plan import plan, planned_curve
@@ -143,7 +143,7 @@ def test_curves_of_another_gear_are_not_explained(measured):
 @pytest.mark.slow(6)
 def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
     """Where no two starts agree others are tried, the best is taken, and the fit reports the consequence."""
-    monkeypatch.setattr(starting, "_AGREE", -np.inf)
+    monkeypatch.setattr(starts, "_AGREE", -np.inf)
     said = []
     found = identify(measured(8, each=12), Drive(nominal), progress=said.append, held_out=False)
     tried = sum(step.startswith("finding a start") for step in said)

@@ -11,7 +11,7 @@ from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.estimation import starting
+from fitting.estimation import starts
 from fitting.estimation.identify import identify
 from fitting.model.prior import Prior, profile_of
 from fitting.recordings.sources import read_recordings
@@ -117,7 +117,7 @@ def test_what_form_may_do_does_not_depend_on_where_the_fit_ended(monkeypatch):
     drive, recordings = read_drive(BENCH / "pair.toml"), read_recordings(str(BENCH / "*.csv"))
     forms = []
     for points in (4000, 4100):
-        monkeypatch.setattr(starting, "_START_POINTS", points)
+        monkeypatch.setattr(starts, "_POINTS", points)
         parameters = identify(recordings, drive).parameters
         forms.append({p.name: p.form for p in parameters if p.held is None})
     assert forms[0] == pytest.approx(forms[1], rel=0.05, abs=0.02e-6)

@@ -17,7 +17,7 @@ def table(request):
     stage = FirstStage(18, 54, 0.0, 0.0) if request.param.startswith("first") else None
     curves = [planned_curve(pair.ratio, t, int(np.sign(t)), 0.3, 8) for t in (60.0, -200.0)]
     curves += planned_branches(pair, 100.0, 0.0, 0) if stage else []
-    observed = observations(curves, pair, [1e-6] * len(curves), first_stage=stage, soft_chain=stage is not None)
+    observed = observations(curves, pair, [1e-6] * len(curves), first_stage=stage)
     return pair, observed, Unknowns(pair, observed, errors_of(pair))
 
 

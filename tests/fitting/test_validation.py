@@ -10,7 +10,7 @@ from benches_as_they_are import EFFECTS, identified, is_right, names, outcome, s
 from sampled_drives import ARCSEC, SMALL
 
 from cycloid_fmu import edge
-from fitting.estimation import explaining
+from fitting.estimation.explanation import Explanation
 from fitting.estimation.result import as_json
 from fitting.reports.report import report
 
@@ -73,14 +73,14 @@ def test_a_drive_on_bearings_is_not_explained_by_rigid_supports(floating):
 )
 def test_causes_that_leave_no_fit_leave_the_one_before(small, monkeypatch, problem):
     """On bearings that no file states the likely causes are not those of the drive."""
-    fitted = explaining.fitted
+    fitted = Explanation.fitted
 
-    def without_causes(curves, pair, start, known, progress, misfit=None, *searched):
-        if misfit is not None and misfit.columns:
+    def without_causes(search, hypothesis):
+        if hypothesis.misfit.columns:
             raise problem
-        return fitted(curves, pair, start, known, progress, misfit, *searched)
+        return fitted(search, hypothesis)
 
-    monkeypatch.setattr(explaining, "fitted", without_causes)
+    monkeypatch.setattr(Explanation, "fitted", without_causes)
     found, _ = identified("disc and cranks on bearings", small, 0, turns=1)
     assert found.verdict.state == "not explained"
     assert all(math.isnan(end) for p in found.parameters if p.held is None for end in p.interval)

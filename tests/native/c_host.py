@@ -14,7 +14,7 @@ from fmpy.fmi2 import FMU2Slave
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.fmu import library, table_cache, tables
 from cycloid_fmu.fmu import native as native_build
-from cycloid_fmu.fmu.variables import Interface
+from cycloid_fmu.fmu.variables import Interface, LossRipple
 
 HERE = Path(__file__).parent
 INTERFACES = {
@@ -22,9 +22,25 @@ INTERFACES = {
     "compliant": Interface("compliant", mesh_damping=0.0),
     "inertia": Interface("compliant", 0.5, mesh_damping=0.0),
 }
+RIPPLE = LossRipple(  # of 5 to 30 % of the losses in `INTERFACES`
+    orders=(1, 40),
+    loads=(0.5, 4.0),
+    parts=(
+        (
+            (((2e-3, 1e-3), (0.0, 2e-3)), ((2e-2, 5e-3), (4e-3, -3e-2))),
+            (((1e-3, 0.0), (2e-3, 0.0)), ((9e-3, 0.0), (3e-2, 7e-3))),
+        ),
+        (
+            (((0.0, 2e-3), (1e-3, 0.0)), ((0.0, 2e-2), (-3e-2, 0.0))),
+            (((2e-3, 0.0), (0.0, 1e-3)), ((1e-2, 8e-3), (0.0, 2e-2))),
+        ),
+    ),
+)
 BUILT = {
     **INTERFACES,  # interfaces of the C host
-    "joint": Interface("compliant", 2.0, INTERFACES["kinematic"].losses, crank_inertia=1e-3, mesh_damping=0.0),
+    "joint": Interface(
+        "compliant", 2.0, INTERFACES["kinematic"].losses, crank_inertia=1e-3, mesh_damping=0.0, loss_ripple=RIPPLE
+    ),
 }
 
 

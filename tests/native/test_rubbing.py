@@ -1,12 +1,13 @@
 """Friction at both flanges, exact and native: against Masing's rules, closed forms and SciPy."""
 
 import ctypes
+import dataclasses
 import itertools
 import math
 
 import numpy as np
 import pytest
-from c_host import Slave, compiled, native_of
+from c_host import INTERFACES, RIPPLE, Slave, compiled, native_of
 from clockworks import Drive, compliant_drive, kinematic_drive
 from common import EXAMPLES
 from scipy.integrate import solve_ivp
@@ -108,6 +109,50 @@ def masing(path, most=1.0, angle=ANGLE):
         found.append(torque)
         before = z
     return np.array(found)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_losses_take_their_ripple_more_at_each_crank_angle(opened, kind):
+    """By flank and direction of power, between the stated loads and beyond; none without load."""
+    lossy = INTERFACES["kinematic"]
+    bare, even, rippled = (
+        opened(kind, interface) for interface in (Interface(), lossy, dataclasses.replace(lossy, loss_ripple=RIPPLE))
+    )
+    for load, direction in itertools.product((60.0, -60.0, 250.0, -9.0), (1.0, -1.0)):
+        for drive in (bare, even, rippled):
+            drive.put(flange_b_tau=load, flange_a_w=20.0 * direction, flange_a_phi=0.0)
+        if load == 60.0 and direction == 1.0:
+            for drive in (bare, even, rippled):
+                drive.start()
+        for angle in direction * np.arange(0.05, 0.6, 0.05):
+            for drive in (bare, even, rippled):
+                drive.put(flange_a_phi=angle)
+                drive.step()
+            (asked,), (mean,), (torque,) = (drive.get("flange_a.tau") for drive in (bare, even, rippled))
+            (wanted,) = RIPPLE.torque(np.array([angle]), asked, asked * direction > 0.0)
+            assert torque - mean == pytest.approx(direction * wanted, abs=1e-9)
+    assert not RIPPLE.torque(np.linspace(0.0, 1.0, 5), 0.0, True).any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_rippling_losses_take_is_dissipated(opened, kind):
+    """Over two crank turns between inertias: work done on both is kinetic, elastic or dissipated energy."""
+    inertias = {"output_inertia": 2.0, "crank_inertia": 1e-3, "mesh_damping": 0.0}
+    joint = opened(kind, Interface("compliant", losses=INTERFACES["kinematic"].losses, loss_ripple=RIPPLE, **inertias))
+    torque, load = 1.0, 30.0
+    joint.start(crank_speed_start=60.0, flange_a_tau=torque, flange_b_tau=load)
+    names = ("flange_a.phi", "flange_b.phi", "flange_a.w", "flange_b.w", "elastic_energy", "dissipated_energy")
+
+    def energy(crank_speed, speed, elastic, dissipated):
+        return 0.5e-3 * crank_speed**2 + 0.5 * 2.0 * speed**2 + elastic + dissipated
+
+    crank, output, *begun = joint.get(*names)
+    for _ in range(100):
+        joint.step(2e-3)
+    turned, moved, *ended = joint.get(*names)
+    work = torque * (turned - crank), load * (moved - output)
+    assert abs(turned - crank) > 4.0 * math.pi
+    assert energy(*ended) - energy(*begun) == pytest.approx(sum(work), abs=1e-7 * sum(map(abs, work)))
 
 
 class Yields(ctypes.Structure):

@@ -47,6 +47,7 @@ static double rubbing_going(const struct drive *drive, int flange, const struct 
     }
     size = fmax(fabs(speed) / fmax(fabs(at), DIFFERENCE_SPEED), fabs(load) / fmax(fabs(bears), 1.0));
     size = fmax(size, fmax(fabs(way) / s->friction[flange].presliding_angle, fabs(go->temperature)));
+    size = drive->ripple == NULL ? size : fmax(size, fabs(go->crank_angle));
     for (i = 0; i < FRICTION_ELEMENTS; i++) {
         size = fmax(size, fabs(go->strain[flange][i]) / s->friction[flange].presliding_angle);
     }
@@ -57,6 +58,8 @@ static double rubbing_going(const struct drive *drive, int flange, const struct 
             moved.state.strain[flange][i] += h * (go->strain[flange][i] + way);
         }
         moved.state.temperature += h * go->temperature;
+        moved.state.crank_angle += h * go->crank_angle;
+        moved.state.turned += h * go->crank_angle;
         torque[j] = friction_press(&moved, flange, passed, at + h * speed, bears + h * load, PRESLIDING_TIME).torque;
     }
     return size > 0.0 ? 0.5 * (torque[1] - torque[0]) * size / DIFFERENCE_SHARE : 0.0;

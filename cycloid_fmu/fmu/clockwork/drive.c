@@ -262,6 +262,7 @@ void drive_open(struct drive *drive, struct table *table) {
         drive->contacts = table_contacts(&drive->tables, table);
     }
     drive->ratio = table->ratio;
+    drive->ripple = table->ripple.orders > 0 ? &table->ripple : NULL;
     drive->rated = UNRATED_LOAD;
     if (table->sun_teeth > 0.0) {
         drive->b = table->sun_teeth / table->planet_teeth;

@@ -69,6 +69,7 @@ struct drive {
     struct state state;
     double rated;     /* torque */
     int rows;         /* of the loss table */
+    const struct ripple *ripple; /* of the losses; NULL for none */
     int lossy, rubs[2]; /* whether there are losses, and friction at each flange */
     double element[2];  /* stiffness of each of its elements */
     int initializing; /* outputs follow the inputs without a step */
@@ -110,6 +111,8 @@ int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]);
 int losses_take(const struct drive *drive); /* whether they take anything */
 double losses_thinning(const struct drive *drive); /* factor of the speed at the present temperature */
 double losses_torque(const struct drive *drive, double speed, double asked);
+/* What is added to that torque at the present crank angle, for a torque of the teeth at flange_a and a direction of motion. */
+double losses_ripple(const struct drive *drive, double load, double direction);
 
 int heat_stored(const struct drive *drive); /* whether the temperature is a state */
 double heat_rate(const struct drive *drive, double power); /* of the temperature, K/s */

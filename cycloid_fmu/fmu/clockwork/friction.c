@@ -23,7 +23,8 @@ double friction_viscous(const struct drive *drive, int flange) {
     return torque > 0.0 ? torque * warmth(drive, flange) : 0.0;
 }
 
-static struct yields cold_yields(const struct drive *drive, int flange, double load, double speed) {
+/* At the reference temperature; `ripples`: at the present crank angle, else in the mean over a turn. */
+static struct yields cold_yields(const struct drive *drive, int flange, double load, double speed, int ripples) {
     const struct friction *law = &drive->state.friction[flange];
     double torque = law->coulomb + law->load_share * fabs(load);
     struct yields result;
@@ -34,14 +35,15 @@ static struct yields cold_yields(const struct drive *drive, int flange, double l
     result.low = result.high = torque;
     if (flange == INPUT && drive->lossy) {
         const double reduced = speed * losses_thinning(drive);
-        result.low += losses_torque(drive, reduced, -load);
-        result.high += losses_torque(drive, reduced, load);
+        const double low = losses_torque(drive, reduced, -load), high = losses_torque(drive, reduced, load);
+        result.low += ripples ? fmax(low + losses_ripple(drive, load, -1.0), 0.0) : low;
+        result.high += ripples ? fmax(high + losses_ripple(drive, load, 1.0), 0.0) : high;
     }
     return result;
 }
 
 struct yields friction_yields(const struct drive *drive, int flange, double load, double speed) {
-    struct yields result = cold_yields(drive, flange, load, speed);
+    struct yields result = cold_yields(drive, flange, load, speed, 1);
     double warm = warmth(drive, flange);
     result.low *= warm;
     result.high *= warm;
@@ -54,7 +56,7 @@ void friction_settle(struct drive *drive) {
     drive->lossy = losses_take(drive);
     for (flange = INPUT; flange <= OUTPUT; flange++) {
         double load = flange == INPUT ? drive->rated / drive->ratio : drive->rated;
-        struct yields most = cold_yields(drive, flange, load, 0.0);
+        struct yields most = cold_yields(drive, flange, load, 0.0, 0);
         double stiffness = 2.0 * fmax(most.low, most.high)
             / (drive->state.friction[flange].presliding_angle * (FRICTION_ELEMENTS + 1));
         if (stiffness != drive->element[flange]) {

@@ -79,3 +79,36 @@ double losses_torque(const struct drive *drive, double speed, double asked) {
     }
     return at[2] * (asked + at[4]) - asked;
 }
+
+double losses_ripple(const struct drive *drive, double load, double direction) {
+    const struct ripple *ripple = drive->ripple;
+    const struct state *s = &drive->state;
+    const int flank = load < 0.0, driven = load * direction < 0.0;
+    double crank, share, result = 0.0;
+    uint32_t j = 0, k;
+    if (ripple == NULL) {
+        return 0.0;
+    }
+    if (drive->table->offers == INTERFACE_KINEMATIC || drive->resting) {
+        crank = s->placed;
+    } else { /* of the cycloid stage, ideally: behind a first stage the shaft's is another */
+        crank = (drive->table->offers == INTERFACE_INERTIA ? s->turned : s->crank_angle) * drive->table->ratio / drive->ratio;
+    }
+    load = fmin(fabs(load), ripple->load[ripple->loads - 1]);
+    while (load > ripple->load[j]) {
+        j++;
+    }
+    share = j == 0 ? load / ripple->load[0] : (load - ripple->load[j - 1]) / (ripple->load[j] - ripple->load[j - 1]);
+    for (k = 0; k < ripple->orders; k++) {
+        const double *above = ripple->part[flank][driven][j][k];
+        const double turn = ripple->order[k] * crank;
+        double cosine = share * above[0], sine = share * above[1];
+        if (j > 0) {
+            const double *below = ripple->part[flank][driven][j - 1][k];
+            cosine += (1.0 - share) * below[0];
+            sine += (1.0 - share) * below[1];
+        }
+        result += cosine * cos(turn) + sine * sin(turn);
+    }
+    return result;
+}

@@ -16,6 +16,14 @@ struct side {
     const uint8_t *contact_count;
 };
 
+/* What the losses take more than their mean at a crank angle θ, N.m at flange_a: the sum of c cos(nθ) + s sin(nθ) over
+   orders n, linear from none without load to and between torques of the teeth at flange_a. By the sign of that torque (>= 0 first) and by who drives (flange_a first). */
+struct ripple {
+    uint32_t orders, loads; /* no orders: none */
+    double order[MOST_RIPPLE_ORDERS], load[MOST_RIPPLE_LOADS];
+    double part[2][2][MOST_RIPPLE_LOADS][MOST_RIPPLE_ORDERS][2];
+};
+
 /* Constant once it is complete: the instances of a process share it. */
 struct table {
     struct table *next;
@@ -28,6 +36,7 @@ struct table {
     struct variable *variable;
     double ratio, period, allowed;
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
+    struct ripple ripple;
     struct side side[2]; /* positive and negative torque */
     double *rest_torque, *rest_energy; /* at zero load, by crank angle; NULL without interference */
 };

@@ -98,6 +98,33 @@ static void read_rest(struct reader *reader, struct table *table, uint32_t n) {
     }
 }
 
+static void read_ripple(struct reader *reader, struct ripple *ripple) {
+    uint32_t i, j, k;
+    ripple->orders = (uint32_t)reader_whole(reader, 4);
+    ripple->loads = (uint32_t)reader_whole(reader, 4);
+    if (ripple->orders > MOST_RIPPLE_ORDERS || ripple->loads > MOST_RIPPLE_LOADS || (ripple->orders > 0 && ripple->loads == 0)) {
+        reader->failed = 1;
+        return;
+    }
+    for (k = 0; k < ripple->orders; k++) {
+        ripple->order[k] = reader_number(reader);
+        reader->failed |= !(fabs(ripple->order[k]) < 1e9);
+    }
+    for (j = 0; j < ripple->loads; j++) {
+        ripple->load[j] = reader_number(reader);
+        reader->failed |= !(ripple->load[j] > (j == 0 ? 0.0 : ripple->load[j - 1]) && ripple->load[j] < HUGE_VAL);
+    }
+    for (i = 0; i < 4; i++) {
+        for (j = 0; j < ripple->loads; j++) {
+            for (k = 0; k < 2 * ripple->orders; k++) {
+                double *part = &ripple->part[i / 2][i % 2][j][k / 2][k % 2];
+                *part = reader_number(reader);
+                reader->failed |= !(fabs(*part) < 1e3);
+            }
+        }
+    }
+}
+
 static void read_body(struct reader *reader, struct table *table) {
     uint32_t i, rest;
     int tabled;
@@ -111,6 +138,7 @@ static void read_body(struct reader *reader, struct table *table) {
     for (i = 0; i < 7; i++) {
         *numbers[i] = reader_number(reader);
     }
+    read_ripple(reader, &table->ripple);
     table->angles = (uint32_t)reader_whole(reader, 4);
     table->pressure_angles = (uint32_t)reader_whole(reader, 4);
     rest = (uint32_t)reader_whole(reader, 4);
