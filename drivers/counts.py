@@ -255,10 +255,7 @@ class Pace:
 
 
 def judge_sequence(
-    numbers: npt.NDArray[np.int64],
-    modulus: int,
-    newest: int | None,
-    expected: npt.NDArray[np.float64] | None = None,
+    numbers: npt.NDArray[np.int64], modulus: int, newest: int | None, expected: npt.NDArray[np.float64] | None = None
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int]:
     """Find missing, duplicate or out-of-order samples by their sequence numbers.
 

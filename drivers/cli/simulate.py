@@ -19,8 +19,7 @@ def simulate(
         Path | None, typer.Option("--fmu", metavar="DRIVE.fmu", help="The drive. Default: an ideal one.")
     ] = None,
     torque: Annotated[
-        float | None,
-        quantity_option("N*m", "Signed torque on the output.", show_default="the rated torque of the FMU"),
+        float | None, quantity_option("N*m", "Signed torque on the output.", show_default="the rated torque of the FMU")
     ] = None,
     ratio: Annotated[float | None, ratio_option("Default: that of the FMU.")] = None,
     turns: Annotated[int, typer.Option(min=1, help="Crank turns.")] = 39,

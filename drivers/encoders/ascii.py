@@ -305,8 +305,9 @@ class AsciiCounter(SerialEncoder):
                 step = np.diff(times, prepend=times[0] if self._ticks is None else self._ticks[1])
                 self._ticks = 0.0, float(times[-1])
                 known = status & GAP > 0
-                # A pause is a gap if no lines come in quick succession after it: those were only delayed.
-                missing = self._paced(times, times, step, known | (step > self._pace.longest), first, known)
+                # With one interval, a pause is a gap if no lines come in quick succession after it, delayed ones.
+                pauses = step > (self._pace.longest if self.cyclic else math.inf)
+                missing = self._paced(times, times, step, known | pauses, first, known)
                 status = status | (missing > 0) * GAP
             return status, None, None
         ticks = np.array([float(f["time"]) for f in fields])

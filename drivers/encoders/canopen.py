@@ -18,14 +18,7 @@ from drivers.can.encoder import CanEncoder
 from drivers.can.frames import FrameReader
 from drivers.can.hub import CanHub
 from drivers.counts import counts_to_value, extract_bits, unwrap
-from drivers.encoder import (
-    AngleConfig,
-    EncoderProtocolError,
-    EncoderTimeout,
-    ListeningTime,
-    channel_of,
-    device_counts,
-)
+from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderTimeout, ListeningTime, channel_of, device_counts
 from drivers.lines import BusConfig
 from drivers.plug_in import Wiring
 from drivers.recording_format import GAP, RESET, ROLLOVER, Samples

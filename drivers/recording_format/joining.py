@@ -15,9 +15,7 @@ JOINED_SAMPLES = 1 << 15  # of all channels, joined at a time: so many may be lo
 LARGE = 1 << 11  # samples in a usual batch from which on joining brings little
 
 
-def joined_batches(
-    batches: Iterable[tuple[Samples, tuple[Event, ...]]],
-) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
+def joined_batches(batches: Iterable[tuple[Samples, tuple[Event, ...]]]) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
     """Yield the samples of each channel in large batches, and all events in their order.
 
     Samples of a channel keep their order; batches that lack different columns are not joined. Memory is that of

@@ -8,11 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from drivers.recording_format.schema import (
-    ANGLES,
-    Channel,
-    Header,
-)
+from drivers.recording_format.schema import ANGLES, Channel, Header
 
 LARGEST_DEVIATION = math.radians(1.0)  # far above TE, lost motion and windup of a drive, far below half a turn
 LARGEST_DEVIATION_KEY = "largest_deviation"

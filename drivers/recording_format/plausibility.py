@@ -18,15 +18,7 @@ import numpy.typing as npt
 
 from drivers.recording_format.limits import Finding, Limits, Mask
 from drivers.recording_format.ratio_line import Line
-from drivers.recording_format.schema import (
-    ANGLES,
-    DUPLICATE,
-    GAP,
-    OUT_OF_ORDER,
-    RESET,
-    FloatArray,
-    Samples,
-)
+from drivers.recording_format.schema import ANGLES, DUPLICATE, GAP, OUT_OF_ORDER, RESET, FloatArray, Samples
 
 _JUMP = 0.5 * math.pi  # rad: deviation from the motion before and after, if no largest speed is stated
 _SPIKE = 3  # samples within which a jump back ends a spike

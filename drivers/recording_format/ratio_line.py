@@ -12,10 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.recording_format.limits import Finding, Limits, Mask
-from drivers.recording_format.schema import (
-    ANGLES,
-    FloatArray,
-)
+from drivers.recording_format.schema import ANGLES, FloatArray
 
 _SPIKE = 3  # samples within which a jump back ends a spike
 _FOLLOW = 0.25  # of the travel: a slower drift off the line is a wrong ratio or clock drift

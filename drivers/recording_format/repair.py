@@ -13,10 +13,7 @@ from cycloid_fmu import edge
 from drivers.recording_format.export import Progress, batches
 from drivers.recording_format.joining import joined_batches
 from drivers.recording_format.reader import RecordingReader
-from drivers.recording_format.schema import (
-    GAP,
-    Header,
-)
+from drivers.recording_format.schema import GAP, Header
 from drivers.recording_format.writer import RecordingWriter, check_new
 
 
@@ -46,10 +43,7 @@ class Repaired:
 
 
 def repair(
-    recording: str | os.PathLike[str],
-    output: str | os.PathLike[str] | None = None,
-    *,
-    progress: Progress | None = None,
+    recording: str | os.PathLike[str], output: str | os.PathLike[str] | None = None, *, progress: Progress | None = None
 ) -> Repaired:
     """Read the intact content of a truncated or damaged recording, and optionally write it to a new file.
 

@@ -127,11 +127,7 @@ class RecordingWriter:
             If the batch can't be written; it is removed, and earlier batches stay readable.
         """
         text = json.dumps([dataclasses.asdict(e) for e in events])
-        metadata = {
-            "sequence": str(self.batches),
-            "events": text,
-            "crc32": batch_checksum(self.batches, text, samples),
-        }
+        metadata = {"sequence": str(self.batches), "events": text, "crc32": batch_checksum(self.batches, text, samples)}
         batch = record_batch(samples, self._schema, self._names)
         self._whole = False
         try:

@@ -9,11 +9,14 @@ import datetime
 import json
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
+import tty
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
@@ -25,6 +28,8 @@ from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAsciiBench
 from drivers.simulated.simulate import bench_of
 from tests.drivers.test_bench_cli import ENVIRONMENT, filled, needs_multicast
+from tests.drivers.test_motor_controllers import moteus as replying
+from tests.drivers.test_motor_controllers import sending
 
 STOPS = int(os.environ.get("CYCLOID_STOPS", "100"))
 SHORTEST, LONGEST = 0.1, 5.0  # s
@@ -249,3 +254,61 @@ def test_random_stops_with_polled_devices(tmp_path, kind, record_property):
         total += last - first + 1 - len(samples)
     assert_told(sum(told.values()), total)
     record_property(f"{type(kind).__name__}: stops, answers lost, told", f"{STOPS}, {total}, {sum(told.values())}")
+
+
+@contextlib.contextmanager
+def odrive(folder):
+    """An ODrive that sends its position every 5 ms: the number of the message, in 1/1024 turns."""
+    with can.Bus(interface="loopback", channel=GROUP) as bus:
+
+        def send(number):
+            data = struct.pack("<ff", number / 1024, 0.0)
+            bus.send(can.Message(arbitration_id=3 << 5 | 9, is_extended_id=False, data=data))
+
+        with sending(send, 0.005):
+            yield (
+                f'[bus.b]\ninterface = "loopback"\nchannel = "{GROUP}"\n',
+                'protocol = "odrive"\nbus = "b"\nnode = 3\n',
+            )
+
+
+@contextlib.contextmanager
+def moteus(folder):
+    """A moteus that replies to each query with its number, in 1/1024 turns."""
+    with replying(GROUP, 3, interface="loopback"):
+        line = f'[bus.b]\ninterface = "loopback"\nchannel = "{GROUP}"\nfd = true\n'
+        yield line, 'protocol = "moteus"\nbus = "b"\nnode = 3\n'
+
+
+@contextlib.contextmanager
+def simplefoc(folder):
+    """SimpleFOC's monitor with the number of each line, every 10 ms."""
+    controller, line = os.openpty()
+    tty.setraw(line)
+    os.set_blocking(controller, False)
+
+    def send(number):
+        with contextlib.suppress(BlockingIOError):  # nobody reads
+            os.write(controller, f"{number * 2 * np.pi / 1024:.5f}\r\n".encode())
+
+    with sending(send, 0.01):
+        yield f'[port.p]\nurl = "{os.ttyname(line)}"\n', 'protocol = "simplefoc"\nport = "p"\nvariables = ["angle"]\n'
+    os.close(controller)
+    os.close(line)
+
+
+@needs_multicast
+@pytest.mark.slow(30)
+@pytest.mark.parametrize("rig", [odrive, moteus, simplefoc])
+def test_random_stops_with_motor_controllers(tmp_path, rig, record_property):
+    with prompt(), rig(tmp_path) as (line, keys):
+        (tmp_path / "BENCH.toml").write_text(
+            f'format = "cycloid-bench/1"\n{line}[channel.input_angle]\n{keys}quantity = "position"\nside = "motor"\n'
+        )
+        recording, told, _ = recorded_over_stops(tmp_path, None, STOPS, 3)
+    samples = recording.samples["input_angle"]
+    missing = missing_and_marked(samples, np.rint(samples.value * 1024 / (2 * np.pi)).astype(int))
+    stood = np.diff(samples.time_host) > 0.25
+    assert np.all(samples.status[1:][stood] & rf.GAP), "a pause without a mark"
+    assert told["input_angle"] >= 0.9 * missing - 10
+    record_property(f"{rig.__name__}: stops, messages lost, told", f"{STOPS}, {missing}, {told['input_angle']}")
