@@ -511,21 +511,21 @@ class Drive(DriveValue):
         self,
         crank_angle: float | str = 0.0,
         *,
-        bodies: Bodies,
+        bodies: Bodies | None = None,
         disc: int = 0,
         total: Callable[[int], None] = lambda loads: None,
         progress: Callable[[int], None] = lambda loads: None,
     ) -> dict[str, Any]:
         """Influence matrices of the drive's elastic bodies: displacements under unit forces, m/N.
 
-        Computed once for each body, and then from the user's cache folder. No analysis uses them yet.
+        Computed once for each body, and then from the user's cache folder.
 
         Parameters
         ----------
         crank_angle
             Crank angle, rad or text with a unit: pins and output rollers are at their ideal places.
         bodies
-            The elastic bodies, those of a file by `cycloid_fmu.bodies.files.read_bodies`.
+            The elastic bodies; None for those of the pair.
         disc
             Number of the disc, from 0.
         total, progress
@@ -544,8 +544,8 @@ class Drive(DriveValue):
         Raises
         ------
         edge.InputError
-            If the pair has no supports, the bodies contradict it or each other, there is no such disc, or a computed
-            disc lacks the package scikit-fem of the extra `bodies`.
+            If the pair has no supports or no bodies, the bodies contradict it or each other, there is no such disc, or
+            a computed disc lacks the package scikit-fem of the extra `bodies`.
 
         Examples
         --------
@@ -565,6 +565,9 @@ class Drive(DriveValue):
         angle = _quantity("crank_angle", crank_angle, "rad")
         if not 0 <= disc < self.pair.discs:
             raise edge.ArgumentError("disc", f"it must be from 0 to {self.pair.discs - 1}", disc)
+        bodies = self.pair.bodies if bodies is None else bodies
+        if bodies is None:
+            raise edge.InputError("the pair has no [bodies]; state them, or give them as `bodies`.")
         return influence(matrices_of(self.pair, bodies, total=total, progress=progress), angle, disc)
 
     def bearing_loads(

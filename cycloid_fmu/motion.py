@@ -314,7 +314,12 @@ def _contacts(
         here.shift_x[:], here.shift_y[:], here.turn[:] = shift[at].real, shift[at].imag, turned[at]
         contact.place(here, theta, x, rows, True, math.inf, math.inf)
         rows["force"] = 0.0
-        if found.pin_pressure[at].any():  # otherwise the output is free in its play
+        if isinstance(found, OnBearings) and found.compliance.shape[-1] > 0:
+            # Elastic bodies press elsewhere than their mean motions overlap; each pin is on the nearer of two teeth.
+            each = rows.reshape(warm.discs, warm.pins, 2)
+            nearer = each["gap"].argmin(axis=-1)
+            each["force"][disc[..., 0], pin[..., 0], nearer] = found.pin_force[at]
+        elif found.pin_pressure[at].any():  # otherwise the output is free in its play
             _press(here, rows)
         by_slice = rows.reshape(warm.discs, slices, warm.pins, 2)
         # Without contact, the slice with the smallest gap.

@@ -22,7 +22,6 @@ from pyarrow import parquet
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
-from cycloid_fmu.bodies.files import read_bodies
 from cycloid_fmu.bodies.given import read_influence, write_influence
 from cycloid_fmu.bodies.outline import windows
 from cycloid_fmu.bodies.ports import PortMatrix
@@ -48,10 +47,10 @@ from drivers.simulated.buses import read_simulation
 from fitting.ageing.history import History, measured, read_history
 from fitting.estimation.result import read_lmfit_parameters
 from fitting.figures.comparison import read_figures
-from fitting.recordings.inspection import inspect
-from fitting.recordings.mapping import read_mapping
-from fitting.recordings.read_head import read_read_head
-from fitting.recordings.recording import RecordingStream
+from fitting.readers.inspection import inspect
+from fitting.readers.mapping import read_mapping
+from fitting.readers.read_head import read_read_head
+from fitting.readers.recording import RecordingStream
 from tests.cycloid_fmu.cmm import measure, write_csv
 from tests.drivers.test_can_more import EDS
 from tests.drivers.test_recording_format import HEADER
@@ -389,7 +388,7 @@ READERS = {
         text_file("l.csv", "speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m]\n0,.9,.8,.1,.2\n9,1,1,0,0"),
         read_losses,
     ),
-    "bodies": (text_file("bodies.toml", BODIES), read_bodies),
+    "bodies": (text_file("bodies.toml", BODIES), cy.read_drive),
     "influence": (influence, lambda path: read_influence(path, 1e-3)),
     "influence as CSV": (text_file("ring.csv", INFLUENCE), lambda path: read_influence(path, 1e-3)),
     "DXF": (dxf, lambda path: windows(DiscBody(bore_radius="9 mm", windows=[{**SLOT, "dxf": str(path)}]))),

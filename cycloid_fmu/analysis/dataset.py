@@ -15,6 +15,7 @@ from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.losses import PARTS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.losses.figures import LossFigures
+from cycloid_fmu.supports.transmission import PARTS as COMPLIANCE_PARTS
 from cycloid_fmu.supports.transmission import PLAY_LOAD, OnBearings
 
 if TYPE_CHECKING:
@@ -110,7 +111,12 @@ def _add_bearings(data: xr.Dataset, pair: Pair, found: OnBearings) -> None:
             one = "crank" in dimensions and pair.supports is not None and pair.supports.kind == "output_rollers"
             data[name] = (each[:-1], values[..., 0]) if one else (each, values)
             data[name].attrs.update(units=unit, long_name=text)
-    data["torsional_stiffness"].attrs["long_name"] += ", contacts and bearings alone"
+    bodies = ", with elastic bodies" if pair.bodies is not None else " alone"
+    data["torsional_stiffness"].attrs["long_name"] += f", contacts and bearings{bodies}"
+    if found.compliance.shape[-1] > 0:
+        data["compliance"] = (("torque", "crank_angle", "body"), found.compliance)
+        data["compliance"].attrs.update(units="rad/(N*m)", long_name="share of each part in the output's compliance")
+        data["body"] = ("body", list(COMPLIANCE_PARTS))
     if "backlash" not in data:
         return
     data["backlash"].attrs["long_name"] = f"play at zero torque, extrapolated from {PLAY_LOAD:g} of the rated torque"

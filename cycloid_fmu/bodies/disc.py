@@ -157,11 +157,12 @@ class Track:
     def self_compliance(self, position: Array, force: Points) -> Array:
         """Compliance of ports at positions by themselves, m/N: a periodic cubic spline through `own`."""
         components = np.column_stack([force.real, force.imag])
-        blocks = self._spline((position - self.first) % len(self.own))
+        blocks = self.own_spline((position - self.first) % len(self.own))
         return np.asarray(np.einsum("pi,pij,pj->p", components, blocks, components))
 
     @functools.cached_property
-    def _spline(self) -> CubicSpline:
+    def own_spline(self) -> CubicSpline:
+        """Compliance of a place by itself over the position, periodic; x is in places."""
         steps = np.arange(len(self.own) + 1.0)
         return CubicSpline(steps, np.concatenate([self.own, self.own[:1]]), bc_type="periodic")
 

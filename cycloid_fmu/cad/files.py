@@ -14,9 +14,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.cad.layers import LAYERS, MM, about, circles, corners, crosses
+from cycloid_fmu.cad.layers import LAYERS, MM, about, circles, corners, crosses, outlines
 
 if TYPE_CHECKING:
+    from cycloid_fmu.cad.outline import Array, Points
     from cycloid_fmu.cad.profile import Profile
 
 _COLOURS = {"DISC": "#000000", "PINS": "#0060c0", "RING": "#808080", "HOLES": "#c00000"}
@@ -73,9 +74,9 @@ def _write_dxf(profile: Profile, path: Path) -> None:
     for name in LAYERS:
         document.layers.add(name, color=_INDICES[name])
     space = document.modelspace()
-    start = MM * profile.start
-    outline = zip(start.real.tolist(), start.imag.tolist(), profile.bulge.tolist(), strict=True)
-    space.add_lwpolyline(outline, format="xyb", close=True, dxfattribs={"layer": "DISC"})
+    for layer, start, bulge in outlines(profile):
+        outline = zip(start.real.tolist(), start.imag.tolist(), bulge.tolist(), strict=True)
+        space.add_lwpolyline(outline, format="xyb", close=True, dxfattribs={"layer": layer})
     for layer, place, radius in circles(profile):
         space.add_circle((place.real, place.imag), radius, dxfattribs={"layer": layer})
     for one, other in crosses(profile):
@@ -87,12 +88,11 @@ def _write_dxf(profile: Profile, path: Path) -> None:
     document.saveas(path)
 
 
-def svg_path(profile: Profile) -> str:
-    """Return the outline as the data of an SVG path, in mm, y up."""
-    start = MM * profile.start
+def svg_path(start: Points, bulges: Array) -> str:
+    """Return an outline by starts (mm) and bulges of its arcs as the data of an SVG path, in mm, y up."""
     end = np.roll(start, -1)
     written = [f"M{_pair(start[0])}"]
-    for one, other, bulge in zip(start.tolist(), end.tolist(), profile.bulge.tolist(), strict=True):
+    for one, other, bulge in zip(start.tolist(), end.tolist(), bulges.tolist(), strict=True):
         if abs(bulge) < _FLAT:
             written.append(f"L{_pair(other)}")
             continue
@@ -122,7 +122,8 @@ def _write_svg(profile: Profile, path: Path) -> None:
         root, "g", {"transform": "scale(1 -1)", "fill": "none", "stroke-width": f"{side / 600:g}"}
     )
     layers = {name: ElementTree.SubElement(up, "g", {"id": name, "stroke": _COLOURS[name]}) for name in LAYERS}
-    ElementTree.SubElement(layers["DISC"], "path", {"d": svg_path(profile)})
+    for layer, start, bulge in outlines(profile):
+        ElementTree.SubElement(layers[layer], "path", {"d": svg_path(start, bulge)})
     for layer, place, radius in circles(profile):
         round_ = {"cx": place.real, "cy": place.imag, "r": radius}
         ElementTree.SubElement(layers[layer], "circle", {name: f"{value:.15g}" for name, value in round_.items()})

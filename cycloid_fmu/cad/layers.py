@@ -11,6 +11,7 @@ import numpy as np
 from cycloid_fmu import edge
 
 if TYPE_CHECKING:
+    from cycloid_fmu.cad.outline import Array, Points
     from cycloid_fmu.cad.profile import Profile
 
 LAYERS = ("DISC", "PINS", "RING", "HOLES")
@@ -45,6 +46,13 @@ def circles(profile: Profile) -> Iterator[tuple[str, complex, float]]:
     for place, radius in zip(profile.hole_place, profile.hole_radius, strict=True):
         if not math.isnan(radius):
             yield "HOLES", MM * complex(place), MM * float(radius)
+
+
+def outlines(profile: Profile) -> Iterator[tuple[str, Points, Array]]:
+    """Yield layer, starts, in mm, and bulges of the arcs of the flank and of each hole that is no circle."""
+    yield "DISC", MM * profile.start, profile.bulge
+    for start, bulge in profile.windows:
+        yield "HOLES", MM * start, bulge
 
 
 def corners(profile: Profile) -> tuple[complex, complex]:

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cycloid_fmu import edge
+from cycloid_fmu.bodies import outline
 from cycloid_fmu.cad.arcs import arcs_of
 from cycloid_fmu.cad.outline import Array, Points, Tooth, teeth_of
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.bodies import DiscBody
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import dimensions
 
@@ -45,6 +47,8 @@ class Profile:
     hole_place, hole_radius
         Axes of the holes for cranks or output rollers and for the eccentric, and their radii, NaN if the pair does not
         state them; shape (holes,), m.
+    windows
+        Start and bulge of the arcs, as of the outline, of each further hole in an elastic disc that is no circle.
     notes
         One sentence for each size that the pair does not state.
     """
@@ -61,6 +65,7 @@ class Profile:
     ring_radius: float
     hole_place: Points
     hole_radius: Array
+    windows: tuple[tuple[Points, Array], ...]
     notes: tuple[str, ...]
     teeth: Sequence[Tooth]
 
@@ -161,6 +166,9 @@ def profile_of(drive: DriveValue, disc: int = 0, chord_error: float = CHORD_ERRO
     ring = -complex(made["crank_throw"] * crank + made["centre_x"] + 1j * made["centre_y"])
     around = 2.0 * np.pi * np.arange(pair.pins) / pair.pins + made["pin_tangential"] / cold.pin_circle_radius
     place, radius, notes = _holes(cold, made, disc)
+    body = None if pair.bodies is None else pair.bodies.disc
+    round_, windows = _windows(body)
+    place, radius = np.append(place, round_[0]), np.append(radius, round_[1])
     outer = np.abs(place) + np.nan_to_num(radius)
     if place.size and outer.max() >= np.abs(start).min():
         raise edge.InputError(
@@ -180,6 +188,7 @@ def profile_of(drive: DriveValue, disc: int = 0, chord_error: float = CHORD_ERRO
         ring_radius=cold.pin_circle_radius + float(surface.errors["pin_circle_radius"]),
         hole_place=place,
         hole_radius=radius,
+        windows=windows,
         notes=notes,
         teeth=teeth,
     )
@@ -192,7 +201,9 @@ def _holes(pair: Pair, made: dict[str, Array], disc: int) -> tuple[Points, Array
         return np.empty(0, complex), np.empty(0), ()
     angle = supports.first_angle + 2.0 * np.pi * np.arange(supports.count) / supports.count
     place = supports.circle_radius * np.exp(1j * angle) + made["hole_x"][disc] + 1j * made["hole_y"][disc]
-    bore = supports.turning_arm.raceway_diameter
+    bore, body = supports.turning_arm.raceway_diameter, None if pair.bodies is None else pair.bodies.disc
+    if bore is None and body is not None and body.bore_radius is not None:
+        bore = 2.0 * body.bore_radius
     in_bore = math.nan if bore is None else 0.5 * bore
     notes = []
     if supports.kind == "cranks":
@@ -201,7 +212,9 @@ def _holes(pair: Pair, made: dict[str, Array], disc: int) -> tuple[Points, Array
         return place, np.full(place.size, in_bore), tuple(notes)
     roller = supports.output_roller
     radius = np.full(place.size, math.nan)
-    if roller is None or roller.radius is None:
+    if body is not None and body.roller_hole_radius is not None:
+        radius = body.roller_hole_radius + made["hole_play"][disc]
+    elif roller is None or roller.radius is None:
         notes.append(_unstated("output_roller", "radius", "holes for the output rollers"))
     else:
         # Definition of the contact of rollers and holes: the roller's axis orbits in the hole at the eccentricity.
@@ -209,6 +222,28 @@ def _holes(pair: Pair, made: dict[str, Array], disc: int) -> tuple[Points, Array
     if bore is None:
         notes.append(_unstated("turning_arm", "raceway_diameter", "hole for the eccentric"))
     return np.append(place, 0.0), np.append(radius, in_bore), tuple(notes)
+
+
+def _windows(body: DiscBody | None) -> tuple[tuple[Points, Array], tuple[tuple[Points, Array], ...]]:
+    """Axes and radii of the round holes that an elastic disc has besides, and the others as arcs, by their bulges."""
+    if body is None:
+        return (np.empty(0, complex), np.empty(0)), ()
+    place, radius, others = list[complex](), list[float](), list[tuple[Points, Array]]()
+    if body.centre_radius is not None:
+        place, radius = [0.0], [body.centre_radius]
+    for window in body.windows:
+        if window.shape == "round":
+            assert window.circle_radius is not None
+            assert window.radius is not None
+            angle = window.first_angle + 2.0 * np.pi * np.arange(window.count) / window.count
+            place += (window.circle_radius * np.exp(1j * angle)).tolist()
+            radius += [window.radius] * window.count
+    for contour in outline.windows(body.replace(windows=tuple(w for w in body.windows if w.shape != "round"))):
+        # Half of an arc's angle is that between its chords to any of its points.
+        chords = [(piece[piece.size // 2] - piece[0], piece[-1] - piece[piece.size // 2]) for piece in contour.pieces]
+        bulge = [np.tan(0.5 * np.angle(after * np.conj(before))) if after else 0.0 for before, after in chords]
+        others.append((np.array([piece[0] for piece in contour.pieces]), np.array(bulge)))
+    return (np.array(place, complex), np.array(radius)), tuple(others)
 
 
 def _unstated(table: str, key: str, holes: str) -> str:

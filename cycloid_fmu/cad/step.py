@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cycloid_fmu.cad.layers import MM, circles
+from cycloid_fmu.cad.layers import MM, circles, outlines
 
 if TYPE_CHECKING:
+    from cycloid_fmu.cad.outline import Array, Points
     from cycloid_fmu.cad.profile import Profile
 
 _FLAT = 1e-7  # bulge below which an arc is a line: its three points are collinear within a picometre
@@ -32,16 +33,21 @@ def write_step(profile: Profile, path: Path) -> None:
         circle = gp_Circ(gp_Ax2(at(place), gp_Dir(0.0, 0.0, up)), radius)
         return BRepBuilderAPI_MakeWire(BRepBuilderAPI_MakeEdge(circle).Edge()).Wire()
 
-    start = MM * profile.start
-    end = np.roll(start, -1)
-    middle = 0.5 * (start + end) - 0.5j * profile.bulge * (end - start)
-    outline = BRepBuilderAPI_MakeWire()
-    for one, between, other, bulge in zip(start, middle, end, profile.bulge, strict=True):
-        if abs(bulge) < _FLAT:
-            outline.Add(BRepBuilderAPI_MakeEdge(at(one), at(other)).Edge())
-        else:
-            outline.Add(BRepBuilderAPI_MakeEdge(GC_MakeArcOfCircle(at(one), at(between), at(other)).Value()).Edge())
-    face = BRepBuilderAPI_MakeFace(outline.Wire(), True)
+    def wire(start: Points, bulges: Array) -> Any:
+        end = np.roll(start, -1)
+        middle = 0.5 * (start + end) - 0.5j * bulges * (end - start)
+        outline = BRepBuilderAPI_MakeWire()
+        for one, between, other, bulge in zip(start, middle, end, bulges, strict=True):
+            if abs(bulge) < _FLAT:
+                outline.Add(BRepBuilderAPI_MakeEdge(at(one), at(other)).Edge())
+            else:
+                outline.Add(BRepBuilderAPI_MakeEdge(GC_MakeArcOfCircle(at(one), at(between), at(other)).Value()).Edge())
+        return outline.Wire()
+
+    flank, *windows = [(start, bulge) for _, start, bulge in outlines(profile)]
+    face = BRepBuilderAPI_MakeFace(wire(*flank), True)
+    for start, bulge in windows:
+        face.Add(wire(np.roll(start[::-1], 1), -bulge[::-1]))
     bodies: list[tuple[str, Any]] = []
     for layer, place, radius in circles(profile):
         if layer == "HOLES":

@@ -14,6 +14,7 @@ app = commands.command_line(
         "surface",
         "build",
         "joint",
+        "compensate",
         "inspect",
         "simulate",
         "compare",

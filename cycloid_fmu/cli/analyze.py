@@ -123,11 +123,16 @@ def analyze(
                 plots.save(plots.plot_lines(data), plot.with_stem(f"{plot.stem}-lines"))
         if as_json:
             arrays = {str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}
+            if "compliance" in arrays:
+                parts = arrays.pop("body")
+                arrays["compliance"] = {part: arrays["compliance"][..., k] for k, part in enumerate(parts)}
             commands.print_json(arrays | ({} if judged is None else judged.numbers()))
     if not as_json:
         held = "" if drive.first_stage is None else f", ratio {drive.ratio:g}, sun locked"
         warm = "" if drive.pair.temperature is None else f", {drive.pair.temperature}"
         _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s){held}{warm}")
+        if drive.pair.bodies is None:
+            typer.echo(_RIGID)
         if drive.pair.supports is not None:
             _print_bearings(drive, found, shares)
         if judged is not None:
@@ -171,6 +176,12 @@ def _print(found: Transmission, title: str) -> None:
         )
     commands.print_table(title, ["torque", "MTE", "PPTE", "MB", "PPB", "MCS", "pins"], rows)
     typer.echo("Mean and peak-to-peak transmission error and backlash, largest contact pressure, pins in contact.")
+
+
+_RIGID = (
+    "Bodies are rigid, as the file states no [bodies]. Discs with holes are usually 4 to 15 times softer than the "
+    "contacts: less stiffness, up to half of the load on other pins, and -28 to +8 % of the largest pressure."
+)
 
 
 def _print_bearings(drive: Drive, found: Transmission, shares: list[Share]) -> None:

@@ -44,7 +44,8 @@ def draw(
     """Draw discs, pins, contacts and forces, with enlarged gaps: a picture, or a page that animates a crank turn.
 
     A page with one torque also shows half of it, zero, and both with the opposite sign. One tooth is drawn enlarged,
-    with its modification and deviations, including wear.
+    with its modification and deviations, including wear. Of an elastic disc a second picture, OUT-disc, has its mesh
+    and its displacement under the most loaded pin, enlarged and as colours.
 
     Example: [cyan]cycloid-fmu draw pair.toml --torque "181 N*m" --crank-angle "30 deg" -o drive.html[/]
     """
@@ -74,5 +75,15 @@ def draw(
         motion = drive.motion(loads, angles, exaggeration=exaggeration, progress=progress)
     write_motion(motion, output, first, int(np.argmin(np.abs(angles - crank_angle % (2.0 * math.pi)))))
     typer.echo(f"{output}: gaps × {motion.exaggeration:g}")
+    body = None if drive.pair.bodies is None else drive.pair.bodies.disc
+    if body is not None and body.matrix is None:
+        from cycloid_fmu.draw import plots
+        from cycloid_fmu.draw.bodies import plot_disc
+
+        at = int(np.argmin(np.abs(angles - crank_angle % (2.0 * math.pi))))
+        pressed = int(motion.force[first, at, 0].sum(axis=-1).argmax())
+        picture = output.with_name(f"{output.stem}-disc{'.svg' if moves else output.suffix}")
+        plots.save(plot_disc(drive.pair, body, pin=pressed, crank_angle=crank_angle), picture)
+        typer.echo(f"{picture}: the elastic disc 0, displaced by its most loaded pin")
     for note in tilt_notes(drive):
         typer.echo(f"Note: {note}", err=True)

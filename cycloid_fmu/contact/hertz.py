@@ -220,3 +220,45 @@ def hertz_in_lanes(
                     group.guess[lane],
                     seat_compliance,
                 )
+
+
+@compiled(inline=True)
+def hertz_approach(
+    force: float,
+    curvature: float,
+    pin_radius: float,
+    width: float,
+    compliance_gear: float,
+    compliance_pin: float,
+    log_radius: float,
+    largest_force: float,
+) -> tuple[float, float, float]:
+    """Approach of Hertz's line contact under a force: `hertz` the other way round.
+
+    Parameters
+    ----------
+    force
+        F > 0, N.
+    curvature, pin_radius, width, compliance_gear, compliance_pin
+        As in `hertz`.
+    log_radius
+        |ρ_c| in the logarithm, m.
+    largest_force
+        The law is continued along its tangent beyond this force, or where it bends over before; N.
+
+    Returns
+    -------
+    approach, softness, by_curvature
+        m, dδ/dF (m/N), and the approach's derivative by the flank's curvature with the logarithm's radius held, m².
+    """
+    law = _law(curvature, pin_radius, width, compliance_gear, compliance_pin, math.inf)
+    share = compliance_gear / (compliance_gear + compliance_pin)
+    radius = 1.0 / (curvature if abs(curvature) > 1e-12 else 1e-12)
+    # The law's own logarithm has 2 σ ln|ρ_c|.
+    h = law.h + 2.0 * share * logarithm(log_radius / abs(radius))
+    limit = min(largest_force, math.exp(h - 2.0))
+    if force > limit:
+        q = h - logarithm(limit)
+        return law.kappa * (limit * q + (q - 1.0) * (force - limit)), law.kappa * (q - 1.0), 0.0
+    q = h - logarithm(force)
+    return law.kappa * force * q, law.kappa * (q - 1.0), law.kappa * force * (law.bending + 2.0 * share * radius)

@@ -38,6 +38,13 @@ def plot_profile(profile: Profile) -> Figure:
             whole.plot(1e3 * place.real, 1e3 * place.imag, "+", color="C3", label=name)
         else:
             circle(place, radius, "C3", label=name)
+    for start, bulge in profile.windows:
+        half, along = 2.0 * np.arctan(bulge), np.linspace(0.0, 1.0, 25)[:, None]
+        flat = np.abs(half) < 1e-9
+        safe = np.where(flat, 1.0, half)
+        share = np.where(flat, along, np.sin(along * safe) / np.sin(safe))
+        curve = (start + (np.roll(start, -1) - start) * share * np.exp(1j * (along - 1.0) * half)).T.ravel() * 1e3
+        whole.plot(np.append(curve, curve[0]).real, np.append(curve, curve[0]).imag, color="C3", lw=0.7)
     whole.set(xlabel="x [mm]", ylabel="y [mm]", title="at crank angle 0")
     whole.set_aspect("equal")
     show_legend(whole, loc="center")

@@ -34,6 +34,7 @@ from cycloid_fmu.fmu.constants import (
     UNRATED_LOAD,
 )
 from cycloid_fmu.supports import energy
+from cycloid_fmu.supports.assembly import check_rigid
 from cycloid_fmu.supports.balance import Load
 from cycloid_fmu.supports.bearing import CENTRING
 from cycloid_fmu.supports.joints import work_of
@@ -420,6 +421,7 @@ def _of_mesh(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _Memo
 
 def _of_bearings(drive: DriveValue, shared: tuple[Array, Array]) -> tuple[Any, _Memory, _Memory, float]:
     pair = drive.pair
+    check_rigid(pair, "an exact FMU")
     tangent = play_loads(pair)[1]
     assembly = assembly_of(drive)
     assembly = assembly._replace(balanced=max(assembly.balanced, _BALANCED))

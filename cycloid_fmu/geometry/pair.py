@@ -11,6 +11,7 @@ import hashlib
 import math
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import pydantic
@@ -21,6 +22,7 @@ from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION, kinds_of
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry import sizes
 from cycloid_fmu.geometry import temperature as thermal
+from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.losses import Losses
 from cycloid_fmu.geometry.materials import MATERIALS, MaterialValue
 from cycloid_fmu.geometry.supports import Supports
@@ -171,6 +173,7 @@ class _File(Config):
     modification: Modification = Modification()
     material: Materials = Materials()
     supports: Supports | None = None
+    bodies: Bodies | None = None
     losses: Losses | None = None
     thermal: Thermal | None = None
     temperature: Temperatures | None = None
@@ -211,6 +214,8 @@ class Pair(Config):
         Profile modification of the gear and the materials of both flanks.
     supports
         Supports of discs and carrier; None for rigid bearings.
+    bodies
+        Elastic bodies, which need supports; None for rigid ones.
     losses
         Friction and drags; None if no friction is stated. Part of `Drive.losses` alone.
     thermal
@@ -256,6 +261,7 @@ class Pair(Config):
     modification: Modification = Modification()
     material: Materials = Materials()
     supports: Supports | None = None
+    bodies: Bodies | None = None
     losses: Losses | None = None
     thermal: Thermal | None = None
     temperature: Temperatures | None = None
@@ -470,6 +476,8 @@ def _contradictions_of_errors(pair: Pair) -> list[tuple[str, str]]:
 
 def _contradictions_of_supports(pair: Pair) -> list[tuple[str, str]]:
     supports, errors = pair.supports, pair.errors
+    if supports is None and pair.bodies is not None:
+        return [("bodies", "it needs [supports]: what bears the discs also loads them")]
     if supports is None:
         return []
     found = []
@@ -564,6 +572,10 @@ def _written(value: float, si: str) -> str:
 
 
 def _toml(value: Any, si: str | None) -> str:
+    if isinstance(value, Config):
+        return f"{{ {', '.join(_table_lines('', value, type(value))[1:])} }}"
+    if isinstance(value, tuple):
+        return f"[{', '.join(_toml(each, si) for each in value)}]"
     if isinstance(value, str):
         return f'"{value}"'
     if isinstance(value, int) or si is None:
@@ -584,8 +596,8 @@ def _table_lines(title: str, table: Config, model: type[Config]) -> list[str]:
     lines = [f"[{title}]"]
     for name, field in model.model_fields.items():
         value = getattr(table, name)
-        if not (value is None or value is False or isinstance(value, Config)):
-            lines.append(f"{name} = {_toml(value, edge.unit_of_field(field))}")
+        if not (value is None or value is False or isinstance(value, Config) or name == "windows"):
+            lines.append(f"{field.alias or name} = {_toml(value, edge.unit_of_field(field))}")
     return lines
 
 
@@ -610,6 +622,12 @@ def _text_of(pair: Pair) -> str:
         lines += _table_lines(title, table, _Geometry if table is pair else type(table))
     if pair.supports is not None:
         lines += [*_table_lines("supports", pair.supports, Supports), *_tables_below("supports", pair.supports)]
+    if pair.bodies is not None:
+        lines += _table_lines("bodies", pair.bodies, Bodies)
+        for name, body in pair.bodies.stated():
+            lines += _table_lines(f"bodies.{name}", body, type(body))
+            for window in getattr(body, "windows", ()):
+                lines += ["[[bodies.disc.windows]]", *_table_lines("", window, type(window))[1:]]
     if pair.losses is not None:
         lines += _tables_below("losses", pair.losses) or ["[losses]"]
     if pair.thermal is not None:
@@ -648,11 +666,6 @@ def parse_pair(text: str, source: str) -> Pair:
 def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
     """Return the pair that a file's tables describe; raise an `edge.InputError` that names invalid entries."""
     tables = dict(tables)
-    if "bodies" in tables:
-        raise edge.InputError(
-            f"{source}: [bodies]: of elastic bodies this version computes influence matrices alone, in Python by "
-            "cycloid_fmu.bodies.files.read_bodies and Drive.influence; remove the table to compute with rigid bodies."
-        )
     stated = tables.pop("errors", {})
     if not isinstance(stated, Mapping):
         raise edge.InputError(f"{source}: errors = {edge.shown(stated)}: it must be a table, [errors].")
@@ -664,6 +677,7 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
             modification=file.modification,
             material=file.material,
             supports=file.supports,
+            bodies=file.bodies,
             losses=file.losses,
             thermal=file.thermal,
             temperature=file.temperature,
@@ -676,7 +690,8 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
 
 def read_pair(path: str | os.PathLike[str]) -> Pair:
     """Return the pair of a pair file; raise an `edge.InputError` that names invalid entries."""
-    return parse_pair(edge.read_text(path, FORMAT), str(path))
+    pair = parse_pair(edge.read_text(path, FORMAT), str(path))
+    return pair if pair.bodies is None else pair.replace(bodies=pair.bodies.in_folder(Path(path).parent))
 
 
 def write_pair(pair: Pair, path: str | os.PathLike[str]) -> None:

@@ -120,14 +120,24 @@ class PinSeat(Config):
 
     Attributes
     ----------
+    kind
+        "half_shell": the pin lies in a half-shell of steel, whose deflection depends on the clearance and grows less
+        than the force (docs/theory/bodies.md); None for a linear or rigid seat.
     stiffness_per_width
         Stiffness of a pin in its seat, N/m per m of face width; None if it is rigid.
     clearance
         Diametral clearance of a pin in its seat, m.
     """
 
+    kind: Literal["half_shell"] | None = None
     stiffness_per_width: StiffnessPerWidth | None = None
     clearance: Clearance = 0.0
+
+    @pydantic.model_validator(mode="after")
+    def _one_law(self) -> PinSeat:
+        if self.kind is not None and self.stiffness_per_width is not None:
+            raise ValueError('it is stated by kind = "half_shell" and stiffness_per_width; state one of them')
+        return self
 
 
 class Supports(Config):

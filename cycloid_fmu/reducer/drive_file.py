@@ -6,6 +6,7 @@ import os
 import warnings
 
 from cycloid_fmu import edge
+from cycloid_fmu.bodies.matrices import check_bodies
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.reducer.description import FORMAT, contradictions, read_reducer
@@ -32,5 +33,7 @@ def parts_of_file(path: str | os.PathLike[str]) -> tuple[Pair, ErrorSurface, Fir
     else:
         pair, first_stage = read_pair(path), None
         surface = surface_of_pair(pair)
+    if pair.bodies is not None:
+        check_bodies(pair, pair.bodies, str(path))
     dimensions(pair, surface, f"{path}: errors")
     return pair, surface, first_stage

@@ -11,10 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cycloid_fmu import edge
+from cycloid_fmu.bodies.matrices import BodyMatrices, matrices_of
 from cycloid_fmu.errors.kinds import EACH_SUPPORT
 from cycloid_fmu.geometry import supports as stated
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.supports.bearing import LAW, RIGID, Law, linear, rollers
+from cycloid_fmu.supports.influence import influence_of
 from cycloid_fmu.supports.joints import (
     BODY,
     CARRIER,
@@ -24,6 +27,7 @@ from cycloid_fmu.supports.joints import (
     JOINT,
     Assembly,
 )
+from cycloid_fmu.supports.ports import ALONG_X, PIN, PORT, ROLLER, SECTOR, Elastic
 from cycloid_fmu.supports.sensitivity import CLEARANCE, PARAMETERS, STIFFNESS
 from cycloid_fmu.surfaces.structured import displacement_layout
 
@@ -139,7 +143,9 @@ def bodies_of(pair: Pair) -> NDArray[np.void]:
     return np.array(bodies, BODY)
 
 
-def joint_list(pair: Pair, kinds: Sequence[Kind], displacements: Mapping[str, Any]) -> Assembly:
+def joint_list(
+    pair: Pair, kinds: Sequence[Kind], displacements: Mapping[str, Any], elastic: Elastic | None = None
+) -> Assembly:
     """Return the joints of a pair for the kernels.
 
     Parameters
@@ -150,6 +156,8 @@ def joint_list(pair: Pair, kinds: Sequence[Kind], displacements: Mapping[str, An
         The kinds of joints, such as `kinds_of` this pair.
     displacements
         Displacements by errors and temperatures, as of `surfaces.structured.displacements`.
+    elastic
+        Elastic bodies, of `elastic_of`.
 
     Raises
     ------
@@ -178,7 +186,110 @@ def joint_list(pair: Pair, kinds: Sequence[Kind], displacements: Mapping[str, An
     mesh = pair.face_width / (pair.material.gear.compliance + pair.material.pin.compliance)
     # Rounding of a rotation moves a crank by 1e-19 m, rounding of a gap is 1e-17 m.
     balanced = max(1e-3 if rigid else 1e-7, 1e-17 * mesh)
-    return Assembly(bodies, joints, laws, pair.pin_circle_radius, balanced)
+    if elastic is not None:
+        # Ports are balanced to 2e-14 m.
+        balanced = max(balanced, 2e-5)
+    return Assembly(bodies, joints, laws, pair.pin_circle_radius, balanced, elastic)
+
+
+def is_elastic(pair: Pair) -> bool:
+    """Whether a pair has elastic bodies, or half-shell seats, which are solved with them."""
+    supports = pair.supports
+    return supports is not None and (pair.bodies is not None or supports.pin_seat.kind is not None)
+
+
+def check_rigid(pair: Pair, what: str) -> None:
+    """Raise an `edge.InputError` if a pair has elastic bodies, which a computation does not take into account."""
+    if is_elastic(pair):
+        stated = "[bodies]" if pair.bodies is not None else '[supports.pin_seat] kind = "half_shell"'
+        raise edge.InputError(
+            f"the pair states {stated}, which {what} does not take into account yet; remove it to compute with rigid "
+            "bodies and linear seats."
+        )
+
+
+@functools.lru_cache(maxsize=64)
+def as_drawn(pair: Pair) -> Pair:
+    """Return what the elastic bodies of a pair depend on: it, without errors, temperatures, losses and modification."""
+    return pair.nominal.replace(temperature=None, losses=None, thermal=None, isometric=0.0, offset=0.0)
+
+
+@functools.lru_cache(maxsize=4)
+def elastic_of(pair: Pair) -> Elastic | None:
+    """Return the elastic bodies of a pair as drawn, with those seats that only they compute; None if all are rigid."""
+    supports = pair.supports
+    assert supports is not None
+    bodies = pair.bodies
+    seat = supports.pin_seat
+    if not is_elastic(pair):
+        return None
+    matrices = BodyMatrices() if bodies is None else matrices_of(pair, bodies)
+    influence = influence_of(pair, matrices)
+    kinds = kinds_of(pair)
+    elastic = {
+        "turning_arm": bool(matrices.discs) or matrices.crank is not None,
+        "crank_shaft": matrices.carrier is not None,
+        "output_roller": bool(matrices.discs) or matrices.output_pin is not None,
+    }
+    slots = {"turning_arm": influence.arms_slot, "output_roller": influence.rollers_slot}
+    slots["crank_shaft"] = len(influence.fixed) - 2 * influence.arms
+    groups = list[tuple[int, int, list[tuple[float, ...]]]]()  # disc, joint or -1, ports
+    count, joints = list[int](), 0
+    for number, kind in enumerate(kinds):
+        each = 0 if not elastic.get(kind.name) else 1 if kind.name == "output_roller" else 2
+        if each == 2 and kind.name == "turning_arm":
+            each = influence.sectors
+        for at in range(kind.size):
+            disc = at // kind.shape[1] if "disc" in kind.grid else pair.discs
+            block, slot = 0 if influence.coupled else disc, slots.get(kind.name, 0) + at * each
+            ports = [_port(kind, number, joints, slot + n, n, each, block) for n in range(each)]
+            groups.append((disc, joints, ports))
+            count.append(each)
+            joints += 1
+    rows = 2 * pair.pins
+    for row in range(rows * pair.discs):
+        disc = row // rows
+        values = {"kind": PIN, "joint": row, "slot": row // 2, "block": 0 if influence.coupled else disc}
+        groups.append((disc, -1, [_record(values)]))
+    groups.sort(key=lambda group: group[0])
+    first, of_row, whole = np.zeros(joints, np.int64), np.zeros(rows * pair.discs, np.int64), []
+    for _, joint, ports in groups:
+        if joint >= 0:
+            first[joint] = len(whole)
+        else:
+            of_row[int(ports[0][_FIELDS.index("joint")])] = len(whole)
+        whole += ports
+    return Elastic(
+        influence,
+        np.array(whole, PORT),
+        of_row,
+        first,
+        np.array(count, np.int64),
+        matrices.discs[0].matrix.patch_half_width if matrices.discs else 0.0,
+        seat.clearance if seat.kind == "half_shell" else math.nan,
+    )
+
+
+_FIELDS = list(PORT.names or ())
+
+
+def _record(values: Mapping[str, float]) -> tuple[float, ...]:
+    return tuple(values.get(name, 0) for name in _FIELDS)
+
+
+def _port(kind: Kind, law: int, joint: int, slot: int, number: int, count: int, block: int) -> tuple[float, ...]:
+    """Return the record of one of a joint's ports."""
+    values: dict[str, float] = {"slot": slot, "joint": joint, "law": law, "block": block}
+    half = kind.law.half_clearance
+    if count == 1:
+        values |= {"kind": ROLLER, "clearance": half, "scale": kind.law.stiffness, "exponent": 1.0}
+    elif count == 2:
+        values |= {"kind": ALONG_X + number, "along_x": 1.0 - number, "along_y": float(number)}
+    else:
+        angle = 2.0 * math.pi * number / count
+        values |= {"kind": SECTOR, "along_x": math.cos(angle), "along_y": math.sin(angle), "clearance": half}
+        values |= {"scale": kind.law.stiffness * 2.0 * math.pi / count, "exponent": kind.law.exponent}
+    return _record(values)
 
 
 def by_kind(kinds: Sequence[Kind], values: NDArray[Any], axis: int = -1) -> Iterator[tuple[Kind, NDArray[Any]]]:

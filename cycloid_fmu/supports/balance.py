@@ -17,7 +17,9 @@ from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.equilibrium import load
 from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
+from cycloid_fmu.supports.elastic import add_ports, press, write_approaches
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, orient, reaction
+from cycloid_fmu.supports.ports import Elastic, Ports, has_ports, reach_of, set_exact
 
 NEIGHBOUR = 0.1  # rad: a solution farther away is no useful start
 _EXACT = 1e-14  # m: a step within rounding
@@ -66,10 +68,11 @@ def _place_discs(problem: Problem, assembly: Assembly, crank_angle: float, conta
         pose[0], pose[1], pose[2] = q[at], q[at + 1], problem.turn[disc]
     cold = work.moved[0] == math.inf
     work.moved[0] += furthest
-    clear = _REACH
+    reach = reach_of(work.ports)
+    clear = _REACH + reach
     if not work.moved[0] < _REACH - CLEAR:
         clear, work.moved[0] = math.inf, 0.0
-    place(problem, crank_angle, x, contacts, cold, clear, BOUNDED)
+    place(problem, crank_angle, x, contacts, cold, clear, BOUNDED + reach)
 
 
 @compiled
@@ -95,6 +98,8 @@ def _add_joints(assembly: Assembly, crank_angle: float, centring: float, work: W
     residual, jacobian, by, at = work.residual, work.jacobian, work.by, work.at
     orient(assembly, crank_angle, work)
     for number in range(assembly.joints.size):
+        if has_ports(assembly.elastic, number):
+            continue
         joint = assembly.joints[number]
         d = displacement(assembly, joint, work)
         acting = reaction(assembly, joint, d, centring)
@@ -122,18 +127,46 @@ def _add_joints(assembly: Assembly, crank_angle: float, centring: float, work: W
 
 
 @compiled
+def _add_forces(
+    problem: Problem,
+    assembly: Assembly,
+    elastic: Elastic | None,
+    crank_angle: float,
+    centring: float,
+    contacts: Rows,
+    work: Work,
+    ports: Ports | None,
+) -> None:
+    """Add the forces of pins and joints on the bodies, and the derivatives of these forces."""
+    if elastic is None:
+        load(problem, contacts)
+        _add_mesh(problem, crank_angle, contacts, work)
+        _add_joints(assembly, crank_angle, centring, work)
+    else:
+        orient(assembly, crank_angle, work)
+        write_approaches(problem, assembly, elastic, crank_angle, contacts, work, ports)
+        _, reach = press(problem, assembly, elastic, ports, contacts)
+        if reach > ports.reach[0]:
+            # Pins farther away may be pressed as well.
+            ports.reach[0], work.moved[0] = 1.5 * reach, 1.0
+            _place_discs(problem, assembly, crank_angle, contacts, work)
+            write_approaches(problem, assembly, elastic, crank_angle, contacts, work, ports)
+            press(problem, assembly, elastic, ports, contacts)
+        add_ports(problem, assembly, elastic, crank_angle, centring, contacts, work, ports)
+        _add_joints(assembly, crank_angle, centring, work)
+
+
+@compiled
 def assemble(
     problem: Problem, assembly: Assembly, crank_angle: float, pull: Load, contacts: Rows, work: Work, more: Any
 ) -> None:
     """Write the residual of the balance at `work.place`, and its derivatives; `more` is None."""
     _place_discs(problem, assembly, crank_angle, contacts, work)
-    load(problem, contacts)
     for i in range(work.residual.size):
         work.residual[i] = 0.0
         for j in range(work.residual.size):
             work.jacobian[i, j] = 0.0
-    _add_mesh(problem, crank_angle, contacts, work)
-    _add_joints(assembly, crank_angle, pull.centring, work)
+    _add_forces(problem, assembly, assembly.elastic, crank_angle, pull.centring, contacts, work, work.ports)
     work.residual[0] += pull.spring * (work.place[0] - pull.flange) - pull.torque
     work.jacobian[0, 0] += pull.spring
 
@@ -336,7 +369,8 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
 
         Return the number of steps, 0 without a balance.
         """
-        total = 0
+        total = found = 0
+        set_exact(work.ports, 0.0)
         for stage in range(1 if cold else 0, 3):
             if stage > 0:
                 for i in range(work.place.size):
@@ -352,8 +386,10 @@ def settling(assembled: Callable[..., Any]) -> _Settle:
                     break
                 spring = max(0.1 * spring, pull.centring)
             if found > 0:
-                return total
-        return 0
+                break
+        if set_exact(work.ports, 1.0) and found > 0:
+            assembled(problem, assembly, crank_angle, pull, contacts, work, more)
+        return total if found > 0 else 0
 
     return settle
 

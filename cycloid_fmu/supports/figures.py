@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import Options, Transmission
 from cycloid_fmu.drive_value import DriveValue
+from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.geometry.supports import Bearing, OutputRoller, PinSeat, Supports
 from cycloid_fmu.supports.assembly import bodies_of, kinds_of
@@ -53,8 +54,18 @@ def remaining(supports: Supports, shares: Sequence[Share]) -> float:
     return 1.0 / supports.catalogue_stiffness - sum(share.compliance for share in shares)
 
 
-def _stages(supports: Supports) -> list[tuple[str, Supports]]:
-    """Return the supports with one part after the other made compliant, without clearances until the last."""
+_BODIES = {
+    "disc": "discs",
+    "pin": "pins",
+    "ring": "ring",
+    "crank": "cranks",
+    "carrier": "carrier",
+    "output_pin": "output pins",
+}
+
+
+def _stages(supports: Supports, bodies: Bodies | None) -> list[tuple[str, Supports, Bodies | None]]:
+    """Return supports and bodies with one part after the other made compliant, without clearances until the last."""
     tight = {
         name: value.replace(clearance=0.0)
         for name, value in ((n, getattr(supports, n)) for n in Supports.model_fields)
@@ -76,9 +87,14 @@ def _stages(supports: Supports) -> list[tuple[str, Supports]]:
             if tight[part] == rigid[part]:
                 continue
             now = now.replace(**{part: tight[part]})
-            stages.append((name, now))
+            stages.append((name, now, None))
+    soft = None
+    for part, name in _BODIES.items():
+        if bodies is not None and (body := getattr(bodies, part)) is not None:
+            soft = (soft or Bodies(disc_spacing=bodies.disc_spacing)).replace(**{part: body})
+            stages.append((name, now, soft))
     if now != supports:
-        stages.append(("clearances", supports))
+        stages.append(("clearances", supports, bodies))
     return stages
 
 
@@ -113,10 +129,10 @@ def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: N
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
     loads = pair.rated_torque * np.array([*LOADS, LOST_MOTION_LOAD, -LOST_MOTION_LOAD])
     shares, soft, lost = [], 0.0, 0.0
-    for name, supports in [("mesh", None), *_stages(pair.supports)]:
-        one = pair.replace(supports=supports)
-        found = solve(DriveValue(one, nominal_surface(one)), loads, angles, Options(with_play=False))
-        place = found.transmission_error.mean(axis=1)
+    for name, supports, bodies in [("mesh", None, None), *_stages(pair.supports, pair.bodies)]:
+        stated = pair.replace(supports=supports, bodies=bodies)
+        swept = solve(DriveValue(stated, nominal_surface(stated)), loads, angles, Options(with_play=False))
+        place = swept.transmission_error.mean(axis=1)
         now_soft, now_lost = float((place[1] - place[0]) / (loads[1] - loads[0])), float(place[2] - place[3])
         shares.append(Share(name, now_soft - soft, now_lost - lost))
         soft, lost = now_soft, now_lost
@@ -152,14 +168,14 @@ def equivalent_load(force: ArrayLike) -> Array:
     return np.asarray(np.mean(np.asarray(force) ** LIFE_EXPONENT, axis=0) ** (1.0 / LIFE_EXPONENT))
 
 
-def bearing_loads(pair: Pair, found: Transmission, load: int = 0) -> list[BearingLoad]:
+def bearing_loads(pair: Pair, swept: Transmission, load: int = 0) -> list[BearingLoad]:
     """Return loads and lives of every bearing at one torque of a sweep over whole crank turns.
 
     Parameters
     ----------
     pair
         A pair with supports; each bearing's `dynamic_capacity` gives its life.
-    found
+    swept
         Result of `solve`.
     load
         Index of the torque.
@@ -167,13 +183,13 @@ def bearing_loads(pair: Pair, found: Transmission, load: int = 0) -> list[Bearin
     supports = pair.supports
     if supports is None:
         raise edge.InputError("the pair has no [supports]: it has no bearings to compute loads for.")
-    assert isinstance(found, OnBearings)
+    assert isinstance(swept, OnBearings)
     arm = "turning arm" if supports.kind == "cranks" else "eccentric bearing"
     names = {"turning_arm": arm, "crank_shaft": "crank bearing", "main": "main bearing"}
     forces = {
-        "turning_arm": found.turning_arm_force,
-        "crank_shaft": found.crank_bearing_force,
-        "main": found.main_bearing_force,
+        "turning_arm": swept.turning_arm_force,
+        "crank_shaft": swept.crank_bearing_force,
+        "main": swept.main_bearing_force,
     }
     numbered = ("disc", "crank") if supports.kind == "cranks" else ("disc",)
     rate, rows = bodies_of(pair)["rate"], []
@@ -232,13 +248,13 @@ def lives_over_duty(
         Share of the time of each row.
     """
     turning = np.asarray(crank_speed) * np.asarray(share) / (2.0 * math.pi)
-    found = []
+    lives = []
     for rows in zip(*loads, strict=True):
-        used = math.fsum(turns / one.life for turns, one in zip(turning, rows, strict=True) if turns > 0.0)
+        used = math.fsum(turns / row.life for turns, row in zip(turning, rows, strict=True) if turns > 0.0)
         equivalent = 0.0
         if turning.any():
-            parts = turning @ np.array([one.equivalent**LIFE_EXPONENT for one in rows])
+            parts = turning @ np.array([row.equivalent**LIFE_EXPONENT for row in rows])
             equivalent = float((parts / turning.sum()) ** (1.0 / LIFE_EXPONENT))
         life = math.nan if math.isnan(rows[0].life) else math.inf if used == 0.0 else 1.0 / used
-        found.append(DutyLife(rows[0].bearing, equivalent, life))
-    return found
+        lives.append(DutyLife(rows[0].bearing, equivalent, life))
+    return lives

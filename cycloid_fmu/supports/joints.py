@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.contact import Array, compiled
 from cycloid_fmu.supports.bearing import push, stored
+from cycloid_fmu.supports.ports import Elastic, Ports, ports_of
 
 HOUSING, CARRIER, FIRST_DISC_BODY = range(3)  # bodies: after the discs come the cranks
 FIRST_DISC = 3  # first unknown of disc 0: shift, then rotation; the carrier's unknowns are its rotation, then its shift
@@ -78,6 +79,8 @@ class Assembly(NamedTuple):
         Radius that converts a rotation to a displacement, m, for convergence limits.
     balanced
         Tolerance of the balance, N.
+    elastic
+        Elastic bodies between the joints; None compiles to kernels that know of none.
     """
 
     bodies: NDArray[np.void]
@@ -85,6 +88,7 @@ class Assembly(NamedTuple):
     laws: NDArray[np.void]
     rotation_scale: float
     balanced: float
+    elastic: Elastic | None
 
     @property
     def unknowns(self) -> int:
@@ -108,6 +112,8 @@ class Work(NamedTuple):
         shape (2, `UNKNOWNS`): see `derivatives`.
     pose, moved
         Last position of each disc, shape (discs, 3), and motion of the discs since all pins were solved, shape (1,), m.
+    ports
+        Memory of the ports of elastic bodies; None without any.
     """
 
     place: Array
@@ -122,6 +128,7 @@ class Work(NamedTuple):
     by: Array
     pose: Array
     moved: Array
+    ports: Ports | None
 
 
 def work_of(assembly: Assembly) -> Work:
@@ -142,6 +149,7 @@ def work_of(assembly: Assembly) -> Work:
         np.zeros((2, UNKNOWNS)),
         np.zeros((discs, 3)),
         np.full(1, np.inf),
+        None if assembly.elastic is None else ports_of(assembly.elastic, unknowns),
     )
 
 
@@ -277,6 +285,26 @@ def eccentric(joint: np.record, work: Work) -> tuple[float, float]:
 
 
 @compiled
+def turning_motion(assembly: Assembly, joint: np.record, d: Displacement, work: Work) -> tuple[float, float]:
+    """Motion of a joint's displacement with the crank at fixed unknowns, m for each radian."""
+    outer, seat, axes = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)], work.axes[int(joint.outer)]
+    ideal, (ex, ey) = joint.eccentricity + joint.reach, eccentric(joint, work)
+    vx = seat.rate * d.inner_y - outer.rate * d.outer_y + ey - ideal * axes[3]
+    vy = outer.rate * d.outer_x - seat.rate * d.inner_x - ex + ideal * axes[2]
+    return vx, vy
+
+
+@compiled
+def turn_levers(assembly: Assembly, joint: np.record, d: Displacement, fx: float, fy: float, by_angle: Array) -> None:
+    """Add the derivatives of the balance's equations by θ because the levers of a joint's force rotate."""
+    outer, seat = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)]
+    if outer.rotation >= 0:
+        by_angle[outer.rotation] -= outer.rate * (fx * d.outer_x + fy * d.outer_y)
+    if seat.rotation >= 0:
+        by_angle[seat.rotation] += seat.rate * (fx * d.inner_x + fy * d.inner_y)
+
+
+@compiled
 def add_turning(
     assembly: Assembly, joint: np.record, d: Displacement, acting: Reaction, work: Work, unknowns: int, by_angle: Array
 ) -> float:
@@ -284,17 +312,10 @@ def add_turning(
 
     `unknowns` is the result of `derivatives`.
     """
-    outer, seat, axes = assembly.bodies[int(joint.outer)], assembly.bodies[int(joint.seat)], work.axes[int(joint.outer)]
-    ideal, (ex, ey) = joint.eccentricity + joint.reach, eccentric(joint, work)
-    vx = seat.rate * d.inner_y - outer.rate * d.outer_y + ey - ideal * axes[3]
-    vy = outer.rate * d.outer_x - seat.rate * d.inner_x - ex + ideal * axes[2]
+    vx, vy = turning_motion(assembly, joint, d, work)
     gx, gy = change(d, acting, vx, vy)
     for i in range(unknowns):
         by_angle[work.at[i]] += work.by[0, i] * gx + work.by[1, i] * gy
-    # The lever arms rotate as well.
     fx, fy = acting.force * d.normal_x, acting.force * d.normal_y
-    if outer.rotation >= 0:
-        by_angle[outer.rotation] -= outer.rate * (fx * d.outer_x + fy * d.outer_y)
-    if seat.rotation >= 0:
-        by_angle[seat.rotation] += seat.rate * (fx * d.inner_x + fy * d.inner_y)
+    turn_levers(assembly, joint, d, fx, fy, by_angle)
     return float(fx * vx + fy * vy)

@@ -13,11 +13,15 @@ from cycloid_fmu.contact import Array, Problem, Rows, compiled
 from cycloid_fmu.contact.load_sharing import write_contact_lines
 from cycloid_fmu.supports.balance import NEIGHBOUR, Load, settle, torsional_stiffness
 from cycloid_fmu.supports.bearing import CENTRING
-from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, displacement, eccentric, reaction
+from cycloid_fmu.supports.elastic import joint_force, share_compliance, torque_of_bodies
+from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, displacement, eccentric
 
 
 class Solutions(NamedTuple):
-    """Results of a sweep, SI; the first axis is the crank angle. `force` is of each joint, shape (angles, joints)."""
+    """Results of a sweep, SI; the first axis is the crank angle. `force` is of each joint, shape (angles, joints).
+
+    `compliance` has the shares of parts, shape (angles, parts), with no parts if all bodies are rigid.
+    """
 
     steps: NDArray[np.int64]
     place: Array
@@ -28,18 +32,20 @@ class Solutions(NamedTuple):
     pin_force: Array
     pin_pressure: Array
     force: Array
+    compliance: Array
 
 
 @compiled
-def _forces(assembly: Assembly, work: Work, force: Array) -> float:
+def _forces(problem: Problem, assembly: Assembly, work: Work, force: Array) -> float:
     """Write the force of every joint (N) at the solved place; return the crank torque (N·m)."""
-    crank_torque = 0.0
+    crank_torque = torque_of_bodies(problem, assembly, assembly.elastic, work, work.ports)
     for number in range(assembly.joints.size):
         joint = assembly.joints[number]
         d = displacement(assembly, joint, work)
-        force[number] = reaction(assembly, joint, d, 0.0).force
+        fx, fy = joint_force(assembly, number, d, work, work.ports)
+        force[number] = math.hypot(fx, fy)
         ex, ey = eccentric(joint, work)
-        crank_torque -= force[number] * (ex * d.normal_y - ey * d.normal_x)
+        crank_torque -= ex * fy - ey * fx
     return crank_torque
 
 
@@ -62,7 +68,8 @@ def write_solution(
     for k in range(work.place.size):
         results.place[i, k] = work.place[k]
     results.stiffness[i] = torsional_stiffness(problem, assembly, work)
-    results.crank_torque[i] = _forces(assembly, work, results.force[i])
+    share_compliance(assembly, assembly.elastic, work.ports, work, work.step, results.compliance[i])
+    results.crank_torque[i] = _forces(problem, assembly, work, results.force[i])
     count, pressure = contact.load_sharing(problem, contacts, results.pin_force[i], results.pin_pressure[i])
     results.contact_count[i], results.max_contact_pressure[i] = count, pressure
 

@@ -16,7 +16,15 @@ from cycloid_fmu.contact.transmission import Interrupted, Options, Sensitivity, 
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.supports import bearing
-from cycloid_fmu.supports.assembly import add_by_displacements, by_kind, joint_list, kinds_of
+from cycloid_fmu.supports.assembly import (
+    add_by_displacements,
+    as_drawn,
+    by_kind,
+    elastic_of,
+    is_elastic,
+    joint_list,
+    kinds_of,
+)
 from cycloid_fmu.supports.joints import Assembly, work_of
 from cycloid_fmu.supports.sensitivity import PARAMETERS, Derivatives, sweep_supported_sensitivities
 from cycloid_fmu.supports.sweeps import Solutions, sweep_interference, sweep_supported
@@ -25,18 +33,24 @@ from cycloid_fmu.surfaces.structured import displacement_size
 Array = NDArray[np.float64]
 PLAY_LOAD = 1e-3  # of the rated torque: the play is that between the tangents at this torque in both directions
 _CENTRED = 1e-4 * bearing.CENTRING  # N: at most what the centring springs press without a torque
+LAW_NAMES = ("turning_arm", "crank_shaft", "main", "output_roller")
 _PART = 64  # crank angles that one thread solves at a time
 
 
 def assembly_of(drive: DriveValue) -> Assembly:
     """Return the joints of a drive as the list for the kernels, at its temperatures."""
     grown = drive.pair.at_temperature
-    return joint_list(grown, kinds_of(grown), drive.displacements)
+    return joint_list(grown, kinds_of(grown), drive.displacements, elastic_of(as_drawn(drive.pair)))
 
 
 def problem_of(drive: DriveValue, slices: int = 1) -> Problem:
     """Return the mesh of a pair with supports: bearings position the discs, and pins are compliant in their seats."""
     mesh, pair = transmission.mesh_of(drive, slices), drive.pair.at_temperature
+    if slices > 1 and is_elastic(pair):
+        raise edge.InputError(
+            f"{slices} slices across the face width: elastic bodies are loaded alike over the width; give one slice, "
+            "or remove [bodies] and half-shell seats for a drive whose flanks or pins vary along it."
+        )
     supports = pair.supports
     assert supports is not None
     seat = supports.pin_seat
@@ -73,6 +87,9 @@ class OnBearings(Transmission):
         Force of the main bearing, shape (torques, angles), N.
     output_roller_force
         Force of each output roller, shape (torques, angles, discs, rollers), N; no rollers with cranks.
+    compliance
+        Shares of `PARTS` in the compliance dx/dT, shape (torques, angles, parts), rad/(N·m); none if all bodies are
+        rigid.
     """
 
     disc_shift_x: Array
@@ -82,6 +99,11 @@ class OnBearings(Transmission):
     crank_bearing_force: Array
     main_bearing_force: Array
     output_roller_force: Array
+    compliance: Array
+
+
+PARTS = ("mesh", *LAW_NAMES, "disc", "pin", "ring", "crank", "output_pin", "carrier")
+"""Parts of the compliance of a drive with elastic bodies: laws of contacts and bearings, then bodies."""
 
 
 def empty(pair: Pair, loads: int, angles: int) -> Solutions:
@@ -101,6 +123,7 @@ def empty(pair: Pair, loads: int, angles: int) -> Solutions:
         pin_force=np.zeros(pins),
         pin_pressure=np.zeros(pins),
         force=np.zeros((*grid, sum(kind.size for kind in kinds_of(pair)))),
+        compliance=np.zeros((*grid, len(PARTS) if is_elastic(pair) else 0)),
     )
 
 
@@ -303,15 +326,12 @@ def results(
         crank_bearing_force=force["crank_shaft"],
         main_bearing_force=force["main"],
         output_roller_force=force["output_roller"],
+        compliance=loaded.compliance,
         crank_torque=loaded.crank_torque,
     )
 
 
-LAWS = tuple(
-    f"{bearing_}_{what}"
-    for bearing_ in ("turning_arm", "crank_shaft", "main", "output_roller")
-    for what in ("stiffness", "clearance")
-)
+LAWS = tuple(f"{law}_{what}" for law in LAW_NAMES for what in ("stiffness", "clearance"))
 """Columns of the sensitivity to bearings: to the logarithm of a stiffness (rad), to a clearance (rad/m)."""
 
 

@@ -17,7 +17,6 @@ from cycloid_fmu.bodies import disc as discs
 from cycloid_fmu.bodies import matrices, outline
 from cycloid_fmu.bodies.beams import Beam, carrier_compliance
 from cycloid_fmu.bodies.elastic import PlaneBody
-from cycloid_fmu.bodies.files import read_bodies
 from cycloid_fmu.bodies.given import read_influence, write_influence
 from cycloid_fmu.bodies.mesh import Contour, circle, meshed
 from cycloid_fmu.bodies.ports import PortMatrix, around, patch
@@ -39,11 +38,6 @@ SMALL = Pair(
     supports={"kind": "output_rollers", "count": 4, "circle_radius": "21 mm", "first_angle": "0.2 rad"},
 )
 SMALL_DISC = DiscBody(bore_radius="10 mm", roller_hole_radius="6 mm")
-
-
-def half_shell_left_out(text):
-    """A pair file without the kind of pin seat that is not computed yet; the seat is no body."""
-    return text.replace('[supports.pin_seat]\nkind = "half_shell"\nclearance = "2 um"\n', "")
 
 
 @functools.cache
@@ -356,8 +350,9 @@ def norm_error(computed, expected):
 def test_influence_is_that_of_the_independent_solver(tmp_path, name):
     """Blocks within 1 % in spectral norm. Of two discs the first alone is computed here."""
     drawn = tmp_path / "drive.toml"
-    drawn.write_text(half_shell_left_out((CASES / f"{name}.toml").read_text()))
-    pair, bodies = read_bodies(drawn)
+    drawn.write_text((CASES / f"{name}.toml").read_text())
+    pair = cy.read_drive(drawn).pair
+    bodies = pair.bodies
     expected = json.loads((CASES / f"{name}.json").read_text())["influence"]
     rest = matrices.matrices_of(pair, bodies.replace(disc=None))
     first = discs.influence_of(pair, 0, discs.condensed(pair, bodies.disc, 0), "the disc")
@@ -422,8 +417,7 @@ def test_beams_ring_and_carrier_are_read_by_the_index_of_their_ports(tmp_path):
     )
     pair = SMALL.replace(discs=2)
     (tmp_path / "drive.toml").write_text(pair.text + '[bodies.crank]\nmatrix = "crank.csv"\n')
-    pair, bodies = read_bodies(tmp_path / "drive.toml")
-    assert cy.Drive(pair).influence(bodies=bodies)["crank"].tolist() == crank[::-1, ::-1].tolist()
+    assert cy.read_drive(tmp_path / "drive.toml").influence()["crank"].tolist() == crank[::-1, ::-1].tolist()
 
 
 def wrong_matrix(**changes):
@@ -554,25 +548,15 @@ FAN = (
         ('[bodies.ring]\nouter_radius = "41 mm"\nwidth = "9 mm"\n', SMALL, "around the pins it must be at least 42 mm"),
         (f'[bodies]\ndisc_spacing = "9 mm"\n{DISC}', SMALL, "disc_spacing is 9 mm; discs 10 mm wide need as much"),
         ('[bodies.disk]\nbore_radius = "1 mm"\n', SMALL, "is not a known key; did you mean disc?"),
-        ("", SMALL, "[bodies] is missing"),
     ],
 )
 def test_bodies_that_cannot_be_are_refused_in_a_sentence(tmp_path, bodies, pair, said):
     path = described(tmp_path, bodies, pair)
     with pytest.raises(cy.InputError) as refused:
-        read_bodies(path)
+        cy.read_drive(path)
     assert said in str(refused.value)
     assert str(refused.value).startswith(str(path))
     assert len(str(refused.value).splitlines()) == 1
-
-
-def test_no_analysis_takes_a_drive_with_bodies_for_one_without(tmp_path, command):
-    path = described(tmp_path, DISC)
-    with pytest.raises(cy.InputError, match="influence matrices alone"):
-        cy.read_drive(path)
-    run = command("cycloid-fmu", "analyze", path, "--torque", "10 N*m")
-    assert run.returncode == 2
-    assert "remove the table to compute with rigid bodies" in " ".join(run.stderr.split())
 
 
 def test_a_disc_is_computed_once_for_all_that_does_not_concern_it(cache, monkeypatch):
@@ -622,7 +606,7 @@ def test_a_window_from_a_dxf_file_is_that_of_its_lines_and_arcs(tmp_path):
     path = described(
         tmp_path, DISC + '[[bodies.disc.windows]]\nshape = "polygon"\ndxf = "slot.dxf"\nfirst_angle = "1 rad"\n'
     )
-    _, bodies = read_bodies(path)
+    bodies = cy.read_drive(path).pair.bodies
     (slot,) = outline.windows(bodies.disc)
     points = slot.points
     area = 0.5 * (np.conj(points) * np.roll(points, -1)).imag.sum()
@@ -631,7 +615,7 @@ def test_a_window_from_a_dxf_file_is_that_of_its_lines_and_arcs(tmp_path):
     space.add_line((0.0, 0.0), (1.0, 1.0))
     document.saveas(tmp_path / "slot.dxf")
     with pytest.raises(cy.InputError, match="one closed outline"):
-        read_bodies(path)
+        cy.read_drive(path)
 
 
 def test_the_picture_of_a_disc_has_its_mesh_and_the_pressed_place_s_displacement():

@@ -7,15 +7,14 @@ import elastic_equilibrium
 import numpy as np
 import platformdirs
 import pytest
-from test_bodies import CASES, half_shell_left_out
+from test_bodies import CASES
 
 import cycloid_fmu as cy
-from cycloid_fmu.bodies.files import read_bodies
 from cycloid_fmu.bodies.matrices import BodyMatrices, matrices_of
 from cycloid_fmu.geometry.bodies import Bodies
 from cycloid_fmu.geometry.pair import parse_pair
 
-HALF_SHELL = {"rv-all-bodies": 2e-6}  # seats that pair files do not state yet: diametral clearance, m
+HALF_SHELL = {"rv-all-bodies": 2e-6}  # diametral clearance of its seats, m
 SLOW = [
     "rollers-one-disc",
     pytest.param("rv-all-bodies", marks=pytest.mark.slow(20)),
@@ -27,8 +26,7 @@ SLOW = [
 def case(name):
     """A case's expected results, and its pair."""
     expected = json.loads((CASES / f"{name}.json").read_text())
-    text = half_shell_left_out((CASES / f"{name}.toml").read_text())
-    return expected, parse_pair(text.partition("[bodies]")[0], name)
+    return expected, parse_pair((CASES / f"{name}.toml").read_text(), name).replace(bodies=None)
 
 
 def rigid(name):
@@ -57,9 +55,9 @@ def test_elastic_bodies_move_the_load_as_an_independent_solver_finds(name, tmp_p
     """x within 1 % of the bodies' part, pin forces 1.5 % of the largest, stiffness and other forces 1 %, shares 2 %."""
     monkeypatch.setattr(platformdirs, "user_cache_dir", lambda *words, **options: str(tmp_path / "cache"))
     drawn = tmp_path / "drive.toml"
-    drawn.write_text(half_shell_left_out((CASES / f"{name}.toml").read_text()))
-    pair, bodies = read_bodies(drawn)
-    expected, matrices = case(name)[0], matrices_of(pair, bodies)
+    drawn.write_text((CASES / f"{name}.toml").read_text())
+    pair = cy.read_drive(drawn).pair
+    expected, matrices = case(name)[0], matrices_of(pair, pair.bodies)
     for result in expected["results"]:
         for number in (0, 5):
             drive = elastic_equilibrium.Drive(pair, matrices, expected["crank_angle"][number], HALF_SHELL.get(name))

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from fitting.recordings.cleaning import Cleaning
-from fitting.recordings.first_samples import FirstSamples, first_samples
-from fitting.recordings.formats import BenchFile, measures, open_bench_file, unit_text
-from fitting.recordings.mapping import ANGLES, BESIDE, CHANNELS, FORMAT, OPTIONAL
-from fitting.recordings.proposal import ErrorRun, error_runs, name_patterns, stated_unit
+from fitting.readers.first_samples import FirstSamples, first_samples
+from fitting.readers.formats import BenchFile, measures, open_bench_file, unit_text
+from fitting.readers.mapping import ANGLES, BESIDE, CHANNELS, FORMAT, OPTIONAL
+from fitting.readers.proposal import ErrorRun, error_runs, name_patterns, stated_unit
+from fitting.samples.cleaning import Cleaning
 
 Array = NDArray[np.float64]
 

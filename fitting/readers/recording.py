@@ -24,21 +24,21 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from drivers.recording_format import Limits
-from fitting.recordings.cleaning import Block, Cleaning
-from fitting.recordings.formats import BenchFile, Piece, open_bench_file, pieces_of
-from fitting.recordings.mapping import (
+from fitting.readers.formats import BenchFile, Piece, open_bench_file, pieces_of
+from fitting.readers.mapping import (
     ANGLES,
     CHANNELS,
     REFERRED,
     ChannelMapping,
     FileMapping,
-    TimeMapping,
     chosen_mapping,
     constants_of,
     own_names,
     scales_of,
 )
-from fitting.recordings.one_clock import OneClock
+from fitting.samples.block import Block
+from fitting.samples.cleaning import Cleaning
+from fitting.samples.one_clock import OneClock
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -137,7 +137,7 @@ class RecordingStream:
     Parameters
     ----------
     path
-        The file; see `fitting.recordings.formats.open_bench_file` for the kinds.
+        The file; see `fitting.readers.formats.open_bench_file` for the kinds.
     mapping
         Roles of the channels, or several mappings by name, of which the one whose columns the file has is used; None
         if the channels have our names: time, input_angle, output_angle, torque.
@@ -284,7 +284,8 @@ class RecordingStream:
     def _blocks(self) -> Iterator[Block]:
         clocks = {n: (m.delay, m.drift) for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
         clocks = {n: clock for n, clock in clocks.items() if n in self._scales}
-        merge = OneClock(self._scales, self._mapping.time if self.timed else TimeMapping(rate=1.0), clocks)
+        rate = 1.0 if not self.timed else None if self._mapping.time is None else self._mapping.time.rate
+        merge = OneClock(self._scales, rate, clocks)
         rollover = {n: m.rollover for n in ANGLES if (m := getattr(self._mapping, n))}
         cleaning = Cleaning(rollover, self.source, self.ratio, pulley=self._pulley, timed=self.timed)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))

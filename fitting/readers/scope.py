@@ -19,8 +19,8 @@ import numpy as np
 import pyarrow as pa
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import Array, BenchFile, Piece, RawChannel, unique
-from fitting.recordings.tables import Cells, CsvFile
+from fitting.readers.formats import Array, BenchFile, Piece, RawChannel, unique
+from fitting.readers.tables import Cells, CsvFile
 
 _ROWS = 1 << 15  # rows per piece
 _START = 1 << 22  # bytes within which the header must end

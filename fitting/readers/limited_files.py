@@ -9,9 +9,9 @@ from functools import partial
 from typing import Any
 
 from cycloid_fmu import edge
-from fitting.recordings.can_logs import CanLog, read_dbc
-from fitting.recordings.formats import BenchFile, Piece, pieces_of
-from fitting.recordings.loggers import MdfFile, TdmsFile
+from fitting.readers.can_logs import CanLog, read_dbc
+from fitting.readers.formats import BenchFile, Piece, pieces_of
+from fitting.readers.loggers import MdfFile, TdmsFile
 
 
 class LimitedFile(BenchFile):

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.first_samples import FirstSamples
-from fitting.recordings.formats import measures, stem_of, unit_text
+from fitting.readers.first_samples import FirstSamples
+from fitting.readers.formats import measures, stem_of, unit_text
 
 _ERROR = r"(?<![a-z])(a|m|s)?te(?![a-z])|transmi\w*[\s_.-]*err|error|fehler|deviation|abweich"
 _ANGLE = r"pos|angle|winkel|phi|theta|rot|out|abtrieb|flange|(?<![a-z])deg"

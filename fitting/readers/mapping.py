@@ -13,7 +13,7 @@ import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import BenchFile, measures, stem_of, unit_text
+from fitting.readers.formats import BenchFile, measures, stem_of, unit_text
 
 COLUMNS = {"time": "s", "input_angle": "rad", "output_angle": "rad", "torque": "N*m"}
 OPTIONAL = {"temperature": "K", "input_torque": "N*m", "group": "1"}

@@ -1,4 +1,4 @@
-"""`cycloid-fit compensate`."""
+"""`cycloid-fmu compensate`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import typer
 from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import SurfaceFile
 from cycloid_fmu.edge import ARCSEC, commands
-from fitting.cli.options import separated
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,7 +84,7 @@ def compensate(
 ) -> None:
     """Write a compensator: the motor angle for each desired output angle of a known drive.
 
-    Example: [cyan]cycloid-fit compensate pair.toml --surface identified.nc --fit fit.json -o joint.c[/]
+    Example: [cyan]cycloid-fmu compensate pair.toml --surface identified.nc --fit fit.json -o joint.c[/]
     """
     from cycloid_fmu.compensation.forms.write import write_compensator
     from cycloid_fmu.drive import read_drive
@@ -119,8 +118,8 @@ def compensate(
     )
     rated = drive.pair.rated_torque or float(compensator.inverse.torque[-1]) / LARGEST_LOAD
     if plot is not None:
+        from cycloid_fmu.draw.compensation import plot_compensator
         from cycloid_fmu.draw.figure import save
-        from fitting.reports.compensation_plot import plot_compensator
 
         save(plot_compensator(compensator, rated), plot)
     _print(compensator, files, rated)
@@ -148,7 +147,7 @@ def _platforms_of(output: Path, platforms: list[str], fmi_version: str) -> tuple
 
 def _range(temperatures: str | None) -> tuple[str, str] | None:
     """Return the two ends of a temperature range, each as text with a unit."""
-    ends = separated(temperatures)
+    ends = commands.separated(temperatures)
     if ends is None:
         return None
     if len(ends) != 2:
@@ -177,10 +176,9 @@ def _chain(
     fit: Path | None, friction_file: Path | None, stiffness: float | None, loop: Path | None
 ) -> tuple[Friction, float | None, float]:
     """Return friction at the output, stiffness of the whole drive, N*m/rad, and series compliance, rad/(N*m)."""
-    from cycloid_fmu.fmu.chain import read_loop
+    from cycloid_fmu.fmu.chain import read_chain, read_loop
     from cycloid_fmu.fmu.friction_file import FrictionTables, read_friction
     from cycloid_fmu.fmu.interface_files import with_measured
-    from fitting.estimation.result import read_chain
 
     friction = (FrictionTables() if friction_file is None else read_friction(friction_file)).output
     compliance, option = 0.0, "--fit"

@@ -3,18 +3,48 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from drivers.recording_format import ANGLES, GAP, IMPLAUSIBLE, Finding, Limits, Plausibility, Samples
-from fitting.recordings.cleaning import Block
-from fitting.recordings.formats import PIECE
-from fitting.recordings.recording import Recording, RecordingStream
+from drivers.recording_format import ANGLES, IMPLAUSIBLE, Finding, Limits, Plausibility, Samples
+from fitting.samples.block import Block, GapMarks
 
 _SAID = 3  # most findings listed in a note
+
+
+class Stream(Protocol):
+    """A recording of any source, as in `fitting.readers.recording.Recording`."""
+
+    @property
+    def source(self) -> str:
+        """Its name."""
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """Notes on it; complete when all blocks have been read."""
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the encoders."""
+
+    @property
+    def timed(self) -> bool:
+        """Whether the times are seconds."""
+
+    @property
+    def has_input_angle(self) -> bool:
+        """Whether the input angle was recorded."""
+
+    @property
+    def locked(self) -> str:
+        """The shaft that was locked, or ""."""
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield its blocks in the order of time."""
 
 
 class PlausibleBlocks:
@@ -37,13 +67,13 @@ class PlausibleBlocks:
         Number of samples left out so far, and of all samples.
     """
 
-    def __init__(self, stream: Recording | RecordingStream, ratio: float | None) -> None:
+    def __init__(self, stream: Stream, ratio: float | None) -> None:
         # A locked shaft stands still while the other one moves.
         self._stream, self._ratio = stream, ratio if stream.has_input_angle and not stream.locked else None
         self._found: list[Finding] = []
         self._faults = 0
         self._marked = 0
-        self._mark_next = False
+        self._marks = GapMarks()
         self.count = self.samples = 0
 
     def __iter__(self) -> Iterator[Block]:
@@ -56,7 +86,7 @@ class PlausibleBlocks:
         """
         judge: Plausibility | None = None
         before: tuple[Block, NDArray[np.bool_]] | None = None
-        for block in (piece for whole in self._stream.blocks() for piece in _pieces(whole)):
+        for block in (piece for whole in self._stream.blocks() for piece in whole.pieces()):
             if judge is None:
                 judge = Plausibility(self._ratio, _with_resolution(self._stream.limits, block))
             marks, found = judge.add(
@@ -79,23 +109,14 @@ class PlausibleBlocks:
 
     def _left(self, block: Block, implausible: NDArray[np.bool_]) -> Iterator[Block]:
         self.samples += block.time.size
-        if not implausible.any():
-            if self._mark_next and block.time.size:
-                status = block.status.copy()
-                status[0] |= GAP
-                block, self._mark_next = dataclasses.replace(block, status=status), False
-            yield block
+        keep = ~implausible if implausible.any() else None
+        status = self._marks.of_kept(block.status, keep)
+        if keep is None:
+            yield block if status is block.status else dataclasses.replace(block, status=status)
             return
         self.count += int(np.count_nonzero(implausible))
-        keep = ~implausible
-        status = block.status.copy()
-        behind = np.concatenate([[self._mark_next], implausible[:-1]])
-        status[behind] |= GAP
-        self._mark_next = bool(implausible[-1])
-        columns = {f.name: getattr(block, f.name) for f in dataclasses.fields(Block)}
-        left = {n: None if v is None else v[keep] for n, v in {**columns, "status": status}.items()}
         if keep.any():
-            yield Block(**left)  # type: ignore[arg-type]
+            yield block.where(keep, status)
 
     def notes(self) -> list[str]:
         """Return one sentence on the samples left out, if any."""
@@ -111,17 +132,6 @@ class PlausibleBlocks:
             f"{self._stream.source}: {self.count} of {self.samples} samples are implausible and were left out: "
             f"{'; '.join(said)}."
         ]
-
-
-def _pieces(block: Block) -> Iterator[Block]:
-    """Yield a block in pieces that fit into a processor's cache."""
-    if block.time.size <= PIECE:
-        yield block
-        return
-    columns = {f.name: getattr(block, f.name) for f in dataclasses.fields(Block)}
-    for begin in range(0, block.time.size, PIECE):
-        part = slice(begin, begin + PIECE)
-        yield Block(**{n: None if v is None else v[part] for n, v in columns.items()})  # type: ignore[arg-type]
 
 
 def _with_resolution(limits: Limits, block: Block) -> Limits:

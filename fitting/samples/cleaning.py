@@ -3,49 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from drivers.recording_format import GAP, ROLLOVER
-from fitting.recordings.one_clock import GAP_STEPS
+from fitting.samples.block import Block, GapMarks
+from fitting.samples.one_clock import GAP_STEPS
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 _TURN = 2.0 * np.pi
 _STILL = np.radians(1.0)  # of the crank: samples with one time stamp are averaged within this motion
-
-
-@dataclass(frozen=True)
-class Block:
-    """Consecutive samples of a recording: SI arrays of equal length, angles unwrapped across blocks.
-
-    Attributes
-    ----------
-    time, input_angle, output_angle
-        Time, s, and angles, rad, counter-clockwise positive.
-    torque
-        Torque of the environment on the output, N·m.
-    temperature
-        Temperature, K, or None if not recorded.
-    status
-        Bits of the recording format: 1 gap before, 32 an angle rolled over, 128 implausible.
-    input_torque
-        Torque of the environment on the input, N·m, or None if not recorded.
-    group
-        Number of the group of loops, or None if not recorded.
-    """
-
-    time: Array
-    input_angle: Array
-    output_angle: Array
-    torque: Array
-    status: Bytes
-    temperature: Array | None = None
-    input_torque: Array | None = None
-    group: Array | None = None
 
 
 class _Angle:
@@ -145,22 +115,16 @@ class Cleaning:
         self._averaged = self._spread = 0
         self._waiting: tuple[dict[str, Array], Bytes] | None = None
         self._longest = self._longest_at = 0.0
-        self._mark_next = False
+        self._marks = GapMarks()
 
     def add(self, table: dict[str, Array], status: Bytes | None) -> Block:
         """Return the valid ones of the next samples, given as SI arrays by role; the block may be empty."""
         time = table["time"]
         bits = np.zeros(time.size, np.uint8) if status is None else status.copy()
         keep = self._finite(table)
+        bits = self._marks.of_kept(bits, keep)
         if keep is not None:
-            bits[1:][keep[1:] & ~keep[:-1]] |= GAP
-            if self._mark_next and keep[0]:
-                bits[0] |= GAP
-            self._mark_next = not keep[-1]
-            table, bits, time = {n: v[keep] for n, v in table.items()}, bits[keep], time[keep]
-        elif self._mark_next and time.size:
-            bits[0] |= GAP
-            self._mark_next = False
+            table, time = {n: v[keep] for n, v in table.items()}, time[keep]
         self._seen += keep.size if keep is not None else time.size
         repeated = False
         if time.size:

@@ -7,9 +7,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.recording_format import GAP, IMPLAUSIBLE
-from fitting.recordings.formats import Piece
-from fitting.recordings.mapping import TimeMapping
+from drivers.recording_format import IMPLAUSIBLE
+from fitting.samples.block import GapMarks, Piece
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -28,9 +27,9 @@ class OneClock:
     Parameters
     ----------
     scales
-        {role: (channel, scale, offset)}, see `mapping.scales_of`.
-    time
-        Channel or rate of the time, if the file's channels have no times.
+        {role: (channel, scale, offset)}, see `fitting.readers.mapping.scales_of`.
+    rate
+        Samples per second, if the file has no times.
     clocks
         {role: (delay, s, relative drift)} of the time stamps.
     """
@@ -38,14 +37,14 @@ class OneClock:
     def __init__(
         self,
         scales: Mapping[str, tuple[str, float, float]],
-        time: TimeMapping | None,
+        rate: float | None,
         clocks: Mapping[str, tuple[float, float]],
     ) -> None:
         self._scales = scales
         self._clocks = clocks
         self._begun: dict[str, float] = {}
         self._together = len(set(clocks.values())) == 1
-        self._rate = None if time is None else time.rate
+        self._rate = rate
         self._roles = [r for r in scales if r != "time"]
         self._master = "input_angle" if "input_angle" in scales else "output_angle"
         self._waiting: dict[str, list[tuple[Array, Array, Bytes]]] = {r: [] for r in self._roles}
@@ -55,7 +54,7 @@ class OneClock:
         self._unpaired = 0
         self._in_gap = 0
         self._outside = 0
-        self._mark_next = False
+        self._marks = GapMarks()
 
     def add(self, piece: Piece) -> Iterator[tuple[Table, Bytes | None]]:
         """Add the next piece and yield complete samples: {role: SI values} with the time, and the status bits."""
@@ -148,14 +147,11 @@ class OneClock:
             status |= (statuses[after] | np.where(exact, 0, statuses[before]).astype(np.uint8)) & np.uint8(IMPLAUSIBLE)
             table[role] = np.interp(time, other, theirs)
         keep = chosen & ~left_out
-        gone = np.cumsum(np.concatenate([[self._mark_next], left_out & chosen]))  # samples left out before each
-        kept = np.flatnonzero(keep)
-        status[kept[np.diff(gone[kept], prepend=0) > 0]] |= GAP
-        self._mark_next = bool(gone[-1] > (gone[kept[-1]] if kept.size else 0))
+        marked = self._marks.of_kept(status[chosen], ~left_out[chosen])
         if keep.any():
             yield (
                 {"time": time[keep], self._master: value[keep], **{r: v[keep] for r, v in table.items()}},
-                status[keep],
+                marked,
             )
         self._keep(joined, until)
 
@@ -205,10 +201,8 @@ class OneClock:
                 self._usual_step(role, other)
                 status |= statuses[part] if role == "output_angle" else statuses[part] & np.uint8(IMPLAUSIBLE)
                 table[role] = theirs[part]
-        status[0] |= GAP if self._mark_next else 0
-        self._mark_next = False
         self._keep(joined, until)
-        return table, status
+        return table, self._marks.of_kept(status)
 
     def notes(self) -> list[str]:
         """Return one sentence for each kind of sample that was left out or interpolated."""

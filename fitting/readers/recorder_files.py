@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from cycloid_fmu import edge
 from drivers.recording_format import Alignment, RecordingReader, Samples, joined, limits_of, read_clocks
-from fitting.recordings.formats import BenchFile, Piece, RawChannel
+from fitting.readers.formats import BenchFile, Piece, RawChannel
 
 _GATHERED = 1 << 13  # samples of a channel joined to a piece
 

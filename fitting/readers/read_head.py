@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import PositiveLength
-from fitting.recordings.recording import Recording
+from fitting.readers.recording import Recording
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-read-head/1"

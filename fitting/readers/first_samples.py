@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.recordings.formats import BenchFile, RawChannel, pieces_of
+from fitting.readers.formats import BenchFile, RawChannel, pieces_of
 
 Array = NDArray[np.float64]
 

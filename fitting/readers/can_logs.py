@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel
+from fitting.readers.formats import PIECE, BenchFile, Piece, RawChannel
 
 _SMALLEST_OBJECT = 16  # bytes of a BLF object's header
 

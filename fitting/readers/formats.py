@@ -26,12 +26,13 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.edge.quantities import USUAL
 from drivers.recording_format import Clock, Limits
+from fitting.samples.block import PIECE as PIECE
+from fitting.samples.block import Piece as Piece
 
 Array = NDArray[np.float64]
 
 LONGEST_NAME = 200  # characters kept of a channel's name; searching longer ones takes too long
 _BLOCK = 1 << 20  # bytes unpacked at a time
-PIECE = 1 << 17  # samples per piece, whose arrays then fit into a processor's cache
 
 
 @dataclass(frozen=True)
@@ -51,25 +52,6 @@ class RawChannel:
     name: str
     unit: str = ""
     zero_reference: str = "incremental"
-
-
-@dataclass(frozen=True)
-class Piece:
-    """Consecutive samples of channels with common times: arrays of equal length.
-
-    Attributes
-    ----------
-    time
-        Seconds in the file's own time base, or None if one of the channels is the time.
-    values
-        {name: values in the file's unit}.
-    status
-        Bits of the recording format, or None if the file has none.
-    """
-
-    time: Array | None
-    values: dict[str, Array]
-    status: NDArray[np.uint8] | None = None
 
 
 @dataclass
@@ -115,12 +97,12 @@ class BenchFile(abc.ABC):
 
 # Class or function that opens files with each ending; other packages add theirs as entry points of the group.
 READERS = {
-    "arrows": "fitting.recordings.recorder_files:RecorderFile",
-    **dict.fromkeys(("csv", "txt", "tsv", "dat"), "fitting.recordings.scope:open_table"),
-    "parquet": "fitting.recordings.tables:ParquetFile",
-    **dict.fromkeys(("mf4", "mdf"), "fitting.recordings.limited_files:mdf_file"),
-    "tdms": "fitting.recordings.limited_files:tdms_file",
-    **dict.fromkeys(("blf", "asc", "trc"), "fitting.recordings.limited_files:can_log"),
+    "arrows": "fitting.readers.recorder_files:RecorderFile",
+    **dict.fromkeys(("csv", "txt", "tsv", "dat"), "fitting.readers.scope:open_table"),
+    "parquet": "fitting.readers.tables:ParquetFile",
+    **dict.fromkeys(("mf4", "mdf"), "fitting.readers.limited_files:mdf_file"),
+    "tdms": "fitting.readers.limited_files:tdms_file",
+    **dict.fromkeys(("blf", "asc", "trc"), "fitting.readers.limited_files:can_log"),
 }
 GROUP = "cycloid.recordings"
 

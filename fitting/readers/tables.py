@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import (
+from fitting.readers.formats import (
     PIECE,
     Array,
     BenchFile,

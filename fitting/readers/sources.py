@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cycloid_fmu import edge
-from fitting.recordings.cleaning import Cleaning
-from fitting.recordings.mapping import ANGLES, OPTIONAL, FileMapping, read_mapping
-from fitting.recordings.read_head import ReadHead, read_read_head, without_coaxiality_error
-from fitting.recordings.recording import Recording, RecordingStream, open_with_mapping
+from fitting.readers.mapping import ANGLES, OPTIONAL, FileMapping, read_mapping
+from fitting.readers.read_head import ReadHead, read_read_head, without_coaxiality_error
+from fitting.readers.recording import Recording, RecordingStream, open_with_mapping
+from fitting.samples.cleaning import Cleaning
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import PIECE, Array, BenchFile, Piece, RawChannel, in_order, unique
-from fitting.recordings.formulas import Formula
+from fitting.readers.formats import PIECE, Array, BenchFile, Piece, RawChannel, in_order, unique
+from fitting.readers.formulas import Formula
 
 
 def _drop(problem: BaseException | None) -> None:
