@@ -124,4 +124,4 @@ def test_libraries_ask_for_no_newer_system_than_promised():
         else:
             assert data[:2] == b"MZ"
             asked = set(re.findall(rb"([\w-]+)\.dll\0", data.lower())) - {b"cycloiddrive", b"joint_drive"}
-            assert {name for name in asked if not name.startswith(b"api-ms-win-crt-")} == {b"kernel32"}
+            assert {name for name in asked if not name.startswith(b"api-ms-win-crt-")} <= {b"kernel32"}
