@@ -556,7 +556,7 @@ def _stribeck(model: _Model) -> tuple[float, Fit] | None:
 
 def fit_friction(
     stretches: Stretches, sources: Sequence[str], speeds: tuple[float, float]
-) -> tuple[dict[str, Figure], dict[str, float], Array, Array, list[str]]:
+) -> tuple[dict[str, Figure], dict[str, float], Array, dict[str, Array], list[str]]:
     """Return figures, loads, fitted torque, torque of inertia and drift (both over the stretches), and notes.
 
     Parameters
@@ -622,7 +622,8 @@ def fit_friction(
         notes.append(
             f"{edge.listed(sources)}: only one direction was recorded; coulomb, the mean of both, needs the other too."
         )
-    removed = {name: np.full(every.speed.size, np.nan) for name in ("inertia", "drift") if name in fit.names}
+    taken = (name for name in ("inertia", "drift") if name in fit.names)
+    removed: dict[str, Array] = {name: np.full(every.speed.size, np.nan) for name in taken}
     fitted = np.full(every.speed.size, np.nan)
     fitted[used] = stretches.torque - fit.residual
     for name, torque in removed.items():
