@@ -36,8 +36,8 @@ from fitting.figures.figure import Figure, figure_json
 from fitting.figures.metrics import FORMAT as FIGURES
 from fitting.figures.starts import STARTS, Start, start_figures
 from fitting.figures.survey import overview_of
-from fitting.readers.recording import Recording
-from fitting.readers.sources import Source, each_source, open_source
+from fitting.recordings.recording import Recording
+from fitting.recordings.sources import Source, each_source, open_source
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -557,7 +557,7 @@ def _stribeck(model: _Model) -> tuple[float, Fit] | None:
 def fit_friction(
     stretches: Stretches, sources: Sequence[str], speeds: tuple[float, float]
 ) -> tuple[dict[str, Figure], dict[str, float], Array, dict[str, Array], list[str]]:
-    """Return figures, loads, fitted torque, torque of inertia and drift (both over the stretches), and notes.
+    """Return figures, loads, fitted torque, torques of inertia and drift (all over the stretches), and notes.
 
     Parameters
     ----------
@@ -622,8 +622,8 @@ def fit_friction(
         notes.append(
             f"{edge.listed(sources)}: only one direction was recorded; coulomb, the mean of both, needs the other too."
         )
-    taken = (name for name in ("inertia", "drift") if name in fit.names)
-    removed: dict[str, Array] = {name: np.full(every.speed.size, np.nan) for name in taken}
+    names: tuple[str, ...] = ("inertia", "drift")
+    removed = {name: np.full(every.speed.size, np.nan) for name in names if name in fit.names}
     fitted = np.full(every.speed.size, np.nan)
     fitted[used] = stretches.torque - fit.residual
     for name, torque in removed.items():
@@ -947,7 +947,7 @@ def friction(
             raise edge.NoDataError(" ".join(notes))
         empty = np.zeros(0)
         nothing = stretches.chosen(np.zeros(0, np.intp))
-        return FrictionFit(figures, limits, {}, nothing, empty, empty, tuple(dict.fromkeys(notes)), data)
+        return FrictionFit(figures, limits, {}, nothing, empty, {}, tuple(dict.fromkeys(notes)), data)
     running, loads, fitted, removed, added = fit_friction(stretches, sources, limits)
     figures = running | figures
     if growth is not None and "friction_per_load" not in figures:

@@ -186,7 +186,7 @@ def friction_notes(pair: Pair, curves: Sequence[Curve]) -> list[str]:
     if numbers:
         notes.append(
             f"[losses] states the friction of {edge.listed(numbers)} as numbers: they are held, and no interval allows "
-            'for their errors. A pair of materials, friction = "…", is fitted within its range.'
+            'for their errors. Sliding friction by a pair of materials, friction = "…", is fitted within its range.'
         )
     running = [c for c in curves if not c.branch]
     ways = {(np.sign(c.torque), c.direction) for c in running}
