@@ -113,7 +113,7 @@ def named(gallery: dict, file: str) -> None:
 
 
 fresh_examples()
-file_reference.write(HERE / "generated" / "files.md")
+file_reference.write(file_reference.PAGE)
 variable_reference.write(HERE / "generated" / "variables.md")
 sphinx_gallery_conf = {
     "examples_dirs": "generated/examples",

@@ -1,4 +1,4 @@
-"""The reference of the TOML files, from the classes that read them."""
+"""The reference of the TOML files, from the classes that read them: `python docs/file_reference.py` writes the page."""
 
 import inspect
 import json
@@ -11,7 +11,6 @@ from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core.core_schema import CoreSchema, ModelSchema
 
 from cycloid_fmu import edge
-from cycloid_fmu.bodies import files as bodies
 from cycloid_fmu.errors.kinds import KINDS, ErrorKind
 from cycloid_fmu.fmu import friction_file
 from cycloid_fmu.geometry import pair
@@ -30,7 +29,6 @@ from fitting.readers import read_head as coaxiality
 # title, format, class that reads it, example
 FILES = (
     ("Gear pair", pair.FORMAT, pair._File, "drive-39-40-as-made.toml"),
-    ("Elastic bodies of a gear pair", f"{pair.FORMAT} with [bodies]", bodies._File, None),
     ("RV reducer", reducer.FORMAT, reducer.Reducer, "rv-20e.toml"),
     ("Tolerances", sampling.FORMAT, sampling.file_model(), "tolerances.toml"),
     ("Requirements of an application", limits.FORMAT, limits.Requirements, "requirements.toml"),
@@ -269,3 +267,9 @@ def write(path: Path) -> None:
                 said = _told(protocol.configuration.model_json_schema(schema_generator=_Schema))
                 lines += [f'**`[channel.NAME]` with `protocol = "{name}"`** {said[0]}', *said[1:]]
     path.write_text("\n".join(lines), encoding="utf-8")
+
+
+PAGE = Path(__file__).parent / "reference" / "files.md"
+
+if __name__ == "__main__":
+    write(PAGE)

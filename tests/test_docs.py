@@ -416,6 +416,9 @@ def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):
     import file_reference
 
     file_reference.write(tmp_path / "files.md")
+    assert file_reference.PAGE.read_text(encoding="utf-8") == (tmp_path / "files.md").read_text(encoding="utf-8"), (
+        "write it: python docs/file_reference.py"
+    )
     section = (tmp_path / "files.md").read_text(encoding="utf-8").split("\n## ")[1]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:3] == "| `"]
     meanings = {cells[0]: cells[-1] for cells in rows if len(cells) == 4}
