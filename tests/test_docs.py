@@ -425,6 +425,7 @@ def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):
     assert {f"`{name}`" for name in (*Pair.model_fields, "isometric", "offset")} - set(meanings) == {
         "`modification`",
         "`material`",
+        "`bodies`",
         "`errors`",
         "`supports`",
         "`losses`",

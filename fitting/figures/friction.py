@@ -36,8 +36,8 @@ from fitting.figures.figure import Figure, figure_json
 from fitting.figures.metrics import FORMAT as FIGURES
 from fitting.figures.starts import STARTS, Start, start_figures
 from fitting.figures.survey import overview_of
-from fitting.recordings.recording import Recording
-from fitting.recordings.sources import Source, each_source, open_source
+from fitting.readers.recording import Recording
+from fitting.readers.sources import Source, each_source, open_source
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
