@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -122,7 +122,7 @@ def analyze(
             if slices is not None:
                 plots.save(plots.plot_lines(data), plot.with_stem(f"{plot.stem}-lines"))
         if as_json:
-            arrays = {str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}
+            arrays: dict[str, Any] = {str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}
             if "compliance" in arrays:
                 parts = arrays.pop("body")
                 arrays["compliance"] = {part: arrays["compliance"][..., k] for k, part in enumerate(parts)}

@@ -252,7 +252,8 @@ def elastic_of(pair: Pair) -> Elastic | None:
         values = {"kind": PIN, "joint": row, "slot": row // 2, "block": 0 if influence.coupled else disc}
         groups.append((disc, -1, [_record(values)]))
     groups.sort(key=lambda group: group[0])
-    first, of_row, whole = np.zeros(joints, np.int64), np.zeros(rows * pair.discs, np.int64), []
+    first, of_row = np.zeros(joints, np.int64), np.zeros(rows * pair.discs, np.int64)
+    whole = list[tuple[float, ...]]()
     for _, joint, ports in groups:
         if joint >= 0:
             first[joint] = len(whole)

@@ -19,7 +19,7 @@ from cycloid_fmu.contact.local_frame import contact_stiffness, gap_gradient
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.supports.elastic import add_ports, press, write_approaches
 from cycloid_fmu.supports.joints import FIRST_DISC, Assembly, Work, derivatives, displacement, orient, reaction
-from cycloid_fmu.supports.ports import Elastic, Ports, has_ports, reach_of, set_exact
+from cycloid_fmu.supports.ports import Elastic, has_ports, reach_of, set_exact
 
 NEIGHBOUR = 0.1  # rad: a solution farther away is no useful start
 _EXACT = 1e-14  # m: a step within rounding
@@ -135,7 +135,7 @@ def _add_forces(
     centring: float,
     contacts: Rows,
     work: Work,
-    ports: Ports | None,
+    ports: Any,
 ) -> None:
     """Add the forces of pins and joints on the bodies, and the derivatives of these forces."""
     if elastic is None:

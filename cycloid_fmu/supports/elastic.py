@@ -9,7 +9,7 @@ within that on q: `press` solves the forces at a place, `add_ports` has them in 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -449,7 +449,7 @@ def write_approaches(
     turn_to(elastic.influence, ports.moving, crank_angle)
     c, s = math.cos(crank_angle / problem.teeth), -math.sin(crank_angle / problem.teeth)
     for number in range(elastic.first.size):
-        if elastic.count[number] == 0:
+        if elastic.ports_of_joint[number] == 0:
             continue
         joint, first = assembly.joints[number], elastic.first[number]
         d = displacement(assembly, joint, work)
@@ -459,7 +459,7 @@ def write_approaches(
             continue
         dx, dy = d.length * d.normal_x, d.length * d.normal_y
         dx, dy = c * dx + s * dy, c * dy - s * dx
-        for i in range(first, first + elastic.count[number]):
+        for i in range(first, first + elastic.ports_of_joint[number]):
             port = ports.ports[i]
             port.approach = -(port.along_x * dx + port.along_y * dy) - port.clearance
     for row in range(contacts.shape[0]):
@@ -511,7 +511,7 @@ def _add_joint(
     joint, c, s = assembly.joints[number], axes[0], axes[1]
     d = displacement(assembly, joint, work)
     unknowns, at, by = derivatives(assembly, joint, d, work), work.at, work.by
-    last = elastic.first[number] + elastic.count[number]
+    last = elastic.first[number] + elastic.ports_of_joint[number]
     fx = fy = 0.0
     while k < ports.counts[0] and ports.active[k] < last:
         port, row = ports.ports[ports.active[k]], ports.by_place[k]
@@ -589,7 +589,7 @@ def add_ports(
         else:
             k = _add_joint(assembly, elastic, port.joint, axes, work, ports, k)
     for number in range(elastic.first.size):
-        if elastic.count[number] > 0:
+        if elastic.ports_of_joint[number] > 0:
             _turn_joint(assembly, number, centring, work, ports)
     if ports.numbers[FRESH] != 0.0:
         _write_stiffness(ports)
@@ -603,9 +603,7 @@ def add_ports(
 
 
 @compiled
-def joint_force(
-    assembly: Assembly, number: int, d: Displacement, work: Work, ports: Ports | None
-) -> tuple[float, float]:
+def joint_force(assembly: Assembly, number: int, d: Displacement, work: Work, ports: Any) -> tuple[float, float]:
     """Force of a joint on its displacement, N, at a solved place and without the centring springs."""
     if ports is not None and has_ports(assembly.elastic, number):
         return ports.of_joints[number, 0], ports.of_joints[number, 1]
@@ -614,9 +612,7 @@ def joint_force(
 
 
 @compiled
-def torque_of_bodies(
-    problem: Problem, assembly: Assembly, elastic: Elastic | None, work: Work, ports: Ports | None
-) -> float:
+def torque_of_bodies(problem: Problem, assembly: Assembly, elastic: Elastic | None, work: Work, ports: Any) -> float:
     """What elastic bodies add to the crank's torque at a solved place, N·m.
 
     The influence changes with the crank angle, and the axes in which bearings press turn.
@@ -626,7 +622,7 @@ def torque_of_bodies(
     _write_forces(ports)
     torque = -rate_of_energy(elastic.influence, ports.moving, ports.of_slots)
     for number in range(elastic.first.size):
-        if elastic.count[number] > 0 and assembly.joints[number].reach == 0.0:
+        if elastic.ports_of_joint[number] > 0 and assembly.joints[number].reach == 0.0:
             d = displacement(assembly, assembly.joints[number], work)
             fx, fy = ports.of_joints[number, 0], ports.of_joints[number, 1]
             torque += d.length * (d.normal_x * fy - d.normal_y * fx) / problem.teeth
@@ -657,7 +653,7 @@ class Pull(NamedTuple):
 
 
 @compiled
-def pull_ports(elastic: Elastic | None, ports: Ports | None, by: Array) -> float:
+def pull_ports(elastic: Elastic | None, ports: Any, by: Array) -> float:
     """Write the change of all ports' forces by a change of the unknowns; return its work on dC/dθ f at these ports."""
     if elastic is None:
         return 0.0
@@ -680,7 +676,7 @@ def pull_ports(elastic: Elastic | None, ports: Ports | None, by: Array) -> float
 
 
 @compiled
-def closing_of(elastic: Elastic | None, ports: Ports | None, row: int, stiffness: float, rigid: float) -> float:
+def closing_of(elastic: Elastic | None, ports: Any, row: int, stiffness: float, rigid: float) -> float:
     """By how much a pin's gap closes for the change of its force: between rigid bodies, or in the last `pull_ports`."""
     if elastic is None:
         return rigid
@@ -691,7 +687,7 @@ def closing_of(elastic: Elastic | None, ports: Ports | None, row: int, stiffness
 def pull_of(
     assembly: Assembly,
     elastic: Elastic | None,
-    ports: Ports | None,
+    ports: Any,
     crank_angle: float,
     number: int,
     d: Displacement,
@@ -708,7 +704,7 @@ def pull_of(
     )
     fx, fy = ports.of_joints[number, 0], ports.of_joints[number, 1]
     x = y = stiffness = clearance = play = 0.0
-    for i in range(elastic.first[number], elastic.first[number] + elastic.count[number]):
+    for i in range(elastic.first[number], elastic.first[number] + elastic.ports_of_joint[number]):
         port = ports.ports[i]
         pull, softness = port.pull, port.softness
         if pull == 0.0:
@@ -720,7 +716,7 @@ def pull_of(
         stiffness += pull * softness * port.force
         clearance += 0.5 * pull
         play += pull
-    if elastic.count[number] == 2 and joint.reach == 0.0:
+    if elastic.ports_of_joint[number] == 2 and joint.reach == 0.0:
         first, second = ports.ports[elastic.first[number]], ports.ports[elastic.first[number] + 1]
         stiffness += first.across * (first.pull * second.force + second.pull * first.force)
         length = math.hypot(first.deflection, second.deflection)
@@ -732,12 +728,12 @@ def pull_of(
         across = math.hypot(fx, fy) / d.length
         normal = d.normal_x * along_x + d.normal_y * along_y
         x, y = x + across * (along_x - normal * d.normal_x), y + across * (along_y - normal * d.normal_y)
-    return Pull(elastic.count[number] > 0, x, y, fx, fy, stiffness, clearance, play)
+    return Pull(elastic.ports_of_joint[number] > 0, x, y, fx, fy, stiffness, clearance, play)
 
 
 @compiled
 def share_compliance(
-    assembly: Assembly, elastic: Elastic | None, ports: Ports | None, work: Work, by_torque: Array, out: Array
+    assembly: Assembly, elastic: Elastic | None, ports: Any, work: Work, by_torque: Array, out: Array
 ) -> None:
     """Write the shares of `PARTS` in the compliance dx/dT at a solved place, rad/(N·m).
 
@@ -767,7 +763,7 @@ def share_compliance(
     laws = assembly.laws.size
     write_shares(elastic.influence, ports.moving, ports.of_slots, out[1 + laws :])
     for number in range(assembly.joints.size):
-        if elastic.count[number] > 0:
+        if elastic.ports_of_joint[number] > 0:
             continue
         joint = assembly.joints[number]
         d = displacement(assembly, joint, work)

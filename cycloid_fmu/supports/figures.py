@@ -81,7 +81,7 @@ def _stages(supports: Supports, bodies: Bodies | None) -> list[tuple[str, Suppor
         "output_roller": "output rollers",
         "pin_seat": "pin seats",
     }
-    stages, now = [], supports.replace(**rigid)
+    stages, now = list[tuple[str, Supports, Bodies | None]](), supports.replace(**rigid)
     for part, name in names.items():
         if part in rigid:
             if tight[part] == rigid[part]:

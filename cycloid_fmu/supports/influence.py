@@ -26,6 +26,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import arc_parts
 
 Indices = NDArray[np.int64]
+_COUPLING = ("pin", "ring", "crank", "output_pin", "carrier")  # bodies by which discs displace each other's ports
 SPREAD = 12  # forces of both components at six places stand for that of a moving port
 _ALONG = np.dtype((np.record, [("value", np.float64, (SPREAD,)), ("other", np.float64, (SPREAD,))]))
 _ARCS = 256  # pieces of the spline of the arc length over a tooth
@@ -109,7 +110,7 @@ class Moving(NamedTuple):
         Slots in the order in which they became known, shape (slots,).
     is_known
         Whether a moving slot is known, shape (slots,).
-    count, angle
+    known_count, angle
         Number of known slots, shape (1,), and the crank angle, shape (1,), rad; NaN without one.
     start
         First port of the places that stand for a moving slot, shape (slots,).
@@ -127,7 +128,7 @@ class Moving(NamedTuple):
     matrix: Array
     known: Indices
     is_known: NDArray[np.bool_]
-    count: Indices
+    known_count: Indices
     angle: Array
     start: Indices
     spread: Array
@@ -192,24 +193,12 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
             own[j, curve, : len(cubics)] = cubics
         first, held = arms_slot + j * arms * sectors, slice(disc.arms_at, disc.arms_at + arms * sectors)
         fixed[first : first + arms * sectors, first : first + arms * sectors] = disc.between[held, held]
-    by_cranks = np.zeros((0, 0))
-    if matrices.crank is not None:
-        angle = 2.0 * np.pi * np.arange(sectors) / (sectors if by_sector else 4)
-        along = np.column_stack([np.cos(angle), np.sin(angle)])
-        of_arms = np.arange(pair.discs * arms * sectors).reshape(pair.discs, arms, sectors)
-        by_cranks = np.zeros((of_arms.size, of_arms.size))
-        for j in range(pair.discs):
-            for k in range(pair.discs):
-                for arm in range(arms):
-                    by_cranks[np.ix_(of_arms[j, arm], of_arms[k, arm])] = matrices.crank[j, k] * along @ along.T
+    by_cranks = _by_cranks(pair, matrices.crank, arms, sectors)
+    if by_cranks.size > 0:
         fixed[arms_slot:rollers_slot, arms_slot:rollers_slot] += by_cranks
     if matrices.carrier is not None:
         fixed[-2 * arms :, -2 * arms :] = matrices.carrier
     empty = np.zeros((0, 0))
-    own_places = max((float(disc.largest) for disc in discs), default=0.0)
-    parts = [own_places]
-    parts += [float(np.abs(part).max()) for part in (matrices.pin, matrices.output_pin) if part is not None]
-    parts += [2.0 * float(np.abs(matrices.ring.diagonal()).max())] if matrices.ring is not None else []
     shape = (len(discs), curves)
     return Influence(
         between=between,
@@ -233,12 +222,29 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
         sectors=sectors,
         arms=arms,
         rollers=rollers,
-        largest=sum(parts),
-        coupled=any(
-            part is not None
-            for part in (matrices.pin, matrices.ring, matrices.crank, matrices.output_pin, matrices.carrier)
-        ),
+        largest=max((disc.largest for disc in discs), default=0.0) + _largest_of_others(matrices),
+        coupled=any(getattr(matrices, name) is not None for name in _COUPLING),
     )
+
+
+def _largest_of_others(matrices: BodyMatrices) -> float:
+    """Largest compliance of a moving slot by pins, ring and output pins, or somewhat more, m/N."""
+    parts = [float(np.abs(part).max()) for part in (matrices.pin, matrices.output_pin) if part is not None]
+    parts += [2.0 * float(np.abs(matrices.ring.diagonal()).max())] if matrices.ring is not None else []
+    return math.fsum(parts)
+
+
+def _by_cranks(pair: Pair, crank: Array | None, arms: int, sectors: int) -> Array:
+    """Influence of the cranks between all turning arms' ports; size 0 if they are rigid."""
+    if crank is None:
+        return np.zeros((0, 0))
+    angle = 2.0 * np.pi * np.arange(sectors) / (sectors if sectors > 2 else 4)
+    along = np.column_stack([np.cos(angle), np.sin(angle)])
+    of_arms = np.arange(pair.discs * arms * sectors).reshape(pair.discs, arms, sectors)
+    between = np.zeros((of_arms.size, of_arms.size))
+    for j, k, arm in np.ndindex(pair.discs, pair.discs, arms):
+        between[np.ix_(of_arms[j, arm], of_arms[k, arm])] = crank[j, k] * along @ along.T
+    return between
 
 
 class _DiscPorts(NamedTuple):
@@ -493,9 +499,9 @@ def turn_to(influence: Influence, moving: Moving, crank_angle: float) -> None:
     if moving.angle[0] == crank_angle:
         return
     moving.angle[0] = crank_angle
-    for i in range(moving.count[0]):
+    for i in range(moving.known_count[0]):
         moving.is_known[moving.known[i]] = False
-    moving.count[0] = 0
+    moving.known_count[0] = 0
 
 
 @compiled
@@ -511,15 +517,15 @@ def get_known(influence: Influence, moving: Moving, slot: int) -> None:
         roller = (slot - influence.rollers_slot) % influence.rollers
         _move_roller(influence, moving, slot, disc, roller, crank_angle)
     moving.is_known[slot] = True
-    moving.known[moving.count[0]] = slot
-    moving.count[0] += 1
+    moving.known[moving.known_count[0]] = slot
+    moving.known_count[0] += 1
     elastic = influence.between.size > 0
     start, spread, row = moving.start[slot], moving.spread[slot], matrix[slot]
     if elastic:
         block, fixed = influence.between[disc], influence.arms * influence.sectors
         first, at = influence.arms_slot + disc * fixed, influence.arms_at[disc]
         _weigh(block, start, spread, at, row[first : first + fixed])
-    for i in range(moving.count[0]):
+    for i in range(moving.known_count[0]):
         other, value = moving.known[i], 0.0
         if influence.coupled:
             value = _of_others(influence, moving, slot, other, crank_angle, False)
@@ -548,7 +554,7 @@ def add_rates(influence: Influence, moving: Moving, force: Array, out: Array) ->
     """
     crank_angle, elastic = moving.angle[0], influence.between.size > 0
     fixed = influence.arms * influence.sectors
-    for i in range(moving.count[0]):
+    for i in range(moving.known_count[0]):
         slot = moving.known[i]
         disc = _disc_of(influence, slot)
         start, rate = moving.start[slot], moving.rate[slot]
@@ -561,7 +567,7 @@ def add_rates(influence: Influence, moving: Moving, force: Array, out: Array) ->
                     along += line[at + m] * force[first + m]
                     out[first + m] += line[at + m] * weight
                 out[slot] += rate[a] * along
-        for k in range(moving.count[0]):
+        for k in range(moving.known_count[0]):
             other, value = moving.known[k], 0.0
             if force[other] == 0.0:
                 continue
@@ -581,7 +587,7 @@ def rate_of_energy(influence: Influence, moving: Moving, force: Array) -> float:
     """½ fᵀ dC/dθ f, N·m; `force` as in `add_rates`."""
     crank_angle, elastic = moving.angle[0], influence.between.size > 0
     fixed, total = influence.arms * influence.sectors, 0.0
-    for i in range(moving.count[0]):
+    for i in range(moving.known_count[0]):
         slot = moving.known[i]
         pressed = force[slot]
         if pressed == 0.0:
@@ -594,7 +600,7 @@ def rate_of_energy(influence: Influence, moving: Moving, force: Array) -> float:
         disc, start = _disc_of(influence, slot), moving.start[slot]
         total += 0.5 * moving.own[slot, 1] * pressed * pressed
         if influence.coupled:
-            for k in range(moving.count[0]):
+            for k in range(moving.known_count[0]):
                 other = moving.known[k]
                 between = _of_others(influence, moving, slot, other, crank_angle, True)
                 total += 0.5 * between * force[other] * pressed
@@ -632,12 +638,12 @@ def write_shares(influence: Influence, moving: Moving, force: Array, out: Array)
     for part in range(out.size):
         out[part] = 0.0
     first, last, whole = influence.arms_slot, influence.rollers_slot, 0.0
-    for i in range(moving.count[0]):
+    for i in range(moving.known_count[0]):
         slot = moving.known[i]
         if force[slot] == 0.0:
             continue
         row = moving.matrix[slot]
-        for k in range(moving.count[0]):
+        for k in range(moving.known_count[0]):
             other = moving.known[k]
             product = force[slot] * force[other]
             if product != 0.0:

@@ -50,7 +50,7 @@ class Elastic(NamedTuple):
         a row's number; ports of different `block`s do not displace each other.
     of_row
         Port of each contact row, shape (rows,).
-    first, count
+    first, ports_of_joint
         First port of each joint, and number of its ports, shape (joints,).
     patch_half_width
         Half width of the patches by which contacts load the discs, m; 0 if the discs are rigid.
@@ -62,7 +62,7 @@ class Elastic(NamedTuple):
     ports: NDArray[np.void]
     of_row: Indices
     first: Indices
-    count: Indices
+    ports_of_joint: Indices
     patch_half_width: float
     half_shell: float
 
@@ -170,7 +170,7 @@ def has_ports(elastic: Elastic | None, joint: int) -> bool:
     """Whether a joint's force goes through elastic bodies."""
     if elastic is None:
         return False
-    return bool(elastic.count[joint] > 0)
+    return bool(elastic.ports_of_joint[joint] > 0)
 
 
 @compiled
