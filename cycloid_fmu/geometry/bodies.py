@@ -76,16 +76,22 @@ class Window(Config):
         Number of windows.
     first_angle
         Angle of the first one's middle from the disc's +x at crank angle 0, rad; it turns a polygon.
-    inner_radius, outer_radius
-        Radii of a fan, m.
+    inner_radius
+        Inner radius of a fan, m.
+    outer_radius
+        Its outer radius, m.
     half_angle
         Half of a fan's angle, rad.
     corner_radius
         Radius of a fan's corners, tangent to arc and side, m.
-    circle_radius, radius
-        Distance of a round window's centre from the disc's, and its radius, m.
-    x, y
-        Corners of a polygon whose middle is about +x, m.
+    circle_radius
+        Distance of a round window's centre from the disc's, m.
+    radius
+        Radius of a round window, m.
+    x
+        x of the corners of a polygon whose middle is about +x, m.
+    y
+        y of the same corners, m.
     dxf
         DXF file with the polygon, or arcs, as one closed outline about +x, in its unit (mm without one).
     """
@@ -217,8 +223,10 @@ class Section(Config):
 
     Attributes
     ----------
-    start, end
-        Its ends from the middle of the discs, along the axis, m; `from` and `to` in a file.
+    start
+        Its beginning from the middle of the discs, along the axis, m; `from` in a file.
+    end
+        Its end from there, m; `to` in a file.
     diameter
         Its diameter, m.
     """
@@ -269,8 +277,10 @@ class OutputPinBody(ElasticBody):
     ----------
     ends
         "cantilever": clamped at `from` alone; "clamped": at both ends.
-    start, end
-        Its ends from the middle of the discs, along the axis, m; `from` and `to` in a file.
+    start
+        Its beginning from the middle of the discs, along the axis, m; `from` in a file.
+    end
+        Its end from there, m; `to` in a file.
     diameter
         Its diameter, m.
     """
@@ -301,8 +311,10 @@ class CarrierBody(ElasticBody):
         Radius of their circle, m.
     length
         Length of a column between the plates, m.
-    radial_width, tangential_width
-        Sides of a column's rectangular section along the radius and the tangent, m.
+    radial_width
+        Side of a column's rectangular section along the radius, m.
+    tangential_width
+        Its side along the tangent, m.
     share
         Share of each crank's load that is on the plate which is not the output, 0 to 1.
     """

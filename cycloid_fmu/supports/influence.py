@@ -10,6 +10,7 @@ and rollers that are asked for (`DiscInfluence` says how).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -180,17 +181,10 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
     rollers_slot = arms_slot + pair.discs * arms * sectors
     slots = rollers_slot + pair.discs * rollers + 2 * arms
     discs = [_ports_of(disc, "sector" if by_sector else "bore") for disc in matrices.discs]
-    ports = max((len(disc.between) for disc in discs), default=0)
     curves = 1 + rollers
-    places = max((int(disc.places.max()) for disc in discs), default=0)
-    between = np.zeros((len(discs), ports, ports))
-    own = np.zeros((len(discs), curves, places, 4, 3))
+    between, own = _stacked(discs, curves)
     fixed = np.zeros((slots, slots))
     for j, disc in enumerate(discs):
-        size = len(disc.between)
-        between[j, :size, :size] = disc.between
-        for curve, cubics in enumerate(disc.own):
-            own[j, curve, : len(cubics)] = cubics
         first, held = arms_slot + j * arms * sectors, slice(disc.arms_at, disc.arms_at + arms * sectors)
         fixed[first : first + arms * sectors, first : first + arms * sectors] = disc.between[held, held]
     by_cranks = _by_cranks(pair, matrices.crank, arms, sectors)
@@ -225,6 +219,18 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
         largest=max((disc.largest for disc in discs), default=0.0) + _largest_of_others(matrices),
         coupled=any(getattr(matrices, name) is not None for name in _COUPLING),
     )
+
+
+def _stacked(discs: Sequence[_DiscPorts], curves: int) -> tuple[Array, Array]:
+    """Return the influence between the ports of all discs, and the pins' own along their curves, zero where one ends."""
+    ports = max((len(disc.between) for disc in discs), default=0)
+    places = max((int(disc.places.max()) for disc in discs), default=0)
+    between, own = np.zeros((len(discs), ports, ports)), np.zeros((len(discs), curves, places, 4, 3))
+    for j, disc in enumerate(discs):
+        between[j, : len(disc.between), : len(disc.between)] = disc.between
+        for curve, cubics in enumerate(disc.own):
+            own[j, curve, : len(cubics)] = cubics
+    return between, own
 
 
 def _largest_of_others(matrices: BodyMatrices) -> float:

@@ -583,6 +583,19 @@ def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observation
         return tuple(pool.map(one, observed.curves))
 
 
+def _torque_at_flanks(observed: Observations, number: int, state: State) -> tuple[Array, float, Array]:
+    """Return torque at the flanks of a curve (N·m), sign of friction in it, and its derivative by the stated torque."""
+    curve, least = observed.curves[number], _LEAST_TORQUE * observed.curves[number].torque
+    # The torques of a lost motion are those at the flanks: they include friction.
+    against = -float(curve.direction) * np.sign(curve.ratio) * (curve.branch != LOST_MOTION)
+    torque = observed.torque_of(number)
+    growth = min(state.loop_friction_per_load, _SELF_LOCKING) if curve.branch else 0.0
+    # M = T ± (F_0 + mu |M|) at the flanks.
+    by_torque_stated = 1.0 / (1.0 - against * np.sign(torque) * growth)
+    torque = by_torque_stated * (torque + against * (state.loop_friction if curve.branch else state.friction))
+    return np.where(np.abs(torque) < abs(least), least, torque), against, by_torque_stated
+
+
 def linearised_curve(
     pair: Pair, observed: Observations, number: int, state: State, around: Sequence[NearDrive] | None = None
 ) -> Linear:
@@ -591,14 +604,7 @@ def linearised_curve(
     The model is the exact one, or near a drive the linearised one, without the crank's zero and form.
     """
     curve = observed.curves[number]
-    # The torques of a lost motion are those at the flanks: they include friction.
-    against = -float(curve.direction) * np.sign(curve.ratio) * (curve.branch != LOST_MOTION)
-    torque, least = observed.torque_of(number), _LEAST_TORQUE * curve.torque
-    growth = min(state.loop_friction_per_load, _SELF_LOCKING) if curve.branch else 0.0
-    # M = T ± (F_0 + mu |M|) at the flanks.
-    by_torque_stated = 1.0 / (1.0 - against * np.sign(torque) * growth)
-    torque = by_torque_stated * (torque + against * (state.loop_friction if curve.branch else state.friction))
-    torque = np.where(np.abs(torque) < abs(least), least, torque)
+    torque, against, by_torque_stated = _torque_at_flanks(observed, number, state)
     surface, crank = state.surface, state.crank_offset
     if observed.give is not None:
         *moved, advanced = observed.give[number]
