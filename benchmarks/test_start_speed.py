@@ -22,7 +22,7 @@ IMPORTED = (
     "drivers",
     "cycloid_fmu.geometry.pair",
     "cycloid_fmu.contact.transmission",
-    "fitting.recordings.recording",
+    "fitting.readers.recording",
     "fitting.estimation.identify",
     "drivers.recorder.session",
 )

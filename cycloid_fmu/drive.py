@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.bodies import Bodies
     from cycloid_fmu.geometry.first_stage import FirstStage
+    from cycloid_fmu.joint.document import Joint
     from cycloid_fmu.losses.figures import LossFigures
     from cycloid_fmu.losses.heat import Heat
     from cycloid_fmu.motion import Motion
@@ -1042,6 +1043,81 @@ class Drive(DriveValue):
             from cycloid_fmu.fmu.build import build_fmu
 
             build_fmu(self, path, interface=interface, fmi_version=fmi_version)
+
+    def joint(
+        self,
+        *,
+        files: Sequence[str | os.PathLike[str]] = (),
+        stated: Mapping[str, Any] | None = None,
+        tolerances: Tolerances | str | os.PathLike[str] | None = None,
+        draws: int | None = None,
+        seed: int = 0,
+        orders: int = 5,
+        angles: int | None = None,
+        series_compliance: float | str = 0.0,
+        motor_speed: float | str = 100.0,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda drives: None,
+    ) -> Joint:
+        """Return the drive as a joint of a robot simulator: play, stiffness, orders, friction, each with its origin.
+
+        Parameters
+        ----------
+        files
+            Files with numbers that replace the drive's own: stated or measured ones (cycloid-joint-figures/1), figures
+            of a loop (`cycloid-fit metrics -o`), friction (cycloid-friction/1, or `cycloid-fit friction -o` as JSON).
+        stated
+            Numbers by dotted name, such as `{"rotor_inertia": "1e-4 kg*m^2"}`, which replace those of the files.
+        tolerances
+            Tolerances, or their file, within which drives are drawn; without them from the covariance of a fit.
+        draws, seed
+            Number of draws, by default 100 where there are tolerances or a fit; and their seed.
+        orders
+            Number of orders of the transmission error, and of the play, that are kept.
+        angles
+            Crank angles over one turn of the output; None for as many as the orders need.
+        series_compliance
+            Compliance in series with the drive, rad/(N·m) or text; 0 for that up to a catalogue's stiffness.
+        motor_speed
+            Speed of the motor at which the efficiencies of `[losses]` are taken, rad/s or text with a unit.
+        workers, progress
+            Number of threads; function called with 1 for each drive that was just solved.
+
+        Returns
+        -------
+        cycloid_fmu.joint.document.Joint
+            The joint; `cycloid_fmu.joint.files.write_files` writes it for a simulator.
+
+        Raises
+        ------
+        edge.InputError
+            If the drive has no rated torque, a file can't be read or a number is out of range.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+        ...     rated_torque="181 N*m",
+        ... )
+        >>> joint = cy.Drive(pair).replace(offset="-20 um").joint(angles=90)
+        >>> round(joint.numbers["play"]["value"] * cy.ARCSEC), joint.numbers["rotor_inertia"]["reason"]
+        (95, 'not stated; a pair file has no motor')
+        """
+        from cycloid_fmu.joint.of_parts import Settings, joint_of
+
+        settings = Settings(
+            tolerances=None if tolerances is None else _tolerances(tolerances),
+            draws=draws,
+            seed=seed,
+            orders=orders,
+            angles=angles,
+            series_compliance=_quantity("series_compliance", series_compliance, "rad/(N*m)"),
+            speed=_quantity("motor_speed", motor_speed, "rad/s"),
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
+        return joint_of(self, files, stated, settings)
 
     def compensator(
         self,

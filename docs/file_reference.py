@@ -24,8 +24,8 @@ from drivers.recorder import bench, sequence
 from drivers.simulated import buses
 from fitting.ageing import history
 from fitting.figures import conformity, instruments
-from fitting.recordings import mapping
-from fitting.recordings import read_head as coaxiality
+from fitting.readers import mapping
+from fitting.readers import read_head as coaxiality
 
 # title, format, class that reads it, example
 FILES = (

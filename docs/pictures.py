@@ -48,7 +48,11 @@ def walks() -> None:
 def examples() -> None:
     """Run the examples of which pages show a picture."""
     with tempfile.TemporaryDirectory() as folder:
-        for example, shown in (("bench_to_fmu", "comparison.png"), ("compensated_joint", "compensated_joint.png")):
+        for example, shown in (
+            ("bench_to_fmu", "comparison.png"),
+            ("compensated_joint", "compensated_joint.png"),
+            ("two_link_arm", "two_link_arm.png"),
+        ):
             subprocess.run([sys.executable, ROOT / "examples" / f"{example}.py"], cwd=folder, check=True)
             with Image.open(Path(folder, f"{example}_out", shown)) as picture:
                 picture.convert("RGB").quantize(96).save(OUT / shown, optimize=True)

@@ -19,7 +19,7 @@ WAYS = {
         "drivers.encoders",
         "drivers.recorder",
         "drivers.recording_format",
-        "fitting.recordings",
+        "fitting.readers",
         "fitting.transmission_error",
         "fitting.model",
         "fitting.estimation",

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from fitting.figures.maps import maps as maps
     from fitting.figures.metrics import Figures as Figures
     from fitting.figures.metrics import metrics as metrics
-    from fitting.recordings.inspection import inspect as inspect
-    from fitting.recordings.mapping import read_mapping as read_mapping
-    from fitting.recordings.sources import Run as Run
-    from fitting.recordings.sources import read_recordings as read_recordings
+    from fitting.readers.inspection import inspect as inspect
+    from fitting.readers.mapping import read_mapping as read_mapping
+    from fitting.readers.sources import Run as Run
+    from fitting.readers.sources import read_recordings as read_recordings
     from fitting.reports.plots import plot as plot
     from fitting.reports.plots import plot_comparison as plot_comparison
     from fitting.reports.report import report as report
@@ -40,9 +40,9 @@ _NAMES = {
     "figures.friction": "FrictionFit friction",
     "figures.maps": "maps",
     "figures.metrics": "Figures metrics",
-    "recordings.inspection": "inspect",
-    "recordings.mapping": "read_mapping",
-    "recordings.sources": "Run read_recordings",
+    "readers.inspection": "inspect",
+    "readers.mapping": "read_mapping",
+    "readers.sources": "Run read_recordings",
     "reports.plots": "plot plot_comparison",
     "reports.report": "report",
     "transmission_error.curve": "Curve write_curves",

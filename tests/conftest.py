@@ -114,7 +114,7 @@ def pytest_collection_modifyitems(items):
 def pytest_runtest_makereport(item, call):
     """Where all that Debian and PyPI have for the tests is installed, a test that skips is one that fails."""
     report = yield
-    missing = any(map(item.get_closest_marker, ("own_build", "measured_drives")))
+    missing = any(map(item.get_closest_marker, ("own_build", "measured_drives", "drake")))
     installed = os.environ.get("CYCLOID_NO_SKIPS") and not missing
     if report.skipped and not hasattr(report, "wasxfail") and installed:
         report.outcome = "failed"

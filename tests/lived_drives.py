@@ -18,7 +18,7 @@ from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.model.observations import errors_of, scatter_names, scatter_parts, with_scatter
-from fitting.recalibration.known import DRIFT, REFERENCE_TURNS, drift_of
+from fitting.recalibration.drift import DRIFT, REFERENCE_TURNS, drift_of
 from fitting.recalibration.recalibrate import recalibrate
 
 ARCSEC = np.pi / 648000

@@ -82,10 +82,14 @@ def test_the_version_is_shown(command, name):
         (["cycloid-fmu", "surface", "nominl"], "nominl is not a command; did you mean nominal?"),
         (["cycloid-fit", "metric"], "metric is not a command; did you mean metrics?"),
         (["cycloid-bench", "recrod"], "recrod is not a command; did you mean record?"),
+        (
+            ["cycloid-fit", "compensate", "p.toml", "-o", "a.c"],
+            "compensate is now the command cycloid-fmu compensate, with the same options.",
+        ),
         (["cycloid-fmu", "xyz"], "xyz is not a command; see cycloid-fmu --help."),
         (
-            ["cycloid-fit", "compensate", "p.toml", "--pair", "p.toml"],
-            "--pair is not an option of cycloid-fit compensate; write PAIR.toml without an option.",
+            ["cycloid-fmu", "compensate", "p.toml", "--pair", "p.toml"],
+            "--pair is not an option of cycloid-fmu compensate; write PAIR.toml without an option.",
         ),
         (
             ["cycloid-fmu", "analyze", "p.toml", "--angles", "3", "--angles=4"],

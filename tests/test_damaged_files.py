@@ -47,10 +47,10 @@ from drivers.simulated.buses import read_simulation
 from fitting.ageing.history import History, measured, read_history
 from fitting.estimation.result import read_lmfit_parameters
 from fitting.figures.comparison import read_figures
-from fitting.recordings.inspection import inspect
-from fitting.recordings.mapping import read_mapping
-from fitting.recordings.read_head import read_read_head
-from fitting.recordings.recording import RecordingStream
+from fitting.readers.inspection import inspect
+from fitting.readers.mapping import read_mapping
+from fitting.readers.read_head import read_read_head
+from fitting.readers.recording import RecordingStream
 from tests.cycloid_fmu.cmm import measure, write_csv
 from tests.drivers.test_can_more import EDS
 from tests.drivers.test_recording_format import HEADER

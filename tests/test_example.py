@@ -176,3 +176,20 @@ def test_the_rv_paper_s_tables(tmp_path, example):
     for rows in ("`examples/lost_motion_study.py`", "::test_the_rv_paper_s_tables`"):
         assert_page_agrees("theory-paper-rv", rows, said)
     assert (tmp_path / "lost_motion_study.png").stat().st_size > 30000
+
+
+@pytest.mark.slow(15)
+def test_two_link_arm(tmp_path, example):
+    """Play, friction and transmission error each move the tip, and attributes alone leave out most of its deviation."""
+    pytest.importorskip("mujoco")
+    said = example("two_link_arm.py")
+    assert re.search(r"shoulder: -39, play [\d.]+″ \([\d.]+ to [\d.]+\), identified", said)
+    rows = re.findall(r"^(.+): ([\d.]+) mm rms from the path, ([\d.]+) mm from the arm as it is$", said, re.M)
+    off, apart = ({name: float(row[k]) for name, *row in rows} for k in (0, 1))
+    assert min(apart[f"without {what}"] for what in ("play", "friction", "transmission error")) > 0.1
+    assert off["MuJoCo's attributes alone"] < 0.5 * off["as it is"]
+    page = (EXAMPLES.parent / "docs" / "joint.md").read_text(encoding="utf-8")
+    stated = re.search(r"tip is ([\d.]+) mm \(rms\) from the path; with MuJoCo's attributes alone .* ([\d.]+) mm", page)
+    assert float(stated[1]) == pytest.approx(off["as it is"], abs=0.06)
+    assert float(stated[2]) == pytest.approx(off["MuJoCo's attributes alone"], abs=0.06)
+    assert (tmp_path / "two_link_arm_out" / "two_link_arm.png").stat().st_size > 20000

@@ -15,7 +15,7 @@ import pytest
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import limited
-from fitting.recordings.inspection import inspect
+from fitting.readers.inspection import inspect
 from tests.fitting.test_readers import DBC
 from tests.test_damaged_files import SMALL, can_log, mdf, sensor, surface
 

@@ -42,12 +42,12 @@ from drivers.recording_format.repair import repair
 from drivers.serial.port import PortHub
 from fitting.estimation.result import FORMAT as RESULT
 from fitting.estimation.result import read_lmfit_parameters
-from fitting.recordings.formats import open_bench_file
-from fitting.recordings.formulas import Formula
-from fitting.recordings.inspection import inspect
-from fitting.recordings.loggers import MdfFile
-from fitting.recordings.mapping import read_mapping
-from fitting.recordings.recording import RecordingStream
+from fitting.readers.formats import open_bench_file
+from fitting.readers.formulas import Formula
+from fitting.readers.inspection import inspect
+from fitting.readers.loggers import MdfFile
+from fitting.readers.mapping import read_mapping
+from fitting.readers.recording import RecordingStream
 from fitting.reports.page import html_page
 from fitting.reports.panels import Panel, Trace
 

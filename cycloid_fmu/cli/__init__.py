@@ -13,6 +13,8 @@ app = commands.command_line(
         "draw",
         "surface",
         "build",
+        "joint",
+        "compensate",
         "inspect",
         "simulate",
         "compare",

@@ -84,7 +84,15 @@ class _Compilation:
         self._compile, self._cache = kernel.compile, cache
         self._turn: FileLock | None = None
         cache._cache_file._source_stamp = (*cache._cache_file._source_stamp, sources)
+        self._index, cache._cache_file._load_index = cache._cache_file._load_index, self._known
         cache.load_overload, kernel.compile = self._load, self.compile
+
+    def _known(self) -> Any:
+        """Return what is on disk; nothing where it is of an earlier version, with types that are gone since."""
+        try:
+            return self._index()
+        except (AttributeError, ImportError):
+            return {}
 
     def compile(self, signature: Any) -> Any:
         """Take the kernel from its file or compile it."""

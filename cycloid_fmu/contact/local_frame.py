@@ -64,11 +64,12 @@ def local_frame(problem: Problem, crank_angle: float, x: float, contacts: Rows, 
     ez = problem.generating_eccentricity * (problem.teeth + 1)
     bx, by = problem.circle_radius - ez * c, -ez * s
     speed = math.sqrt(bx * bx + by * by)
-    facing, leaning = bx / speed, by / speed
+    per_speed = 1.0 / speed
+    facing, leaning = bx * per_speed, by * per_speed
     sa, ca = sine_cosine(alpha + gear + problem.tooth_turn[disc, tooth])
     nx, ny = ca * facing - sa * leaning, sa * facing + ca * leaning
     kappa = path_curvature(problem.circle_radius, problem.generating_eccentricity, problem.teeth, bx, speed)
-    stretch = 1.0 + kappa * (contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius)
+    per_stretch = 1.0 / (1.0 + kappa * (contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius))
     return LocalFrame(
         disc,
         slice_,
@@ -85,12 +86,12 @@ def local_frame(problem: Problem, crank_angle: float, x: float, contacts: Rows, 
         gear_x,
         gear_y,
         slide=(1.0 if problem.ring else -1.0) * (lever_x * nx + lever_y * ny),
-        bend=kappa / stretch,
+        bend=kappa * per_stretch,
         speed=speed,
-        foot=1.0 / (speed * stretch),
+        foot=per_speed * per_stretch,
         facing=facing,
         leaning=leaning,
-        turning=(kappa - 1.0 / speed) / stretch,
+        turning=(kappa - per_speed) * per_stretch,
     )
 
 

@@ -30,14 +30,15 @@ def _larger_circle(problem: Problem, contact: np.record, local: LocalFrame) -> t
 
     The flank moves along the foot's radius, its foot and curvature change. N/m and rad/m, the turn > 0 as slides are.
     """
-    R, teeth, speed = problem.circle_radius, problem.teeth, local.speed
+    R, teeth, per_speed = problem.circle_radius, problem.teeth, 1.0 / local.speed
+    cube = per_speed * per_speed * per_speed
     ez = problem.generating_eccentricity * (teeth + 1)
     distance = contact.gap + problem.pin_radius[local.pin] - problem.generating_radius
-    along = R - speed * local.facing  # e z_p cos(z_c α)
-    foot = local.leaning * (1.0 + distance / speed) * local.foot
+    along = R - local.speed * local.facing  # e z_p cos(z_c α)
+    foot = local.leaning * (1.0 + distance * per_speed) * local.foot
     bend = R * R + ez * ez * (teeth + 1) - (teeth + 2) * R * along
-    path = (2.0 * R - (teeth + 2) * along) / speed**3 - 3.0 * bend * (R - along) / speed**5
-    flank = 1.0 / (1.0 - problem.generating_radius * bend / speed**3)
+    path = cube * (2.0 * R - (teeth + 2) * along - 3.0 * bend * (R - along) * per_speed * per_speed)
+    flank = 1.0 / (1.0 - problem.generating_radius * bend * cube)
     curvature = path * flank * flank + contact.curvature_rate * foot
     force = contact.stiffness * local.facing + contact.force_by_curvature * curvature
     return float(force), float(local.leaning * local.turning)

@@ -20,7 +20,7 @@ import textwrap
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, MutableMapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from itertools import pairwise
@@ -66,6 +66,8 @@ _FEW, _MAIN = 8, 6  # the help of a command with more than 8 options shows 6 of 
 class _Group(typer.core.TyperGroup):
     """A group of commands; errors of the library name options here, not function arguments."""
 
+    moved_to: Mapping[str, str] = {}
+
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         command = super().get_command(ctx, cmd_name)
         options = [p for p in getattr(command, "params", ()) if p.param_type_name == "option" and p.name != "help"]
@@ -75,6 +77,8 @@ class _Group(typer.core.TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         if args[0] not in self.commands and not args[0].startswith("-"):
+            if args[0] in self.moved_to:
+                raise InputError(f"{args[0]} is now the command {self.moved_to[args[0]]}, with the same options.")
             near = did_you_mean(args[0], self.commands)
             raise InputError(f"{args[0]} is not a command; {near or f'see {ctx.command_path} --help.'}")
         name, command, rest = super().resolve_command(ctx, args)
@@ -166,7 +170,9 @@ class _Lazy(MutableMapping[str, Any]):
         return len(self._made)
 
 
-def command_line(name: str, help: str, package: str = "", names: Sequence[str] = ()) -> typer.Typer:
+def command_line(
+    name: str, help: str, package: str = "", names: Sequence[str] = (), moved: Mapping[str, str] | None = None
+) -> typer.Typer:
     """Return a command line; commands from elsewhere are added with `@….command()`.
 
     Parameters
@@ -180,9 +186,13 @@ def command_line(name: str, help: str, package: str = "", names: Sequence[str] =
         or a `typer.Typer` from `subcommands`.
     names
         Names of the commands in the order of the help page.
+    moved
+        {former command: the one that does its work now}.
     """
 
     class Group(_Group):
+        moved_to = moved or {}
+
         def __init__(self, **settings: Any) -> None:
             super().__init__(**settings)
             if names:
@@ -303,6 +313,11 @@ def _instead(unknown: str, command: Any) -> str:
             return f"write {name} without an option."
     options = [o.strip("-") for p in command.params for o in p.opts if o.startswith("--")]
     return did_you_mean(word, options, "--")
+
+
+def separated(text: str | None) -> list[str] | None:
+    """Return the values of an option that are separated by commas; None if it is not given."""
+    return None if text is None else [part.strip() for part in text.split(",")]
 
 
 def _say(text: str) -> None:

@@ -18,6 +18,8 @@ FORMATS = {
     "cycloid-requirements": "a requirements file, for --limits",
     "cycloid-design": "a search task, for cycloid-fmu design",
     "cycloid-friction": "a friction file, for --friction",
+    "cycloid-joint": "a joint document, the result of cycloid-fmu joint",
+    "cycloid-joint-figures": "numbers of a joint, for cycloid-fmu joint --figures",
     "cycloid-wear": "a wear law, for --wear",
     "cycloid-history": "the history of a drive, for cycloid-fit forecast",
     "cycloid-bench": "the wiring of a bench, for cycloid-bench record",

@@ -16,7 +16,7 @@ from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.first_stage import sun_locked_share
 from cycloid_fmu.supports.figures import LOADS
 
-FIGURES = "cycloid-figures/1"
+FIGURES, IDENTIFICATION = "cycloid-figures/1", "cycloid-identification/1"
 _ANGLES = 90
 _SAME = 1e-6  # share by which the drive may be softer than stated, for rounding
 
@@ -112,3 +112,23 @@ def read_loop(path: str | os.PathLike[str]) -> tuple[float, float]:
     if grows:
         return stiffness, values["friction_torque"]
     return stiffness, max(0.5 * stiffness * (values["hysteresis_loss"] - values["backlash"]), 0.0)
+
+
+def read_chain(path: str | os.PathLike[str]) -> tuple[float, float]:
+    """Return series compliance (rad/(N·m)) and dry friction (N·m) from the file of `cycloid-fit identify`.
+
+    Neither is below zero.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is not an identification or has neither of the two.
+    """
+    bench = edge.json_table(path, IDENTIFICATION, "identification").get("bench")
+    found = []
+    for name in ("chain_compliance", "friction_torque"):
+        value = bench.get(name) if isinstance(bench, dict) else None
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise edge.InputError(f"{path}: bench has no {name}; identify again.")
+        found.append(max(float(value), 0.0))
+    return found[0], found[1]

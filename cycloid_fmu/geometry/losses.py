@@ -44,7 +44,8 @@ def _not_negative(value: float) -> float:
     return value
 
 
-Coefficient = Annotated[float, pydantic.Field(ge=0.0, le=2.0)]
+LARGEST_COEFFICIENT = 2.0
+Coefficient = Annotated[float, pydantic.Field(ge=0.0, le=LARGEST_COEFFICIENT)]
 Factor = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
 Radius = Annotated[Length, pydantic.AfterValidator(_positive)]
 PositiveSpeed = Annotated[edge.Velocity, pydantic.AfterValidator(_positive)]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.contact.local_frame import force_fall, gap_gradient
+from cycloid_fmu.contact.local_frame import GapGradient, LocalFrame, Vector, force_fall, gap_gradient
 from cycloid_fmu.geometry.losses import PARTS
 from cycloid_fmu.supports.balance import Load, assemble, settling
 from cycloid_fmu.supports.joints import (
@@ -143,6 +143,23 @@ def flank_speed(problem: Problem, local: contact.LocalFrame, distance: float) ->
 
 
 @compiled
+def rubbing_stiffness(
+    local: LocalFrame, along: GapGradient, f: Acting, fall: Vector, acting: Vector, i: int, j: int
+) -> float:
+    """Derivative of one force or moment (i) of a flank's friction on its disc by one coordinate (j) of its position.
+
+    Parameters
+    ----------
+    fall
+        As of `force_fall`.
+    acting
+        What friction acts along: the sliding of the point of contact by the disc's position.
+    """
+    turned = local.bend * along.slide[j] + (1.0 if i < 2 and j == 2 else 0.0)
+    return float(f.slope * fall[j] * acting[i] + f.amplitude * turned * along.gap[i])
+
+
+@compiled
 def _add_flanks(
     problem: Problem, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, loss: Array
 ) -> None:
@@ -160,14 +177,13 @@ def _add_flanks(
         f = sliding_friction(law, rubbing.direction, radius, speed, force)
         loss[FLANK + (TURNING if f.turns else SLIDING)] += abs(f.amplitude * f.speed)
         along = gap_gradient(local)
-        fall, gap, (slide_u, slide_v, slide_y) = force_fall(contact_, local, along), along.gap, along.slide
+        fall, (slide_u, slide_v, slide_y) = force_fall(contact_, local, along), along.slide
         # Friction acts at the point of contact, which slides with the gear's rotation as well.
         acting, at = (slide_u, slide_v, slide_y + distance), FIRST_DISC + 3 * local.disc
         for i in range(3):
             residual[at + i] -= f.amplitude * acting[i]
             for j in range(3):
-                turned = local.bend * along.slide[j] + (1.0 if i < 2 and j == 2 else 0.0)
-                jacobian[at + i, at + j] += f.slope * fall[j] * acting[i] + f.amplitude * turned * gap[i]
+                jacobian[at + i, at + j] += rubbing_stiffness(local, along, f, fall, acting, i, j)
 
 
 @compiled

@@ -1,19 +1,27 @@
-"""Derivatives of the crank's torque by the coefficients of `[losses]`."""
+"""Derivatives of the crank's torque and of the transmission error with friction."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import Sensitivity
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.geometry.losses import PARTS, Losses
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.losses.displacements import sweep_motion_sensitivities
 from cycloid_fmu.losses.rubbing import COEFFICIENTS
-from cycloid_fmu.losses.solver import Rubbed, laws_of, losses_of, rubbing_of
+from cycloid_fmu.losses.solver import Rubbed, laws_of, losses_of, rubbing_of, solve
 from cycloid_fmu.losses.sweeps import slope_of, sweep_rubbing_sensitivities
+from cycloid_fmu.supports.assembly import add_by_displacements
 from cycloid_fmu.supports.joints import work_of
+from cycloid_fmu.supports.sensitivity import PARAMETERS, Derivatives
 from cycloid_fmu.supports.transmission import assembly_of, problem_of
+from cycloid_fmu.surfaces.structured import displacement_size
 
 Array = NDArray[np.float64]
 _LINEAR = ("friction_coefficient", "static_friction_coefficient", "load_factor", "speed_factor")
@@ -33,6 +41,21 @@ def _alone(losses: Losses, part: str, coefficient: str) -> Losses | None:
     if part != "output_roller" and kept["output_roller"] is not None:
         kept["output_roller"] = kept["output_roller"].replace(radius=None, friction=None, friction_coefficient=0.0)
     return Losses(**{**kept, part: one})
+
+
+def _by_name(pair: Pair, losses: Losses, crank_speed: float, by_law: Array, by_drag: Array) -> dict[str, Array]:
+    """Return derivatives by "table.key" from those by the `COEFFICIENTS` of each law and by the carrier's drag."""
+    by = dict[str, Array]()
+    for part in _IN_LAWS:
+        for coefficient in _LINEAR:
+            if (alone := _alone(losses, part, coefficient)) is not None:
+                laws: Any = laws_of(pair.at_temperature, alone, crank_speed)
+                each = np.stack([laws[name] for name in COEFFICIENTS], axis=-1)
+                by[f"{part}.{coefficient}"] = np.einsum("alc,lc->a", by_law, each)
+    by["output_drag.coulomb"] = by_drag
+    by["output_drag.viscous"] = by_drag * crank_speed / pair.gear_teeth
+    by["output_drag.churning"] = by["output_drag.viscous"] * losses.thinning
+    return by
 
 
 def sensitivity(drive: DriveValue, found: Rubbed, load: int = 0, slices: int | None = None) -> dict[str, Array]:
@@ -81,16 +104,7 @@ def sensitivity(drive: DriveValue, found: Rubbed, load: int = 0, slices: int | N
     )
     if not solved:
         raise ValueError("the balance is singular: the drive jams")
-    by = dict[str, Array]()
-    for part in _IN_LAWS:
-        for coefficient in _LINEAR:
-            if (alone := _alone(losses, part, coefficient)) is not None:
-                laws: Any = laws_of(pair.at_temperature, alone, found.crank_speed)
-                each = np.stack([laws[name] for name in COEFFICIENTS], axis=-1)
-                by[f"{part}.{coefficient}"] = np.einsum("alc,lc->a", by_law, each)
-    by["output_drag.coulomb"] = by_carrier[:, 0]
-    by["output_drag.viscous"] = by_carrier[:, 0] * found.crank_speed / pair.gear_teeth
-    by["output_drag.churning"] = by["output_drag.viscous"] * losses.thinning
+    by = _by_name(pair, losses, found.crank_speed, by_law, by_carrier[:, 0])
     if losses.first_stage is not None and drive.first_stage is not None:
         by["first_stage.loss"] = by_carrier[:, 1]
         if losses.first_stage.loss is None:
@@ -98,3 +112,88 @@ def sensitivity(drive: DriveValue, found: Rubbed, load: int = 0, slices: int | N
             share = one.share(drive.first_stage.sun_teeth, drive.first_stage.planet_teeth)
             by["first_stage.friction_coefficient"] = by_carrier[:, 1] * share
     return by
+
+
+@dataclass(frozen=True)
+class MotionSensitivity:
+    """Transmission error with friction and its derivatives.
+
+    Attributes
+    ----------
+    motion
+        Transmission error, and derivatives as without friction.
+    by_coefficient
+        Derivatives by the stated coefficients, by "table.key" as of `sensitivity`, shape (angles,) each: rad, of drags
+        rad/(N·m).
+    crank_torque
+        As of `solver.Rubbed`, shape (angles,), N·m.
+    """
+
+    motion: Sensitivity
+    by_coefficient: dict[str, Array]
+    crank_torque: Array
+
+
+def motion_sensitivity(
+    drive: DriveValue,
+    torque: Array,
+    crank_angle: Array,
+    direction: int,
+    crank_speed: float,
+    slices: int | None = None,
+) -> MotionSensitivity:
+    """Return the transmission error of a drive that turns in one direction, with friction, and its derivatives.
+
+    Parameters
+    ----------
+    drive
+        A drive with [supports] and [losses], without a first stage.
+    torque, crank_angle
+        Torque of the environment on the output, N·m, one or shape (angles,); rad, shape (angles,).
+    direction, crank_speed, slices
+        As for `solver.solve`.
+
+    Raises
+    ------
+    edge.InputError
+        As `solver.solve`, and where the drive jams.
+
+    Notes
+    -----
+    As those without friction (docs/theory/supports.md), dx/dp = -λ·∂r/∂p with the friction in the balance r. Which of
+    two contacts slides, and the speed of its sliding, are held.
+    """
+    pair, losses, angles = drive.pair, losses_of(drive), np.array(crank_angle, dtype=float)
+    torques, slices = np.array(np.broadcast_to(torque, angles.shape), dtype=float), slices or drive.slices
+    rubbed = solve(drive, torques[None], angles, direction, crank_speed, slices=slices)
+    place, rubbing, assembly = rubbed.place[0], rubbing_of(drive, direction, crank_speed), assembly_of(drive)
+    error = rubbed.motion.transmission_error[0]
+    if np.isnan(error).any():
+        at = int(np.argmax(np.isnan(error)))
+        raise edge.InputError(
+            f"torque = {torques[at]:g} N*m: the drive jams at a crank angle of {angles[at]:.6g} rad, where the crank "
+            f"turns in direction {direction}; state less friction in [losses] or give a smaller torque."
+        )
+    each = np.zeros((angles.size, displacement_size(pair)))
+    by_joint = np.zeros((angles.size, assembly.joints.size, len(PARAMETERS)))
+    by_angle, by_torque, by_drag = (np.zeros(angles.size) for _ in range(3))
+    by_law = np.zeros((angles.size, rubbing.laws.size, len(COEFFICIENTS)))
+    solved = sweep_motion_sensitivities(
+        problem_of(drive, slices),
+        assembly,
+        angles,
+        torques,
+        np.ascontiguousarray(place),
+        rubbing,
+        Derivatives(each, by_joint, by_angle, by_torque),
+        by_law,
+        by_drag,
+        work_of(assembly),
+        slope_of(place.shape[-1]),
+        np.zeros(len(PARTS)),
+    )
+    if not solved:
+        raise edge.InputError(f"torque = {torques[0]:g} N*m: the balance is singular: the drive jams.")
+    by_bearing = add_by_displacements(pair, by_joint, each)
+    motion = Sensitivity(error, each, by_angle, by_torque, by_bearing)
+    return MotionSensitivity(motion, _by_name(pair, losses, crank_speed, by_law, by_drag), rubbed.crank_torque[0])

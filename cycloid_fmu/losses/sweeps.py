@@ -110,7 +110,9 @@ def _by_coefficients(
 
 
 @compiled
-def _add_flanks(problem: Problem, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, out: Array) -> None:
+def add_flank_coefficients(
+    problem: Problem, crank_angle: float, contacts: Rows, work: Work, rubbing: Rubbing, out: Array
+) -> None:
     """Subtract λ·∂r/∂p of the flanks, λ in `work.step`."""
     law, row_ = rubbing.laws[FLANK_LAW], work.step
     for row in range(contacts.shape[0]):
@@ -128,7 +130,7 @@ def _add_flanks(problem: Problem, crank_angle: float, contacts: Rows, work: Work
 
 
 @compiled
-def _add_joints(
+def add_joint_coefficients(
     problem: Problem,
     assembly: Assembly,
     work: Work,
@@ -139,7 +141,8 @@ def _add_joints(
 ) -> None:
     """Subtract λ·∂r/∂p of the joints, λ in `work.step`, and add what bearings take from the crank directly.
 
-    `direct` is what the crank's torque becomes for each N·m on the crank itself: 1 without a first stage.
+    `direct` is what the crank's torque becomes for each N·m on the crank itself: 1 without a first stage; 0 where λ is
+    not that of the crank's torque.
     """
     row, at = work.step, work.at
     for number in range(assembly.joints.size):
@@ -197,10 +200,10 @@ def sweep_rubbing_sensitivities(
             work.step[k] = slope.crank_torque[k]
         if not solve_transposed(problem, assembly, work, work.step, 0.0):
             return False
-        _add_flanks(problem, crank_angles[i], contacts, work, rubbing, by_coefficient[i])
+        add_flank_coefficients(problem, crank_angles[i], contacts, work, rubbing, by_coefficient[i])
         factor = through_first_stage(rubbing, torque)
         direct = 1.0 - work.step[0] * (1.0 + rubbing.sun_share * factor if rubbing.sun_share > 0.0 else 0.0)
-        _add_joints(problem, assembly, work, rubbing, direct, slope.sliding, by_coefficient[i])
+        add_joint_coefficients(problem, assembly, work, rubbing, direct, slope.sliding, by_coefficient[i])
         by_carrier[i, 0] = rubbing.direction * work.step[0]
         by_loss = factor * factor if rubbing.direction * torque > 0.0 else -1.0
         by_carrier[i, 1] = -work.step[0] * rubbing.sun_share * torque * by_loss

@@ -134,7 +134,7 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
         by_energy[i] = by_angle[i] = 0.0
     of_mesh, mesh_turning, bending = _mesh(drive, crank_angle, q[0], rows, by_energy, by_angle)
     of_joints, joints_turning = _joints(assembly, pull.centring, work, by_angle)
-    by_theta = mesh_turning + joints_turning
+    by_crank = mesh_turning + joints_turning
     # Rows of the inverse for the carrier's rotation and for b, without the flange's spring.
     work.jacobian[0, 0] -= spring
     for i in range(n):
@@ -144,7 +144,7 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
     if not (solve_transposed(drive, assembly, work, row, HELD) and solve_transposed(drive, assembly, work, bent, HELD)):
         return 0
     share = spring / (1.0 + spring * row[0])
-    rate, energy_rate = 0.0, by_theta + bending
+    rate, energy_rate = 0.0, by_crank + bending
     for i in range(n):
         rate -= row[i] * by_angle[i]
         energy_rate -= (bent[i] - row[i] * share * bent[0]) * by_angle[i]
@@ -153,7 +153,7 @@ def stand(box: Held, crank_angle: float, pull: Load, rows: Rows, cold: bool, out
     out[X], out[STIFFNESS] = q[0], 1.0 / row[0]
     out[ENERGY] = of_mesh + of_joints + (0.5 * (flange - q[0]) ** 2 * spring if spring > 0.0 else 0.0)
     out[BY_FLANGE], out[BY_ANGLE] = by_flange, energy_rate + by_flange / teeth
-    out[CRANK_TORQUE], out[RATE], out[TORQUE] = by_theta + carried / teeth, rate - 1.0 / teeth, carried
+    out[CRANK_TORQUE], out[RATE], out[TORQUE] = by_crank + carried / teeth, rate - 1.0 / teeth, carried
     return steps
 
 

@@ -130,9 +130,9 @@ def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: N
     loads = pair.rated_torque * np.array([*LOADS, LOST_MOTION_LOAD, -LOST_MOTION_LOAD])
     shares, soft, lost = [], 0.0, 0.0
     for name, supports, bodies in [("mesh", None, None), *_stages(pair.supports, pair.bodies)]:
-        one = pair.replace(supports=supports, bodies=bodies)
-        found = solve(DriveValue(one, nominal_surface(one)), loads, angles, Options(with_play=False))
-        place = found.transmission_error.mean(axis=1)
+        stated = pair.replace(supports=supports, bodies=bodies)
+        swept = solve(DriveValue(stated, nominal_surface(stated)), loads, angles, Options(with_play=False))
+        place = swept.transmission_error.mean(axis=1)
         now_soft, now_lost = float((place[1] - place[0]) / (loads[1] - loads[0])), float(place[2] - place[3])
         shares.append(Share(name, now_soft - soft, now_lost - lost))
         soft, lost = now_soft, now_lost
@@ -168,14 +168,14 @@ def equivalent_load(force: ArrayLike) -> Array:
     return np.asarray(np.mean(np.asarray(force) ** LIFE_EXPONENT, axis=0) ** (1.0 / LIFE_EXPONENT))
 
 
-def bearing_loads(pair: Pair, found: Transmission, load: int = 0) -> list[BearingLoad]:
+def bearing_loads(pair: Pair, swept: Transmission, load: int = 0) -> list[BearingLoad]:
     """Return loads and lives of every bearing at one torque of a sweep over whole crank turns.
 
     Parameters
     ----------
     pair
         A pair with supports; each bearing's `dynamic_capacity` gives its life.
-    found
+    swept
         Result of `solve`.
     load
         Index of the torque.
@@ -183,13 +183,13 @@ def bearing_loads(pair: Pair, found: Transmission, load: int = 0) -> list[Bearin
     supports = pair.supports
     if supports is None:
         raise edge.InputError("the pair has no [supports]: it has no bearings to compute loads for.")
-    assert isinstance(found, OnBearings)
+    assert isinstance(swept, OnBearings)
     arm = "turning arm" if supports.kind == "cranks" else "eccentric bearing"
     names = {"turning_arm": arm, "crank_shaft": "crank bearing", "main": "main bearing"}
     forces = {
-        "turning_arm": found.turning_arm_force,
-        "crank_shaft": found.crank_bearing_force,
-        "main": found.main_bearing_force,
+        "turning_arm": swept.turning_arm_force,
+        "crank_shaft": swept.crank_bearing_force,
+        "main": swept.main_bearing_force,
     }
     numbered = ("disc", "crank") if supports.kind == "cranks" else ("disc",)
     rate, rows = bodies_of(pair)["rate"], []
@@ -248,13 +248,13 @@ def lives_over_duty(
         Share of the time of each row.
     """
     turning = np.asarray(crank_speed) * np.asarray(share) / (2.0 * math.pi)
-    found = []
+    lives = []
     for rows in zip(*loads, strict=True):
-        used = math.fsum(turns / one.life for turns, one in zip(turning, rows, strict=True) if turns > 0.0)
+        used = math.fsum(turns / row.life for turns, row in zip(turning, rows, strict=True) if turns > 0.0)
         equivalent = 0.0
         if turning.any():
-            parts = turning @ np.array([one.equivalent**LIFE_EXPONENT for one in rows])
+            parts = turning @ np.array([row.equivalent**LIFE_EXPONENT for row in rows])
             equivalent = float((parts / turning.sum()) ** (1.0 / LIFE_EXPONENT))
         life = math.nan if math.isnan(rows[0].life) else math.inf if used == 0.0 else 1.0 / used
-        found.append(DutyLife(rows[0].bearing, equivalent, life))
-    return found
+        lives.append(DutyLife(rows[0].bearing, equivalent, life))
+    return lives

@@ -73,10 +73,8 @@ class Derivatives(NamedTuple):
 
 
 @compiled
-def _add_mesh(
-    problem: Problem, assembly: Assembly, crank_angle: float, contacts: Rows, work: Work, out: Array
-) -> float:
-    """Subtract λ·∂r/∂p for the displacements of pins and flanks; return λ·∂r/∂θ."""
+def add_mesh(problem: Problem, assembly: Assembly, crank_angle: float, contacts: Rows, work: Work, out: Array) -> float:
+    """Subtract λ·∂r/∂p for the displacements of pins and flanks, λ in `work.step`; return λ·∂r/∂θ."""
     row, turning = work.step, 0.0
     for number in range(contacts.shape[0]):
         contact_ = contacts[number]
@@ -114,8 +112,11 @@ def _turn_pulled(assembly: Assembly, joint: np.record, d: Displacement, pull: Pu
 
 
 @compiled
-def _add_joints(assembly: Assembly, crank_angle: float, work: Work, by_joint: Array) -> float:
-    """Subtract λ·∂r/∂p for the parameters of each joint; return λ·∂r/∂θ, without what is added to `work.residual`."""
+def add_joints(assembly: Assembly, crank_angle: float, work: Work, by_joint: Array) -> float:
+    """Subtract λ·∂r/∂p for the parameters of each joint, λ in `work.step`.
+
+    Return λ·∂r/∂θ, without what is added to `work.residual`.
+    """
     row, at, by, turning = work.step, work.at, work.by, 0.0
     for number in range(assembly.joints.size):
         joint, out = assembly.joints[number], by_joint[number]
@@ -193,10 +194,10 @@ def sweep_supported_sensitivities(
             return False
         results.by_torque[i] = work.step[0]  # of λ, which is now in `step`
         turning = -pull_ports(assembly.elastic, work.ports, work.step)
-        turning += _add_mesh(problem, assembly, crank_angles[i], contacts, work, results.by_displacement[i])
+        turning += add_mesh(problem, assembly, crank_angles[i], contacts, work, results.by_displacement[i])
         for k in range(work.residual.size):
             work.residual[k] = 0.0
-        turning += _add_joints(assembly, crank_angles[i], work, results.by_joint[i])
+        turning += add_joints(assembly, crank_angles[i], work, results.by_joint[i])
         for k in range(work.residual.size):
             turning += work.step[k] * work.residual[k]
         results.by_angle[i] = -turning

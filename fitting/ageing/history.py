@@ -19,7 +19,7 @@ from fitting.ageing.posterior import Measured
 from fitting.figures.comparison import read_figures
 from fitting.figures.figure import Figure
 from fitting.figures.metrics import metrics
-from fitting.recordings.sources import Mappings, read_recordings
+from fitting.readers.sources import Mappings, read_recordings
 
 FORMAT = "cycloid-history/1"
 HOUR = 3600.0

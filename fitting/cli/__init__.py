@@ -19,10 +19,10 @@ app = commands.command_line(
         "identify",
         "plan",
         "ensemble",
-        "compensate",
         "forecast",
         "recalibrate",
     ),
+    moved={"compensate": "cycloid-fmu compensate"},
 )
 
 

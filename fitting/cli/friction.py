@@ -70,7 +70,7 @@ def friction(
             ratio=nominal,
             loop=loop,
             progress=progress,
-            speeds=options.separated(speeds),
+            speeds=commands.separated(speeds),
         )
         if made is not None and made.pair.losses is not None and made.pair.supports is not None:
             found = _with_coefficients(found, made, loop)

@@ -51,6 +51,10 @@ def identify(
             help="Unknowns to hold, bound, tie or free, as lmfit.Parameters.dump writes them.",
         ),
     ] = None,
+    prior: Annotated[
+        Path | None,
+        typer.Option(metavar="LAST.json", help="Go on from this fit of the drive: its posterior is the prior."),
+    ] = None,
     bootstrap: Annotated[int, typer.Option(min=0, help="Number of bootstrap resamples of output turns.")] = 0,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -77,13 +81,16 @@ def identify(
             bootstrap=bootstrap,
             form=form,
             parameters=None if parameters is None else read_parameters(parameters),
+            prior=prior,
             progress=progress,
         )
     notes = list(result.notes)
     if output is not None:
         result.write(output)
     if surface is not None:
-        notes += options.write_drive(result.drive, surface, "identified" if result.bearings else "")
+        notes += options.write_drive(
+            result.drive, surface, "identified" if result.bearings or result.coefficients else ""
+        )
     if plot is not None:
         fitting.plot(result, plot)
     if report is not None:
@@ -100,7 +107,7 @@ def _print(result: Identification) -> None:
 
     typer.echo(result.verdict.sentence)
     rows, held = [], []
-    for p in (*result.parameters, *result.bearings):
+    for p in (*result.parameters, *result.bearings, *result.coefficients):
         factor, unit = options.FIELD_UNITS[p.unit]
         low, high = (v * factor for v in p.interval)
         if p.held is None:
@@ -109,6 +116,7 @@ def _print(result: Identification) -> None:
         else:
             held.append([p.name, p.held])
     title = "Identified errors and bearings" if result.bearings else "Identified errors"
+    title += ", friction" if result.coefficients else ""
     commands.print_table(title, ["error", "identified", "95 % interval", "unit"], rows)
     commands.print_table("Held fixed, because the data cannot resolve them", ["error", "why"], held)
     if result.held_out is not None:

@@ -26,8 +26,8 @@ def inspect(
     [cyan]--mapping map.toml[/]
     """
     import fitting
-    from fitting.recordings.first_samples import INSPECTED
-    from fitting.recordings.inspection import inspection_json
+    from fitting.readers.first_samples import INSPECTED
+    from fitting.readers.inspection import inspection_json
 
     found = fitting.inspect(file, dbc)
     if output is not None:

@@ -40,7 +40,7 @@ def metrics(
             rated_torque=rated_torque,
             instruments=instruments,
             progress=progress,
-            stiffness_limits=options.separated(stiffness_limits),
+            stiffness_limits=commands.separated(stiffness_limits),
         )
     if plot is not None:
         fitting.plot(found, plot)

@@ -63,11 +63,6 @@ def check_ratio(pair: Path | None, ratio: float | None) -> None:
         raise edge.InputError("--pair and --ratio: give one of the two; the pair states its ratio.")
 
 
-def separated(text: str | None) -> list[str] | None:
-    """Return the values of an option that are separated by commas; None if it is not given."""
-    return None if text is None else [part.strip() for part in text.split(",")]
-
-
 def write_drive(drive: Drive, surface: Path, bearings: str) -> list[str]:
     """Write the surface of a drive; with `bearings` ("updated", …) that differ from the pair file's, its pair too.
 

@@ -46,7 +46,7 @@ def report(
             rated_torque=rated_torque,
             instruments=instruments,
             progress=progress,
-            stiffness_limits=options.separated(stiffness_limits),
+            stiffness_limits=commands.separated(stiffness_limits),
         )
     fitting.report(found, output, certificate=certificate)
     options.finish(found, as_json=as_json)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cycloid_fmu.geometry.pair import Pair
 from fitting.estimation.fit import Estimate
 from fitting.estimation.parameter import NORMAL, Parameter, parameter
-from fitting.model.bearings import as_stated, unit_of_bearing
+from fitting.model.bearings import as_stated, is_logarithmic, unit_of_bearing
 from fitting.model.discrepancy import LAG, by_lag
 from fitting.model.observations import MISFIT, Linear, Observations, form_columns
 from fitting.model.prior import tolerances_of
@@ -50,7 +50,7 @@ def moved_by_held(fit: Estimate, names: Sequence[str]) -> Array:
 
 
 def moved_by_form(fit: Estimate, form: float) -> Array:
-    """Possible effect of a form that all flanks share on the fitted errors: standard deviations, m or rad.
+    """Possible effect of a form that all flanks share on the fitted unknowns: covariance of all of them, SI.
 
     The orders of the form are added to the unknowns of the linear model, with their sizes as prior. The stated errors
     are those without form, so the effect of form on the best estimate is included.
@@ -60,19 +60,21 @@ def moved_by_form(fit: Estimate, form: float) -> Array:
     numpy.linalg.LinAlgError
         If the equations are singular.
     """
-    observed, own, count = fit.observed, fit.columns, len(fit.chosen)
+    observed, own = fit.observed, fit.columns
     beside = form * observed.weight[:, None] * form_columns(fit.pair, observed, fit.state, fit.linear, form)
     # The fit ends where a step gains little. At the optimum, where its own unknowns have no slope, the form's slope can
     # be another: the deviation of an eccentricity was 0.24 or 0.46 µm from starts that differed little.
     alone = fit.posterior
     residual = fit.residual - own @ alone.mean
+    count = own.shape[1]
     formed = alone.extended(own.T @ beside, beside.T @ beside + np.eye(beside.shape[1]))
     if max(formed.condition, alone.condition) > _SINGULAR:
         raise np.linalg.LinAlgError("singular")
-    moved = formed.covariance[:, own.shape[1] :] @ (beside.T @ residual)
-    grown = np.diag(formed.covariance)[:count] - np.diag(alone.covariance)[:count] + moved[:count] ** 2
-    found: Array = np.sqrt(np.maximum(grown, 0.0)) * fit.unknowns.scale[:count]
-    return found
+    cross, of_form = formed.covariance[:count, count:], formed.covariance[count:, count:]
+    moved = cross @ (beside.T @ residual)
+    grown = cross @ np.linalg.solve(of_form, cross.T) + np.outer(moved, moved)
+    covariance: Array = grown * np.outer(fit.unknowns.scale, fit.unknowns.scale)
+    return covariance
 
 
 def allowing(one: Parameter, form: float, before: float) -> Parameter:
@@ -107,7 +109,7 @@ def bearings_found(
     found, names = [], observed.bearing_names
     values = as_stated(pair, changes, observed.first_stage)
     for name, value, sigma, before in zip(names, values, deviations, observed.bearing_prior, strict=True):
-        is_share = name.endswith("_stiffness")
+        is_share = is_logarithmic(name)
         scale = value if is_share else 1.0
         reach = NORMAL * sigma
         interval = (

@@ -112,18 +112,18 @@ class Estimate:
 
     @cached_property
     def residual(self) -> Array:
-        """Residual in units of the noise, shape (points,)."""
-        return self.observed.weight * left_of(self.observed, self.linear, self.state)
+        """Residual in units of the noise, shape (rows,): those of the points, or of a lost motion one."""
+        return self.observed.rows(self.observed.weight * left_of(self.observed, self.linear, self.state))
 
     @cached_property
     def columns(self) -> Array:
-        """Derivatives of the model by the unknowns in their scale, in units of the noise, shape (points, unknowns)."""
-        return self.unknowns.columns(self.observed, self.linear)
+        """Derivatives of the model by the unknowns in their scale, in units of the noise, shape (rows, unknowns)."""
+        return self.observed.rows(self.unknowns.columns(self.observed, self.linear))
 
     @cached_property
     def evidence(self) -> Evidence:
-        """What the points tell of the unknowns."""
-        return Evidence.of(self.columns, self.residual)
+        """What the points and earlier measurements tell of the unknowns."""
+        return Evidence.of(self.columns, self.residual) + self.unknowns.earlier(self.vector)
 
     @cached_property
     def posterior(self) -> Gaussian:
@@ -169,7 +169,8 @@ class _Normal:
     """The model of each curve at some unknowns, and its normal equations in units of the noise.
 
     `gram` (curves, unknowns, unknowns), `moment` (curves, unknowns), and for each curve the sum of squares and number
-    of the used points, the robust scale of all points, and the number of outliers.
+    of the used points, the robust scale of all points, and the number of outliers. `earlier` is what earlier
+    measurements tell there.
     """
 
     linears: tuple[Linear, ...]
@@ -179,11 +180,12 @@ class _Normal:
     count: Array
     scale: Array
     outlying: Array
+    earlier: Evidence
 
     @property
     def total(self) -> Evidence:
-        """What all curves tell together."""
-        return Evidence(self.gram.sum(axis=0), self.moment.sum(axis=0), float(self.square.sum()))
+        """What all curves and earlier measurements tell together."""
+        return Evidence(self.gram.sum(axis=0), self.moment.sum(axis=0), float(self.square.sum())) + self.earlier
 
 
 def _evaluated(
@@ -204,10 +206,11 @@ def _evaluated(
     def of(number: int) -> tuple[Linear, tuple[Any, ...]]:
         one = observed.some([number])
         linear = parts[number] if parts else linearised_curve(unknowns.pair, observed, number, state, around)
-        left = one.weight * left_of(one, linear, state)
-        inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
-        scale, count = 1.4826 * np.median(np.abs(left[one.weight > 0.0])), np.count_nonzero(inside)
-        columns = unknowns.columns(one, linear)
+        left = one.rows(one.weight * left_of(one, linear, state))
+        is_used = one.weight[: left.size] > 0.0
+        inside = (np.abs(left) <= limit[number]) & is_used
+        scale, count = 1.4826 * np.median(np.abs(left[is_used])), np.count_nonzero(inside)
+        columns = one.rows(unknowns.columns(one, linear))
         columns[~inside], left[~inside] = 0.0, 0.0
         told = Evidence.of(columns, left)
         return linear, (
@@ -216,12 +219,13 @@ def _evaluated(
             told.square,
             count,
             scale,
-            np.count_nonzero(one.weight) - count,
+            np.count_nonzero(is_used) - count,
         )
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
-    return _Normal(linears, *(np.array(v) for v in zip(*sums, strict=True)))
+    gram, moment, square, count, scale, outlying = (np.array(v) for v in zip(*sums, strict=True))
+    return _Normal(linears, gram, moment, square, count, scale, outlying, unknowns.earlier(vector))
 
 
 def _limits(normal: _Normal) -> Array:
@@ -353,7 +357,7 @@ class _Descent:
 
     def _misfit(self, normal: _Normal, precision: Array, vector: Array) -> float:
         outlying = float(normal.square.sum() + normal.outlying @ self.limit**2)
-        return outlying + float(precision @ vector**2)
+        return outlying + float(precision @ vector**2) + normal.earlier.square
 
     def _settle(self, promised: float) -> bool:
         """Let noise and scatter settle on the model at hand, in one round or, near the optimum, in many."""
@@ -377,6 +381,7 @@ class _Descent:
         unlikelihood = misfit + posterior.log_determinant - float(np.log(precision).sum() + 2.0 * np.log(seen).sum())
         state, linear = unknowns.state(self.vector), joined(self.normal.linears)
         off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, self.limit)
+        off &= ~observed.of_lost_motions
         observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight)).with_sizes(sizes)
         chosen = tuple(unknowns.chosen)
         return Estimate(unknowns.pair, observed, chosen, state, sizes, linear, misfit, unlikelihood, self.evaluations)

@@ -25,6 +25,7 @@ from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import DEVIATIONS, surface_of_pair
 from fitting.arguments import positive
+from fitting.estimation.continuation import earlier_of, identified, refuse_with_prior
 from fitting.estimation.explanation import GAIN, Explained, Explanation, observed_with
 from fitting.estimation.fit import TURNS, Estimate, fit
 from fitting.estimation.held_out import Prediction, is_mispredicted, kept_back
@@ -35,8 +36,9 @@ from fitting.estimation.validation import HeldOut, mispredicted
 from fitting.model.constraints import Constraints, checked
 from fitting.model.loops import observed_curves, on_the_curves_zero
 from fitting.model.observations import errors_of
+from fitting.model.posterior import Posterior
 from fitting.model.prior import Prior, prior_of, tolerances_of
-from fitting.recordings.sources import Source
+from fitting.readers.sources import Source
 from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:
@@ -57,6 +59,7 @@ def identify(
     held_out: bool = True,
     form: float | str = "1 um",
     parameters: Parameters | None = None,
+    prior: Posterior | Identification | Drive | str | os.PathLike[str] | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Identification:
     """Identify a drive's errors from recordings at one or more loads, one or both directions.
@@ -88,14 +91,21 @@ def identify(
         Decisions on errors, bench and bearings, SI, made from those of `fitting.parameters`: `vary=False` holds one at
         its value, `min` and `max` bound it, `expr` ties it to others, `vary=True` fits an error even if the data do not
         resolve it. Of all that they do not name the fit decides. The search ends with lmfit's `Minimizer`.
+    prior
+        A fit of this drive, or its file, from whose posterior this one goes on: its errors, pins and teeth, bearings
+        and compliance of the chain have its distribution in place of the usual priors. Zeros, drift, friction and
+        run-out of encoders, which may have been mounted again, are unknown as before. There is no search for other
+        minima, no curve is held out, and no cause is fitted beside the errors. Also `Recalibration.posterior`, or a
+        drive whose surface has a covariance, which does not allow for a form of the flanks.
     progress
         Called with the name of each stage.
 
     Raises
     ------
     edge.InputError
-        If a recording can't be read, is of another drive or has no load, an argument is invalid, `parameters` name
-        what is not an unknown, the data resolve no error, or there are too few turns to draw from.
+        If a recording can't be read, is of another drive or has no load, an argument is invalid, `prior` is of another
+        drive or no prior, `parameters` name what is not an unknown, the data resolve no error, or there are too few
+        turns to draw from.
 
     Examples
     --------
@@ -122,45 +132,52 @@ def identify(
     curves = [*running, *loops]
     if isinstance(tolerances, str | os.PathLike):
         tolerances = read_tolerances(tolerances)
-    prior, beside = _prior(drive, tolerances), []
-    if pair.supports is not None and prior.profile:
-        shape = max(prior.profile.values())
-        prior = dataclasses.replace(prior, profile={})
+    usual, beside = _prior(drive, tolerances), []
+    if pair.supports is not None and usual.profile:
+        shape = max(usual.profile.values())
+        usual = dataclasses.replace(usual, profile={})
         beside.append(
             f"On bearings the form of the flanks is not fitted: the intervals allow for {shape * 1e6:.2g} µm."
         )
-    _check(curves, bootstrap, profiled, [*errors_of(pair), *prior.profile])
+    _check(curves, bootstrap, profiled, [*errors_of(pair), *usual.profile])
+    if prior is not None:
+        refuse_with_prior(tolerances=tolerances, parameters=parameters)
+        return identified(curves, earlier_of(prior, drive), profiled, bootstrap, shape, progress)
     if parameters is not None:
-        checked(parameters, names_of(pair, observed_with(curves, pair, prior)))
-        prior = dataclasses.replace(prior, constraints=Constraints.of(parameters))
+        checked(parameters, names_of(pair, observed_with(curves, pair, usual)))
+        usual = dataclasses.replace(usual, constraints=Constraints.of(parameters))
         pair = _stating(pair, {n: p.value for n, p in parameters.items() if n in errors_of(pair)})
-    shape = 0.0 if prior.profile else shape
+    shape = 0.0 if usual.profile else shape
     try:
         # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
         with threadpool_limits(limits=1, user_api="blas"):
             # The model on bearings fits no form: intervals allow for it, and the verdict does not name it.
             cause = 0.0 if pair.supports is not None else shape
             prediction = Prediction(pair, running, loops, kept_back(running) if held_out else (), progress)
-            explained, predicted = _explained(prediction, prior, cause)
+            explained, predicted = _explained(prediction, usual, cause)
             estimate, others = _described_otherwise(explained, progress)
             verdict = dataclasses.replace(
                 explained.verdict, descriptions=1 + len(others), disagreeing=estimate.disagreeing
             )
             shape = 0.0 if estimate.observed.profile else shape
             result = result_of(
-                estimate, verdict, predicted, prior.scatter, profiled, bootstrap, others, shape, progress
+                estimate, verdict, predicted, usual.scatter, profiled, bootstrap, others, shape, progress
             )
     except np.linalg.LinAlgError:
         raise edge.InputError(
             "the equations of the fit are singular, as for curves without noise; add some to simulated ones."
         ) from None
-    single = [name for name in DEVIATIONS if getattr(drive.surface, name) is not None]
-    if single:
-        beside.append(
-            f"The drive's surface holds form of single elements ({', '.join(single)}); it is not part of the fit."
-        )
+    beside += _form_notes(drive)
     stated = tolerances if isinstance(tolerances, Tolerances) else None
     return dataclasses.replace(result, notes=(*result.notes, *beside), tolerances=stated)
+
+
+def _form_notes(drive: Drive) -> list[str]:
+    """Return a note on form of single elements, which is not part of a fit."""
+    single = [name for name in DEVIATIONS if getattr(drive.surface, name) is not None]
+    if not single:
+        return []
+    return [f"The drive's surface holds form of single elements ({', '.join(single)}); it is not part of the fit."]
 
 
 def parameters(

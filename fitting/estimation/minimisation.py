@@ -150,8 +150,9 @@ class Search:
         if self._last is None or not np.array_equal(self._last[0], vector):
             there, unknowns = self._estimate(vector), self.start.unknowns
             weight = np.sqrt(there.precision)
-            columns = np.vstack([there.columns, np.diag(weight)])
-            residual = np.concatenate([there.residual, -weight * vector])
+            earlier, told = unknowns.earlier_rows(vector)
+            columns = np.vstack([there.columns, np.diag(weight), earlier])
+            residual = np.concatenate([there.residual, -weight * vector, told])
             scatter = columns[:, unknowns.scatter]
             own = Gaussian(scatter.T @ scatter)
             residual = residual - scatter @ own.solve(scatter.T @ residual)

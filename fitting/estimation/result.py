@@ -27,7 +27,7 @@ from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances
 from cycloid_fmu.surfaces.structured import structured_value, unit_of
-from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.estimation.allowances import (
     LAG_NAME,
     allowing,
@@ -57,6 +57,7 @@ from fitting.model.discrepancy import GIVE
 from fitting.model.first_stage import share_of, with_play
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
+from fitting.model.losses import friction_notes, is_coefficient, key_of, separation_notes
 from fitting.model.observations import (
     CHAIN,
     MISFIT,
@@ -70,7 +71,8 @@ from fitting.model.observations import (
     spread_of,
     with_scatter,
 )
-from fitting.model.prior import tolerances_of
+from fitting.model.posterior import Posterior, lasting
+from fitting.model.prior import posterior_as_json, tolerances_of
 from fitting.model.unknowns import NO_SCATTER
 from fitting.transmission_error.curve import Curve
 
@@ -104,6 +106,9 @@ class Identification:
     bearings
         Of a drive with supports: each bearing's stiffness as a share of that in the pair file (unit "1"), and its
         clearance, m.
+    coefficients
+        Friction coefficients that [losses] has from a range: "flank.friction_coefficient" …, as of
+        `fitting.loss_coefficients`.
     clock_lag
         Delay of the output angle (> 0) or of the input angle (< 0), s, if the curves show it.
     run_out
@@ -153,6 +158,9 @@ class Identification:
         The fitted curves without the branches of loops; behind a first stage over the angle of ideal cranks.
     search
         The search for the best values, whose result is `lmfit`.
+    posterior
+        What the fit tells of the next one, whose prior it may be; None if the errors do not explain the curves, or the
+        crank's zero is unknown.
     tolerances
         The tolerances of the drawing, if they were given.
 
@@ -166,6 +174,7 @@ class Identification:
     realised: Realised
     effects: tuple[Effect, ...]
     bearings: tuple[Parameter, ...]
+    coefficients: tuple[Parameter, ...]
     clock_lag: Parameter | None
     run_out: tuple[RunOut, ...]
     bench: dict[str, float]
@@ -190,6 +199,7 @@ class Identification:
     first_stage: FirstStage | None
     curves: tuple[Curve, ...]
     search: Search = field(repr=False, compare=False)
+    posterior: Posterior | None = None
     tolerances: Tolerances | None = None
 
     @property
@@ -309,18 +319,20 @@ def result_of(
     if own:
         moved_by = moved_by_held(fit, [n for n in names if n not in (*chosen, *beside, *by_user)])
         deviations = np.hypot(deviations, np.linalg.norm(moved_by[unknowns.bearings], axis=1))
-    bearings = bearings_found(pair, observed, state.bearings, deviations)
+    of_drive = bearings_found(pair, observed, state.bearings, deviations)
+    separation = separation_notes(unknowns.names, every, [p.name for p in of_drive if p.held is None])
     made = pair_with(pair, state.bearings, rounded=True)
-    lasting = np.r_[unknowns.errors, unknowns.scatter]
-    every = every[np.ix_(lasting, lasting)]
+    whole, own_rows = every, np.r_[unknowns.errors, unknowns.scatter]
+    every = every[np.ix_(own_rows, own_rows)]
     covariance = every[: len(chosen), : len(chosen)]
     error = np.sqrt(np.diag(covariance))
-    prior = surface_of_pair(pair)
+    prior = unknowns.prior
     plain = with_scatter(state.surface, -state.scatter)
     lag = None
     if LAG_NAME in bench:
         lag = clock_lag_found(observed, linear, bench[LAG_NAME], float(table[LAG_NAME].stderr or 0.0))
-    moved = dict(zip(chosen, moved_by_form(fit, form) if form else np.zeros(len(chosen)), strict=True))
+    of_form = moved_by_form(fit, form) if form else np.zeros_like(whole)
+    moved = dict(zip(chosen, np.sqrt(np.maximum(np.diag(of_form), 0.0)).tolist(), strict=False))
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
@@ -343,7 +355,7 @@ def result_of(
     if not told:
         run_out = tuple(one.withheld() for one in run_out)
         parameters, ring = [withheld(one) for one in parameters], ring.withheld()
-        bearings = [withheld(one) for one in bearings]
+        of_drive = [withheld(one) for one in of_drive]
         lag = withheld(lag) if lag else None
     verdict = with_run_out(verdict, run_out)
     surface = state.surface.replace(
@@ -353,6 +365,10 @@ def result_of(
         covariance=every if told else None,
         attributes={"data": " ".join(f"{c.checksum}" for c in observed.curves)},
     )
+    stage = observed.first_stage
+    stage = None if stage is None else with_play(stage, float(state.bearings[-1]))
+    is_prior = told and not observed.fit_crank
+    posterior = _posterior(fit, Drive(made, surface, stage), whole + of_form) if is_prior else None
     used = (observed.weight > 0.0) & ~observed.of_loops
     parts = np.split(fitted, observed.ends)
     outliers = dict.fromkeys((c.source for c in observed.curves), 0)
@@ -363,7 +379,10 @@ def result_of(
         parameters=tuple(parameters),
         realised=ring,
         effects=effects_of(pair, observed, linear, state, parameters, ring),
-        bearings=tuple(bearings),
+        bearings=tuple(one for one in of_drive if not is_coefficient(one.name)),
+        coefficients=tuple(
+            dataclasses.replace(one, name=key_of(one.name)) for one in of_drive if is_coefficient(one.name)
+        ),
         clock_lag=lag,
         run_out=run_out,
         bench=bench,
@@ -387,6 +406,8 @@ def result_of(
         notes=(
             *((lag_note(lag),) if lag else ()),
             *_notes(pair, fit, verdict, run_out),
+            *friction_notes(pair, observed.curves),
+            *separation,
             *form_note(parameters, form),
             *tilt_notes(DriveValue(pair, state.surface)),
             *_of_discs(len(others)),
@@ -396,10 +417,24 @@ def result_of(
             *dict.fromkeys(note for curve in observed.curves for note in curve.notes),
         ),
         pair=made,
-        first_stage=None
-        if observed.first_stage is None
-        else with_play(observed.first_stage, float(state.bearings[-1])),
+        first_stage=stage,
+        posterior=posterior,
         curves=tuple(observed.curves[i] for i in observed.running),
+    )
+
+
+def _posterior(fit: Estimate, drive: Drive, covariance: Array) -> Posterior:
+    """Return the distribution of the unknowns that are the same in other recordings, from that of all, SI."""
+    unknowns = fit.unknowns
+    own = {*lasting(unknowns.names, mounted=False)}
+    at = [i for i, name in enumerate(unknowns.names) if name in own]
+    values = fit.vector * unknowns.scale
+    values[unknowns.bearings] = 0.0
+    bench = [n for n in unknowns.names[unknowns.nuisances] if n in own]
+    scatter = unknowns.names[unknowns.scatter]
+    plain = with_scatter(drive.surface.replace(covariance=None, covariance_of=()), -fit.state.scatter)
+    return Posterior(
+        drive, plain, tuple(fit.chosen), tuple(bench), tuple(scatter), values[at], covariance[np.ix_(at, at)]
     )
 
 
@@ -571,10 +606,14 @@ def as_json(result: Identification) -> dict[str, Any]:
         "effects": [effect_as_json(one) for one in result.effects],
         "run_out": [dataclasses.asdict(one) for one in result.run_out],
         **({"bearings": {p.name: parameter_as_json(p) for p in result.bearings}} if result.bearings else {}),
+        **(
+            {"coefficients": {p.name: parameter_as_json(p) for p in result.coefficients}} if result.coefficients else {}
+        ),
         **({"clock_lag": parameter_as_json(result.clock_lag)} if result.clock_lag else {}),
         "bench": result.bench,
         "lmfit_parameters": lmfit_states(result.confirmed),
         "correlation": {"of": list(result.fitted), "matrix": result.correlation},
+        "posterior": None if result.posterior is None else posterior_as_json(result.posterior),
         "singular_values": result.singular_values,
         "weak_combinations": list(result.weak_combinations),
         "noise": result.noise,
@@ -601,26 +640,6 @@ def _chain_compliance(observed: Observations, bench: Mapping[str, float]) -> flo
     turned = observed.bench[:, of] @ [bench[observed.bench_names[i]] for i in of]
     torque = np.concatenate([c.torque_at_points for c in observed.curves])
     return float(turned @ torque / (torque @ torque)) if torque.any() else bench[CHAIN]
-
-
-def read_chain(path: str | os.PathLike[str]) -> tuple[float, float]:
-    """Return series compliance (rad/(N·m)) and dry friction (N·m) of an identification file.
-
-    Neither is below zero.
-
-    Raises
-    ------
-    edge.InputError
-        If the file is not an identification or has neither of the two.
-    """
-    bench = edge.json_table(path, FORMAT, "identification").get("bench")
-    found = []
-    for name in (CHAIN, "friction_torque"):
-        value = bench.get(name) if isinstance(bench, dict) else None
-        if not isinstance(value, int | float) or not math.isfinite(value):
-            raise edge.InputError(f"{path}: bench has no {name}; identify again.")
-        found.append(max(float(value), 0.0))
-    return found[0], found[1]
 
 
 def read_lmfit_parameters(path: str | os.PathLike[str]) -> Parameters:

@@ -63,7 +63,8 @@ def loss_coefficients(fit: FrictionFit, drive: DriveValue, loop: str | os.PathLi
     Parameters
     ----------
     fit
-        Of `fitting.friction`: its stretches, its loads, and the torque of the inertia and of a drift, which is removed.
+        Of `fitting.friction`: its stretches, its loads, and the torques of the inertia and of a drift, whose sizes are
+        fitted again with the coefficients.
     drive
         The drive as stated, with [losses] and [supports], without a first stage. What is not fitted is held.
     loop
@@ -111,9 +112,9 @@ def _coefficients(fit: FrictionFit, drive: DriveValue) -> tuple[dict[str, Figure
     used = ~np.isnan(fit.fitted)
     renumbered = np.unique(fit.stretches.block[used], return_inverse=True)[1]
     stretches = dataclasses.replace(fit.stretches.chosen(used), block=renumbered)
-    stretches = dataclasses.replace(stretches, torque=stretches.torque - fit.removed[used])
     load, measured = _loads_of(fit, stretches)
     others = {} if measured else _offsets(fit, stretches)
+    others |= {name: torque[used] for name, torque in fit.removed.items() if torque[used].any()}
     predicted = _predict(drive, stretches, load, measured)
     chosen, alike = _told_apart(predicted.by, list(others.values()), drive)
     notes = [

@@ -13,7 +13,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from fitting.figures.figure import Figure, in_field_units
 from fitting.figures.metrics import FORMAT, FRICTION_FREE, Figures, metrics
-from fitting.recordings.sources import Source
+from fitting.readers.sources import Source
 
 
 @dataclass(frozen=True)

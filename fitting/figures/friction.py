@@ -36,8 +36,8 @@ from fitting.figures.figure import Figure, figure_json
 from fitting.figures.metrics import FORMAT as FIGURES
 from fitting.figures.starts import STARTS, Start, start_figures
 from fitting.figures.survey import overview_of
-from fitting.recordings.recording import Recording
-from fitting.recordings.sources import Source, each_source, open_source
+from fitting.readers.recording import Recording
+from fitting.readers.sources import Source, each_source, open_source
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -369,7 +369,7 @@ class FrictionFit:
     stretches
         The means over time that were fitted.
     fitted, removed
-        Fitted torque without those of the inertia and of a drift, and the sum of these two, N·m, of each stretch; NaN
+        Fitted torque without those of the inertia and of a drift, and these two by name, N·m, of each stretch; NaN
         where a stretch was left out.
     notes
         Omissions and their reasons, one sentence each.
@@ -396,7 +396,7 @@ class FrictionFit:
     loads: dict[str, float]
     stretches: Stretches
     fitted: Array
-    removed: Array
+    removed: dict[str, Array]
     notes: tuple[str, ...]
     data: dict[str, str] = field(default_factory=dict)
     coefficients: dict[str, Figure] = field(default_factory=dict)
@@ -622,12 +622,12 @@ def fit_friction(
         notes.append(
             f"{edge.listed(sources)}: only one direction was recorded; coulomb, the mean of both, needs the other too."
         )
-    removed, fitted = np.full((2, every.speed.size), np.nan)
-    removed[used] = sum(
-        (fit.values[fit.names.index(name)] * model.columns[name] for name in ("inertia", "drift") if name in fit.names),
-        np.zeros(sign.size),
-    )
-    fitted[used] = stretches.torque - fit.residual - removed[used]
+    removed = {name: np.full(every.speed.size, np.nan) for name in ("inertia", "drift") if name in fit.names}
+    fitted = np.full(every.speed.size, np.nan)
+    fitted[used] = stretches.torque - fit.residual
+    for name, torque in removed.items():
+        torque[used] = fit.values[fit.names.index(name)] * model.columns[name]
+        fitted[used] -= torque[used]
     return figures, loads, fitted, removed, notes
 
 

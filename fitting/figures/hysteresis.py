@@ -20,7 +20,7 @@ from scipy.special import stdtrit
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
 from fitting.figures.figure import DEFINITIONS, UNITS, Figure
-from fitting.recordings.recording import Recording
+from fitting.readers.recording import Recording
 from fitting.transmission_error.folding import LOCKED
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from fitting.figures.hysteresis import (
     sample_noise,
     windup_of,
 )
-from fitting.recordings.recording import Recording
+from fitting.readers.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from fitting.figures.spectrum import (
     without_orders,
 )
 from fitting.figures.survey import survey
-from fitting.recordings.sources import RecordingFile, Source, each_source, open_source
+from fitting.readers.sources import RecordingFile, Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:

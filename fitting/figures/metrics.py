@@ -31,8 +31,8 @@ from fitting.figures.spectrum import (
 )
 from fitting.figures.starts import STARTS, Start, start_figures
 from fitting.figures.survey import Surveyed, at_positions, survey
-from fitting.recordings.recording import Recording
-from fitting.recordings.sources import Source, each_source, open_source
+from fitting.readers.recording import Recording
+from fitting.readers.sources import Source, each_source, open_source
 from fitting.transmission_error.curve import Curve
 
 FORMAT = "cycloid-figures/1"

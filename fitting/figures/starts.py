@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from fitting.figures.figure import DEFINITIONS, UNITS, Figure
-from fitting.recordings.recording import Recording
+from fitting.readers.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from fitting.figures.hysteresis import LoopData, loops_of
 from fitting.figures.loop_groups import loop_groups, positions_of
-from fitting.recordings.cleaning import Block
-from fitting.recordings.mapping import ANGLES, OPTIONAL
-from fitting.recordings.plausible import PlausibleBlocks
-from fitting.recordings.recording import Recording, RecordingStream
+from fitting.readers.mapping import ANGLES, OPTIONAL
+from fitting.readers.recording import Recording, RecordingStream
+from fitting.samples.block import Block
+from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.folding import Folding
 

@@ -1,4 +1,4 @@
-"""Unknowns of the stated bearings in a fit: stiffness and clearance of each."""
+"""Unknowns of the stated bearings in a fit, stiffness and clearance of each, and of the friction of a drive on them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.supports import Bearing, OutputRoller
+from fitting.model.losses import coefficient_of, is_coefficient, losses_with, size_of, unknown_coefficients
 
 Array = NDArray[np.float64]
 
@@ -29,7 +30,8 @@ PLAY = "first_stage_play"
 def unknown_bearings(pair: Pair, first_stage: FirstStage | None = None) -> tuple[str, ...]:
     """Return the unknowns of the bearings: stiffness and clearance of each compliant one, by the names of `LAWS`.
 
-    Behind a first stage the free rotation of its cranks comes last.
+    Friction coefficients that are known within a range follow (`fitting.model.losses.unknown_coefficients`), and behind
+    a first stage the free rotation of its cranks comes last.
     """
     found: list[str] = []
     for name in _BEARINGS:
@@ -39,6 +41,7 @@ def unknown_bearings(pair: Pair, first_stage: FirstStage | None = None) -> tuple
         if isinstance(one, OutputRoller) and one.stiffness is None:
             continue
         found += [f"{name}_stiffness", f"{name}_clearance"]
+    found += unknown_coefficients(pair)
     return (*found, PLAY) if first_stage is not None else tuple(found)
 
 
@@ -47,16 +50,22 @@ def sizes_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
     sizes = {"stiffness": STIFFNESS, "clearance": CLEARANCE, "play": CRANK_PLAY}
     if first_stage is not None:
         sizes["play"] += 0.5 * first_stage.crank_play
-    return np.array([sizes[name.rpartition("_")[2]] for name in unknown_bearings(pair, first_stage)])
+    names = unknown_bearings(pair, first_stage)
+    return np.array([size_of(pair, n) if is_coefficient(n) else sizes[n.rpartition("_")[2]] for n in names])
 
 
 def unit_of_bearing(name: str) -> str:
-    """Return the SI unit of an unknown: "1" for a relative stiffness, "m" for a clearance, "rad" for a play."""
-    return {"stiffness": "1", "clearance": "m", "play": "rad"}[name.rpartition("_")[2]]
+    """Return the SI unit of an unknown: "1" of a stiffness or a coefficient, "m" of a clearance, "rad" of a play."""
+    return {"stiffness": "1", "coefficient": "1", "clearance": "m", "play": "rad"}[name.rpartition("_")[2]]
+
+
+def is_logarithmic(name: str) -> bool:
+    """Return whether an unknown is the logarithm of what a file states."""
+    return name.endswith("_stiffness") or is_coefficient(name)
 
 
 def as_stated(pair: Pair, changes: Array, first_stage: FirstStage | None = None) -> Array:
-    """Return `unknown_bearings` after changes: shares of stiffnesses, clearances (m) and the play (rad)."""
+    """Return `unknown_bearings` after changes: shares of stiffnesses, clearances (m), coefficients, the play (rad)."""
     found = []
     for name, change in zip(unknown_bearings(pair, first_stage), changes.tolist(), strict=True):
         bearing, _, what = name.rpartition("_")
@@ -64,6 +73,8 @@ def as_stated(pair: Pair, changes: Array, first_stage: FirstStage | None = None)
             found.append(max(first_stage.crank_play + change, 0.0))
         elif what == "stiffness":
             found.append(math.exp(change))
+        elif is_coefficient(name):
+            found.append(coefficient_of(pair, name, change))
         else:
             found.append(max(getattr(pair.supports, bearing).clearance + change, 0.0))
     return np.array(found)
@@ -73,20 +84,20 @@ def lowest_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
     """Return the largest decrease of each of `unknown_bearings`: no clearance or play is below zero."""
     names = unknown_bearings(pair, first_stage)
     values = as_stated(pair, np.zeros(len(names)), first_stage)
-    return np.array([-np.inf if n.endswith("_stiffness") else -v for n, v in zip(names, values, strict=True)])
+    return np.array([-np.inf if is_logarithmic(n) else -v for n, v in zip(names, values, strict=True)])
 
 
 def pair_with(pair: Pair, changes: Array, *, rounded: bool = False) -> Pair:
-    """Return a pair with changed bearings.
+    """Return a pair with changed bearings and friction.
 
     Parameters
     ----------
     pair
         The pair.
     changes
-        In the order of `unknown_bearings`: logarithm of a stiffness over the stated one, increase of a clearance (m);
-        the play of a first stage may follow. If empty, the pair is unchanged. A clearance stays within the limits of a
-        pair file.
+        In the order of `unknown_bearings`: logarithm of a stiffness over the stated one, increase of a clearance (m),
+        logarithm of a friction coefficient over the stated one; the play of a first stage may follow. If empty, the
+        pair is unchanged. A clearance stays within the limits of a pair file.
     rounded
         Whether changed values are those that a file should state: lengths in whole nanometres, stiffnesses with six
         digits.
@@ -96,7 +107,11 @@ def pair_with(pair: Pair, changes: Array, *, rounded: bool = False) -> Pair:
         return pair
     assert pair.supports is not None
     given: dict[str, dict[str, Any]] = {}
+    friction = dict[str, float]()
     for name, change in zip(names, changes.tolist(), strict=False):
+        if is_coefficient(name):
+            friction[name] = change
+            continue
         bearing, _, what = name.rpartition("_")
         one = getattr(pair.supports, bearing)
         if what == "clearance":
@@ -109,4 +124,7 @@ def pair_with(pair: Pair, changes: Array, *, rounded: bool = False) -> Pair:
             value = {n: float(f"{v:.6g}") if n == "stiffness" else round(v, 9) for n, v in value.items()}
         given.setdefault(bearing, {}).update(value)
     changed = {name: getattr(pair.supports, name).model_copy(update=values) for name, values in given.items()}
-    return pair.replace(supports=pair.supports.model_copy(update=changed))
+    supports = pair.supports.model_copy(update=changed)
+    if pair.losses is None or not friction:
+        return pair.replace(supports=supports)
+    return pair.replace(supports=supports, losses=losses_with(pair.losses, friction, rounded=rounded))

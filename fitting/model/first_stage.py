@@ -38,6 +38,7 @@ def of_cranks(curve: Curve, drive: Drive) -> Curve:
         grid=(curve.grid[0], curve.grid[1] * share),
         angle_variance=None if curve.angle_variance is None else curve.angle_variance * share**2,
         speed=None if curve.speed is None else curve.speed * share,
+        crank_speed=None if curve.crank_speed is None else curve.crank_speed * abs(share),
         travel=None if curve.travel is None else curve.travel * abs(share),
     )
 

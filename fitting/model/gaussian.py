@@ -213,6 +213,14 @@ class Evidence:
             return cls(columns.T @ columns, np.zeros(columns.shape[1]))
         return cls(columns.T @ columns, columns.T @ residual, float(residual @ residual))
 
+    def __add__(self, other: Evidence) -> Evidence:
+        """Return what both tell together."""
+        return Evidence(self.gram + other.gram, self.moment + other.moment, self.square + other.square)
+
+    def repeated(self, times: float) -> Evidence:
+        """Return what so many measurements tell together, of which each has the same rows."""
+        return Evidence(times * self.gram, times * self.moment, times * self.square)
+
     def posterior(
         self,
         precision: Array,

@@ -27,9 +27,9 @@ from cycloid_fmu.surfaces.structured import displacement_columns
 from fitting.figures.friction_free import friction_free
 from fitting.figures.survey import Surveyed, survey
 from fitting.model.first_stage import of_cranks
-from fitting.recordings.plausible import PlausibleBlocks
-from fitting.recordings.recording import Recording, RecordingStream
-from fitting.recordings.sources import Source, each_source, open_source
+from fitting.readers.recording import Recording, RecordingStream
+from fitting.readers.sources import Source, each_source, open_source
+from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.folding import LOCKED, curves
 

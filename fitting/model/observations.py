@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.analysis import error_sensitivity, sensitivity, solve
+from cycloid_fmu.analysis import error_sensitivity, solve
 from cycloid_fmu.contact.transmission import form_sensitivity
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
@@ -38,7 +38,9 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.model.bearings import lowest_of, pair_with, sizes_of, unknown_bearings
 from fitting.model.constraints import Constraints
 from fitting.model.first_stage import share_of, turned
+from fitting.model.losses import BENCH_HYSTERESIS, curve_sensitivity, is_coefficient, unknown_coefficients
 from fitting.model.near_drive import NearDrive
+from fitting.model.posterior import Posterior
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
@@ -63,6 +65,8 @@ _OTHER_LOAD = 1.2  # times the smallest load: one at which wind-up differs from 
 FRICTION_SHARE = 0.002  # of the largest torque
 LOOP_FRICTION_PER_LOAD = 0.5  # growth of a loop's friction with load: measured drives have up to 0.7
 _SELF_LOCKING = 0.95  # largest growth in the model: from 1 on a drive does not unload
+LOST_MOTION = "lost motion"
+"""Branch of points whose second half is taken from the first, as one measurement of the mean difference."""
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance; a softer chain is a cause of misfit, whose size is found
 KNOWN_SIZES = {
     DISC_PHASE: 10e-6,
@@ -125,14 +129,19 @@ class Observations:
     ripple
         Torque at each point beyond the stated one, as a share of it, shape (points,).
     bearing_names, bearing_prior, bearing_lowest
-        Unknowns of the drive's own bearings and first stage, their prior deviations, and their largest decreases, as in
-        `fitting.model.bearings`.
+        Unknowns of the drive's own bearings, friction and first stage, their prior deviations, and their largest
+        decreases, as in `fitting.model.bearings`.
     first_stage
         First stage, for curves of a whole reducer.
     chain_prior
         Usual size of the chain's compliance, rad/(N·m): a small share of the gear pair's own.
     constraints
         What a user has decided of the unknowns.
+    earlier
+        What earlier measurements have told of the unknowns.
+    form
+        Derivatives by the orders of `profile`, shape (points, orders), rad/m; None: those of the model, which has none
+        on bearings.
     """
 
     curves: tuple[Curve, ...]
@@ -154,6 +163,8 @@ class Observations:
     first_stage: FirstStage | None = None
     chain_prior: float = 0.0
     constraints: Constraints | None = None
+    earlier: Posterior | None = None
+    form: Array | None = None
 
     @property
     def running(self) -> list[int]:
@@ -164,6 +175,27 @@ class Observations:
     def of_loops(self) -> NDArray[np.bool_]:
         """Which points are of loops, shape (points,)."""
         return np.concatenate([np.full(c.input_angle.size, bool(c.branch)) for c in self.curves])
+
+    @property
+    def of_lost_motions(self) -> NDArray[np.bool_]:
+        """Which points are of lost motions, shape (points,)."""
+        return np.concatenate([np.full(c.input_angle.size, c.branch == LOST_MOTION) for c in self.curves])
+
+    def rows_of_curves(self, rows: Array) -> list[Array]:
+        """Return the rows of each curve from all rows of a fit."""
+        sizes = [1 if c.branch == LOST_MOTION else c.input_angle.size for c in self.curves]
+        return np.split(rows, np.cumsum(sizes)[:-1])
+
+    def rows(self, points: Array) -> Array:
+        """Return the rows of a fit from its points, the first axis: each lost motion is one row, a mean difference."""
+        if not any(c.branch == LOST_MOTION for c in self.curves):
+            return points
+        parts = np.split(points, self.ends)
+        for number, curve in enumerate(self.curves):
+            if curve.branch == LOST_MOTION:
+                first, second = np.split(parts[number], 2)
+                parts[number] = (first - second).mean(axis=0, keepdims=True)
+        return np.concatenate(parts)
 
     @property
     def torque(self) -> Array:
@@ -217,6 +249,8 @@ class Observations:
 
     def least(self, group: str) -> float:
         """Smallest size of a group of `estimated`: rad, of the chain rad/(N·m)."""
+        if group == HYSTERESIS and any(map(is_coefficient, self.bearing_names)):
+            return BENCH_HYSTERESIS  # unknown friction must not be certain from what the bench does between directions
         return self.chain_prior if group == CHAIN else NO_CREEP
 
     def with_sizes(self, sizes: Mapping[str, float]) -> Observations:
@@ -271,6 +305,7 @@ class Observations:
             weight=self.weight[every],
             bench=self.bench[every],
             ripple=None if self.ripple is None else self.ripple[every],
+            form=None if self.form is None else self.form[every],
         )
 
     def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Observations:
@@ -285,6 +320,7 @@ class Observations:
             bench=self.bench[part],
             give=None if self.give is None else self.give[list(numbers)],
             ripple=None if self.ripple is None else self.ripple[part],
+            form=None if self.form is None else self.form[part],
         )
 
 
@@ -295,6 +331,7 @@ def observations(
     profile: Mapping[str, float] | None = None,
     first_stage: FirstStage | None = None,
     constraints: Constraints | None = None,
+    earlier: Posterior | None = None,
 ) -> Observations:
     """Return curves as observations of a pair.
 
@@ -310,7 +347,7 @@ def observations(
         Orders of the profile deviation to consider too, with their prior sizes, m.
     first_stage
         First stage of the curves, which are over the angle of ideal cranks (`fitting.model.first_stage.of_cranks`).
-    constraints
+    constraints, earlier
         As in `Observations`.
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
@@ -366,7 +403,7 @@ def observations(
     if turning:
         names.append(HYSTERESIS)
         columns.append(np.repeat([float(c.direction) * (i in turning) for i, c in enumerate(curves)], sizes))
-        priors.append(NO_CREEP)
+        priors.append(BENCH_HYSTERESIS if unknown_coefficients(pair) else NO_CREEP)
     largest = max(float(np.abs(torque).max()), 1e-9)
     nominal = solve(DriveValue.as_stated(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
     names.append(CHAIN)
@@ -390,6 +427,7 @@ def observations(
         first_stage=first_stage,
         chain_prior=priors[-1],
         constraints=constraints,
+        earlier=earlier,
     )
 
 
@@ -411,9 +449,9 @@ class State:
         The friction torques of curves and of loops without load (N·m), and the growth of the latter with the load at
         the flanks: F = F_0 + mu |M|.
     bearings
-        Deviations of each bearing's stiffness and clearance from the pair file, in the order of
-        `Observations.bearing_names`: logarithms of stiffness, m, and rad of a first stage's play; none where nothing
-        of them is unknown.
+        Deviations of each bearing's stiffness and clearance and of friction coefficients from the pair file, in the
+        order of `Observations.bearing_names`: logarithms of stiffness and coefficients, m, and rad of a first stage's
+        play; none where nothing of them is unknown.
     """
 
     surface: ErrorSurface
@@ -553,7 +591,8 @@ def linearised_curve(
     The model is the exact one, or near a drive the linearised one, without the crank's zero and form.
     """
     curve = observed.curves[number]
-    against = -float(curve.direction) * np.sign(curve.ratio)
+    # The torques of a lost motion are those at the flanks: they include friction.
+    against = -float(curve.direction) * np.sign(curve.ratio) * (curve.branch != LOST_MOTION)
     torque, least = observed.torque_of(number), _LEAST_TORQUE * curve.torque
     growth = min(state.loop_friction_per_load, _SELF_LOCKING) if curve.branch else 0.0
     # M = T ± (F_0 + mu |M|) at the flanks.
@@ -573,7 +612,8 @@ def linearised_curve(
         beside = 0.5 * np.sign(torque) * observed.first_stage.bearing_play - w / pair.gear_teeth
     by_bearing = np.zeros((torque.size, 0))
     if around is None:
-        found = sensitivity(DriveValue(pair_with(pair, bearings), surface), s * torque, at + w)
+        drive = DriveValue(pair_with(pair, bearings), surface)
+        found, by_friction_of_drive = curve_sensitivity(drive, s * torque, at + w, curve, pair, observed.first_stage)
         model, each, by_crank, by_torque = (
             found.transmission_error,
             found.by_displacement,
@@ -581,13 +621,16 @@ def linearised_curve(
             found.by_torque,
         )
         if pair.supports is not None:
-            by_bearing = found.by_bearing[:, [LAWS.index(n) for n in observed.bearing_names if n in LAWS]]
+            by_law = found.by_bearing[:, [LAWS.index(n) for n in observed.bearing_names if n in LAWS]]
+            by_bearing = np.hstack([by_law, by_friction_of_drive])
     else:
         model, each, by_torque = around[number].sensitivities(displacement_vector(pair, surface), torque)
         by_crank = np.zeros_like(model)
     jacobian = each @ displacement_columns(pair, observed.errors)
     profiles = [i for i, name in enumerate(observed.errors) if profile_wave(name, 1) is not None]
-    if profiles and around is None and pair.supports is None:
+    if profiles and observed.form is not None:
+        jacobian[:, profiles] = np.split(observed.form, observed.ends)[number]
+    elif profiles and around is None and pair.supports is None:
         of_form = [observed.errors[i] for i in profiles]
         jacobian[:, profiles] = form_sensitivity(DriveValue(pair, surface), model, at + w, of_form)
     scatter = scatter_columns(pair, each)

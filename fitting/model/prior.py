@@ -1,20 +1,32 @@
-"""Priors of errors: usual sizes, and those from tolerances."""
+"""Priors of errors: usual sizes, those from tolerances, and what earlier measurements have told."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.first_stage import FirstStage
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, sample_surface
-from cycloid_fmu.surfaces.structured import profile_names, profile_wave, unit_of
-from cycloid_fmu.surfaces.surface import Elements
+from cycloid_fmu.surfaces.structured import profile_names, profile_wave, structured_value, unit_of, with_structured
+from cycloid_fmu.surfaces.surface import Elements, surface_of_pair
+from fitting.model.bearings import sizes_of, unknown_bearings
 from fitting.model.constraints import Constraints
-from fitting.model.observations import ORDERS, PROFILE_ORDERS, estimated_parts
+from fitting.model.observations import (
+    ORDERS,
+    PROFILE_ORDERS,
+    errors_of,
+    estimated_parts,
+    scatter_between,
+    scatter_names,
+)
+from fitting.model.posterior import Posterior, factor_rows
 
 Array = NDArray[np.float64]
 TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # prior standard deviation of an error
@@ -47,6 +59,69 @@ class Prior:
     profile: Mapping[str, float] = field(default_factory=dict)
     first_stage: FirstStage | None = None
     constraints: Constraints | None = None
+
+
+def posterior_of(drive: Drive, also: Sequence[str] = ()) -> Posterior:
+    """Return what the fit has told whose covariance a drive's surface has.
+
+    Its bench is unknown; bearings and first stage have the prior uncertainty of a fit.
+
+    Parameters
+    ----------
+    drive
+        The drive.
+    also
+        Further errors, which were constants in the fit.
+
+    Raises
+    ------
+    edge.ArgumentError
+        If the surface has no covariance.
+    """
+    pair, surface, scatter = drive.pair, drive.surface, scatter_names(drive.pair)
+    if surface.covariance is None:
+        raise edge.ArgumentError("drive", "has no covariance of a fit; give what identify or recalibrate found")
+    names = surface.covariance_of
+    errors = [n for n in names if n not in set(scatter)]
+    errors += [n for n in also if n not in errors]
+    bearings = unknown_bearings(pair, drive.first_stage)
+    every = [*errors, *bearings, *scatter]
+    sizes = [*np.zeros(len(errors)), *sizes_of(pair, drive.first_stage), *np.zeros(len(scatter))]
+    covariance = np.diag(np.square(sizes))
+    at = [every.index(n) for n in names]
+    covariance[np.ix_(at, at)] = surface.covariance
+    return posterior_about(drive, errors, bearings, np.zeros(len(bearings)), covariance)
+
+
+def posterior_about(
+    drive: Drive, errors: Sequence[str], bench: Sequence[str], bench_mean: Array, covariance: Array
+) -> Posterior:
+    """Return a distribution about a drive: its errors are those of its surface, from which the scatter counts.
+
+    The arguments are the attributes of a `Posterior`; the bearings' means are zero.
+    """
+    plain, scatter = drive.surface.replace(covariance=None, covariance_of=()), scatter_names(drive.pair)
+    values = [structured_value(plain, n) for n in errors]
+    mean = np.concatenate([values, bench_mean, np.zeros(len(scatter))])
+    return Posterior(drive, plain, tuple(errors), tuple(bench), tuple(scatter), mean, covariance)
+
+
+def posterior_as_json(posterior: Posterior) -> dict[str, Any]:
+    """Return a posterior as in a `cycloid-identification/1` file, SI: `factor` times its transpose is the covariance.
+
+    All that the surface has beside structured errors counts as scatter.
+    """
+    surface, orders = posterior.plain, [n for n in posterior.errors if profile_wave(n, 1) is not None]
+    values = {n: structured_value(surface, n) for n in (*errors_of(posterior.drive.pair), *orders)}
+    structured = with_structured(surface_of_pair(posterior.drive.pair.nominal), values)
+    mean = posterior.mean.copy()
+    mean[len(mean) - len(posterior.scatter) :] = scatter_between(posterior.drive.surface, structured)
+    return {
+        "errors": list(posterior.errors),
+        "bench": list(posterior.bench),
+        "mean": [float(f"{v:.12g}") for v in mean],
+        "factor": factor_rows(posterior.covariance),
+    }
 
 
 def prior_of(pair: Pair, tolerances: Tolerances) -> Prior:

@@ -16,6 +16,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, ErrorSurface, surface_of_pair
 from fitting.model.bearings import unit_of_bearing
+from fitting.model.gaussian import Evidence
 from fitting.model.observations import (
     CHAIN,
     KNOWN_SIZES,
@@ -84,7 +85,9 @@ class Unknowns:
         self, pair: Pair, observed: Observations, errors: Sequence[str], prior: ErrorSurface | None = None
     ) -> None:
         self.pair, self.chosen = pair, list(errors)
-        self.prior = surface_of_pair(pair) if prior is None else prior
+        before = observed.earlier
+        usual_prior = surface_of_pair(pair) if before is None else before.plain
+        self.prior = usual_prior if prior is None else prior
         self.fit_crank, self.with_loops = observed.fit_crank, observed.with_loops
         crank, of_scatter = ["crank_angle_offset"] * observed.fit_crank, scatter_parts(pair)
         friction, scatter = observed.friction_names, scatter_names(pair)
@@ -96,7 +99,9 @@ class Unknowns:
         self.nuisances = slice(ends[0], ends[4])
         of_scatter = {n: slice(p.start + ends[4], p.stop + ends[4]) for n, p in of_scatter.items()}
         of_bench = {n: slice(p.start + ends[0], p.stop + ends[0]) for n, p in observed.estimated.items()}
-        self.parts = {**of_scatter, **of_bench}
+        own = set() if before is None else set(before.names)
+        groups = {**of_scatter, **of_bench}
+        self.parts = {n: p for n, p in groups.items() if not own & set(self.names[p])}
         self._least = {**dict.fromkeys(of_scatter, 1e-2 * NO_SCATTER), **{n: observed.least(n) for n in of_bench}}
         usual = np.array([observed.profile.get(n, np.inf) for n in errors])
         usual = np.concatenate([usual, observed.bench_prior, observed.friction_priors, np.full(len(crank), np.inf)])
@@ -110,7 +115,9 @@ class Unknowns:
             self.scale[part] = _SCATTER_SCALE[unit_of(name)]
         for name, part in of_bench.items():
             self.scale[part] = self.scale[part] if name == CHAIN else _CREEP_SCALE
-        self.known = np.where(np.isfinite(usual), 1.0, UNKNOWN)
+        is_told = np.array([name in own for name in self.names], bool)
+        self.known = np.where(np.isfinite(usual) & ~is_told, 1.0, UNKNOWN)
+        self._before = None if before is None else before.rows(self.names, self.scale)
         self._sizes = {**KNOWN_SIZES, **{n: float(usual[part.start]) for n, part in of_bench.items()}}
         self.low, self.high = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
         self.low[self.errors], self.high[self.errors] = np.reshape([possible(pair, n) for n in errors], (-1, 2)).T
@@ -176,6 +183,23 @@ class Unknowns:
         columns *= observed.weight[:, None]
         columns *= self.scale
         return columns
+
+    def earlier_rows(self, vector: Array) -> tuple[Array, Array]:
+        """Return what earlier measurements tell as rows of the linear model at a vector.
+
+        Returns
+        -------
+        columns, residual
+            In units of their noise, shape (rows, unknowns) and (rows,); no rows without earlier measurements.
+        """
+        if self._before is None:
+            return np.zeros((0, vector.size)), np.zeros(0)
+        columns, values = self._before
+        return columns, values - columns @ vector
+
+    def earlier(self, vector: Array) -> Evidence:
+        """Return what earlier measurements tell at a vector."""
+        return Evidence.of(*self.earlier_rows(vector))
 
     def within(self, vector: Array) -> Array:
         """Return the nearest vector within the bounds whose tied unknowns are what their expressions say."""

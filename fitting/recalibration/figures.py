@@ -12,9 +12,10 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
 from fitting.estimation.parameter import NORMAL
 from fitting.model.gaussian import factor_of
-from fitting.model.observations import State, scatter_names
-from fitting.recalibration.known import Known
-from fitting.recalibration.measured import Field, LostMotion, field_of, linearised
+from fitting.model.observations import State
+from fitting.model.posterior import Posterior
+from fitting.model.unknowns import Unknowns
+from fitting.recalibration.measured import LostMotion, linear_near, observed_in_place
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
@@ -41,39 +42,34 @@ class Gradient:
     values
         {figure: rad}, means over an output turn: `backlash`, and with a rated torque `lost_motion` at ± 3 % of it.
     gradients
-        {figure: derivatives in the order of `Known.covariance`}; those with respect to the bench are 0.
+        {figure: derivatives by the unknowns of the posterior}; those with respect to the bench are 0.
     error, by_error
         With a rated torque, the transmission error at this torque over an output turn, rad, shape (angles,), and its
         derivatives.
     """
 
-    def __init__(self, drive: Drive, known: Known) -> None:
-        pair, rated = drive.pair, drive.pair.rated_torque
+    def __init__(self, posterior: Posterior) -> None:
+        drive, pair, rated = posterior.drive, posterior.drive.pair, posterior.drive.pair.rated_torque
         wanted = [LostMotion(0.0, 1.0, _NO_TORQUE)]
         turn = _turn(drive) if rated is not None else []
         if rated is not None:
             wanted.append(LostMotion(0.0, 1.0, LOST_MOTION_LOAD * rated))
-        field = field_of(turn, wanted, drive, known.errors, noise=[1.0] * len(turn))
-        observed = field.observed
-        surface = drive.surface.replace(covariance=None, covariance_of=())
-        state = State(surface, np.zeros(len(scatter_names(pair))), np.zeros(len(observed.bench_names)))
-        linear, _ = linearised(pair, observed, state)
-        structured = linear.structured[:, [observed.errors.index(n) for n in known.errors]]
-        beside = np.zeros((linear.model.size, len(known.bench)))
-        beside[:, [known.bench.index(n) for n in observed.bearing_names]] = linear.bearings
-        columns = np.hstack([structured, beside, linear.scatter])
-        running = field.running
-        value, slope = _plain(field, linear.model), _plain(field, columns)
+        observed = observed_in_place(turn, wanted, posterior, noise=[1.0] * len(turn))
+        bench = np.zeros(len(observed.bench_names))
+        observed, linear = linear_near(observed, drive, State(drive.surface, posterior.scatter_mean, bench))
+        observed = dataclasses.replace(observed, weight=np.ones_like(observed.weight))
+        unknowns = Unknowns(pair, observed, posterior.errors)
+        columns = unknowns.columns(observed, linear) / unknowns.scale
+        by_gear = np.zeros((linear.model.size, len(posterior.names)))
+        for number, name in enumerate(posterior.names):
+            if name in unknowns.names and name not in observed.bench_names:
+                by_gear[:, number] = columns[:, unknowns.names.index(name)]
+        value, slope = observed.rows(linear.model), observed.rows(by_gear)
+        running = len(value) - len(wanted)
         names = ("backlash", "lost_motion")[: len(wanted)]
         self.values = {n: max(float(v), 0.0) for n, v in zip(names, value[running:], strict=True)}
         self.gradients = dict(zip(names, slope[running:], strict=True))
         self.error, self.by_error = value[:running], slope[:running]
-
-
-def _plain(field: Field, points: Array) -> Array:
-    """Return rows in rad instead of units of the noise."""
-    ones = tuple(dataclasses.replace(one, standard_error=1.0) for one in field.lost_motions)
-    return Field(field.observed, ones).reduced(points)
 
 
 def _turn(drive: Drive) -> list[Curve]:
@@ -99,15 +95,14 @@ def _turn(drive: Drive) -> list[Curve]:
     ]
 
 
-def figures_of(drive: Drive, known: Known, gradient: Gradient | None = None) -> dict[str, FigureOfDrive]:
+def figures_of(posterior: Posterior) -> dict[str, FigureOfDrive]:
     """Return a drive's figures with their intervals.
 
     `backlash` is the mean over an output turn. With a rated torque there are also `lost_motion`, the mean at ± 3 % of
     it, and `transmission_error`, peak to peak over an output turn at this torque: median and interval of drives drawn
     from the distribution. All are in rad.
     """
-    gradient = gradient or Gradient(drive, known)
-    covariance = known.covariance
+    gradient, covariance = Gradient(posterior), posterior.covariance
     found = {}
     for name, value in gradient.values.items():
         slope = gradient.gradients[name]

@@ -10,8 +10,9 @@ import numpy as np
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
+from fitting.model.prior import posterior_about
+from fitting.recalibration.drift import fitted_drive
 from fitting.recalibration.figures import FigureOfDrive
-from fitting.recalibration.known import Known, known_of
 from fitting.recalibration.recalibrate import Dated, Recalibration
 
 FORMAT = "cycloid-recalibration/1"
@@ -19,8 +20,8 @@ FORMAT = "cycloid-recalibration/1"
 
 def as_json(result: Recalibration) -> dict[str, Any]:
     """Return a recalibration as the content of a `cycloid-recalibration/1` file (SI)."""
-    known = result.known
-    count = len(known.errors)
+    posterior = result.posterior
+    count = len(posterior.errors)
     return {
         "format": FORMAT,
         "alarm": result.alarm,
@@ -40,9 +41,9 @@ def as_json(result: Recalibration) -> dict[str, Any]:
         "drift_chance": result.drift_chance,
         "left_chance": result.left_chance,
         "bench": {
-            "names": list(known.bench),
-            "mean": known.bench_mean,
-            "covariance": known.covariance[count : count + len(known.bench)],
+            "names": list(posterior.bench),
+            "mean": posterior.bench_mean,
+            "covariance": posterior.covariance[count : count + len(posterior.bench)],
         },
         "notes": list(result.notes),
     }
@@ -78,11 +79,11 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
             f"{path}: it belongs to the drive {edge.shown(data.get('drive'))}, this one is {drive.hash}; give the pair "
             "and the surface that were written with it."
         )
-    own = known_of(drive)
+    own = fitted_drive(drive)
     with edge.parsed_by_others(path, "it is not as recalibrate writes it"):
         bench = data["bench"]
         names = tuple(str(n) for n in bench["names"])
-        of_surface = own.of_surface()
+        of_surface = own.of_surface
         count, size = len(own.errors), len(of_surface) + len(names)
         rows = np.array(bench["covariance"], dtype=float).reshape(len(names), size)
         covariance = np.zeros((size, size))
@@ -118,7 +119,7 @@ def read_recalibration(path: str | os.PathLike[str], drive: Drive) -> Recalibrat
             remaining=int(data["remaining"]),
             drift_chance=float(data["drift_chance"]),
             left_chance=float(data["left_chance"]),
-            known=Known(own.errors, names, mean, covariance),
+            posterior=posterior_about(drive, own.errors, names, mean, covariance),
             notes=tuple(str(one) for one in data["notes"]),
         )
         if not found.history:

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
-from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, profile_wave
 from fitting.arguments import positive
 from fitting.model.observations import (
+    CHAIN,
     COMPLIANCE_SHARE,
+    CREEP,
+    LOST_MOTION,
     PROFILE_ORDERS,
     Linear,
     Observations,
@@ -24,6 +26,7 @@ from fitting.model.observations import (
     linearise,
     observations,
 )
+from fitting.model.posterior import Posterior
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
@@ -31,15 +34,17 @@ Array = NDArray[np.float64]
 # Means over steps wider than a pin pitch hide single pins: with 4000 points of a 39/40 drive the backlash changed by up
 # to three standard errors.
 POINTS = 10000  # largest number in an update: more samples are averaged
-_COARSE = 2500  # number of points in the first steps of an update
 _LEAST = 12  # smallest number of points per crank turn
 _AVERAGED = 1.3  # points per step from which on they are averaged
 TORQUE_SHARE = 0.05
 """Standard deviation of the scale of a torque from the motor's current or the load's weight."""
 FRICTION_SHARE = 0.01  # unknown friction at the output over the rated torque, or over the largest measured one
+FRICTION_OF = "friction_torque_of_"  # a run
 _OWN_FRICTION = 0.5  # standard deviation of a single run's friction over this friction
 _REFERENCE_ORDERS = (2, 3, 4)  # per output turn: errors of the encoder; order 1 is its eccentricity
 _REFERENCE = 1e-4  # rad: standard deviation of each order
+SIZES = {CREEP: 1e-6}
+"""Standard deviation of a common zero's creep from one recording to the next, rad."""
 _FORM = 1e-6  # m: scale of the orders of the profile deviation
 _ANGLES = 10  # angles per crank turn, over an output turn, for a mean lost motion
 
@@ -127,62 +132,18 @@ def quantised(curve: Curve, bits: int) -> float:
     return float(step / np.sqrt(12.0) / np.sqrt(max(min(samples, max(passed, 1.0) * max(curve.turns, 1.0)), 1.0)))
 
 
-@dataclass(frozen=True)
-class Field:
-    """Measurements as observations of a pair: points of the curves, then those of lost motions, used as differences.
-
-    Attributes
-    ----------
-    observed
-        All points; the weights of lost motions are 1.
-    lost_motions
-        The measured values, in the order of their curves, which are the last ones of `observed.curves`.
-    own_friction
-        Standard deviation of the friction of a single run at the output, N·m.
-    """
-
-    observed: Observations
-    lost_motions: tuple[LostMotion, ...]
-    own_friction: float = 0.0
-
-    @property
-    def running(self) -> int:
-        """Number of points that are rows of their own: those of the curves."""
-        count = len(self.observed.curves) - len(self.lost_motions)
-        return int(sum(c.input_angle.size for c in self.observed.curves[:count]))
-
-    def thinned(self) -> Field:
-        """Return the field with fewer points, for the first steps of an update, or the same field if it has few."""
-        pairs = self.observed.measured.size - self.running
-        if self.running <= _COARSE:
-            return self
-        few = self.observed.thinned(round(_COARSE * (1.0 + pairs / self.running)))
-        return dataclasses.replace(self, observed=few)
-
-    def reduced(self, points: Array) -> Array:
-        """Return rows from points: the points of a lost motion become one row in units of its standard error."""
-        rows = [points[: self.running]]
-        at = self.running
-        for one, curve in zip(self.lost_motions, self.observed.curves[-len(self.lost_motions) or None :], strict=False):
-            half = curve.input_angle.size // 2
-            there = points[at : at + 2 * half]
-            rows.append((there[:half] - there[half:]).mean(axis=0, keepdims=True) / one.standard_error)
-            at += 2 * half
-        return np.concatenate(rows)
-
-
-def sides(pair: Pair, torque: float, crank_angle: float | None, number: int, ratio: float) -> Curve:
-    """Return the points of a lost motion: the output loaded in either direction (N·m) at the same crank angles."""
+def sides(lost_motion: LostMotion, teeth: int, number: int, ratio: float) -> Curve:
+    """Return the points of a lost motion: the output loaded in either direction at the same crank angles."""
     # One angle more than a whole number per crank turn, so that no order of pins or teeth is aliased.
-    count = _ANGLES * pair.gear_teeth + 1
-    every = np.arange(count) * 2.0 * np.pi * pair.gear_teeth / count
-    angle = every if crank_angle is None else np.array([crank_angle])
-    count = angle.size
+    count = _ANGLES * teeth + 1
+    every = np.arange(count) * 2.0 * np.pi * teeth / count
+    angle = every if lost_motion.crank_angle is None else np.array([lost_motion.crank_angle])
+    half = np.repeat([0.5, -0.5], angle.size)
     return Curve(
         input_angle=np.tile(angle, 2),
-        transmission_error=np.zeros(2 * count),
-        standard_error=np.full(2 * count, np.nan),
-        sample_count=np.ones(2 * count, dtype=np.int64),
+        transmission_error=lost_motion.value * half,
+        standard_error=np.full(half.size, np.nan),
+        sample_count=np.ones(half.size, dtype=np.int64),
         torque=0.0,
         torque_deviation=0.0,
         direction=1,
@@ -191,55 +152,41 @@ def sides(pair: Pair, torque: float, crank_angle: float | None, number: int, rat
         known_index=True,
         source=f"lost motion {number + 1}",
         checksum="",
-        torque_each=np.repeat([torque, -torque], count),
-        branch="lost motion",
+        torque_each=2.0 * lost_motion.torque * half,
+        branch=LOST_MOTION,
     )
 
 
-def linearised(pair: Pair, observed: Observations, state: State, form: Array | None = None) -> tuple[Linear, Array]:
-    """Evaluate the model and its derivatives, including those with respect to the orders of the flank form.
-
-    Returns
-    -------
-    linear, form
-        The model, and its derivatives with respect to `observed.profile`, shape (points, orders): the given ones, or
-        those at the state if they are None. For drives on bearings they are finite differences, the slowest part.
-    """
-    plain = dataclasses.replace(observed, errors=tuple(n for n in observed.errors if n not in observed.profile))
-    linear = linearise(pair, plain, state)
-    if form is None:
-        names = profile_names(PROFILE_ORDERS)
-        every = form_columns(pair, observed, state, linear, _FORM) if observed.profile else np.zeros((0, 0))
-        form = every[:, [names.index(n) for n in observed.profile]] if observed.profile else linear.structured[:, :0]
-    return dataclasses.replace(linear, structured=np.hstack([linear.structured, form])), form
-
-
-def field_of(
+def observed_in_place(
     curves: Sequence[Curve],
     lost_motions: Sequence[LostMotion],
-    drive: Drive,
-    errors: Sequence[str],
+    earlier: Posterior,
     *,
     bits: int | None = None,
     torque_share: float = TORQUE_SHARE,
     noise: Sequence[float] | None = None,
-) -> Field:
-    """Return measurements as observations.
+) -> Observations:
+    """Return measurements of a joint as observations: points of the curves, then those of the lost motions.
 
     Parameters
     ----------
     curves, lost_motions
         Measurements, at least one of either kind.
-    drive, errors
-        The drive at its last state, and the structured errors with a known distribution.
+    earlier
+        What is known of the drive at this date.
     bits
         Resolution of the output reference, bits per turn; None if the noise of the curves includes it.
     torque_share
         Standard deviation of the torque's scale.
     noise
         Noise of a sample of each curve, rad, for a plan.
+
+    Raises
+    ------
+    edge.InputError
+        If nothing was measured.
     """
-    pair = drive.pair
+    pair = earlier.drive.pair
     means, shown = list(curves), []
     if noise is None:
         noise = [noise_of(c) * np.sqrt(np.median(c.sample_count)) for c in curves]
@@ -249,37 +196,43 @@ def field_of(
         coarse = 0.0 if bits is None or curve.branch else quantised(curve, bits)
         shown.append(max(white / np.sqrt(np.median(curve.sample_count)), coarse, 1e-9))
     ratio = pair.ratio if not means else means[0].ratio
-    pseudo = [sides(pair, one.torque, one.crank_angle, i, ratio) for i, one in enumerate(lost_motions)]
+    pseudo = [sides(one, pair.gear_teeth, i, ratio) for i, one in enumerate(lost_motions)]
     if not means and not pseudo:
         raise edge.InputError("nothing was measured: give recordings or a lost motion.")
     level = float(np.median(shown)) if shown else 1e-6
-    profile = {n: _FORM for n in errors if profile_wave(n, 1) is not None}
+    profile = {n: _FORM for n in earlier.errors if profile_wave(n, 1) is not None}
     every = [*shown, *[level] * len(pseudo)]
-    torques = [abs(c.torque) for c in means] or [0.0]
-    friction = FRICTION_SHARE * (pair.rated_torque or max(torques))
-
-    observed = observations([*means, *pseudo], pair, every, profile, drive.first_stage)
-    whole = _in_place(observed, len(means), torque_share, friction)
-    return Field(whole, tuple(lost_motions), _OWN_FRICTION * whole.friction_prior)
+    friction = FRICTION_SHARE * (pair.rated_torque or max(abs(c.torque) for c in means or pseudo))
+    means = [_with_friction(c, friction) for c in means]
+    whole = observations([*means, *pseudo], pair, every, profile, earlier.drive.first_stage, earlier=earlier)
+    return _with_reference(whole, [one.standard_error for one in lost_motions], torque_share, friction)
 
 
-def _in_place(observed: Observations, running: int, torque_share: float, friction: float) -> Observations:
-    """Return observations with the errors of a coarse reference and of the torque; the first curves are the runs."""
-    count = sum(c.input_angle.size for c in observed.curves[:running])
-    weight = observed.weight.copy()
-    weight[count:] = 1.0
+def _with_friction(curve: Curve, friction: float) -> Curve:
+    """Return a run with the expected friction in its torque: friction opposes the motion, so its mean is not zero."""
+    if curve.branch:
+        return curve
+    by = -float(curve.direction) * float(np.sign(curve.ratio)) * friction
+    each = curve.torque_each
+    return dataclasses.replace(curve, torque=curve.torque + by, torque_each=None if each is None else each + by)
+
+
+def _with_reference(
+    observed: Observations, standard_errors: Sequence[float], torque_share: float, friction: float
+) -> Observations:
+    """Return observations with errors of a coarse reference and of the torque; lost motions are the last curves."""
+    running, weight = ~observed.of_lost_motions, observed.weight.copy()
+    sizes = [c.input_angle.size for c in observed.curves[len(observed.curves) - len(standard_errors) :]]
+    weight[~running] = np.repeat(1.0 / np.array(standard_errors), sizes)
     angle = np.concatenate([c.input_angle for c in observed.curves]) / abs(observed.curves[0].ratio)
-    names, columns = [], []
-    for order in _REFERENCE_ORDERS if running else ():
+    names, columns = [], [observed.bench]
+    for order in _REFERENCE_ORDERS if running.any() else ():
         names += [f"output_encoder_order_{order}_{part}" for part in ("cos", "sin")]
-        columns += [np.cos(order * angle), np.sin(order * angle)]
-    extra = np.array(columns).T if columns else np.zeros((angle.size, 0))
+        columns += [np.cos(order * angle)[:, None], np.sin(order * angle)[:, None]]
+    bench, prior = np.hstack(columns), np.concatenate([observed.bench_prior, np.full(len(names), _REFERENCE)])
+    at_chain = observed.bench_names.index(CHAIN)
     # A lost motion is measured at one position of the reference, so its errors cancel.
-    bench = np.hstack([observed.bench, extra])
-    at_chain = observed.bench_names.index("chain_compliance")
-    others = [i for i in range(bench.shape[1]) if i != at_chain]
-    bench[np.ix_(range(count, len(bench)), others)] = 0.0
-    prior = np.concatenate([observed.bench_prior, np.full(len(names), _REFERENCE)])
+    bench[np.ix_(~running, np.arange(bench.shape[1]) != at_chain)] = 0.0
     prior[at_chain] *= np.hypot(COMPLIANCE_SHARE, torque_share) / COMPLIANCE_SHARE
     return dataclasses.replace(
         observed,
@@ -289,3 +242,28 @@ def _in_place(observed: Observations, running: int, torque_share: float, frictio
         bench_names=(*observed.bench_names, *names),
         friction_prior=max(observed.friction_prior, friction),
     )
+
+
+def linear_near(observed: Observations, drive: Drive, state: State) -> tuple[Observations, Linear]:
+    """Return observations with all that is linear near a state, and the model there.
+
+    These are the orders of the flank form, for drives on bearings finite differences and the slowest part, and the
+    friction of each run beside the common one.
+    """
+    at = [profile_names(PROFILE_ORDERS).index(n) for n in observed.profile]
+    observed = dataclasses.replace(observed, form=np.zeros((observed.measured.size, len(at))))
+    linear = linearise(drive.pair, observed, state)
+    if at:
+        form = form_columns(drive.pair, observed, state, linear, _FORM)[:, at]
+        observed = dataclasses.replace(observed, form=form)
+        linear.structured[:, [observed.errors.index(n) for n in observed.profile]] = form
+    number = np.repeat(np.arange(len(observed.curves)), [c.input_angle.size for c in observed.curves])
+    own = linear.by_friction[:, None] * (number[:, None] == observed.running)
+    names = [f"{FRICTION_OF}{i}" for i in observed.running]
+    rest = [i for i, n in enumerate(observed.bench_names) if not n.startswith(FRICTION_OF)]
+    return dataclasses.replace(
+        observed,
+        bench=np.hstack([observed.bench[:, rest], own]),
+        bench_names=(*(observed.bench_names[i] for i in rest), *names),
+        bench_prior=np.append(observed.bench_prior[rest], [_OWN_FRICTION * observed.friction_prior] * len(names)),
+    ), linear

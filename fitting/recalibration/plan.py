@@ -14,14 +14,17 @@ from threadpoolctl import threadpool_limits
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from fitting.arguments import positive
+from fitting.estimation.continuation import state_before
 from fitting.estimation.parameter import NORMAL
 from fitting.estimation.plan import planned_curve
 from fitting.model.gaussian import Evidence
+from fitting.model.posterior import Posterior
+from fitting.model.unknowns import Unknowns
+from fitting.recalibration.drift import DRIFT, drifted, fitted_drive
 from fitting.recalibration.figures import Gradient
-from fitting.recalibration.known import DRIFT, Known, drifted, known_of
-from fitting.recalibration.measured import TORQUE_SHARE, LostMotion, field_of, quantised
+from fitting.recalibration.measured import SIZES, TORQUE_SHARE, LostMotion, linear_near, observed_in_place, quantised
 from fitting.recalibration.recalibrate import Recalibration
-from fitting.recalibration.update import Rows
+from fitting.recalibration.update import with_joint
 
 Array = NDArray[np.float64]
 
@@ -109,8 +112,8 @@ def plan_visit(
     passing = None if mark is None else positive(mark, "rad", "mark")
     if not 8 <= bits <= 32:
         raise edge.ArgumentError("bits", "it must be from 8 to 32", bits)
-    drive, known = (before.drive, before.known) if isinstance(before, Recalibration) else (before, known_of(before))
-    known = drifted(known, drive.pair, turns, walked)
+    known = before.posterior if isinstance(before, Recalibration) else fitted_drive(before)
+    known = drifted(known, turns, walked)
     sets: dict[str, tuple[list[tuple[float, int]], list[LostMotion]]] = {}
     for load in loads:
         sets[f"{load:g} N·m one way"] = [(load, 1)], []
@@ -123,10 +126,9 @@ def plan_visit(
         marks = [LostMotion(0.0, passing * np.sqrt(2.0), loads[-1], 0.0)]
         sets[f"an index mark passed both ways at {loads[-1]:g} N·m"] = [], marks
     with threadpool_limits(limits=1, user_api="blas"):
-        gradient = Gradient(drive, known).gradients["backlash"]
+        gradient = Gradient(known).gradients["backlash"]
         widths = {
-            words: _half_widths(drive, known, gradient, runs, marks, bits, share)
-            for words, (runs, marks) in sets.items()
+            words: _half_widths(known, gradient, runs, marks, bits, share) for words, (runs, marks) in sets.items()
         }
     visits = [
         PlannedVisit(words, width, next((t for t in TURNS if goal is not None and width[t] <= goal), None))
@@ -136,8 +138,7 @@ def plan_visit(
 
 
 def _half_widths(
-    drive: Drive,
-    known: Known,
+    known: Posterior,
     gradient: Array,
     runs: Sequence[tuple[float, int]],
     marks: Sequence[LostMotion],
@@ -145,20 +146,21 @@ def _half_widths(
     share: float,
 ) -> dict[int, float]:
     """Return half of the backlash's 95 % interval after each of `TURNS` of a set of runs, or passings of marks, rad."""
-    ratio = drive.pair.ratio
+    ratio = known.drive.pair.ratio
     thick = round(_SAMPLES / _EACH)
     curves = [planned_curve(ratio, way * load, way, 1.0, _EACH) for load, way in runs]
     curves = [dataclasses.replace(c, sample_count=np.full_like(c.sample_count, thick)) for c in curves]
     noise = [quantised(c, bits) * np.sqrt(thick) for c in curves]
-    field = field_of(curves, marks, drive, known.errors, torque_share=share, noise=noise)
-    rows = Rows(drive, known, field)
-    columns = rows.evaluated(np.zeros(len(rows.names))).columns @ rows.factor
-    slope = np.zeros(len(rows.names))
-    slope[[rows.names.index(n) for n in known.names(drive.pair)]] = gradient
-    slope = slope @ rows.factor
-    prior = np.ones(len(rows.names))
+    observed, names = observed_in_place(curves, marks, known, torque_share=share, noise=noise), known.names
+    known = with_joint(known, observed)
+    state = state_before(known, observed)
+    observed, linear = linear_near(dataclasses.replace(observed, earlier=known), known.drive, state)
+    unknowns = Unknowns(known.drive.pair, observed, known.errors)
+    told = Evidence.of(observed.rows(unknowns.columns(observed, linear)))
+    by_name = dict(zip(names, gradient.tolist(), strict=True))
+    slope = unknowns.scale * [by_name.get(name, 0.0) for name in unknowns.names]
     widths = {}
     for count in TURNS:
-        posterior = Evidence.of(np.sqrt(count) * columns).posterior(prior)
+        posterior = (told.repeated(count) + unknowns.earlier(slope)).posterior(unknowns.precision(SIZES))
         widths[count] = float(NORMAL * np.sqrt(slope @ posterior.solve(slope)))
     return widths

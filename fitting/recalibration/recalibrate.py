@@ -16,14 +16,15 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.surfaces.structured import unit_of
 from fitting.arguments import positive
-from fitting.estimation.result import inflation_of
-from fitting.model.bearings import unit_of_bearing
+from fitting.estimation.continuation import check_comparable
+from fitting.model.bearings import unit_of_bearing, unknown_bearings
 from fitting.model.loops import observed_curves
+from fitting.model.posterior import Posterior
+from fitting.readers.sources import Source
+from fitting.recalibration.drift import DRIFT, drifted, fitted_drive
 from fitting.recalibration.figures import FigureOfDrive, figures_of
-from fitting.recalibration.known import DRIFT, Known, drifted, known_of
-from fitting.recalibration.measured import TORQUE_SHARE, Field, LostMotion, field_of
+from fitting.recalibration.measured import TORQUE_SHARE, LostMotion, observed_in_place
 from fitting.recalibration.update import Updated, updated
-from fitting.recordings.sources import Source
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
@@ -32,6 +33,7 @@ FALSE_ALARM = 1e-3
 """Probability of a false alarm of each of the two tests, one of the drift and one of the residual."""
 _HARMONICS = 8  # of the orders of pins and teeth in the output, at which the residual is tested
 _NAMED = 3  # most errors or orders in a message
+_LEAST_VARIANCE = 1e-9  # of a row, in units of its noise: rounding
 _WEAK = 1.0  # information below which the prior determines a combination more than the measurements do
 
 
@@ -69,8 +71,8 @@ class Recalibration:
         Number of combinations with an information below 1, which keep their prior uncertainty.
     drift_chance, left_chance
         Probability that wear causes a change as large, and that noise causes a residual as large.
-    known
-        The prior of the next date, before drift.
+    posterior
+        What is known of the drive: the prior of the next date, before drift, or of `fitting.identify`.
     notes
         Notes for the reader.
     """
@@ -84,7 +86,7 @@ class Recalibration:
     remaining: int
     drift_chance: float
     left_chance: float
-    known: Known
+    posterior: Posterior
     notes: tuple[str, ...]
 
     @property
@@ -145,10 +147,11 @@ def recalibrate(
     ('', True)
     """
     if isinstance(before, Recalibration):
-        drive, known, history = before.drive, before.known, before.history
+        known, history = before.posterior, before.history
     else:
-        drive, known = before, known_of(before)
-        history = (Dated(0.0, figures_of(drive, known)),)
+        known = fitted_drive(before)
+        history = (Dated(0.0, figures_of(known)),)
+    drive = known.drive
     turns = positive(crank_turns, "1", "crank_turns", zero=True)
     walked = positive(drift, "m", "drift", zero=True)
     share = positive(torque_share, "1", "torque_share", zero=True)
@@ -157,76 +160,40 @@ def recalibrate(
     with threadpool_limits(limits=1, user_api="blas"):
         curves = observed_curves(recordings, drive)
         for curve in curves:
-            _check_comparable(curve, drive)
-        field = field_of(curves, lost_motions, drive, known.errors, bits=bits, torque_share=share)
-        known = drifted(known, drive.pair, turns, walked)
-        found = updated(drive, known, field)
-        whitened = _white(field, found)
-        if whitened is not field:
-            field, found = whitened, updated(drive, known, whitened, found)
-        chance, sentences = left_over(field, found)
+            check_comparable(curve, drive)
+        known = drifted(known, turns, walked)
+        found = updated(observed_in_place(curves, lost_motions, known, bits=bits, torque_share=share))
+        chance, sentences = contradictions(found, lost_motions)
         alarm = alarm_of(found, sentences)
-        surface = drive.surface.replace(
-            covariance=known.of_surface(),
-            covariance_of=_names(found.drive),
-        )
-        kept = (Drive(drive.pair, surface, drive.first_stage), known) if alarm else (found.drive, found.known)
-        figures = figures_of(*kept)
+        if alarm:
+            surface = drive.surface.replace(covariance=known.of_surface, covariance_of=(*known.errors, *known.scatter))
+            stays = Drive(drive.pair, surface, drive.first_stage)
+            posterior = dataclasses.replace(known, drive=stays)
+        else:
+            posterior = found.posterior
+        figures = figures_of(posterior)
     return Recalibration(
-        drive=kept[0],
+        drive=posterior.drive,
         alarm=alarm,
         history=(*history, Dated(history[-1].crank_turns + turns, figures, alarm)),
         moved=found.moved,
         told=found.told,
-        better_known=_better_known(known, found),
+        better_known=_better_known(known, found.posterior),
         remaining=int(np.count_nonzero(found.told < _WEAK)),
         drift_chance=found.drift_chance,
         left_chance=chance,
-        known=kept[1],
-        notes=_notes(curves, found, field),
+        posterior=posterior,
+        notes=_notes(curves, found, lost_motions),
     )
 
 
-def _check_comparable(curve: Curve, drive: Drive) -> None:
-    """Refuse a curve of another drive, or one whose crank angle is not that of the known errors."""
-    if abs(curve.ratio / drive.pair.ratio - 1.0) > 1e-9:
-        raise edge.InputError(
-            f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {drive.pair.ratio:g}; it is of another drive."
-        )
-    if not curve.known_index:
-        raise edge.InputError(
-            f"{curve.source}: the crank position at an input angle of zero is unknown, so its errors cannot be "
-            "compared with the known ones; for a motor encoder that keeps its zero, state zero_reference = "
-            '"absolute" of [input_angle] in the mapping, or known_index of a Run.'
-        )
-
-
-def _names(drive: Drive) -> tuple[str, ...]:
-    return drive.surface.covariance_of
-
-
-def _white(field: Field, found: Updated) -> Field:
-    """Return the field with increased noise if the residual is not white, else the same field."""
-    observed = field.observed
-    if not observed.running:
-        return field
-    parts = np.split(found.left[: field.running], observed.ends[: len(observed.curves) - len(field.lost_motions) - 1])
-    times = inflation_of([parts[i] for i in observed.running])
-    if times < 1.05:
-        return field
-    weight = observed.weight.copy()
-    weight[: field.running] /= times
-    return dataclasses.replace(field, observed=dataclasses.replace(observed, weight=weight))
-
-
-def left_over(field: Field, found: Updated) -> tuple[float, list[str]]:
+def contradictions(found: Updated, lost_motions: Sequence[LostMotion]) -> tuple[float, list[str]]:
     """Return the probability that noise causes the residual at the gear's orders, and the significant orders as text.
 
     Residuals at other orders of the output are errors of the coarse reference and are not tested.
     """
-    observed = field.observed
-    sizes = [c.input_angle.size for c in observed.curves[: len(observed.curves) - len(field.lost_motions)]]
-    parts = np.split(found.left[: field.running], np.cumsum(sizes)[:-1]) if sizes else []
+    observed = found.observed
+    residuals = observed.rows_of_curves(found.residual)
     teeth = round(abs(observed.curves[0].ratio))
     # Pins repeat with every crank turn; teeth repeat once more or once less per output turn.
     cogs = {abs(teeth + 1), teeth} if observed.curves[0].ratio < 0 else {teeth, abs(teeth - 1)}
@@ -236,13 +203,14 @@ def left_over(field: Field, found: Updated) -> tuple[float, list[str]]:
         power = np.zeros(len(orders))
         for i in observed.running:
             turned = observed.curves[i].input_angle / abs(observed.curves[i].ratio)
-            power += np.abs(np.exp(-1j * np.outer(orders, turned)) @ parts[i]) ** 2 / turned.size
-        for order, one in zip(orders, special.gammaincc(len(observed.running), power), strict=True):
-            chances[f"order {order} of the output"] = float(one)
-    for i, one in enumerate(field.lost_motions):
-        square = found.left[field.running + i] ** 2 / found.row_variance[field.running + i]
+            power += np.abs(np.exp(-1j * np.outer(orders, turned)) @ residuals[i]) ** 2 / turned.size
+        for order, chance in zip(orders, special.gammaincc(len(observed.running), power), strict=True):
+            chances[f"order {order} of the output"] = float(chance)
+    count = len(lost_motions)
+    ends = zip(found.residual[-count:], found.variance[-count:], strict=True) if count else ()
+    for one, (residual, variance) in zip(lost_motions, ends, strict=True):
         chances[f"the lost motion of {one.value * ARCSEC:.1f}″ at {one.torque:.3g} N·m"] = float(
-            special.chdtrc(1, square)
+            special.chdtrc(1, residual**2 / max(variance, _LEAST_VARIANCE))
         )
     if not chances:
         return 1.0, []
@@ -279,36 +247,30 @@ def _sized(name: str, value: float) -> str:
     return f"{value * 1e6:+.2f} µm" if unit == "m" else f"{value * 1e3:+.3f} mrad"
 
 
-def _better_known(known: Known, found: Updated) -> tuple[str, ...]:
+def _better_known(before: Posterior, after: Posterior) -> tuple[str, ...]:
     """Return the errors that are known more accurately than before, the largest gain first."""
-    names = list(found.moved)
-    scale, after = (
-        np.array([size[n] for n in names])
-        for size in (
-            dict(zip(one.names(found.drive.pair), np.sqrt(np.diag(one.covariance)), strict=True))
-            for one in (known, found.known)
-        )
-    )
-    ratio = np.divide(after, scale, out=np.ones_like(scale), where=scale > 0.0)
-    best = np.argsort(ratio)
+    was, now = before.deviations, after.deviations
+    bearings = unknown_bearings(after.drive.pair, after.drive.first_stage)
+    ratio = {n: now[n] / was[n] for n in before.names if was[n] > 0.0 and (n not in before.bench or n in bearings)}
     return tuple(
-        f"{names[i]}: {_sized(names[i], after[i])[1:]} instead of {_sized(names[i], scale[i])[1:]}"
-        for i in best
-        if ratio[i] < np.sqrt(0.5)
+        f"{n}: {_sized(n, now[n])[1:]} instead of {_sized(n, was[n])[1:]}"
+        for n in sorted(ratio, key=lambda name: ratio[name])
+        if ratio[n] < np.sqrt(0.5)
     )
 
 
-def _notes(curves: Sequence[Curve], found: Updated, field: Field) -> tuple[str, ...]:
+def _notes(curves: Sequence[Curve], found: Updated, lost_motions: Sequence[LostMotion]) -> tuple[str, ...]:
     notes = [note for one in curves for note in one.notes]
-    if found.left_out:
-        notes.append(f"{found.left_out} of {field.running} points are far off and were left out.")
+    if found.outliers:
+        points = np.count_nonzero(~found.observed.of_lost_motions)
+        notes.append(f"{found.outliers} of {points} points are far off and were left out.")
     running = [c for c in curves if not c.branch]
     if len(running) > 1 and not all(c.common_zero for c in running):
         notes.append(
             "The recordings have no common zero, so the offset of the output between the directions is unknown: "
             'if its encoder is absolute, state zero_reference = "absolute" of [output_angle] in the mapping.'
         )
-    if not field.lost_motions and len({np.sign(c.torque) for c in running}) == 1 and len(running) == len(curves):
+    if not lost_motions and len({np.sign(c.torque) for c in running}) == 1 and len(running) == len(curves):
         notes.append(
             "All torques have one sign, so the play was not crossed: the backlash follows from one side of the flanks."
         )

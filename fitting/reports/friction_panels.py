@@ -21,7 +21,7 @@ def friction_panels(found: FrictionFit) -> list[Panel]:
     if not made.speed.size:
         raise edge.InputError("There is no plot of starting torques alone; metrics --plot has one.")
     used = np.isfinite(found.fitted)
-    speed, torque = made.speed[used], (made.torque - found.removed)[used]
+    speed, torque = made.speed[used], (made.torque - sum(found.removed.values()))[used]
     block, recording, fitted = made.block[used], made.recording[used], found.fitted[used]
     count = np.bincount(block)
     at = count > 0

@@ -27,10 +27,10 @@ from fitting.figures.friction import FrictionFit
 from fitting.figures.maps import FORMAT as MAPS
 from fitting.figures.metrics import Figures
 from fitting.model.prior import TOLERANCE
+from fitting.readers.first_samples import FirstSamples
+from fitting.readers.inspection import Inspection
 from fitting.recalibration.plan import PlannedVisit
 from fitting.recalibration.recalibrate import Recalibration
-from fitting.recordings.first_samples import FirstSamples
-from fitting.recordings.inspection import Inspection
 from fitting.reports.forecast_plot import plot_forecast
 from fitting.reports.friction_panels import friction_panels
 from fitting.reports.life_plots import plot_recalibration, plot_visits

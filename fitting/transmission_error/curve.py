@@ -71,6 +71,8 @@ class Curve:
     temperature, running_speed
         Mean temperature of the recording, K, and speed of the run, rad/s: as stated, of the shaft to which the bench's
         speed refers, otherwise the mean speed of the output; None if unknown.
+    crank_speed
+        Mean speed of the crank, rad/s, > 0; None without times.
 
     Examples
     --------
@@ -109,6 +111,7 @@ class Curve:
     implausible: int = 0
     temperature: float | None = None
     running_speed: float | None = None
+    crank_speed: float | None = None
 
     @property
     def torque_at_points(self) -> Array:

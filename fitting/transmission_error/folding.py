@@ -18,10 +18,10 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from drivers.recording_format import GAP
 from fitting.arguments import check_ratio
-from fitting.recordings.cleaning import Block
-from fitting.recordings.plausible import PlausibleBlocks
-from fitting.recordings.recording import Recording, RecordingStream
-from fitting.recordings.sources import Source, each_source, open_source
+from fitting.readers.recording import Recording, RecordingStream
+from fitting.readers.sources import Source, each_source, open_source
+from fitting.samples.block import Block
+from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.unaveraged import Steps
 
@@ -498,7 +498,12 @@ class Folding:
             for f in kept
         ]
         warm = float(total / count) if count else None
-        return [dataclasses.replace(one, temperature=warm, running_speed=_speed_of(one, stream)) for one in found]
+        return [
+            dataclasses.replace(
+                one, temperature=warm, running_speed=_speed_of(one, stream), crank_speed=_crank_speed_of(one, stream)
+            )
+            for one in found
+        ]
 
 
 def _speed(time: Array, angle: Array) -> Array:
@@ -512,9 +517,13 @@ def _speed(time: Array, angle: Array) -> Array:
 
 def _speed_of(curve: Curve, stream: Recording | RecordingStream) -> float | None:
     """Return the speed of a curve's run, rad/s: as stated by its recording, otherwise that of the output."""
-    if stream.speed is not None or not stream.timed or curve.speed is None:
-        return stream.speed
-    return float(np.abs(np.mean(curve.speed)) / abs(curve.ratio))
+    crank = _crank_speed_of(curve, stream)
+    return crank / abs(curve.ratio) if stream.speed is None and crank is not None else stream.speed
+
+
+def _crank_speed_of(curve: Curve, stream: Recording | RecordingStream) -> float | None:
+    """Return the mean speed of the crank, rad/s; None without times."""
+    return float(np.abs(np.mean(curve.speed))) if stream.timed and curve.speed is not None else None
 
 
 def _check_ratio(fold: _Fold, source: str) -> None:

@@ -24,7 +24,7 @@ from cycloid_fmu.reducer.lost_motion import parts_of
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
-from fitting.recordings.recording import Recording
+from fitting.readers.recording import Recording
 
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
 SURFACE = surface_of_pair(PAIR)

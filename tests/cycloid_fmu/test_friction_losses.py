@@ -12,11 +12,14 @@ from typer.testing import CliRunner
 import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.analysis import labelled_losses
+from cycloid_fmu.analysis import sensitivity as frictionless_sensitivity
 from cycloid_fmu.analysis import solve as frictionless
-from cycloid_fmu.geometry.losses import PARTS, FirstStage, Losses, Lubricant
+from cycloid_fmu.errors.kinds import structured_names
+from cycloid_fmu.geometry.losses import PARTS, Drag, FirstStage, Losses, Lubricant
 from cycloid_fmu.geometry.pair import parse_pair
-from cycloid_fmu.losses.sensitivity import sensitivity
+from cycloid_fmu.losses.sensitivity import motion_sensitivity, sensitivity
 from cycloid_fmu.losses.solver import laws_of, solve
+from cycloid_fmu.surfaces.structured import displacement_columns, structured_value, with_structured
 
 CASES = sorted((DATA / "losses-cases").glob("*.toml"))
 ANGLES = 0.1 + np.array([0.0, 1.7, 3.1, 4.4, 12.3])
@@ -274,6 +277,82 @@ def test_derivatives_of_the_crank_torque_are_finite_differences(name):
                 moved.append(torque(solve(made.replace(losses=changed), load, some, s, speed)))
             expected = (moved[0] - moved[1]) / (2.0 * step)
             assert derivative == pytest.approx(expected, rel=1e-4, abs=1e-6 * abs(derivative).max() + 1e-9), key
+
+
+def with_errors(made, seed=0):
+    """The drive with random errors of single pins, teeth, holes and cranks, within a micrometre or so."""
+    generator = np.random.default_rng(seed)
+    sizes = {"crank_phase": 1e-4}
+    errors = {
+        name: value + generator.normal(0.0, sizes.get(name, 1e-6), np.shape(value))
+        for name, value in made.surface.errors.items()
+        if not name.startswith(("misalignment", "isometric", "offset"))
+    }
+    return cy.Drive(made.pair, made.surface.replace(**errors))
+
+
+def error_of(made, load, angles, s, speed):
+    return solve(made, np.array([load]), angles, s, speed).motion.transmission_error[0]
+
+
+@pytest.mark.parametrize("name", ["cranks-fixed-pins", "output-sleeves", "printed-self-locking"])
+@pytest.mark.parametrize("s", [1, -1])
+def test_derivatives_of_the_motion_with_friction_are_finite_differences(name, s):
+    """By torque, crank angle and every kind of error that moves contacts and joints, and by every coefficient."""
+    made, speed = with_errors(case(name)), 60.0
+    load, losses = 0.5 * made.pair.rated_torque, made.pair.losses
+    found = motion_sensitivity(made, load, ANGLES, s, speed)
+    assert found.motion.transmission_error == pytest.approx(error_of(made, load, ANGLES, s, speed), abs=1e-12)
+
+    def differs(derivative, moved, step):
+        expected = (moved(step) - moved(-step)) / (2.0 * step)
+        return np.abs(derivative - expected).max() / np.abs(expected).max()
+
+    by_torque = differs(found.motion.by_torque, lambda d: error_of(made, load + d, ANGLES, s, speed), 1e-6 * load)
+    by_angle = differs(found.motion.by_crank_angle, lambda d: error_of(made, load, ANGLES + d, s, speed), 1e-6)
+    assert max(by_torque, by_angle) < 1e-4
+
+    names = structured_names([1, 2])
+    columns = found.motion.by_displacement @ displacement_columns(made.pair, names)
+    for key, derivative in zip(names, columns.T, strict=True):
+        if key.startswith("misalignment"):
+            continue
+
+        def with_error(d, key=key):
+            changed = with_structured(made.surface, {key: structured_value(made.surface, key) + d})
+            return error_of(cy.Drive(made.pair, changed), load, ANGLES, s, speed)
+
+        assert differs(derivative, with_error, 1e-8) < 2e-3, key
+    for key, derivative in found.by_coefficient.items():
+        part, coefficient = key.split(".")
+        table = getattr(losses, part)
+        if not (value := getattr(table, coefficient, None)) or not np.abs(derivative).max() > 0.0:
+            continue
+
+        def with_coefficient(d, part=part, coefficient=coefficient, table=table, value=value):
+            changed = losses.replace(**{part: table.replace(**{coefficient: value + d})})
+            return error_of(made.replace(losses=changed), load, ANGLES, s, speed)
+
+        assert differs(derivative, with_coefficient, 1e-3 * value) < 2e-3, key
+
+
+@pytest.mark.parametrize("name", ["cranks-fixed-pins", "output-sleeves"])
+def test_without_friction_the_motion_has_the_frictionless_derivatives(name):
+    made = with_errors(case(name))
+    load = 0.5 * made.pair.rated_torque
+    smooth = made.replace(losses=scaled(made.pair.losses, 0.0).replace(input_drag=Drag(), output_drag=Drag()))
+    wanted = frictionless_sensitivity(made, load, ANGLES)
+    for s in (1, -1):
+        found = motion_sensitivity(smooth, load, ANGLES, s, 60.0).motion
+        for field in dataclasses.fields(found):
+            of, values = getattr(wanted, field.name), getattr(found, field.name)
+            assert values == pytest.approx(of, rel=1e-6, abs=1e-6 * np.abs(of).max()), field.name
+
+
+def test_a_drive_that_jams_has_no_motion_and_says_so():
+    sizes = {"gear_teeth": 10, "pin_circle_radius": 40e-3, "pin_radius": 4e-3, "eccentricity": 1.6e-3}
+    with pytest.raises(edge.InputError, match="jams"):
+        motion_sensitivity(flank_alone(0.9, **sizes), 0.1, ANGLES, 1, 60.0)
 
 
 def test_oil_and_bearings_follow_the_published_formulas():

@@ -48,3 +48,26 @@ def test_a_command_runs_where_nothing_can_be_written(tmp_path, command):
     )
     assert (done.returncode, done.stdout) == (0, kept.stdout)
     assert len(re.findall("NUMBA_CACHE_DIR", done.stderr)) == 1
+
+
+@pytest.mark.skipif(compiling.internals is None, reason="numba alone reads the types before it compares the sources")
+def test_what_an_earlier_version_kept_is_compiled_again(tmp_path):
+    """Its kernels may take types that are gone: the folder of an installation outlives an update."""
+    module = tmp_path / "kernels_of_versions.py"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
+    for version, factor in (("Earlier", 2.0), ("Later", 3.0)):
+        module.write_text(
+            "from typing import NamedTuple\nfrom cycloid_fmu.contact import compiled\n"
+            f"class {version}(NamedTuple):\n    x: float\n"
+            f"@compiled\ndef times(given):\n    return {factor} * given.x\n"
+            f"print(times({version}(5.0)))\n"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", "import kernels_of_versions"],
+            cwd=tmp_path,
+            env={**environment, "PYTHONPATH": os.pathsep.join([str(tmp_path), environment.get("PYTHONPATH", "")])},
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        assert (done.stdout.strip(), done.returncode) == (str(5.0 * factor), 0), done.stderr

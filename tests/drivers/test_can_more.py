@@ -27,7 +27,7 @@ from drivers.simulated.buses import SimulatedCan
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import Fault
 from drivers.simulated.motion import SimulatedRun, simulate_motion
-from fitting.recordings.recording import RecordingStream
+from fitting.readers.recording import RecordingStream
 from tests.drivers.test_bench_cli import needs_multicast
 
 

@@ -5,7 +5,7 @@ import pytest
 from common import EXAMPLES
 
 from cycloid_fmu import edge
-from fitting.recordings.read_head import (
+from fitting.readers.read_head import (
     Displacement,
     ReadHead,
     angle_error,
@@ -13,7 +13,7 @@ from fitting.recordings.read_head import (
     read_read_head,
     without_coaxiality_error,
 )
-from fitting.recordings.recording import Recording
+from fitting.readers.recording import Recording
 
 HEAD = read_read_head(EXAMPLES / "rv-20e-read-head.toml")
 

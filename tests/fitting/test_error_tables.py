@@ -10,8 +10,8 @@ from common import ARCSEC
 import cycloid_fmu as cy
 import fitting
 from cycloid_fmu import edge
-from fitting.recordings.mapping import ChannelMapping, FileMapping, constants_of, read_mapping
-from fitting.recordings.proposal import name_patterns
+from fitting.readers.mapping import ChannelMapping, FileMapping, constants_of, read_mapping
+from fitting.readers.proposal import name_patterns
 
 SMALL = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
 POINTS = 250

@@ -28,7 +28,7 @@ from fitting.model.identifiability import chosen_errors, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of, with_scatter
 from fitting.model.prior import Prior, scatter_of
 from fitting.model.unknowns import possible
-from fitting.recordings.recording import Recording
+from fitting.readers.recording import Recording
 from fitting.reports.report import report
 from fitting.transmission_error.curve import Curve
 

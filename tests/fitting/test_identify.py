@@ -21,7 +21,7 @@ from fitting.estimation.result import as_json, read_lmfit_parameters
 from fitting.model.identifiability import choose, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of
 from fitting.model.prior import tolerances_of
-from fitting.recordings.recording import RecordingStream
+from fitting.readers.recording import RecordingStream
 from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000

@@ -18,7 +18,7 @@ from fitting.estimation.plan import plan
 from fitting.figures.survey import survey
 from fitting.model.loops import branches_of, is_locked, on_the_curves_zero, play_of
 from fitting.model.observations import State, left_of, linearise, observations, spread_of
-from fitting.recordings.recording import Recording
+from fitting.readers.recording import Recording
 
 ARCSEC = np.pi / 648000
 RATED, CRANK = 181.0, 7.3

@@ -11,7 +11,7 @@ from fitting.figures.comparison import read_figures
 from fitting.figures.hysteresis import drift_of
 from fitting.figures.metrics import figures_json, figures_of
 from fitting.figures.survey import survey
-from fitting.recordings.recording import Recording
+from fitting.readers.recording import Recording
 from fitting.reports.panels import panels_of
 
 ARCMIN = np.pi / 10800

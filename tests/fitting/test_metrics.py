@@ -14,7 +14,7 @@ from fitting.figures.metrics import figures_of
 from fitting.figures.spectrum import Spectrum, angular_transmission_error, range_of, spectrum, synthesised
 from fitting.figures.starts import back_driving_torques, starting_torques, starts_of
 from fitting.figures.survey import survey
-from fitting.recordings.recording import Recording, RecordingStream
+from fitting.readers.recording import Recording, RecordingStream
 from fitting.reports.panels import panels_of
 
 SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))

@@ -9,7 +9,7 @@ import pytest
 
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
-from fitting.recordings.recording import Recording
+from fitting.readers.recording import Recording
 from fitting.reports.figures_report import write_figures_report
 
 SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))

@@ -9,7 +9,7 @@ from common import BENCH
 import fitting
 from drivers.recording_format import GAP, IMPLAUSIBLE, Channel, Header, RecordingWriter, Samples
 from fitting.figures.metrics import figures_json
-from fitting.recordings.plausible import PlausibleBlocks
+from fitting.samples.plausible import PlausibleBlocks
 from fitting.transmission_error.curve import curves_json
 
 ANGLE = np.linspace(0.0, 2.0 * np.pi * 80, 8000)

@@ -14,7 +14,7 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation import starts
 from fitting.estimation.identify import identify
 from fitting.model.prior import Prior, profile_of
-from fitting.recordings.sources import read_recordings
+from fitting.readers.sources import read_recordings
 from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000

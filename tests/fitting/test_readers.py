@@ -19,13 +19,13 @@ import fitting
 from cycloid_fmu import edge
 from drivers.recording_format import GAP
 from fitting.figures.survey import lag_of
-from fitting.recordings import formats
-from fitting.recordings.first_samples import FirstSamples
-from fitting.recordings.formats import PIECE, BenchFile, RawChannel, open_bench_file, unit_text
-from fitting.recordings.inspection import Inspection, inspect, is_commanded, roles_of
-from fitting.recordings.mapping import read_mapping
-from fitting.recordings.recording import RecordingStream
-from fitting.recordings.tables import find_dialect
+from fitting.readers import formats
+from fitting.readers.first_samples import FirstSamples
+from fitting.readers.formats import PIECE, BenchFile, RawChannel, open_bench_file, unit_text
+from fitting.readers.inspection import Inspection, inspect, is_commanded, roles_of
+from fitting.readers.mapping import read_mapping
+from fitting.readers.recording import RecordingStream
+from fitting.readers.tables import find_dialect
 
 SAMPLES = 4000
 TIME = np.arange(SAMPLES) * 1e-3
@@ -309,7 +309,7 @@ def test_the_last_line_of_a_cut_table_is_left_out(tmp_path):
 
 def test_a_missing_package_names_its_extra(tmp_path):
     (tmp_path / "a.tdms").write_bytes(b"x")
-    hide = "import sys; sys.modules['nptdms'] = None; from fitting.recordings.loggers import TdmsFile; "
+    hide = "import sys; sys.modules['nptdms'] = None; from fitting.readers.loggers import TdmsFile; "
     hide += "TdmsFile('a.tdms')"
     run = subprocess.run([sys.executable, "-c", hide], cwd=tmp_path, capture_output=True, text=True)
     assert "pip install 'cycloid-fmu[bench-files]'" in run.stderr
@@ -494,7 +494,7 @@ def test_inspect_from_the_command_line(command, tmp_path):
 
 
 def test_another_package_adds_a_format_by_its_ending(tmp_path, monkeypatch):
-    own = metadata.EntryPoint("rig", "fitting.recordings.tables:CsvFile", formats.GROUP)
+    own = metadata.EntryPoint("rig", "fitting.readers.tables:CsvFile", formats.GROUP)
     known = metadata.EntryPoints([own])
     monkeypatch.setattr(formats.metadata, "entry_points", lambda **wanted: known.select(**wanted))
     write_strange_table(tmp_path / "a.rig")

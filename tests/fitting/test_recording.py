@@ -18,9 +18,9 @@ from drivers.recording_format import (
 )
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
-from fitting.recordings.formats import Piece
-from fitting.recordings.one_clock import OneClock
-from fitting.recordings.recording import RecordingStream
+from fitting.readers.formats import Piece
+from fitting.readers.recording import RecordingStream
+from fitting.samples.one_clock import OneClock
 
 ARCSEC = np.pi / 648000
 HEADER = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 import fitting
 from cycloid_fmu import edge
-from fitting.recordings.formats import open_bench_file
-from fitting.recordings.scope import ScopeFile
+from fitting.readers.formats import open_bench_file
+from fitting.readers.scope import ScopeFile
 
 HEADER = (
     "SymbolComment",

@@ -18,10 +18,10 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.drive_value import DriveValue
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.recordings import formats
-from fitting.recordings.inspection import inspect
-from fitting.recordings.mapping import read_mapping
-from fitting.recordings.recording import RecordingStream
+from fitting.readers import formats
+from fitting.readers.inspection import inspect
+from fitting.readers.mapping import read_mapping
+from fitting.readers.recording import RecordingStream
 
 ARCMIN = np.pi / 10800
 ARCSEC = ARCMIN / 60
@@ -444,7 +444,7 @@ def test_ticks_are_the_same_over_the_seams_of_pieces(tmp_path, monkeypatch, piec
     path = ticked(tmp_path / "loop.csv.gz", torque, angle)
     inspect(path).write(tmp_path / "map.toml")
     whole = RecordingStream(path, mapping := read_mapping(tmp_path / "map.toml")).read()
-    monkeypatch.setattr("fitting.recordings.tables.PIECE", piece)
+    monkeypatch.setattr("fitting.readers.tables.PIECE", piece)
     parts = RecordingStream(path, mapping).read()
     for name in ("time", "output_angle", "torque"):
         assert getattr(parts, name) == pytest.approx(getattr(whole, name), abs=1e-12)

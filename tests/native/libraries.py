@@ -1,6 +1,7 @@
 """Compile the libraries that the package contains, with zig: `python tests/native/libraries.py`.
 
-That of native FMUs for five platforms, and the one in front of pythonfmu's in an FMU of FMI 2.0 for two. The same
+Those of native FMUs and of the joint's run-time for five platforms, and the one in front of pythonfmu's in an FMU of
+FMI 2.0 for two. The same
 sources and the same version of zig (`constraints.txt`) give the same bytes on every machine.
 """
 
@@ -16,6 +17,7 @@ from pathlib import Path
 import ziglang
 
 from cycloid_fmu.fmu import library
+from cycloid_fmu.joint import runtime as joint
 
 ROOT = Path(library.__file__).parents[2]
 FRONT = ROOT / "cycloid_fmu" / "fmu" / "front"
@@ -29,6 +31,7 @@ TARGETS = {  # Linux no newer than GLIBC 2.17, macOS from 11
 }
 FRONTS = {FRONT / "linux64/CycloidDrive.so": "x86_64-linux", FRONT / "win64/CycloidDrive.dll": "x86_64-windows"}
 PACKAGED = {library.LIBRARIES / f"{name}{kind.suffix}": name for name, kind in library.PLATFORMS.items()}
+JOINTS = {joint.LIBRARIES / path.name: name for path, name in PACKAGED.items()}
 _FRONT_FLAGS = ("-std=c99", "-Os", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
 
 
@@ -72,7 +75,7 @@ def front_hash():
 
 
 def compiled(path):
-    """Bytes of one of `PACKAGED` or `FRONTS`, compiled anew."""
+    """Bytes of one of `PACKAGED`, `JOINTS` or `FRONTS`, compiled anew."""
     if path in FRONTS:
         name, files, flags, sources, digest = (
             FRONTS[path],
@@ -91,15 +94,20 @@ def compiled(path):
         )
         runtime = windows if name.endswith("windows") else ("-ldl", "-lpthread")
     else:
-        name, files, flags, sources = PACKAGED[path], library.source_files(), library.FLAGS, library.SOURCES
-        digest = library.source_hash()
+        if path in JOINTS:
+            name, digest, sources = JOINTS[path], joint.source_hash(), (f"{joint.NAME}.c",)
+            files = {sources[0]: joint.source()}
+        else:
+            name, digest, sources = PACKAGED[path], library.source_hash(), library.SOURCES
+            files = library.source_files()
+        flags = library.FLAGS
         files[UCRT.name] = UCRT.read_bytes()
         runtime = windows_runtime(start=UCRT.name) if name.endswith("windows") else ("-lm",)
     entry = ("-Wl,--no-entry",) if name.endswith("windows") else ()
     with tempfile.TemporaryDirectory() as folder:  # all by relative names, which libraries contain
         for file, data in files.items():
             Path(folder, file).write_bytes(data)
-        target = f"CycloidDrive{path.suffix}"
+        target = f"{joint.NAME if path in JOINTS else 'CycloidDrive'}{path.suffix}"
         command = (*zig(name), *flags, f'-DSOURCE_HASH="{digest}"', *sources, "-o", target, *entry, *runtime)
         subprocess.run(command, cwd=folder, check=True)
         return Path(folder, target).read_bytes()
@@ -114,9 +122,10 @@ def tested_zig():
 if __name__ == "__main__":
     if importlib.metadata.version("ziglang") != tested_zig():
         sys.exit(f"These libraries are made with the compiler of constraints.txt: pip install ziglang=={tested_zig()}")
-    library.LIBRARIES.mkdir(exist_ok=True)
+    for folder in (library.LIBRARIES, joint.LIBRARIES):
+        folder.mkdir(exist_ok=True)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        every = (*PACKAGED, *FRONTS)
+        every = (*PACKAGED, *JOINTS, *FRONTS)
         for path, data in zip(every, pool.map(compiled, every), strict=True):
             path.write_bytes(data)
             print(f"{path.relative_to(ROOT)}: {len(data)} bytes")

@@ -32,9 +32,9 @@ from cycloid_fmu.compensation.forms.look_up import look_up
 from cycloid_fmu.compensation.forms.numbers import table_body
 from cycloid_fmu.compensation.forms.write import write_compensator
 from cycloid_fmu.fmu import library, resource_file
+from cycloid_fmu.fmu.chain import read_chain
 from cycloid_fmu.fmu.resource_file import COMPENSATOR, HEAD, headed
 from cycloid_fmu.fmu.run import open_fmu
-from fitting.estimation.result import read_chain
 
 STRICT = ("-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Werror")
 OWN_ZIG = (sys.executable, "-m", "ziglang", "cc")
@@ -577,7 +577,7 @@ def fit(tmp_path):
 
 def test_the_command_writes_what_the_library_does(command, tmp_path, fit):
     words = (EXAMPLES / "drive-39-40.toml", "--residual", "3 arcsec", "--fit", fit)
-    done = command("cycloid-fit", "compensate", *words, "-o", "joint.c", "--plot", "joint.png")
+    done = command("cycloid-fmu", "compensate", *words, "-o", "joint.c", "--plot", "joint.png")
     assert done.returncode == 0, done.stderr
     made = cy.read_drive(EXAMPLES / "drive-39-40.toml").compensator(
         residual="3 arcsec", friction=cy.Friction(coulomb=3.0), series_compliance=2e-6
@@ -608,7 +608,7 @@ def test_the_command_writes_what_the_library_does(command, tmp_path, fit):
 )
 def test_what_the_command_can_not_use_is_refused_in_one_sentence(command, tmp_path, fit, words, said):
     drive = str(EXAMPLES / "drive-39-40.toml")
-    done = command("cycloid-fit", "compensate", drive, *(w.replace("{drive}", drive) for w in words))
+    done = command("cycloid-fmu", "compensate", drive, *(w.replace("{drive}", drive) for w in words))
     assert done.returncode == edge.BAD_INPUT
     assert said in done.stderr
     assert "Traceback" not in done.stderr

@@ -17,14 +17,21 @@ from cycloid_fmu.compensation.forms.write import write_compensator
 from cycloid_fmu.fmu import library
 from cycloid_fmu.fmu.library import PLATFORMS, library_path
 from cycloid_fmu.fmu.native import build_native
+from cycloid_fmu.joint import runtime as joint
 
-EVERY = [pytest.param(path, id=f"{path.parent.name}/{path.name}") for path in (*libraries.PACKAGED, *libraries.FRONTS)]
+EVERY = [
+    pytest.param(path, id="/".join(path.parts[-3:]))
+    for path in (*libraries.PACKAGED, *libraries.JOINTS, *libraries.FRONTS)
+]
 
 
 @pytest.mark.parametrize("path", EVERY)
 def test_the_library_that_is_shipped_comes_from_the_source(path):
     """Otherwise run `python tests/native/libraries.py`."""
-    digest = libraries.front_hash() if path in libraries.FRONTS else library.source_hash()
+    if path in libraries.JOINTS:
+        digest = joint.source_hash()
+    else:
+        digest = libraries.front_hash() if path in libraries.FRONTS else library.source_hash()
     assert digest.encode() in path.read_bytes()
 
 
@@ -105,8 +112,8 @@ def _mach_o_minimum(data):
 
 
 def test_libraries_ask_for_no_newer_system_than_promised():
-    for name in PLATFORMS:
-        data = library_path(name).read_bytes()
+    for path, name in (libraries.PACKAGED | libraries.JOINTS).items():
+        data = path.read_bytes()
         if name.endswith("linux"):
             asked = [tuple(map(int, v.split(b"."))) for v in re.findall(rb"GLIBC_([\d.]+)\0", data)]
             assert data[:4] == b"\x7fELF"
@@ -116,5 +123,5 @@ def test_libraries_ask_for_no_newer_system_than_promised():
             assert _mach_o_minimum(data) == 11
         else:
             assert data[:2] == b"MZ"
-            asked = set(re.findall(rb"([\w-]+)\.dll\0", data.lower())) - {b"cycloiddrive"}
+            asked = set(re.findall(rb"([\w-]+)\.dll\0", data.lower())) - {b"cycloiddrive", b"joint_drive"}
             assert {name for name in asked if not name.startswith(b"api-ms-win-crt-")} == {b"kernel32"}

@@ -1,0 +1,1 @@
+"""Recordings of test benches: formats and their readers, mapping of channels, inspection of unknown files."""
