@@ -222,7 +222,7 @@ def influence_of(pair: Pair, matrices: BodyMatrices) -> Influence:
 
 
 def _stacked(discs: Sequence[_DiscPorts], curves: int) -> tuple[Array, Array]:
-    """Return the influence between the ports of all discs, and the pins' own along their curves, zero where one ends."""
+    """Return the influence between all discs' ports, and the pins' own along their curves, zero where one ends."""
     ports = max((len(disc.between) for disc in discs), default=0)
     places = max((int(disc.places.max()) for disc in discs), default=0)
     between, own = np.zeros((len(discs), ports, ports)), np.zeros((len(discs), curves, places, 4, 3))
