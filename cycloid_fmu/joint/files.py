@@ -113,7 +113,8 @@ def longest_step(values: Mapping[str, float | None], arm_inertia: float) -> floa
 def _known(values: Mapping[str, float | None], name: str) -> float:
     value = values.get(name)
     if value is None:
-        raise edge.InputError(f"{name} is unknown; this file needs it: state it.")
+        option = "--rotor-inertia or " if name == "rotor_inertia" else ""
+        raise edge.InputError(f"{name} is unknown; this file needs it: state it by {option}a file of --figures.")
     return value
 
 
@@ -212,7 +213,7 @@ def mjcf_play(joint: Joint, values: Mapping[str, float | None], arm_inertia: flo
     """Return a MuJoCo model with play and stiffness: the arm's angle is that of `drive` and `play` together."""
     of, play = attributes(values), _known(values, "play")
     if of.stiffness is None:
-        raise edge.InputError("stiffness is unknown; this file needs it: state it.")
+        raise edge.InputError("stiffness is unknown; this file needs it: state it by a file of --figures.")
     step = longest_step(values, arm_inertia)
     lines = [
         *_lacks(joint, _ATTRIBUTES, values),
