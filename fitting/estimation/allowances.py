@@ -106,7 +106,7 @@ def form_note(parameters: Sequence[Parameter], form: float) -> list[str]:
 def bearings_found(
     pair: Pair, observed: Observations, changes: Array, deviations: Sequence[float] | Array
 ) -> list[Parameter]:
-    """Return the results for bearings and friction: intervals of stiffnesses and coefficients are of their logarithm."""
+    """Return the results for bearings and friction: those of stiffnesses and coefficients are of their logarithms."""
     found, names = [], observed.bearing_names
     values = as_stated(pair, changes, observed.first_stage)
     for name, value, sigma, before in zip(names, values, deviations, observed.bearing_prior, strict=True):

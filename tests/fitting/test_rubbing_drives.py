@@ -40,6 +40,7 @@ from fitting.model.observations import (
     spread_of,
     with_scatter,
 )
+from fitting.recalibration.recalibrate import recalibrate
 
 FLANK = "flank_friction_coefficient"
 ARM = {"mean_diameter": 0.02, "load_factor": 5e-4}
@@ -226,6 +227,10 @@ def test_friction_is_found_from_both_directions_and_falsifies_nothing(tmp_path):
     found.write(tmp_path / "fit.json")
     assert json.loads((tmp_path / "fit.json").read_text())["coefficients"][flank.name]["value"] == flank.value
     assert identify(runs, nominal(None), held_out=False).verdict.state != "explained"
+    # The drive of the fit, with its friction as numbers, is one that a later visit updates.
+    again = recalibrate(found.drive, runs, crank_turns=1e6)
+    assert again.alarm == ""
+    assert again.drive.pair.losses == found.drive.pair.losses
 
 
 @pytest.mark.slow(90)
